@@ -8,12 +8,20 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Optional, TypeAlias, TypeVar, Union
 
 import tyro
 
 if TYPE_CHECKING:
     from ladarreg_core.registration import RegisterOptions
+
+# tyro checks a default of None against `X | None` by typeguard, which imports asyncio and a mock library and
+# takes as long as all else of the parsing; against `Optional[X]` it does without.
+OptionalPath: TypeAlias = Optional[Path]  # noqa: UP045
+OptionalStr: TypeAlias = Optional[str]  # noqa: UP045
+OptionalFloat: TypeAlias = Optional[float]  # noqa: UP045
+OptionalInt: TypeAlias = Optional[int]  # noqa: UP045
+OptionalPaths: TypeAlias = Union[None, tuple[Path, ...]]  # noqa: UP007, RUF036 (None is tried first)
 
 T = TypeVar("T")
 _ARGUMENT = re.compile(r"((?:-[a-z] [A-Z]+, )?--[a-z-]+|[A-Z]{3,})(?= |$)")
@@ -24,7 +32,7 @@ _THESIS_ONLY = ("t1", "t2_px", "culling", "first_pose", "residual", "reject_dept
 
 
 def parse(kind: type[T], words: Sequence[str], *, prog: str, description: str) -> T:
-    """Parse words into a frozen `Arguments`.
+    """Parse words into a frozen `Arguments`, or into those of a variant that its `chosen_by` chooses by the words.
 
     Raises:
         OptionError: naming what is missing, misspelt or invalid.
@@ -34,6 +42,7 @@ def parse(kind: type[T], words: Sequence[str], *, prog: str, description: str) -
 
     from .help import examples_of, help_text, misspelt
 
+    kind = getattr(kind, "chosen_by", lambda _: kind)(words)
     if "-h" in words or "--help" in words:
         print(help_text(kind, prog=prog, summary=description, examples=examples_of(kind)))
         raise SystemExit(0)
@@ -60,7 +69,7 @@ def _in_words(text: str, kind: type) -> str:
     if found is None:
         return text
     value, name, listed = found.groups()
-    names = {name: one.choices for one in arguments_of(kind) for name in (one.name, *one.flags)}
+    names = {name: one.choices for one in arguments_of(kind, with_texts=False) for name in (one.name, *one.flags)}
     choices = names.get(name.lower()) or [one for one in re.findall(r"'([^']*)'", listed) if one != "None"]
     near, use = suggestion(value, choices), f"; use one of {', '.join(choices)}"
     return f"{value!r} is not a choice of {name}{near or use}".rstrip("?")
@@ -88,15 +97,15 @@ class ScanArguments:
     GROUP: ClassVar[tuple[int, str]] = (30, "scan: what its file does not say itself")
     scan_index: Annotated[int, tyro.conf.arg(aliases=["--scan"], metavar="N")] = 0
     """Index of the scan in a file with several, from 0; `ladarreg info FILE` lists them."""
-    origin: Annotated[str | None, tyro.conf.arg(metavar="X,Y,Z")] = None
+    origin: Annotated[OptionalStr, tyro.conf.arg(metavar="X,Y,Z")] = None
     """Where the scanner stood, in the coordinates of the file, m; for clouds that are not in the scanner's frame."""
     intensity: Literal["auto", "luma"] = "auto"
     """Source of the intensity; luma: the luminance of the points' colours."""
-    columns: Annotated[str | None, tyro.conf.arg(metavar="NAMES")] = None
+    columns: Annotated[OptionalStr, tyro.conf.arg(metavar="NAMES")] = None
     """Columns of a text file without a header, e.g. x,y,z,intensity; - skips one."""
-    topic: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    topic: Annotated[OptionalStr, tyro.conf.arg(metavar="NAME")] = None
     """Topic of the clouds in a recording."""
-    seconds: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
+    seconds: Annotated[OptionalFloat, tyro.conf.arg(metavar="S")] = None
     """Duration over which the clouds of a recording are accumulated."""
 
     @property
@@ -121,15 +130,15 @@ class CameraArguments(ScanArguments):
     """What is known of a photo and its camera."""
 
     GROUP: ClassVar[tuple[int, str]] = (20, "photo and camera")
-    camera: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    camera: Annotated[OptionalPath, tyro.conf.arg(metavar="FILE")] = None
     """Camera of the photo: JSON, OpenCV, ROS, Kalibr, COLMAP, nerfstudio or Agisoft."""
-    camera_name: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    camera_name: Annotated[OptionalStr, tyro.conf.arg(metavar="NAME")] = None
     """Camera of a file with several; default: chosen by the photo's name and size."""
-    focal_px: Annotated[float | None, tyro.conf.arg(metavar="PX")] = None
+    focal_px: Annotated[OptionalFloat, tyro.conf.arg(metavar="PX")] = None
     """Focal length of the photo in pixels, if there is no camera file."""
-    focal_mm: Annotated[float | None, tyro.conf.arg(metavar="MM")] = None
+    focal_mm: Annotated[OptionalFloat, tyro.conf.arg(metavar="MM")] = None
     """Focal length of the photo in mm; needs --sensor-mm; default: that of EXIF."""
-    sensor_mm: Annotated[float | None, tyro.conf.arg(metavar="MM")] = None
+    sensor_mm: Annotated[OptionalFloat, tyro.conf.arg(metavar="MM")] = None
     """Sensor width (longer side) in mm."""
     camera_model: Literal["pinhole", "equirectangular"] | None = None
     """Model of the photo's camera without a camera file: equirectangular is a panorama; default: as its XMP says."""
@@ -179,9 +188,9 @@ class InputArguments(PhotoArguments):
     """The inputs, and where to start from."""
 
     GROUP: ClassVar[tuple[int, str]] = (10, "matches and initial pose")
-    matches: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    matches: Annotated[OptionalPath, tyro.conf.arg(metavar="FILE")] = None
     """Manual matches: JSON, or CSV of points; rays, cells, or points with their lengths."""
-    initial: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    initial: Annotated[OptionalPath, tyro.conf.arg(metavar="FILE")] = None
     """Initial pose: a pose JSON (scanner or world), an earlier registration.json, or transforms.json. A
     registration.json of the same files also says with which options they are read."""
 
@@ -199,11 +208,11 @@ class EstimationArguments(InputArguments):
     GROUP: ClassVar[tuple[int, str]] = (40, "estimation")
     intrinsics: Literal["auto", "fixed", "focal", "focal-k1", "focal-k1-centre"] | None = None
     """Camera parameters to estimate; auto: those that the image, or held-out matches, support."""
-    centre_sigma_percent: Annotated[float | None, tyro.conf.arg(metavar="PERCENT")] = None
+    centre_sigma_percent: Annotated[OptionalFloat, tyro.conf.arg(metavar="PERCENT")] = None
     """Without a camera file: standard deviation of the principal point, % of the photo's width (1.5); 0: exact."""
-    k1_sigma: Annotated[float | None, tyro.conf.arg(metavar="K1")] = None
+    k1_sigma: Annotated[OptionalFloat, tyro.conf.arg(metavar="K1")] = None
     """Without a camera file: standard deviation of the distortion coefficient k1 (.05); 0: exact."""
-    match_tolerance_m: Annotated[float | None, tyro.conf.arg(metavar="M")] = None
+    match_tolerance_m: Annotated[OptionalFloat, tyro.conf.arg(metavar="M")] = None
     """Largest difference allowed between lengths of matches and the scan's ranges; default: 3 sigma, at least .05."""
 
 
@@ -212,9 +221,9 @@ class RegisterArguments(EstimationArguments):
     """The inputs, and the thresholds of the thesis; an omitted flag leaves the default."""
 
     GROUP: ClassVar[tuple[int, str]] = (50, "the thesis's method")
-    t1: Annotated[float | None, tyro.conf.arg(metavar="C")] = None
+    t1: Annotated[OptionalFloat, tyro.conf.arg(metavar="C")] = None
     """Minimum lead of the best correlation over the second best (.2)."""
-    t2_px: Annotated[float | None, tyro.conf.arg(metavar="PX")] = None
+    t2_px: Annotated[OptionalFloat, tyro.conf.arg(metavar="PX")] = None
     """Maximum deviation of a disparity from the median (20)."""
     culling: Literal["two-sided", "one-sided"] | None = None
     """Filter disparities on both sides, or on one as in its Step 5."""
@@ -222,9 +231,9 @@ class RegisterArguments(EstimationArguments):
     """The pose that predicts positions for guided matching."""
     residual: Literal["epipolar", "stereo"] | None = None
     """The residual that the simplex minimises; stereo is Eq 2.21."""
-    reject_depth_m: Annotated[float | None, tyro.conf.arg(metavar="M")] = None
+    reject_depth_m: Annotated[OptionalFloat, tyro.conf.arg(metavar="M")] = None
     """Stereo depth error above which a match is an outlier; default: estimated from the data."""
-    samples_per_line: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    samples_per_line: Annotated[OptionalInt, tyro.conf.arg(metavar="N")] = None
     """Sample points per manual line (9)."""
 
 

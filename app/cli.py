@@ -68,6 +68,9 @@ def main(args: Sequence[str] | None = None) -> int:
 
 def entry_point() -> NoReturn:
     """Run `main` and exit; a closed output pipe is not an error."""
+    # Threads of NumPy's linear algebra gain nothing on the small products here, and wait for each other where cores are
+    # shared. It reads this when it is first imported.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         code = main()
         sys.stdout.flush()

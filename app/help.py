@@ -49,14 +49,17 @@ class Argument:
     """Rank and title of the group that it is listed in."""
 
 
-def arguments_of(kind: type) -> list[Argument]:
-    """Return the arguments of a command; `kind` is its dataclass."""
+def arguments_of(kind: type, *, with_texts: bool = True) -> list[Argument]:
+    """Return the arguments of a command; `kind` is its dataclass.
+
+    Texts are parsed from the source, which takes longer than all else: arguments without have none.
+    """
     hints = get_type_hints(kind, include_extras=True)
     owners, texts = {}, {}
     for owner in reversed(kind.__mro__):
         own = inspect.get_annotations(owner)
         owners.update(dict.fromkeys(own, owner))
-        texts.update(_texts(owner) if own else {})
+        texts.update(_texts(owner) if own and with_texts else {})
     return [_argument(field, hints[field.name], owners[field.name], texts) for field in fields(kind)]
 
 
@@ -97,7 +100,7 @@ def examples_of(kind: type) -> tuple[str, ...]:
 
 def misspelt(kind: type, words: Iterable[str]) -> str | None:
     """Return a sentence on the first word that is no option of a command; None if all are."""
-    flags = [flag for one in arguments_of(kind) for flag in one.flags] + ["--help", "-h"]
+    flags = [flag for one in arguments_of(kind, with_texts=False) for flag in one.flags] + ["--help", "-h"]
     for word in words:
         if word == "--":
             return None

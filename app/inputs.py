@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from .arguments import InputArguments, PhotoArguments
 from .messages import one_line
-from .process_resources import keep_heap_small
+from .process_resources import keep_freed_memory, keep_heap_small, return_memory
 from .progress_bar import ProgressBar
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def read_inputs(arguments: PhotoArguments, bar: ProgressBar) -> tuple[Scan, Phot
     import ladarreg_core as lr
 
     scan = timed("Read scan", bar, lambda: lr.read_scan(arguments.scan, report=bar.loading, **arguments.scan_options))
-    spare_heap(scan)
+    suit_heap(scan)
     photo = timed(
         "Read photo",
         bar,
@@ -61,10 +61,18 @@ def with_recorded_options(arguments: A, *results: Path | None) -> A:
     return replace(arguments, **taken)
 
 
-def spare_heap(scan: Scan) -> None:
-    """Keep the heap small while a large scan is in memory."""
+def suit_heap(scan: Scan) -> None:
+    """Keep the heap small while a large scan is in memory, and fast otherwise."""
     if scan.ranges.size > _LARGE_SCAN_CELLS:
         keep_heap_small()
+    else:
+        keep_freed_memory()
+
+
+def spare_heap(scan: Scan) -> None:
+    """Return what the work on a large scan has freed, which may be hundreds of megabytes."""
+    if scan.ranges.size > _LARGE_SCAN_CELLS:
+        return_memory()
 
 
 def read_start(arguments: InputArguments, scan: Scan) -> tuple[list[Pick] | None, Rigid | None]:

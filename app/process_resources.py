@@ -22,8 +22,12 @@ _ARENAS = 2
 _TRIM_DELAY_S = 1.0
 _MIN_GROWTH_BYTES = 32 << 20
 """Growth of the process that makes another trim worthwhile: all threads wait for it."""
+_M_TRIM_THRESHOLD = -1
 _M_MMAP_THRESHOLD = -3
 _OWN_MAPPING_BYTES = 4 << 20
+_LARGEST_MAPPING_THRESHOLD = 32 << 20
+"""Of what glibc accepts; larger arrays always have a mapping of their own."""
+_KEPT_BYTES = 1 << 30
 _trim_pending = threading.Lock()
 _resident_after_trim = 0
 
@@ -82,6 +86,17 @@ def keep_heap_small() -> None:
     """
     if (libc := _glibc()) is not None:
         libc.mallopt(_M_MMAP_THRESHOLD, _OWN_MAPPING_BYTES)
+
+
+def keep_freed_memory() -> None:
+    """Keep the memory of freed arrays for the next ones; without glibc it does nothing.
+
+    Otherwise every array of some megabytes is of new pages, which the system has to clear first: a tenth of the time of
+    the export of a scan of one million cells.
+    """
+    if (libc := _glibc()) is not None:
+        libc.mallopt(_M_MMAP_THRESHOLD, _LARGEST_MAPPING_THRESHOLD)
+        libc.mallopt(_M_TRIM_THRESHOLD, _KEPT_BYTES)
 
 
 def return_memory() -> None:

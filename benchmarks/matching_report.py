@@ -10,19 +10,25 @@ import numpy as np
 from benchmarks.matching_sets import WITH_PEERS
 from benchmarks.pose_report import NOTHING, Bar, Section, as_markdown, number, table
 from benchmarks.register import METHODS, Row
+from benchmarks.rig_sets import rig_section
 from benchmarks.sparse_report import sparse_sections
 
 RIGHT_PX = 2.0
 """Error beyond which an accepted pose counts as wrong."""
 _MARKERS = ("<!-- matching: begin -->", "<!-- matching: end -->")
 _SPARSE_MARKERS = ("<!-- sparse: begin -->", "<!-- sparse: end -->")
+_RIG_MARKERS = ("<!-- rigs: begin -->", "<!-- rigs: end -->")
 _NO_RIGHT_ANSWER = ("wrong", "near", "blank", "thermal wrong")
 
 
 def sections(rows: Sequence[Row]) -> list[Section]:
     """Return the sections for these rows."""
     asks = (_peers_section, _intrinsics_section, _thermal_section, _refusals_section, _real_section, _times_section)
-    return [*(section for ask in asks if (section := ask(rows)) is not None), *sparse_sections(rows)]
+    return [
+        *(section for ask in asks if (section := ask(rows)) is not None),
+        *sparse_sections(rows),
+        *_rig_sections(rows),
+    ]
 
 
 def seeds_of(section: Section, rows: Sequence[Row]) -> list[int]:
@@ -33,9 +39,10 @@ def seeds_of(section: Section, rows: Sequence[Row]) -> list[int]:
 def write_page(path: Path, rows: Sequence[Row]) -> None:
     """Replace the sections between the markers of a page; everything else stays, and so do sets that were not run."""
     text = path.read_text(encoding="utf-8")
-    sparse = {section.key for section in sparse_sections(rows)}
-    for (first, last), of_sparse in ((_MARKERS, False), (_SPARSE_MARKERS, True)):
-        mine = [section for section in sections(rows) if (section.key in sparse) is of_sparse]
+    sparse, rigs = sparse_sections(rows), _rig_sections(rows)
+    elsewhere = {section.key for section in (*sparse, *rigs)}
+    rooms = [section for section in sections(rows) if section.key not in elsewhere]
+    for (first, last), mine in ((_MARKERS, rooms), (_SPARSE_MARKERS, sparse), (_RIG_MARKERS, rigs)):
         if not mine:
             continue
         before, begin, rest = text.partition(first)
@@ -45,6 +52,11 @@ def write_page(path: Path, rows: Sequence[Row]) -> None:
         blocks = [as_markdown(section, seeds=seeds_of(section, rows)) for section in mine]
         text = "\n".join([f"{before}{begin}", *blocks, f"{end}{after}"])
     path.write_text(text, encoding="utf-8")
+
+
+def _rig_sections(rows: Sequence[Row]) -> list[Section]:
+    found = rig_section(rows)
+    return [] if found is None else [found]
 
 
 def _of(rows: Iterable[Row], *names: str, method: str = "auto") -> list[Row]:

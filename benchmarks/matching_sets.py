@@ -12,6 +12,7 @@ import numpy as np
 
 import ladarreg_core as lr
 from benchmarks.register import Row, by_default, by_peers, timed
+from benchmarks.rig_sets import rig_rows
 from benchmarks.sparse_sets import SPARSE_SETS
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.auto import AutoOptions
@@ -156,6 +157,7 @@ SETS: dict[str, tuple[Callable[[range], Iterator[Row]], int]] = {
     "thermal wrong": (thermal_wrong_rows, 8),
     "real": (real_rows, 1),
     **SPARSE_SETS,
+    "rigs": (rig_rows, 6),
 }
 """Sets by name, with the number of seeds for each of the scenes."""
 WITH_PEERS = ("standard", "hard", "wide", "rotated", "identical")

@@ -23,9 +23,11 @@ from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.alike import alike_corridor, equal_rooms, symmetric_room
 from ladarreg_core.simulate.stations import scan_stations, station_room, upright_pose
+from ladarreg_core.stations.network import adjusted
 from ladarreg_core.stations.pair import prepare, register_pair
 from ladarreg_core.stations.registration import register_scans
 from ladarreg_core.stations.search import search
+from ladarreg_core.stations.surfels import surfels_of
 
 _SCENES = ("office", "boxes", "people", "desk", "plain")
 _FIRST_SEED = 7000
@@ -139,6 +141,34 @@ def loop_rows(quick: bool, show: Show) -> list[Row]:
     ]
 
 
+def covariance_rows(quick: bool, show: Show) -> list[Row]:
+    """Stated precision against errors: pairs and loops of five on coarse scans, from poses known to a few mm."""
+    rows = []
+    for what, count in (("pairs", 2), ("loops of five", 5)):
+        squares: list[float] = []
+        for k in range(4 if quick else 20):
+            rng = np.random.default_rng([_FIRST_SEED, 5, count, k])
+            room = station_room(_SCENES[k % 5], _FIRST_SEED + 400 + k)
+            around = 2 * np.pi * np.arange(count) / count + rng.uniform(0, 2 * np.pi)
+            reach = 1.5 if count == 2 else 1.2
+            poses = [_pose(rng, reach * np.array([np.cos(a), np.sin(a)])) for a in around]
+            scans = scan_stations(room, poses, seed=k, step_deg=0.5)
+            truth = {n: poses[0].inverse @ pose for n, pose in enumerate(poses)}
+            near = {
+                n: pose @ Rigid.from_rotvec(rng.normal(0, 5e-4, 3), rng.normal(0, 0.002, 3)) if n else pose
+                for n, pose in truth.items()
+            }
+            placed = adjusted({n: surfels_of(scan).returns for n, scan in enumerate(scans)}, 0, near)
+            each = [_error(truth[n], *placed[n])[2] for n in range(1, count)]
+            squares += list(np.square(each))
+            show(json.dumps({"covariance": what, "seed": k, "distances": each}))
+        rms = float(np.sqrt(np.mean(squares)))
+        rows.append(
+            Row(f"{what}: Mahalanobis distance / sqrt 6, RMS of 20", ".9 to 1.1", f"{rms:.2f}", 0.9 <= rms <= 1.1)
+        )
+    return rows
+
+
 def _two_stations(k: int, show: Show, *, wide: bool) -> dict[str, Any]:
     rng = np.random.default_rng([_FIRST_SEED, 1, k])
     room = station_room(_SCENES[k % 5], _FIRST_SEED + k)
@@ -211,6 +241,7 @@ def _rms(found: Sequence[dict[str, Any]]) -> float:
 
 ROWS: dict[str, Callable[[bool, Show], list[Row]]] = {
     "stations": stations_rows, "different": different_rows, "alike": alike_rows, "loop": loop_rows,
+    "covariance": covariance_rows,
     "page_28m": page_rows,
 }  # fmt: skip
 """The rows of this module."""

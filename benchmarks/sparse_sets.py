@@ -9,6 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import get_args
 
+import cv2
 import numpy as np
 
 import ladarreg_core as lr
@@ -76,8 +77,8 @@ def shuffled_rows(seeds: range) -> Iterator[Row]:
                           np.nan, seconds, steps=steps)  # fmt: skip
 
 
-def real_rows(seeds: range) -> Iterator[Row]:
-    """Captures beside the checkout, or in LADARREG_DATA, from rough guesses and from none."""
+def real_cases() -> Iterator[tuple[str, lr.Scan, lr.Photo, Rigid]]:
+    """Yield the captures beside the checkout, or in LADARREG_DATA, with their published poses."""
     data = Path(os.environ.get("LADARREG_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
     for name, scan_file, photo_file, truth_file in _REAL:
         folder = data / name
@@ -87,6 +88,12 @@ def real_rows(seeds: range) -> Iterator[Row]:
         scan = lr.read_scan(folder / scan_file)
         photo = lr.read_photo(folder / photo_file, camera=folder / "camera.json")
         truth = Rigid.from_matrix(json.loads((folder / truth_file).read_text())["camera_from_scanner"])
+        yield name, scan, photo, truth
+
+
+def real_rows(seeds: range) -> Iterator[Row]:
+    """Captures beside the checkout, or in LADARREG_DATA, from rough guesses and from none."""
+    for name, scan, photo, truth in real_cases():
         for seed in (*seeds, None):
             guess = None if seed is None else off_by(truth, seed)
             result, seconds, steps = timed(scan, photo, initial=guess)
@@ -106,9 +113,12 @@ def _row(
     pose = result.camera_from_scanner
     off = np.linalg.norm(true[seen] - result.camera.project(pose @ points[seen]), axis=1)
     off[~np.isfinite(off)] = np.inf  # behind the camera that was found
+    turn = cv2.Rodrigues(truth.rotation @ pose.rotation.T)[0][:, 0]
+    apart = np.concatenate([turn, truth.centre - pose.centre])
     return Row(
         "auto", set_name, what, seed, result.accepted, float(np.median(off)), float(np.degrees(pose.angle_to(truth))),
-        1e3 * pose.distance_to(truth), seconds, steps=steps,
+        1e3 * pose.distance_to(truth), seconds,
+        sigmas=float(np.sqrt(apart @ np.linalg.solve(result.covariance, apart) / 6)), steps=steps,
     )  # fmt: skip
 
 

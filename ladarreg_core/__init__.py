@@ -49,6 +49,10 @@ if TYPE_CHECKING:
     from ladarreg_core.registration import register as register
     from ladarreg_core.results import PoseResult as PoseResult
     from ladarreg_core.results import Registration as Registration
+    from ladarreg_core.rig.options import RigOptions as RigOptions
+    from ladarreg_core.rig.registration import register_rig as register_rig
+    from ladarreg_core.rig.results import RigPair as RigPair
+    from ladarreg_core.rig.results import RigResult as RigResult
     from ladarreg_core.scan import Scan as Scan
     from ladarreg_core.simulate import simulate_case as simulate_case
     from ladarreg_core.stations.registration import register_scans as register_scans
@@ -86,6 +90,9 @@ _HOMES = {
     "RegisteredScan": "export.targets.registered_scan",
     "RegisteredTexture": "surface.texture",
     "Registration": "results",
+    "RigOptions": "rig.options",
+    "RigPair": "rig.results",
+    "RigResult": "rig.results",
     "Rigid": "frames",
     "Scan": "scan",
     "StationNetwork": "stations.results",
@@ -109,6 +116,7 @@ _HOMES = {
     "read_registration": "formats",
     "read_scan": "formats",
     "register": "registration",
+    "register_rig": "rig.registration",
     "register_scans": "stations.registration",
     "simulate_case": "simulate",
     "texture_scan": "surface.texture",

@@ -12,6 +12,7 @@ A transform is named by both ends: `p_camera = camera_from_scanner @ p_scanner`.
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from typing import Any, overload
 
@@ -26,8 +27,12 @@ CAMERA_AXES_FROM_SCANNER = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0
 CAMERA_AXES_FROM_SCANNER.flags.writeable = False
 
 _STEREO_AXES = np.diag([-1.0, -1.0, 1.0])  # the thesis's stereo frame (x = -lambda X/Z) from the OpenCV one
+# A product of very many points with a 3 x 3 matrix would be split among threads, which costs many times what it gains
+# where cores are shared; in blocks it stays in the processor's cache, with the same result to the bit.
+_BLOCK = 8192
 _ORTHONORMAL_TOLERANCE = 1e-3
 _LEAST_FROM_VERTICAL_DEG = 0.005
+_EYE = np.eye(3)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -47,14 +52,15 @@ class Rigid:
     def __post_init__(self) -> None:
         rotation = read_only(self.rotation, np.float64, (3, 3), "rotation")
         translation = read_only(self.translation, np.float64, (3,), "translation")
-        if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
+        (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()  # numbers of Python's own: poses are made by the hundred
+        if not all(map(math.isfinite, (a, b, c, d, e, f, g, h, i, *translation.tolist()))):
             raise DegenerateGeometryError("the transform contains NaN or infinity; it needs 12 finite numbers")
-        error = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+        error = float(np.abs(rotation @ rotation.T - _EYE).max())
         if error > _ORTHONORMAL_TOLERANCE:
             raise DegenerateGeometryError(
                 f"the rotation is off orthonormal by {error:.2g}; at most {_ORTHONORMAL_TOLERANCE:g} is allowed"
             )
-        if np.linalg.det(rotation) < 0:
+        if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0:
             raise DegenerateGeometryError("the rotation is a reflection (determinant -1); it must be right-handed")
         if error > 1e-14:
             u, _, vt = np.linalg.svd(rotation)
@@ -195,7 +201,15 @@ class Rigid:
             return Rigid(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
         points = np.asarray(other)
         dtype: Any = points.dtype if points.dtype.kind == "f" else np.float64
-        return np.asarray(points @ self.rotation.T.astype(dtype) + self.translation.astype(dtype))
+        turned, shift = self.rotation.T.astype(dtype), self.translation.astype(dtype)
+        if points.ndim != 2 or len(points) <= _BLOCK:
+            return np.asarray(points @ turned + shift)
+        mapped = np.empty(points.shape, dtype)
+        for start in range(0, len(points), _BLOCK):
+            block = slice(start, start + _BLOCK)
+            np.matmul(points[block], turned, out=mapped[block])
+            mapped[block] += shift
+        return mapped
 
     def angle_to(self, other: Rigid) -> float:
         """Return the angle between the two rotations, rad."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from functools import lru_cache
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -153,7 +154,7 @@ class Matches:
         """
         checked_rays = read_only(rays, np.float64, (None, 3), "the matches' rays")
         count = len(checked_rays)
-        ids = tuple(map(str, pick_ids)) or tuple(str(k + 1) for k in range(count))
+        ids = tuple(map(str, pick_ids)) or _numbered(count)
         if len(ids) != count:
             raise ShapeError(f"there are {len(ids)} pick ids for {count} matches; give one each, or none")
         columns = {
@@ -198,7 +199,7 @@ class Matches:
         """Return the matches of a mask (M,) or of indices, in that order."""
         chosen = np.asarray(keep)
         index = np.arange(len(self))[chosen if chosen.size else chosen.astype(np.intp)]
-        ids = tuple(self.pick_ids[k] for k in index)
+        ids = tuple(map(self.pick_ids.__getitem__, index.tolist()))
         if not ids:
             return Matches.none()
         return Matches(
@@ -229,9 +230,30 @@ class Matches:
         return Matches(rays, ranges, uv, ids, *columns)
 
     @property
+    def distinct_picks(self) -> bool:
+        """True if every match is of a pick of its own, so that none is of a line."""
+        return self.pick_ids is _numbered(len(self)) or len(set(self.pick_ids)) == len(self)
+
+    def numbered_picks(self) -> tuple[tuple[str, ...], IntArray]:
+        """Return the ids of the P picks, in the order of their first matches, and the index of each match's pick (M,).
+
+        If all are distinct, the index is that of the match.
+        """
+        if self.distinct_picks:
+            return self.pick_ids, np.arange(len(self))
+        number: dict[str, int] = {}
+        pick = np.array([number.setdefault(name, len(number)) for name in self.pick_ids], dtype=np.intp)
+        return tuple(number), pick
+
+    @property
     def dimensions(self) -> IntArray:
         """(M,) number of image coordinates known: 2, or 1 across a line."""
         return np.where(self.across, 1, 2)
+
+
+@lru_cache(maxsize=8)
+def _numbered(count: int) -> tuple[str, ...]:
+    return tuple(map(str, range(1, count + 1)))
 
 
 def _column(values: ArrayLike | None, filler: float, count: int, name: str) -> FloatArray:
@@ -248,12 +270,19 @@ def unit_rays(vectors: FloatArray) -> NDArray[np.float64]:
     return np.asarray(scaled / np.linalg.norm(scaled, axis=-1, keepdims=True))
 
 
-def across_lines(matches: Matches, vectors: FloatArray) -> FloatArray:
-    """Return vectors (M, 2), photo pixels; where only `across` is known, without their component along the line."""
-    if not matches.across.any():
+def across_lines(matches: Matches, vectors: FloatArray, members: Any = slice(None)) -> FloatArray:
+    """Return vectors (M, 2), photo pixels; where only `across` is known, without their component along the line.
+
+    Args:
+        matches: M matches.
+        vectors: of the members.
+        members: mask or indices of some of the matches; by default all.
+    """
+    across, directions = matches.across[members], matches.directions[members]
+    if not across.any():
         return vectors
-    along = (vectors * matches.directions).sum(axis=1, keepdims=True) * matches.directions
-    return np.where(matches.across[:, None], vectors - along, vectors)
+    along = (vectors * directions).sum(axis=1, keepdims=True) * directions
+    return np.where(across[:, None], vectors - along, vectors)
 
 
 def count_picks(matches: Matches, inliers: BoolArray) -> tuple[int, int]:
@@ -261,6 +290,8 @@ def count_picks(matches: Matches, inliers: BoolArray) -> tuple[int, int]:
 
     A line is one match to whoever counts, though solvers use its ends, or samples along it, one by one.
     """
+    if matches.distinct_picks:
+        return int(np.count_nonzero(inliers)), len(matches)
     agrees: dict[str, bool] = {}
     for name, inlier in zip(matches.pick_ids, inliers.tolist(), strict=True):
         agrees[name] = agrees.get(name, True) and inlier

@@ -50,6 +50,11 @@ MATCHES: tuple[Colour, ...] = (
     (255, 166, 92),
 )
 """By a match's number less one, repeating."""
+STATIONS: tuple[Colour, ...] = (
+    (255, 143, 171), (126, 226, 168), (201, 167, 255), (255, 166, 92), (92, 200, 255), (214, 226, 110),
+    (220, 110, 210), (80, 170, 150), (170, 150, 120), (130, 150, 230), (230, 120, 90), (160, 200, 90),
+)  # fmt: skip
+"""Of further stations, by their place in the list."""
 SCANNER: Colour = (255, 211, 77)
 REFUSED: Colour = DIM
 """A pose that is not accepted."""

@@ -16,6 +16,7 @@ from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matches import Matches, Pick, picks_of_arrays
 from ladarreg_core.matching.auto import AutoOptions, AutoResult
 from ladarreg_core.matching.modality import register_by_modality
+from ladarreg_core.matching.support import carries_intensity
 from ladarreg_core.matching.thesis.chain import ThesisOptions, ThesisResult, thesis_stages
 from ladarreg_core.photo import Photo
 from ladarreg_core.picks.lengths import with_lengths_checked
@@ -260,8 +261,8 @@ def _thesis_result(found: ThesisResult, scan: Scan, photo: Photo) -> PoseResult:
 
 
 def _with_shape_alone_said(result: PoseResult, scan: Scan) -> PoseResult:
-    """Return a result whose reasons say so if the scan has no intensity."""
-    if scan.has_intensity:
+    """Return a result whose reasons say so if the scan has no intensity that shows anything."""
+    if carries_intensity(scan):
         return result
     return replace(result, reasons=(*result.reasons, _SHAPE_ALONE))
 

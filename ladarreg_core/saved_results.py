@@ -36,6 +36,7 @@ class _ScanReading(msgspec.Struct):
     columns: tuple[str, ...] | msgspec.UnsetType = msgspec.UNSET
     topic: str | msgspec.UnsetType = msgspec.UNSET
     seconds: float | msgspec.UnsetType = msgspec.UNSET
+    more: tuple[str, ...] | msgspec.UnsetType = msgspec.UNSET
 
 
 class _PhotoReading(msgspec.Struct):
@@ -111,11 +112,21 @@ class SavedResult:
         Raises:
             LadarregError: as `read_scan`.
         """
-        return read_scan(file, report=report, **self.scan_reading(given))
+        return read_scan(file, report=report, **self.scan_reading(given, scan_file=file))
 
-    def scan_reading(self, given: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Return the arguments of `read_scan`: the recorded ones, and those `given` that are no defaults."""
-        return {**self.scan_options, **_changed(given)}
+    def scan_reading(self, given: Mapping[str, Any] | None = None, *, scan_file: Path | None = None) -> dict[str, Any]:
+        """Return the arguments of `read_scan`: the recorded ones, and those `given` that are no defaults.
+
+        Raises:
+            ExportError: if further files of the standpoint were recorded and are not found, beside `scan_file` or in
+                the folders of the result.
+        """
+        found = {**self.scan_options, **_changed(given)}
+        if found.get("more"):
+            near = self._near([] if scan_file is None else [scan_file.parent])
+            records = [one for one in self.inputs[2:] if one.get("name") in found["more"]]
+            found["more"] = tuple(find_inputs(records, near))
+        return found
 
     def read_photo(self, file: Path, *, temperature_unit: str | None = None) -> Photo:
         """Read the photograph as it was read for the result, with the camera of the result.
@@ -191,7 +202,7 @@ def recorded_options(result: Path, scan: Path, photo: Path) -> dict[str, Any]:
             found |= saved.photo_options or {}
     except (LadarregError, OSError):  # each file is read again, and refused, where it is needed
         return {}
-    return {name: value for name, value in found.items() if name not in ("camera", "camera_name")}
+    return {name: value for name, value in found.items() if name not in ("camera", "camera_name", "more")}
 
 
 def registered_scan(
@@ -228,7 +239,7 @@ def registered_scan(
         raise OptionError("there is no result to export; give one or several folders of results")
     _require_one_scan(results, scan_options)
     found = [one.find(folders, scan_file=scan_file, option=option) for one in results]
-    reading = results[0].scan_reading(scan_options)
+    reading = results[0].scan_reading(scan_options, scan_file=found[0][0])
     scan = read_scan(found[0][0], report=report, **reading)
     placed = OutputFrame.of(scan, frame)
     photos: list[RegisteredPhoto] = []
@@ -266,7 +277,7 @@ def _require_one_scan(results: Sequence[SavedResult], scan_options: Mapping[str,
         if other.inputs[0].get("sha256") != first.inputs[0].get("sha256"):
             one, two = (f"{result.file.parent} ({result.inputs[0].get('name')})" for result in (first, other))
             raise OptionError(f"the results are on different scans: {one}, {two}; export the results of each by itself")
-        if other.scan_reading(scan_options) != first.scan_reading(scan_options):
+        if {**other.scan_options, **_changed(scan_options)} != {**first.scan_options, **_changed(scan_options)}:
             raise OptionError(
                 f"{first.file.parent} and {other.file.parent} read {first.inputs[0].get('name')} with different "
                 "options (another scan of the file, or another origin); export each by itself"

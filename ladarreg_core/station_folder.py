@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from ladarreg_core.progress import Progress, Report
 
 if TYPE_CHECKING:
+    from ladarreg_core.frames import Rigid
     from ladarreg_core.scan import Scan
     from ladarreg_core.stations.results import StationNetwork
 
@@ -19,7 +20,7 @@ STATIONS_ARE = (
     "c = C_true - C, rad and m, against the fixed station"
 )
 """Explanation of the poses, written into `stations.json`."""
-_VERSION = 1
+_SAME_M, _SAME_RAD = 1e-4, 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +98,7 @@ def write_stations(
     from ladarreg_core.export.replacement import STATIONS_FILE
     from ladarreg_core.formats.npz import write_npz_xyz
 
-    fields = stations_document(network, stations)
+    fields = stations_document(network.as_fields(), [(one.path, one.scan_index) for one in stations])
     placed = {one.index: one for one in network.stations if one.world_from_scanner is not None}
 
     def writer(index: int) -> Any:
@@ -115,19 +116,26 @@ def write_stations(
     return fields
 
 
-def stations_document(network: StationNetwork, stations: Sequence[StationScan]) -> dict[str, Any]:
-    """Return the contents of `stations.json`."""
-    from ladarreg_core.export.json import input_document, software_document
+def stations_document(fields: Mapping[str, Any], inputs: Sequence[tuple[Path, int]]) -> dict[str, Any]:
+    """Return the contents of `stations.json`, where each registered scan has the name of its file, `scan`.
 
-    own = network.as_fields()
+    Args:
+        fields: `StationNetwork.as_fields`.
+        inputs: the file of each scan, and its place in it.
+    """
+    from ladarreg_core.export.json import input_document, software_document
+    from ladarreg_core.formats.stations_info import VERSION
+
     names: set[str] = set()
-    for one, station in zip(own["stations"], stations, strict=True):
+    stations = []
+    for one, (path, scan_index) in zip(fields["stations"], inputs, strict=True):
         base = one["name"] if one["name"].casefold() not in names else f"{one['name']}-{one['index']}"
         names.add(base.casefold())
-        one["scan"] = None if one["world_from_scanner"] is None else f"{base}.npz"
-        one |= {"input": {**input_document(station.path), "scan_index": station.scan_index}}
+        scan = None if one["world_from_scanner"] is None else f"{base}.npz"
+        stations.append({**one, "scan": scan, "input": {**input_document(path), "scan_index": scan_index}})
     return {
-        "version": _VERSION, "kind": "stations", "software": software_document(), "poses_are": STATIONS_ARE, **own
+        "version": VERSION, "kind": "stations", "software": software_document(), "poses_are": STATIONS_ARE, **fields,
+        "stations": stations,
     }  # fmt: skip
 
 
@@ -138,31 +146,27 @@ def is_station_folder(folder: str | Path) -> bool:
     return (Path(folder) / STATIONS_FILE).is_file()
 
 
-def station_files(folder: str | Path) -> list[Path]:
-    """Return the scans of a folder of stations, those that were registered.
+def station_files(folder: str | Path) -> dict[Path, Rigid]:
+    """Return the scans of a folder of stations that were registered, each with its stated `world_from_scanner`.
 
     Raises:
-        FormatError: if its document is damaged, or a scan is missing.
+        FormatError: if its document is damaged or of another version, or a scan is missing.
     """
     from ladarreg_core.errors import FormatError
     from ladarreg_core.export.replacement import STATIONS_FILE, is_file_name
     from ladarreg_core.formats.json_file import read_json_object
+    from ladarreg_core.formats.stations_info import stated_poses
     from ladarreg_core.formats.untrusted import reading
 
     home = Path(folder)
     with reading(home / STATIONS_FILE) as file:
-        fields = read_json_object(file, "stations")
-        listed = fields.get("stations")
-        if fields.get("kind") != "stations" or not isinstance(listed, list):
-            raise FormatError("it does not describe stations; give the folder of `register-scans`")
-        names = [one.get("scan") for one in listed if isinstance(one, dict)]
-        scans = [name for name in names if name is not None]
-        if not scans or not all(isinstance(name, str) and is_file_name(name) for name in scans):
-            raise FormatError("it names no scans; register the stations again")
-        missing = [name for name in scans if not (home / name).is_file()]
+        poses = stated_poses(read_json_object(file, "stations"))
+        if not all(is_file_name(name) for name in poses):
+            raise FormatError("it names scans outside its folder; register the stations again")
+        missing = [name for name in poses if not (home / name).is_file()]
         if missing:
             raise FormatError(f"{missing[0]} is missing beside it; register the stations again")
-    return [home / name for name in scans]
+    return {home / name: pose for name, pose in poses.items()}
 
 
 def export_station_folder(
@@ -186,10 +190,18 @@ def export_station_folder(
     from ladarreg_core.formats import read_scan
 
     files = station_files(folder)
-    named = [partial(_named_scan, read_scan, path) for path in files]
-    export_stations(out, named, inputs=files, force=force, report=report)
+    named = [partial(_named_scan, read_scan, path, pose) for path, pose in files.items()]
+    export_stations(out, named, inputs=list(files), force=force, report=report)
 
 
-def _named_scan(read: Any, path: Path) -> Scan:
+def _named_scan(read: Any, path: Path, stated: Rigid) -> Scan:
+    from ladarreg_core.errors import FormatError
+    from ladarreg_core.export.replacement import STATIONS_FILE
+
     scan: Scan = read(path)
+    own = scan.world_from_scanner
+    if own is None or own.distance_to(stated) > _SAME_M or own.angle_to(stated) > _SAME_RAD:
+        raise FormatError(
+            f"{path}: {STATIONS_FILE} states another pose for it than the file itself; register the stations again"
+        )
     return replace(scan, name=path.stem)

@@ -11,10 +11,9 @@ import tyro
 
 from ..arguments import PhotoArguments
 from ..exit_codes import ExitCode
-from ..inputs import print_notes, read_inputs, timed, with_recorded_options
+from ..inputs import print_notes, read_inputs, spare_heap, timed, with_recorded_options
 from ..json_output import print_written
 from ..messages import report, verdict
-from ..process_resources import return_memory
 from ..progress_bar import progress_bar
 
 EXAMPLES = (
@@ -52,7 +51,7 @@ def run(arguments: Arguments) -> ExitCode:
         OutputFrame.of(scan, arguments.frame)  # refuse before the work
         pose = read_initial(arguments.pose, scan.world_from_scanner, picture=arguments.photo.name)
         result = given_pose(scan, photo, pose, seed=arguments.seed, report=bar.step)
-        return_memory()
+        spare_heap(scan)
         assessment = timed("Assess", bar, lambda: assess(scan, result))
         export_registration(
             arguments.out, result, scan, photo, assessment=assessment, inputs=inputs, read_with=arguments.read_with,

@@ -13,7 +13,7 @@ import tyro
 
 from ..arguments import ScanArguments
 from ..exit_codes import ExitCode
-from ..inputs import spare_heap, timed
+from ..inputs import suit_heap, timed
 from ..progress_bar import ProgressBar, progress_bar
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def run(arguments: Arguments) -> ExitCode:
             handed, left_out = _of_project(arguments, folder, targets, bar)
         else:
             handed = _of_results(arguments, targets, bar)
-        spare_heap(handed.scan)
+        suit_heap(handed.scan)
         export_to(
             arguments.out,
             handed,

@@ -1,21 +1,21 @@
-"""`ladarreg register SCAN PHOTO -o OUT`."""
+"""`ladarreg register SCAN PHOTO [SCAN ...] -o OUT`."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from ..arguments import RegisterArguments, check_method, register_options
+from ..arguments import OptionalPath, OptionalPaths, RegisterArguments, check_method, register_options
 from ..exit_codes import ExitCode
-from ..inputs import print_notes, read_inputs, read_start, timed, with_recorded_options
+from ..inputs import print_notes, read_inputs, read_start, spare_heap, timed, with_recorded_options
 from ..json_output import print_written
 from ..messages import assessment_lines, length_lines, report, verdict
 from ..open_command import open_command
-from ..process_resources import return_memory
 from ..progress_bar import ProgressBar, progress_bar
 
 if TYPE_CHECKING:
@@ -25,10 +25,16 @@ if TYPE_CHECKING:
     from ladarreg_core.results import Registration
     from ladarreg_core.scan import Scan
 
+    from ..rig import RigArguments
+
 EXAMPLES = (
     "ladarreg register room.e57 photo.jpg -o results",
     "# with a calibrated camera, in the survey's coordinates:",
     "ladarreg register room.e57 photo.jpg --camera cam.json --frame world -o out",
+    "# several clouds of a scanner at rest, accumulated:",
+    "ladarreg register 1.pcd 2.pcd 3.pcd photo.png --camera cam.json -o out",
+    "# pairs of a scanner and a camera that are mounted together:",
+    "ladarreg register --rig pairs.csv --camera cam.json -o rig",
     "# from matches drawn by hand:",
     "ladarreg register room.e57 photo.jpg --matches matches.json -o results",
 )
@@ -38,26 +44,57 @@ EXAMPLES = (
 class Arguments(RegisterArguments):
     """Arguments of `register`."""
 
+    more: Annotated[tyro.conf.Positional[OptionalPaths], tyro.conf.arg(metavar="[SCAN ...]")] = None
+    """Further scans of the same standpoint, to be accumulated; the photo may stand anywhere among the files."""
     method: Literal["auto", "thesis", "manual"] = "auto"
     """Registration method. With --matches, auto means manual, and thesis solves these matches."""
     smooth: bool = False
     """Replace range spikes at matches by their stereo range in model.glb and cloud.ply."""
     frame: Literal["scanner", "world"] = "scanner"
     """Coordinates of model.glb and cloud.ply; world: those of the survey, less the offset stated in offset.json."""
-    carry: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    carry: Annotated[OptionalPath, tyro.conf.arg(metavar="FILE")] = None
     """Carry the pose over from this registration.json of another camera on the same mount; needs --offset."""
-    offset: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    offset: Annotated[OptionalPath, tyro.conf.arg(metavar="FILE")] = None
     """Pose JSON of this camera relative to the other one; may contain sigma_angle_rad and sigma_position_m."""
 
+    rig: Annotated[OptionalPath, tyro.conf.arg(metavar="CSV")] = None
+    """Instead of SCAN and PHOTO: a table of pairs that one scanner and camera took from several places."""
 
-def run(arguments: Arguments) -> ExitCode:
+    @classmethod
+    def chosen_by(cls, words: Sequence[str]) -> type:
+        """Return the arguments that words are of: those of a rig, if there is one."""
+        from ..rig import RigArguments
+
+        return RigArguments if any(word.split("=")[0] == "--rig" for word in words) else cls
+
+    @property
+    def scan_options(self) -> dict[str, Any]:
+        """The arguments of `read_scan`.
+
+        Raises:
+            OptionError: if the origin is not three numbers.
+        """
+        return {**super().scan_options, "more": self.more or ()}
+
+    @property
+    def input_files(self) -> list[Path]:
+        """Every file that was given."""
+        return [*super().input_files, *(self.more or ())]
+
+
+def run(arguments: Arguments | RigArguments) -> ExitCode:
     """Read, register, export, and print the verdict."""
+    if not isinstance(arguments, Arguments):
+        from ..rig import run_rig
+
+        return run_rig(arguments)
     from ladarreg_core.camera import require_pinhole
     from ladarreg_core.export.folder import check_folder
     from ladarreg_core.export.output_frame import OutputFrame
     from ladarreg_core.quality.assessment import assess
 
     started = time.perf_counter()
+    arguments = _with_photo_named(arguments)
     check_folder(arguments.out, force=arguments.force, inputs=_input_files(arguments))
     arguments = with_recorded_options(arguments, arguments.initial, arguments.carry)
     check_method(arguments, arguments.method)
@@ -68,7 +105,7 @@ def run(arguments: Arguments) -> ExitCode:
             require_pinhole(photo.camera, "--smooth")  # before the work that would be lost
         OutputFrame.of(scan, arguments.frame)  # refuse before the work
         result = _register(arguments, scan, photo, bar)
-        return_memory()  # of a large scan, hundreds of megabytes
+        spare_heap(scan)
         assessment = timed("Assess", bar, lambda: assess(scan, result))
         smoothed = _smooth(arguments, result, scan, bar)
         names = _export(arguments, result, scan, photo, bar, assessment=assessment, smoothed=smoothed)
@@ -88,6 +125,25 @@ def run(arguments: Arguments) -> ExitCode:
             print(f"Open     {open_command(arguments)}")
         print(f"Took     {time.perf_counter() - started:.1f} s")
     return ExitCode.ACCEPTED if result.accepted else ExitCode.NOT_ACCEPTED
+
+
+def _with_photo_named(arguments: Arguments) -> Arguments:
+    """Return arguments with the one picture among several files as the photo, and all others as scans."""
+    from ladarreg_core.errors import OptionError
+    from ladarreg_core.formats.registry import recognise
+
+    if not arguments.more:
+        return arguments
+    files = [arguments.scan, arguments.photo, *arguments.more]
+    photos = [file for file in files if recognise(file, kinds=("photo", "scan")).kind == "photo"]
+    if len(photos) != 1:
+        found = ", ".join(photo.name for photo in photos) or "none"
+        raise OptionError(
+            f"of the {len(files)} files {len(photos)} are photos ({found}); give one photo and the scans of one "
+            "standpoint, or the pairs of a rig by --rig"
+        )
+    first, *more = (file for file in files if file != photos[0])
+    return replace(arguments, scan=first, photo=photos[0], more=tuple(more))
 
 
 def _input_files(arguments: Arguments) -> list[Path]:

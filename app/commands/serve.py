@@ -21,6 +21,7 @@ _TOKEN_VARIABLE = "LADARREG_TOKEN"
 EXAMPLES = (
     "ladarreg serve",
     "ladarreg serve room.e57 photo.jpg --focal-px 2900",
+    "ladarreg serve sweep1.pcd sweep2.pcd photo.png",
     "# for others on the network, see docs/remote.md:",
     "ladarreg serve my-project --host 0.0.0.0 --certfile a.pem --keyfile b.pem",
 )
@@ -31,7 +32,7 @@ class Arguments(CameraArguments):
     """Arguments of `serve`."""
 
     inputs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="[PROJECT | SCAN PHOTO ...]")] = ()
-    """A project folder, or a scan and photos to start a project with; default: the start page."""
+    """A project folder, or a scan and photos to start a project with; further scans are accumulated with the first."""
     project: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder of a project that is started with a scan and photos."""
     matches: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None

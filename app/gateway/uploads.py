@@ -31,6 +31,8 @@ from .protocol import Workbench
 log = logging.getLogger(__name__)
 KINDS = ("scan", "photo", "camera", "matches")
 """Types of file that can be uploaded."""
+STATION = "station"
+"""In place of `scan`: the scan of a further station."""
 _ANY = "any"
 """In place of a type: the content decides, when the batch is complete."""
 _MAX_CONCURRENT = 2
@@ -88,8 +90,9 @@ class Uploads:
 
     async def _receive(self, request: Request, browser: str) -> Response:
         what, photo = request.query_params.get("what", ""), request.query_params.get("photo") or None
-        if what not in (*KINDS, _ANY):
-            raise OptionError(f"unknown type of file; give one of {', '.join((*KINDS, _ANY))} as ?what=")
+        known = (*KINDS, STATION, _ANY)
+        if what not in known:
+            raise OptionError(f"unknown type of file; give one of {', '.join(known)} as ?what=")
         name = upload_name(request.headers.get("x-file-name"))
         folder, most = self._workbench.upload_folder(), self._workbench.limits.upload_bytes
         await run_in_threadpool(folder.mkdir, exist_ok=True)  # its parent is the project's folder, which must exist

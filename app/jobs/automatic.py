@@ -74,10 +74,11 @@ class AutomaticSolver:
         self._thread.join(60)
 
     def _edited(self, change: Change) -> None:
+        grown = change.before.clouds != change.document.clouds
         edited = [
             photo.id
             for photo in change.document.photos
-            if (before := change.before.photo(photo.id)) is not None and before.picks is not photo.picks
+            if (before := change.before.photo(photo.id)) is not None and (grown or before.picks is not photo.picks)
         ]
         if not edited:
             return
@@ -118,7 +119,8 @@ class AutomaticSolver:
         self._on_change()
         try:
             result = self._solve.solved(inputs, lambda step: self._check(inputs, step))[0]
-            entry = pose_entry("robust", result, picks=inputs.entry.picks, note=self._solve.note_on_start(inputs))
+            note = self._solve.note_on_start(inputs)
+            entry = pose_entry("robust", result, picks=inputs.entry.picks, note=note, clouds=inputs.clouds)
             self._workspace.commit(
                 inputs,
                 "Solve automatically",
@@ -160,4 +162,4 @@ class AutomaticSolver:
             return False  # its commit would discard what can be redone
         if pose is None or (pose.stage == "auto" and not pose.accepted):
             return any(pick.origin in _DRAWN for pick in enabled)
-        return pose.stage == "robust" and bool(loader.stale(entry, pose))
+        return pose.stage == "robust" and bool(loader.stale(session.document, entry, pose))

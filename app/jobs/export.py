@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ladarreg_core.errors import OptionError
+from ladarreg_core.project.station_edits import scans_of
 
 from ..session.exported import ExportedPose, exported_pose
 from .inputs import Inputs, Workspace
@@ -16,7 +17,7 @@ from .runner import JobContext
 if TYPE_CHECKING:
     from ladarreg_core.export.folder import FileJob
     from ladarreg_core.export.output_frame import FrameName
-    from ladarreg_core.project.document import Document, PhotoEntry
+    from ladarreg_core.project.document import Document, PhotoEntry, Source
 
 Work = Callable[[Inputs, JobContext], str]
 
@@ -31,13 +32,13 @@ class ExportJobs:
         """Return the path of a photograph's zip."""
         return self._workspace.session.folder.exports / f"{photo}.zip"
 
-    def require_current(self, entry: PhotoEntry, *, last_solved: bool) -> None:
+    def require_current(self, document: Document, entry: PhotoEntry, *, last_solved: bool) -> None:
         """Refuse to export a pose that is out of date, unless its state when it was solved is wanted.
 
         Raises:
             OptionError: stating what changed.
         """
-        stale = "" if entry.pose is None else self._workspace.loader.stale(entry, entry.pose)
+        stale = "" if entry.pose is None else self._workspace.loader.stale(document, entry, entry.pose)
         if stale and not last_solved:
             raise OptionError(f"{stale}, or choose 'export the last solved state'")
 
@@ -133,10 +134,11 @@ class ExportJobs:
 
     def _sources(self, document: Document) -> list[Path]:
         """Return all files that the document refers to."""
-        sources = [document.scan]
+        sources: list[Source | None] = [*scans_of(document)]
         for entry in document.photos:
             sources += [entry.source, entry.camera.file]
-        return [self._workspace.session.folder.source_path(source.path) for source in sources if source is not None]
+        folder = self._workspace.session.folder
+        return [path for source in sources if source is not None for path in folder.source_files(source)]
 
 
 def download_name(project: str, photo: str, *, ending: str = ".zip") -> str:

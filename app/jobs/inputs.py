@@ -32,6 +32,11 @@ class Inputs:
     photo: Photo
 
     @property
+    def clouds(self) -> int:
+        """Number of clouds that the scan consists of."""
+        return self.document.clouds
+
+    @property
     def settings(self) -> Settings:
         """The settings."""
         return self.document.settings

@@ -181,8 +181,8 @@ class JobRegistry:
         return (path, name) if path.is_file() else None
 
     def _require_current(self, photo: object, *, last_solved: bool) -> None:
-        entry = require_photo(self._workspace.session.document, photo)
-        self._exports.require_current(entry, last_solved=last_solved)
+        document = self._workspace.session.document
+        self._exports.require_current(document, require_photo(document, photo), last_solved=last_solved)
 
     def _start(self, name: str, kind: JobKind, photo: object, author: Author) -> str:
         inputs = self._workspace.inputs(photo)  # raises at once if an input is missing

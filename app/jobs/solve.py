@@ -62,7 +62,7 @@ class SolveJobs:
             raise OptionError("there is no pose to verify; solve first")
         result, sentence = self._checked(inputs, self._workspace.loader.registration(pose), context.step)
         context.check()
-        entry = pose_entry(pose.stage, result, picks=self._workspace.loader.solved_on(pose))
+        entry = pose_entry(pose.stage, result, picks=self._workspace.loader.solved_on(pose), clouds=pose.clouds)
         self._workspace.commit(
             inputs,
             f"Verify: {STAGE_LABELS[pose.stage].lower()}",
@@ -119,7 +119,7 @@ class SolveJobs:
             result = with_lengths_checked(result, inputs.scan, inputs.picks, tolerance_m=tolerance_m)
         result = replace(result, world_from_scanner=inputs.scan.world_from_scanner)
         picks = inputs.entry.picks if of_picks else None
-        entry = pose_entry(stage, result, picks=picks, method=method, seconds=seconds, note=note)
+        entry = pose_entry(stage, result, picks=picks, method=method, seconds=seconds, note=note, clouds=inputs.clouds)
         self._workspace.commit(
             inputs,
             f"Solve: {STAGE_LABELS[stage].lower()}",

@@ -4,6 +4,7 @@ from .person import Person
 from .picks_layer import Picks, residual_colours
 from .scene import Scene3D, Shown
 from .simplex_frame import SimplexFrame
+from .stations_layer import StationShown
 from .subject import ScanShown, Subject
 
 __all__ = [
@@ -13,6 +14,7 @@ __all__ = [
     "Scene3D",
     "Shown",
     "SimplexFrame",
+    "StationShown",
     "Subject",
     "residual_colours",
 ]

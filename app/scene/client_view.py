@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from .cameras_layer import CamerasLayer
 from .person import Person, ViewpointName
 from .picks_layer import PicksLayer
 from .simplex_layer import SimplexLayer
+from .stations_layer import StationShown, StationsLayer
 from .viewer_pose import viewer_pose
 
 if TYPE_CHECKING:
@@ -53,16 +55,21 @@ class ClientView:
         self.person = person
         self._place = place
         self._cameras, self._matches, self._simplex = CamerasLayer(place), PicksLayer(place), SimplexLayer(place)
+        self._stations = StationsLayer(place)
         self._subject: Subject | None = None
         self._looks: ViewpointName = looks
         self._looked_from: Viewpoint | None = None
 
-    def draw(self, person: Person, subject: Subject | None, picks: Picks | None, simplex: SimplexShown | None) -> None:
+    def draw(
+        self, person: Person, subject: Subject | None, picks: Picks | None, simplex: SimplexShown | None,
+        stations: Sequence[StationShown],
+    ) -> None:  # fmt: skip
         """Draw everything that has changed."""
         before, self._subject = self._subject, subject
         self._cameras.draw(subject, visible=person.model.cameras)
         self._matches.draw(subject, picks, person.model)
         self._matches.highlight(person.highlighted)
+        self._stations.draw(stations, hidden=person.model.hidden_stations)
         self.draw_simplex(person, simplex)
         self._follow(before, subject)
 

@@ -9,6 +9,7 @@ from typing import Any
 from ladarreg_core.errors import OptionError
 from ladarreg_core.inspection.model_textures import usable_texture
 
+_MOST_HIDDEN = 100
 DETAILS = ("coarse", "standard", "dense")
 
 
@@ -30,6 +31,8 @@ class ModelChoice:
     """True if the rays on which the matches were picked are shown."""
     residuals: bool = False
     """True if the matches have the colours of their residuals instead of those of their numbers."""
+    hidden_stations: tuple[str, ...] = ()
+    """Ids of the stations whose points are hidden."""
 
     def changed(self, wanted: Mapping[str, Any]) -> ModelChoice:
         """Return a copy with other settings.
@@ -38,6 +41,9 @@ class ModelChoice:
             OptionError: if a setting is unknown, or its value is not of its type.
         """
         known = asdict(self)
+        hidden = wanted.get("hidden_stations")
+        if isinstance(hidden, list) and len(hidden) <= _MOST_HIDDEN and all(isinstance(name, str) for name in hidden):
+            wanted = {**wanted, "hidden_stations": tuple(hidden)}
         for name, value in wanted.items():
             if name not in known or type(value) is not type(known[name]):
                 raise OptionError(f"the model has no setting {name!r} of type {type(value).__name__}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from .picks_layer import Picks
     from .place import Place
     from .simplex_frame import SimplexFrame
+    from .stations_layer import StationShown
     from .subject import Subject
 
 MODEL_NODE = "/model"
@@ -77,6 +78,7 @@ class Scene3D:
         self._server, self._on_pick, self._person_of = server, on_pick, person_of
         self._lock = threading.RLock()
         self._photos: Mapping[str | None, Shown] = {}
+        self._stations: Sequence[StationShown] = ()
         self._people: Mapping[str, Person] = {}
         self._highlights: dict[str, str | None] = {}
         self._looks: dict[str, ViewpointName] = {}  # of people whose views have yet to connect
@@ -104,6 +106,12 @@ class Scene3D:
             self._photos = photos
             if self._simplex is not None and not self._simplex.runs:
                 self._simplex = None  # the pose shown now replaces it
+        self._request_views()
+
+    def show_stations(self, stations: Sequence[StationShown]) -> None:
+        """Show other stations beside the scan."""
+        with self._lock:
+            self._stations = stations
         self._request_views()
 
     def set_people(self, people: Mapping[str, Person]) -> None:
@@ -209,10 +217,11 @@ class Scene3D:
     def _draw_views(self) -> None:
         with self._lock:
             views, photos, simplex = list(self._views.values()), self._photos, self._simplex
+            stations = self._stations
         for view in views:
             person = self._person(view)
             shown = photos.get(person.photo) or photos.get(None)
-            view.draw(person, shown.subject if shown else None, shown.picks if shown else None, simplex)
+            view.draw(person, shown.subject if shown else None, shown.picks if shown else None, simplex, stations)
             if self._run_view is not None:
                 view.look_at_run(self._run_view)
 

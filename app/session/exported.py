@@ -29,14 +29,15 @@ class ExportedPose:
     """The pose."""
     assessment: Assessment
     """Its assessment."""
-    inputs: Sequence[Path]
-    """The files of the scan, the photograph and its camera, in this order."""
+    inputs: Sequence[tuple[Path, str]]
+    """The files of the scan, the photograph and its camera, in this order, then further clouds of the scan; with their
+    names for display: uploaded files have random ones."""
     read_with: Sequence[Mapping[str, Any]]
     """The options that the scan and the photograph are read with."""
     picks: Sequence[Pick]
     """The matches that belong to it: the present ones, or those that it was solved on if it is out of date."""
     rests_on: Mapping[str, Any] | None
-    """The matches that it was solved on, and whether they are still the same; None: not known."""
+    """The matches that it was solved on, and whether these and the scan are still the same; None: not known."""
 
     def document(self) -> dict[str, Any]:
         """Return its `registration.json`.
@@ -80,12 +81,18 @@ def exported_pose(
     if pose is None:
         raise OptionError("there is no pose to export; solve first")
     sources = [document.scan, entry.source, entry.camera.file]
-    stale, then = loader.stale(entry, pose), loader.solved_on(pose)
+    inputs = [(folder.source_path(source.path), source.name) for source in sources if source is not None]
+    reading: Mapping[str, Any] = {}
+    if document.scan is not None:
+        names = document.scan.names[1:]
+        inputs += zip(folder.source_files(document.scan)[1:], names, strict=True)
+        reading = {**document.scan.scan_options, "more": names}
+    stale, then = loader.stale(document, entry, pose), loader.solved_on(pose)
     return ExportedPose(
         replace(loader.registration(pose), world_from_scanner=scan.world_from_scanner),
         loader.assessment(scan, pose),
-        [folder.source_path(source.path) for source in sources if source is not None],
-        [{} if document.scan is None else document.scan.scan_options, entry.photo_options],
+        inputs,
+        [reading, entry.photo_options],
         [pick.as_pick() for pick in (then if stale and then is not None else entry.picks)],
-        None if then is None else rests_on(entry, pose, then),
+        rests_on(entry, pose, then, document.clouds),
     )

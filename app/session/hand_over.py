@@ -68,7 +68,7 @@ def chosen_photos(
     for entry in document.photos:
         if photos is not None and entry.id not in photos:
             continue
-        out = _left_out(loader, entry, last_solved=last_solved, with_refused=with_refused)
+        out = _left_out(loader, document, entry, last_solved=last_solved, with_refused=with_refused)
         if out is None:
             entries.append(entry)
         else:
@@ -76,13 +76,15 @@ def chosen_photos(
     return Chosen(entries, left_out)
 
 
-def _left_out(loader: Loader, entry: PhotoEntry, *, last_solved: bool, with_refused: bool) -> LeftOut | None:
+def _left_out(
+    loader: Loader, document: Document, entry: PhotoEntry, *, last_solved: bool, with_refused: bool
+) -> LeftOut | None:
     pose, name = entry.pose, entry.source.name
     if pose is None:
         return LeftOut(entry.id, name, "it has no pose; register it")
     if not loader.registration(pose).is_shown and not with_refused:
         return LeftOut(entry.id, name, "its pose was not accepted; register it again")
-    stale = "" if last_solved else loader.stale(entry, pose)
+    stale = "" if last_solved else loader.stale(document, entry, pose)
     if stale:
         why = f"its pose is out of date: {stale}, or export the last solved state"
         return LeftOut(entry.id, name, why, is_stale=True)
@@ -132,7 +134,7 @@ def project_scan(
         scan,
         [one for one in photos if one.registration.is_shown],
         folder.source_path(document.scan.path),
-        document.scan.scan_options,
+        folder.scan_options(document.scan),
         placed,
         [one for one in photos if not one.registration.is_shown],
     )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from ladarreg_core.errors import CameraError, FormatError, LadarregError
@@ -14,6 +15,9 @@ from .isolated_readers import READERS
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
 
     from ladarreg_core.camera import CameraModel
     from ladarreg_core.inspection.picks import PickMeasurements, PickPredictor
@@ -44,11 +48,15 @@ _LIMITS = {
     "picture": (64, 420_000_000),
     "model": (40, 150_000_000),
     "line": (512, 50_000_000),
+    "station": (16, 20_000_000),
 }
 """The largest number of values of each kind, and their largest total size besides the newest, bytes."""
 
 DEFAULT_CACHE_BYTES = 640_000_000
 """Largest total size of everything that is kept besides the scan and the newest value."""
+
+STATION_POINTS = 60_000
+"""Most points of a station that are kept for the 3-D view."""
 
 _LARGE_SCAN_CELLS = 4_000_000
 
@@ -102,13 +110,44 @@ class Loader:
         return self._picks.get(entry.id, entry.picks)
 
     def read_scan(self, source: Source) -> Scan:
-        """Read a scan's file."""
+        """Read a scan's file, or files; notes and errors name them as they are displayed."""
         from ladarreg_core.formats import read_scan
 
-        scan = READERS.run(read_scan, self._folder.source_path(source.path), **source.scan_options)
+        path, *_ = paths = self._folder.source_files(source)
+        names = {file.name: name for file, name in zip(paths, source.names, strict=True) if file.name != name}
+        try:
+            scan = READERS.run(read_scan, path, **self._folder.scan_options(source))
+        except LadarregError as error:
+            raise type(error)(_with_names(str(error), names)) from None
+        if any(name in note for note in scan.notes for name in names):
+            scan = replace(scan, notes=tuple(_with_names(note, names) for note in scan.notes))
         if scan.ranges.size > _LARGE_SCAN_CELLS:
             keep_heap_small()
         return scan
+
+    def station_points(self, source: Source, scan: Scan | None = None) -> NDArray[np.float32]:
+        """Return points (N, 3) of a station for the 3-D view, m, at most `STATION_POINTS`, frame of its scanner.
+
+        Args:
+            source: its file.
+            scan: its scan, if it was read just now.
+
+        Raises:
+            LadarregError: if its file can no longer be read.
+        """
+
+        def thinned() -> NDArray[np.float32] | LadarregError:
+            from ladarreg_core.inspection.scene_geometry import spread_points
+
+            try:
+                return spread_points(scan or self.read_scan(source), STATION_POINTS)
+            except LadarregError as error:  # kept, too: a damaged file is not read again with every drawing
+                return error
+
+        found = self.cached("station", source, thinned)
+        if isinstance(found, LadarregError):
+            raise found
+        return found
 
     def read_matches(self, path: Path, scan: Scan) -> list[Pick]:
         """Read a matches file."""
@@ -234,12 +273,13 @@ class Loader:
 
         return self.cached("solved_on", id(pose), lambda: (pose, solved_on(pose)))[1]
 
-    def stale(self, entry: PhotoEntry, pose: PoseEntry) -> str:
+    def stale(self, document: Document, entry: PhotoEntry, pose: PoseEntry) -> str:
         """Return why a photograph's pose is out of date; empty if it is current."""
         from ladarreg_core.project.staleness import stale
 
-        key = (id(entry.picks), id(pose))
-        return self.cached("stale", key, lambda: ((entry, pose), stale(entry, pose, self.solved_on(pose))))[1]
+        clouds = document.clouds
+        key = (id(entry.picks), id(pose), clouds)
+        return self.cached("stale", key, lambda: ((entry, pose), stale(entry, pose, self.solved_on(pose), clouds)))[1]
 
     def assessment(self, scan: Scan, pose: PoseEntry) -> Assessment:
         """Return the quality assessment of a pose."""
@@ -277,6 +317,13 @@ class Loader:
         from ladarreg_core.inspection.picks import PickMeasurements
 
         return self.cached("measured", (id(scan), id(photo)), lambda: PickMeasurements(scan, photo))
+
+
+def _with_names(text: str, names: Mapping[str, str]) -> str:
+    """Return a text with files, uploaded ones have random names, named as they are displayed."""
+    for name, shown in names.items():
+        text = text.replace(name, shown)
+    return text
 
 
 def _views_of(scan: Scan) -> tuple[NamedView, ...]:

@@ -76,7 +76,7 @@ class Plan:
     """What is opened, in this order, and what has to wait."""
 
     steps: tuple[Step, ...]
-    """Files to open."""
+    """Files to open; scans first, which are opened together, or one of them."""
     waiting: Mapping[str, Reason]
     """The other files, by id."""
 
@@ -100,13 +100,7 @@ def plan_batch(
     """
     waiting: dict[str, Reason] = {}
     scans, used = _scans(files, waiting)
-    if len(scans) > 1:
-        names = _listed([step.file.name for step in scans])
-        which = Reason(f"a project has one scan, and {names} are scans: open one of them", needs_choice=True)
-        waiting |= dict.fromkeys((step.file.id for step in scans), which)
-        for step in scans:
-            waiting |= _companions_wait(step.file, step.companions)
-        scans = []
+    scans.sort(key=lambda step: _in_order(step.file.name))
     rest = [file for file in files if file.id not in used and file.survey.kind != "scan"]
     new = [file for file in rest if file.survey.kind == "photo"]
     targets = [PhotoTarget(f.id, f.name, f.survey.width, f.survey.height) for f in new]
@@ -144,7 +138,7 @@ def _scans(files: Sequence[BatchFile], waiting: dict[str, Reason]) -> tuple[list
             it = "it" if len(missing) == 1 else "them"
             was = "was" if len(missing) == 1 else "were"
             waiting[file.id] = Reason(
-                f"the descriptor names {_listed(missing)}, which {was} not among the files: drop {it} as well"
+                f"the descriptor names {listed(missing)}, which {was} not among the files: drop {it} as well"
             )
             waiting |= _companions_wait(file, there)
         else:
@@ -188,7 +182,7 @@ def _targets_of(file: BatchFile, photos: Sequence[PhotoTarget], shown: str | Non
         return tuple(photo.id for photo in fits)  # one calibration serves all pictures of its camera
     if shown is not None and (not fits or any(photo.id == shown for photo in fits)):
         return (shown,)
-    names = _listed([photo.name for photo in fits or photos], "or")
+    names = listed([photo.name for photo in fits or photos], "or")
     return Reason(f"it could belong to {names}: choose the photograph", needs_choice=True)
 
 
@@ -223,7 +217,7 @@ def _without_rivals(steps: list[Step], waiting: dict[str, Reason]) -> tuple[Step
             if other is not step and len(other.photos) == len(step.photos) and set(other.photos) & set(photos)
         ]
         if rivals:
-            same = _listed([step.file.name, *rivals])
+            same = listed([step.file.name, *rivals])
             waiting[step.file.id] = Reason(f"{same} fit the same photograph: open one of them", needs_choice=True)
         elif photos:
             kept.append(Step(step.file, photos=photos))
@@ -240,7 +234,12 @@ def _words(name: str) -> tuple[str, ...]:
     return tuple(word for word in re.split(r"[\W_]+", stem) if word and word not in _WORDS)
 
 
-def _listed(names: Sequence[str], joined: str = "and") -> str:
+def _in_order(name: str) -> list[tuple[int, str]]:
+    """Return a key by which names are sorted as people number them: 2.pcd before 10.pcd."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name.casefold())]
+
+
+def listed(names: Sequence[str], joined: str = "and") -> str:
     """Return names as a phrase, at most a few of them."""
     shown = list(names[:_MOST_NAMED])
     if len(names) > _MOST_NAMED:

@@ -14,20 +14,22 @@ from pathlib import Path
 from typing import Any
 
 from ladarreg_core.errors import FormatError, LadarregError, OptionError, UnderspecifiedError
+from ladarreg_core.project.document import Document
 
 from ..argument_names import as_fields
 from ..session.isolated_readers import READERS
 from ..session.loader import Loader
 from ..session.session import Session
-from .batch_plan import BatchFile, PhotoTarget, Reason, Step, plan_batch, with_companions
+from .batch_plan import BatchFile, PhotoTarget, Reason, Step, listed, plan_batch, with_companions
 from .clients import Client
-from .files import Files
+from .files import Files, HowScans
 from .selection import Selection
 
 log = logging.getLogger(__name__)
 ANY = "any"
 """Kind of an upload whose content decides."""
 _INDEX = "waiting.json"
+_DESCRIPTOR = "scan.json"
 _MOST_WAITING = 200
 _BATCH_ARRIVES_S = 60.0
 """Files that no page has opened after this time are offered to all."""
@@ -89,7 +91,7 @@ class Batches:
         self,
         ids: Sequence[str],
         *,
-        replace_scan: bool = False,
+        scans: HowScans | None = None,
         photo: str | None = None,
         reading: Mapping[str, Any] | None = None,
         client: Client | None = None,
@@ -98,14 +100,15 @@ class Batches:
 
         Args:
             ids: the files; ids of files that are gone are ignored.
-            replace_scan: whether a scan may replace the one of the project.
+            scans: what becomes of the scans among them; None: ask, unless there is one, the first of the project.
             photo: id of the photograph that cameras and matches belong to; None: the one that the files suggest.
-            reading: options of `read_scan` for the scan among them.
+            reading: options of `read_scan` for the scan among them, if it is one.
             client: who opens them.
 
         Returns:
             `opened`: `[{file, kind, photo?}]`, `refused`: `[{file, name, error}]`, `waiting`: ids, and, if nothing was
-            opened because the operator has to choose, `asks`: `scan`.
+            opened because the operator has to choose, `asks`: `scan`, with `scans`: their names, and `said`: why the
+            last choice was refused.
         """
         with self._lock:
             document, shown = self._session.document, self._selection.photo_of(client)
@@ -120,13 +123,22 @@ class Batches:
                 photo=photo,
             )
             self._reasons |= plan.waiting
-            scans = [step.file for step in plan.steps if step.file.survey.kind == "scan"]
-            if scans and document.scan is not None and not replace_scan:
-                kept = Reason(f"the project has a scan already, {document.scan.name}", needs_choice=True)
-                self._reasons |= {file.id: kept for file in files if file.id not in plan.waiting}
-                found: dict[str, Any] = {"opened": [], "refused": [], "asks": "scan", "scan": scans[0].name}
-            else:
-                found = self._execute(plan.steps, reading or {}, client)
+            found: dict[str, Any] = {"opened": [], "refused": []}
+            steps = [step for step in plan.steps if step.file.survey.kind == "scan"]
+            asked = self._files.asks_how([step.file.name for step in steps]) if steps else None
+            try:
+                if asked and scans is None:
+                    raise _ToChooseError("")
+                if asked and (len(steps) > 1 or scans != "replace"):
+                    found["opened"] += self._open_together(steps, scans or "replace", reading or {}, client)
+                    steps = []
+                rest = [step for step in plan.steps if step.file.survey.kind != "scan"]
+                self._execute([*steps, *rest], reading or {}, client, found)
+            except _ToChooseError as error:
+                self._reasons |= {
+                    file.id: _undecided(file, steps, document, error) for file in files if file.id not in plan.waiting
+                }
+                found |= {**(asked or {}), **({"said": str(error)} if str(error) else {})}
             self._save()
             found["waiting"] = [file.id for file in files if file.id in self._waiting]
         self._on_change()
@@ -200,9 +212,10 @@ class Batches:
             found.append(PhotoTarget(entry.id, entry.source.name, width, height))
         return found
 
-    def _execute(self, steps: Sequence[Step], reading: Mapping[str, Any], client: Client | None) -> dict[str, Any]:
-        opened: list[dict[str, Any]] = []
-        refused: list[dict[str, Any]] = []
+    def _execute(
+        self, steps: Sequence[Step], reading: Mapping[str, Any], client: Client | None, found: dict[str, Any]
+    ) -> None:
+        opened, refused = found["opened"], found["refused"]
         made: dict[str, str] = {}
         for step in steps:
             file, path = step.file, self._paths[step.file.id]
@@ -214,9 +227,9 @@ class Batches:
                     opened.append({"file": file.id, "kind": kind})
                 for photo in step.photos or ((None,) if kind == "photo" else ()):
                     target = made.get(photo or "", photo)
-                    found = self._files.open(path, file.name, kind, target, client, reading)
-                    made[file.id] = found
-                    opened.append({"file": file.id, "kind": kind, "photo": found})
+                    its = self._files.open(path, file.name, kind, target, client, reading)
+                    made[file.id] = its
+                    opened.append({"file": file.id, "kind": kind, "photo": its})
             except LadarregError as error:
                 said = as_fields(str(error)).replace(str(path), file.name).replace(path.name, file.name)
                 refused.append({"file": file.id, "name": file.name, "error": said})
@@ -225,32 +238,88 @@ class Batches:
                     continue
                 if not self._files.is_in_project(path):
                     path.unlink(missing_ok=True)
-            for each in (file, *step.companions.values()):
-                self._forget(each.id)
-        return {"opened": opened, "refused": refused}
+            self._forget_all(step)
+
+    def _open_together(
+        self, steps: Sequence[Step], how: HowScans, reading: Mapping[str, Any], client: Client | None
+    ) -> list[dict[str, Any]]:
+        """Open scans in one step of the history; return what was opened.
+
+        Raises:
+            _ToChooseError: why they cannot be opened like that; they wait for another choice.
+        """
+        placed: list[tuple[Path, str]] = []
+        done = False
+        try:
+            for step in steps:
+                if how != "stations" and step.file.survey.scans:
+                    many = len(step.file.survey.scans)
+                    raise FormatError(f"{step.file.name} contains {many} scans; add it as stations, or open it alone")
+                placed.append((self._placed(step), step.file.name))
+            self._files.open_scans(placed, how, client, reading)
+            done = True
+        except LadarregError as error:
+            said = as_fields(str(error))
+            for path, name in placed:
+                said = said.replace(str(path), name).replace(path.name, name)
+            raise _ToChooseError(said, is_underspecified=isinstance(error, UnderspecifiedError)) from None
+        finally:
+            for step, (path, _) in zip(steps, placed, strict=False):
+                if not done:
+                    self._take_back(step, path)
+                elif not self._files.is_in_project(path):  # it was there already
+                    _remove(path)
+        for step in steps:
+            self._forget_all(step)
+        kind = {"frames": "frame", "stations": "station"}.get(how, "scan")
+        return [{"file": step.file.id, "kind": kind} for step in steps]
 
     def _open_scan(self, step: Step, path: Path, reading: Mapping[str, Any], client: Client | None) -> None:
-        """Open a scan; a descriptor gets a folder of its own, with the files that it names under these names."""
         name = step.file.name
-        if not step.companions:
+        path = self._placed(step)
+        try:
             self._files.open(path, name, "scan", None, client, reading)
-            return
+        except BaseException as error:
+            if step.companions:
+                _remove(path)
+            if isinstance(error, LadarregError):
+                raise type(error)(str(error).replace("scan.json", name)) from None
+            raise
+
+    def _placed(self, step: Step) -> Path:
+        """Return a scan's file; a descriptor gets a folder of its own, with the files that it names under these names.
+
+        Raises:
+            FormatError: if it cannot be stored.
+        """
+        path = self._paths[step.file.id]
+        if not step.companions:
+            return path
         folder = path.parent / secrets.token_hex(16)
         try:
             folder.mkdir()
-            descriptor = path.replace(folder / "scan.json")
+            descriptor = path.replace(folder / _DESCRIPTOR)
             for named, companion in step.companions.items():
                 target = folder / named  # its parts were checked when the descriptor was surveyed
                 target.parent.mkdir(parents=True, exist_ok=True)
                 self._paths[companion.id].replace(target)
-            self._files.open(descriptor, name, "scan", None, client, reading)
-        except BaseException as error:
+        except OSError as error:
             shutil.rmtree(folder, ignore_errors=True)
-            if isinstance(error, OSError):
-                raise FormatError(f"the files of {name} cannot be stored: {error.strerror or error}") from None
-            if isinstance(error, LadarregError):
-                raise type(error)(str(error).replace("scan.json", name)) from None
-            raise
+            raise FormatError(f"the files of {step.file.name} cannot be stored: {error.strerror or error}") from None
+        return descriptor
+
+    def _take_back(self, step: Step, path: Path) -> None:
+        """Undo `_placed`."""
+        if not step.companions:
+            return
+        path.replace(self._paths[step.file.id])
+        for named, companion in step.companions.items():
+            (path.parent / named).replace(self._paths[companion.id])
+        shutil.rmtree(path.parent, ignore_errors=True)
+
+    def _forget_all(self, step: Step) -> None:
+        for each in (step.file, *step.companions.values()):
+            self._forget(each.id)
 
     def _forget(self, file_id: str) -> None:
         for kept in (self._waiting, self._paths, self._reasons, self._arrived):
@@ -281,6 +350,40 @@ class Batches:
                     file = BatchFile(path.stem, str(entry["name"]), path.stat().st_size, READERS.run(survey_file, path))
                     self._waiting[file.id], self._paths[file.id] = file, path
                     self._reasons[file.id] = _NOT_OPENED
+
+
+class _ToChooseError(LadarregError):
+    """The operator has to choose what becomes of scans; the text says why the last choice was refused.
+
+    Args:
+        text: why.
+        is_underspecified: whether it was refused because the files do not say all that reading them needs.
+    """
+
+    def __init__(self, text: str, *, is_underspecified: bool = False) -> None:
+        super().__init__(text)
+        self.is_underspecified = is_underspecified
+
+
+def _remove(path: Path) -> None:
+    """Remove the file of a scan, a descriptor with its folder."""
+    if path.name == _DESCRIPTOR:
+        shutil.rmtree(path.parent, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _undecided(file: BatchFile, scans: Sequence[Step], document: Document, error: _ToChooseError) -> Reason:
+    """Return why a file waits until the operator has chosen what becomes of the scans."""
+    for step in scans:
+        if file in step.companions.values():
+            return Reason(f"it is part of {step.file.name}", needs_choice=True, part_of=step.file.id)
+    if str(error) and file.survey.kind == "scan":
+        return Reason(f"not opened: {error}", needs_choice=True, is_underspecified=error.is_underspecified)
+    if document.scan is not None:
+        return Reason(f"the project has a scan already, {document.scan.name}", needs_choice=True)
+    names = listed([step.file.name for step in scans])
+    return Reason(f"one of {len(scans)} scans, {names}: open them together, or this one alone", needs_choice=True)
 
 
 def _require_choice(file: BatchFile, reading: Mapping[str, Any]) -> None:

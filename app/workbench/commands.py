@@ -6,7 +6,7 @@ import logging
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, get_args
 
 import msgspec
 
@@ -29,13 +29,15 @@ from .batches import Batches
 from .clients import Client, Clients, valid_name
 from .embedded import EmbeddedPictures
 from .export_commands import EXPORT_COMMANDS
-from .files import Files
+from .files import Files, HowScans
 from .people_commands import PEOPLE_COMMANDS
 from .queries import Queries
 from .reading import reading_of
 from .selection import Selection
 from .settings_form import check_bounds
 from .state import clock
+from .station_commands import STATION_COMMANDS
+from .stations import Stations
 
 if TYPE_CHECKING:
     from ..scene import Scene3D
@@ -66,6 +68,7 @@ class Context(Protocol):
     runner: JobRunner
     jobs: JobRegistry
     acquisition: Acquisition
+    stations: Stations
 
     def set_model(self, client: Client, wanted: Mapping[str, Any]) -> None:
         """Change the display of the model for a client."""
@@ -332,13 +335,30 @@ def look(context: Context, client: Client, fields: Fields) -> Reply:
 
 
 def open_served(context: Context, client: Client, fields: Fields) -> Reply:
-    """Open a file of the served folder."""
-    path, what, photo = fields.get("path"), fields.get("what"), fields.get("photo")
-    if not isinstance(path, str) or not isinstance(what, str):
+    """Open a file of the served folder, or several scans."""
+    what, photo, given = fields.get("what"), fields.get("photo"), fields.get("paths", [fields.get("path")])
+    named = isinstance(given, list) and given and all(isinstance(path, str) for path in given)
+    if not named or not isinstance(what, str):
         raise OptionError("give the file to open and its kind")
-    reading = reading_of(fields.get("reading"))
-    opened = context.files.open_served(path, what, photo if isinstance(photo, str) else None, client, reading)
-    return {"opened": opened}
+    reading, how = reading_of(fields.get("reading")), _how_scans(fields)
+    files = context.files
+    found = [(path, path.name) for path in map(files.served_file, dict.fromkeys(given))]
+    if what == "scan":
+        asked = files.asks_how([name for _, name in found])
+        if asked and how is None:
+            return asked
+        try:
+            return {"opened": files.open_scans(found, how or "replace", client, reading)}
+        except LadarregError as error:
+            if asked is None:
+                raise
+            return {**asked, "said": as_fields(str(error))}
+    if what == "station":
+        return {"opened": files.open_scans(found, "stations", client, reading)}
+    if len(found) > 1:
+        raise OptionError("only scans are opened together; open the others one by one")
+    ((path, name),) = found
+    return {"opened": files.open(path, name, what, photo if isinstance(photo, str) else None, client, reading)}
 
 
 def list_served(context: Context, client: Client, fields: Fields) -> Reply:
@@ -352,9 +372,8 @@ def open_files(context: Context, client: Client, fields: Fields) -> Reply:
     photo = fields.get("photo")
     if photo is not None:
         photo = edits.require_photo(context.session.document, photo).id
-    replaces = fields.get("scan") == "replace"
-    reading = reading_of(fields.get("reading"))
-    return context.batches.open(file_ids(fields), replace_scan=replaces, photo=photo, reading=reading, client=client)
+    reading, how = reading_of(fields.get("reading")), _how_scans(fields)
+    return context.batches.open(file_ids(fields), scans=how, photo=photo, reading=reading, client=client)
 
 
 def add_embedded(context: Context, client: Client, fields: Fields) -> Reply:
@@ -447,6 +466,7 @@ COMMANDS: dict[str, Command] = {
         use_stage, undo, redo, go_to, show_photo, set_model, call_me, hover_pick, open_served, list_served, open_files,
         add_embedded, discard_files, predict, where, snap, sample_line, probe, run, refine, job_control,
         look, read_only_link, *EXPORT_COMMANDS, *PEOPLE_COMMANDS, *ACQUISITION_COMMANDS,
+        *STATION_COMMANDS,
     )
 }  # fmt: skip
 LOOKING = frozenset(
@@ -513,6 +533,15 @@ def file_ids(fields: Fields) -> list[str]:
     if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
         raise OptionError("no files are given; drop some")
     return value
+
+
+def _how_scans(fields: Fields) -> HowScans | None:
+    """Return what becomes of scans; None: not said."""
+    how = fields.get("scan")
+    known: HowScans | None = next((each for each in get_args(HowScans) if each == how), None)
+    if known is None and how is not None:
+        raise OptionError(f"scans are opened as {', '.join(get_args(HowScans))}; got {_quoted(how)}")
+    return known
 
 
 def _existing(context: Context, fields: Fields, ids: list[str]) -> list[str]:

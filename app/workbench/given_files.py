@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from ladarreg_core.errors import LadarregError
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import CameraGiven, Source
 from ladarreg_core.project.history import NOBODY
 
 from ..session.isolated_readers import READERS
+from .files import HowScans
 from .reading import with_reading
 
 if TYPE_CHECKING:
@@ -62,14 +64,42 @@ def add_files(workbench: Workbench, files: Sequence[Path], reading: Reading, che
     if not files:
         return
     document, folder = workbench.session.document, workbench.session.folder
-    scan, *photos = files
+    clouds, photos = _sorted(files)
     there = document.scan
-    same = there is not None and folder.source_path(there.path) == scan
-    if there is None or not same or with_reading(there, reading.scan_options) != there:
-        workbench.files.open(scan, scan.name, "scan", None, None, reading.scan_options)
+    known = [] if there is None else folder.source_files(there)
+    further = [path for path in clouds if path not in known]
+    if there is None or set(known).isdisjoint(clouds):
+        _open(workbench, clouds, "replace", reading)
+    elif with_reading(there, reading.scan_options) != there:
+        _open(workbench, [*known, *further], "replace", reading)
+    elif further:
+        _open(workbench, further, "frames", reading)
     for photo in photos:
         check()
         _add_photo(workbench, photo, reading)
+
+
+def _open(workbench: Workbench, clouds: Sequence[Path], how: HowScans, reading: Reading) -> None:
+    scan = workbench.session.document.scan
+    named = {} if scan is None else dict(zip(workbench.session.folder.source_files(scan), scan.names, strict=True))
+    files = [(path, named.get(path, path.name)) for path in clouds]
+    workbench.files.open_scans(files, how, None, reading.scan_options)
+
+
+def _sorted(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
+    """Return the scan with the further clouds that are accumulated with it, and the photographs."""
+    from ladarreg_core.formats.registry import recognise
+
+    scan, *others = files
+    clouds = [scan]
+    photos: list[Path] = []
+    for path in others:
+        try:
+            is_scan = recognise(path, kinds=("photo", "scan")).kind == "scan"
+        except LadarregError:  # said when it is opened
+            is_scan = False
+        (clouds if is_scan else photos).append(path)
+    return clouds, photos
 
 
 def _add_photo(workbench: Workbench, photo: Path, reading: Reading) -> None:

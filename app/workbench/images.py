@@ -75,7 +75,7 @@ class Images:
         found = {}
         scan = self._loader.known("picture", ("scan slice", self._session.document.scan))
         if scan and scan["views"]:
-            show = "intensity" if scan["has_intensity"] else "range"
+            show = "intensity" if scan["has_intensity"] else "shape"
             found["scan"] = (
                 f"picture/scan?view=0&show={show}&low=1&high=99.5&equalise=0&gamma=0.6&rev={scan['id']}&form=quick"
             )
@@ -139,10 +139,11 @@ class Images:
         return found
 
     def _scan(self, query: Mapping[str, str]) -> Picture:
-        from ladarreg_core.inspection.pictures import Stretch, scan_picture
+        from ladarreg_core.inspection.pictures import Stretch, scan_picture, usual_show
 
         document = self._session.document
-        index, show = self._view_number(document, query), query.get("show", "intensity")
+        index = self._view_number(document, query)
+        show = query.get("show") or usual_show(self._scan_or_raise())
         stretch = Stretch(
             low=_number(query, "low", 1.0),
             high=_number(query, "high", 99.5),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import logging
 import os
 import secrets
@@ -88,7 +89,7 @@ def open_workbench(
             raise OptionError(f"{path}: no such file; give a project folder, or a scan and photographs")
     old = given[0] if len(given) == 1 and is_project(given[0]) else None
     if old is None and len(given) == 1 and given[0].is_dir():
-        raise OptionError(f"{given[0]} is not a project: it has no project.json; give a project folder, or a scan")
+        raise OptionError(_no_project(given[0]))
     files = [] if old else given
     if not files and not said.is_empty:
         raise OptionError("the options of scans and photographs need them: give SCAN PHOTO with the options")
@@ -126,6 +127,23 @@ def open_workbench(
         raise
     workbench.opening_message = message
     return workbench
+
+
+def _no_project(folder: Path) -> str:
+    """Return why a folder cannot be opened, and what can be."""
+    from ladarreg_core.export.replacement import RIG_FILE
+
+    rig = folder / RIG_FILE
+    try:
+        fields = json.loads(rig.read_text(encoding="utf-8"))
+        names = ", ".join(str(pair["name"]) for pair in fields["pairs"])
+        start = f" --initial {rig}" if fields["accepted"] else ""
+    except (OSError, ValueError, KeyError, TypeError):
+        return f"{folder} is not a project: it has no project.json; give a project folder, or a scan"
+    return (
+        f"{folder} is the result of a rig, on the pairs {names}; open one of them by its own files: "
+        f"ladarreg serve SCAN PHOTO --camera FILE{start}"
+    )
 
 
 @dataclass(frozen=True, slots=True)

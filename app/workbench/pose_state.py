@@ -21,7 +21,7 @@ from ..messages import verdict
 if TYPE_CHECKING:
     from ladarreg_core.matches import Matches, Pick
     from ladarreg_core.photo import Photo
-    from ladarreg_core.project.document import PhotoEntry, PoseEntry
+    from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
     from ladarreg_core.quality.assessment import Assessment
     from ladarreg_core.scan import Scan
 
@@ -114,15 +114,18 @@ def sampled_line(loader: Loader, scan: Scan, ends: Any) -> dict[str, Any]:
     return {"scan_samples": samples, "sampled": line.sampled, "used": line.used}
 
 
-def poses_slice(loader: Loader, entry: PhotoEntry, stage_of: Callable[[PoseEntry], dict[str, Any]]) -> dict[str, Any]:
+def poses_slice(
+    loader: Loader, document: Document, entry: PhotoEntry, stage_of: Callable[[PoseEntry], dict[str, Any]]
+) -> dict[str, Any]:
     """Return the slice `poses`: every stage as `stage_of` describes it, and whether it is out of date."""
-    stages = [{**stage_of(pose), "stale": loader.stale(entry, pose)} for pose in entry.poses]
+    stages = [{**stage_of(pose), "stale": loader.stale(document, entry, pose)} for pose in entry.poses]
     return {"shown": entry.shown_stage, "stages": stages}
 
 
 def stage_state(loader: Loader, pose: PoseEntry) -> dict[str, Any]:
     """Return a stage with its verdict and, once computed, its assessment."""
     from ladarreg_core.matching.image_check import statistics_note
+    from ladarreg_core.matching.views import would_clouds_help
 
     try:
         registration = loader.registration(pose)
@@ -143,6 +146,7 @@ def stage_state(loader: Loader, pose: PoseEntry) -> dict[str, Any]:
         "evidence": pose.evidence,
         "verdict": verdict(registration),
         "reasons": [as_fields(reason) for reason in pose.reasons],
+        "wants_frames": would_clouds_help(pose.reasons),
         "note": " ".join(filter(None, [pose.note, statistics_note(registration)])),
         **({"image": {name: verification[name] for name in ("outcome", "sentence")}} if checked else {}),
         "parameters": [asdict(parameter) for parameter in parameters(registration)],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from ladarreg_core.errors import LadarregError
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from ..jobs.runner import Job
     from ..jobs.simplex import Frame
-    from ..scene import Person, Picks, ScanShown, Scene3D, Shown, Subject
+    from ..scene import Person, Picks, ScanShown, Scene3D, Shown, StationShown, Subject
 
 log = logging.getLogger(__name__)
 
@@ -32,12 +32,20 @@ class SceneSync:
         session: the session.
         loader: its loader.
         people: returns what every client looks at, by its id.
+        stations: returns the other stations.
     """
 
-    def __init__(self, session: Session, loader: Loader, people: Callable[[], Mapping[str, Person]]) -> None:
+    def __init__(
+        self,
+        session: Session,
+        loader: Loader,
+        people: Callable[[], Mapping[str, Person]],
+        stations: Callable[[], Sequence[StationShown]] = tuple,
+    ) -> None:
         self._session = session
         self._loader = loader
         self._people = people
+        self._stations = stations
         self._scene: Scene3D | None = None
         self._debouncer = Debouncer()
         self._scan_shown: ScanShown | None = None
@@ -123,6 +131,7 @@ class SceneSync:
                     residuals = any(p.model.residuals for p in people.values() if p.photo == photo_id)
                     photos[entry.id] = self._shown(scan_shown, entry, with_residuals=residuals)
         scene.show(photos)
+        scene.show_stations(self._stations())
 
     def _shown_scan(self, document: Document) -> ScanShown | None:
         from ..scene import ScanShown

@@ -22,7 +22,7 @@ from .recent import project_id
 
 if TYPE_CHECKING:
     from ladarreg_core.photo import Photo
-    from ladarreg_core.project.document import Document, PhotoEntry, PickEntry
+    from ladarreg_core.project.document import Document, PhotoEntry, PickEntry, Source
     from ladarreg_core.project.history import Author, Entry, History
 
     from ..jobs.runner import Job
@@ -65,7 +65,7 @@ def history_entry(entry: Entry) -> dict[str, Any]:
 def scan_slice(loader: Loader, document: Document) -> dict[str, Any] | None:
     """Return the slice `scan`; with `error` if it can no longer be read, or no view can show it."""
     from ladarreg_core.inspection.panorama import strip_of
-    from ladarreg_core.inspection.pictures import resolution_note
+    from ladarreg_core.inspection.pictures import display_note, resolution_note
 
     source = document.scan
     if source is None:
@@ -73,21 +73,22 @@ def scan_slice(loader: Loader, document: Document) -> dict[str, Any] | None:
     try:
         scan, views = loader.scan(document), loader.views(document)
     except LadarregError as error:
-        return _missing_scan(source.name, as_fields(str(error)))
+        return _missing_scan(source, as_fields(str(error)))
     except Exception as error:  # a faulty scan must not keep clients from joining
         log.exception("the scan cannot be loaded")
-        return _missing_scan(source.name, f"it cannot be read ({type(error).__name__}); open another scan")
+        return _missing_scan(source, f"it cannot be read ({type(error).__name__}); open another scan")
     assert scan is not None
     rows, columns = scan.shape
-    note = resolution_note(scan, views)
+    remarks = [text for text in (resolution_note(scan, views), display_note(scan)) if text]
     strip = strip_of(scan) if len(views) > 1 else None
     return {
         "id": f"s{_digest(source)}",
         "name": source.name,
+        "files": list(source.names),
         "rows": rows,
         "columns": columns,
         "returns": int(scan.valid.sum()),
-        "notes": [as_fields(text) for text in (*scan.notes, *([note] if note else []))],
+        "notes": [as_fields(text) for text in (*scan.notes, *remarks)],
         "world": None if scan.world_from_scanner is None else describe_world(scan.world_from_scanner),
         "has_color": scan.color is not None,
         "has_intensity": scan.has_intensity,
@@ -107,8 +108,9 @@ def scan_slice(loader: Loader, document: Document) -> dict[str, Any] | None:
     }
 
 
-def _missing_scan(name: str, error: str) -> dict[str, Any]:
-    return {"id": "missing", "name": name, "error": error, "views": [], "notes": []}
+def _missing_scan(source: Source, error: str) -> dict[str, Any]:
+    known = {"name": source.name, "files": list(source.names)}
+    return {"id": "missing", **known, "error": error, "views": [], "notes": []}
 
 
 def _digest(*parts: Struct) -> str:
@@ -121,7 +123,7 @@ def photo_revision(entry: PhotoEntry) -> str:
     return _digest(entry.source, entry.camera)
 
 
-def photo_slice(loader: Loader, entry: PhotoEntry) -> dict[str, Any]:
+def photo_slice(loader: Loader, document: Document, entry: PhotoEntry) -> dict[str, Any]:
     """Return an entry of the slice `photos`; without a camera if its focal length is unknown."""
     found: dict[str, Any] = {"id": entry.id, "name": entry.source.name, "camera": None, "notes": [], "state": "empty"}
     found["rev"] = photo_revision(entry)
@@ -157,7 +159,7 @@ def photo_slice(loader: Loader, entry: PhotoEntry) -> dict[str, Any]:
     )
     pose = entry.pose
     if pose is not None:
-        found["stale"] = loader.stale(entry, pose)
+        found["stale"] = loader.stale(document, entry, pose)
         current = "accepted" if pose.accepted else "refused" if pose.evidence == "none" else "solved"
         found["state"] = "stale" if found["stale"] else current
     return found

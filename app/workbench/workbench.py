@@ -18,6 +18,7 @@ from ladarreg_core.project.history import NOBODY
 from ..jobs.inputs import Workspace
 from ..jobs.registry import JobRegistry
 from ..jobs.runner import Job, JobRunner
+from ..jobs.stations import STATIONS
 from ..process_resources import return_memory_soon
 from ..scene.person import ANYBODY, Person
 from ..session.cache import IdentityCache, ListCache
@@ -49,9 +50,10 @@ from .state import (
     project_slice,
     scan_slice,
 )
+from .stations import Stations
 
 if TYPE_CHECKING:
-    from ladarreg_core.project.document import PhotoEntry, PoseEntry
+    from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
 
     from ..gateway.protocol import Picture, Visitor
     from ..scene import Scene3D
@@ -101,12 +103,13 @@ class Workbench:
         self.clients = clients or Clients(self._publish)
         self.selection = Selection(session, self._selection_changed, self.clients.leader_of)
         self.queries = Queries(session, loader)
-        self.scene_sync = SceneSync(session, loader, self._people)
+        workspace = Workspace(session, loader)
+        self.runner = JobRunner(self._job_changed)
+        self.stations = Stations(workspace, self.runner, self.publish_event)
+        self.scene_sync = SceneSync(session, loader, self._people, self.stations.shown)
         self.files = Files(session, loader, self.queries, self.selection, served)
         self.batches = Batches(session, loader, self.files, self.selection, self._publish)
         self.embedded = EmbeddedPictures(session, loader, self.selection)
-        self.runner = JobRunner(self._job_changed)
-        workspace = Workspace(session, loader)
         watch = self.scene_sync.watch_simplex
         self.jobs = JobRegistry(
             workspace, self.runner, watch, self.publish_event, self._publish if solve_automatically else None
@@ -202,7 +205,7 @@ class Workbench:
 
     def export_file(self, photo: str) -> tuple[Path, str] | None:
         """Return the last zip of a photograph and its download name; None before there is one."""
-        return self.jobs.export_file(photo)
+        return self.stations.export_file() if photo == STATIONS else self.jobs.export_file(photo)
 
     def close(self) -> None:
         """End all work; commits are on the disk already.
@@ -275,7 +278,7 @@ class Workbench:
         found: dict[str, Any] = {
             "history": history_slice(session.history, self._history_entries),
             "scan": self._scan_slice(),
-            "photos": [photo_slice(loader, entry) for entry in document.photos],
+            "photos": [photo_slice(loader, document, entry) for entry in document.photos],
             "settings": self._slices.get(document.settings, lambda: settings_slice(document.settings)),
             "job": job_slice(self.runner.job),
             "served": self.files.served_slice(),
@@ -283,11 +286,12 @@ class Workbench:
             "formats": formats_slice(),
             "embedded": self.embedded.slice(),
             "acquisition": self.acquisition.slice(),
+            "stations": self.stations.slice(),
             "limits": {"upload_bytes": self.limits.upload_bytes, "photos": MOST_PHOTOS},
         }
         for entry in document.photos:
             found[f"picks:{entry.id}"] = self._pick_entries.get(entry.id, entry.picks)
-            found[f"poses:{entry.id}"] = self._poses_slice(entry)
+            found[f"poses:{entry.id}"] = self._poses_slice(document, entry)
             found[f"outline:{entry.id}"] = self._outline_slice(entry)
             found[f"solving:{entry.id}"] = self.jobs.solving(entry.id)
             found[f"corners:{entry.id}"] = self.jobs.corners(entry.id)
@@ -363,14 +367,14 @@ class Workbench:
             found[f"judged:{entry.id}"] = self._slices.get(key, partial(judged_slice, loader, scan, photo, entry))
         return found
 
-    def _poses_slice(self, entry: PhotoEntry) -> dict[str, Any]:
+    def _poses_slice(self, document: Document, entry: PhotoEntry) -> dict[str, Any]:
         def stage_of(pose: PoseEntry) -> dict[str, Any]:
             assessed = self.loader.known_assessment(pose) is not None
             return self._slices.get(("stage", str(assessed), pose), partial(stage_state, self.loader, pose))
 
         assessed = ",".join(str(k) for k, pose in enumerate(entry.poses) if self.loader.known_assessment(pose))
-        key = (entry.shown_stage, assessed, entry.picks, *entry.poses)
-        return self._slices.get(key, partial(poses_slice, self.loader, entry, stage_of))
+        key = (document.clouds, entry.shown_stage, assessed, entry.picks, *entry.poses)
+        return self._slices.get(key, partial(poses_slice, self.loader, document, entry, stage_of))
 
     def _assess(self) -> None:
         """Assess the shown poses that are not assessed yet."""

@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ladarreg_core.acquisition.devices import PanTilt
 from ladarreg_core.acquisition.mount_fields import mount_from_fields
 from ladarreg_core.acquisition.plan import Mode
+from ladarreg_core.acquisition.run_records import RECORDS, position_of, read_records
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.json_file import read_json_object
 from ladarreg_core.formats.untrusted import inside_folder, one_line, reading, shown_name
 from ladarreg_core.frames import Rigid
 from ladarreg_core.validation import is_int, is_number
 
-PLAN_FILE, RECORDS_FILE = "plan.json", "run.jsonl"
+PLAN_FILE = "plan.json"
 _COLUMNS = ("file", "pan_deg", "tilt_deg")
 _MOST_BYTES = 64 << 20
 _READ_BYTES = 1 << 20
@@ -55,7 +53,7 @@ class ListedPiece:
             if self.sha256 is not None and found != self.sha256:
                 raise FormatError(
                     "it is not the file that was recorded (its SHA-256 differs); restore it, or remove its line from "
-                    f"{RECORDS_FILE} and resume the run"
+                    f"{RECORDS} and resume the run"
                 )
         return found
 
@@ -83,7 +81,7 @@ class PieceList:
 
 def is_run_folder(path: Path) -> bool:
     """Return whether a path is a folder with the records of a run."""
-    return (path / RECORDS_FILE).is_file()
+    return (path / RECORDS).is_file()
 
 
 def read_piece_list(path: str | Path) -> PieceList:
@@ -107,46 +105,19 @@ def read_piece_list(path: str | Path) -> PieceList:
 def _of_run(folder: Path) -> PieceList:
     if not is_run_folder(folder):
         raise FormatError(
-            f"the folder {shown_name(folder)} contains no {RECORDS_FILE}; give the folder of a run of "
+            f"the folder {shown_name(folder)} contains no {RECORDS}; give the folder of a run of "
             "`ladarreg acquire`, or a CSV with file,pan_deg,tilt_deg"
         )
     mode, mount, planned = _plan_of(folder / PLAN_FILE)
-    records = folder / RECORDS_FILE
-    with reading(records) as file:
-        if file.stat().st_size > _MOST_BYTES:
-            raise FormatError(f"it has {file.stat().st_size:,} bytes; the records of a run are shorter")
-        lines = file.read_bytes().split(b"\n")
-        found: dict[int, ListedPiece] = {}
-        for number, line in enumerate(lines, 1):
-            if not line.strip():
-                continue
-            try:
-                fields = json.loads(line)
-            except (ValueError, RecursionError):
-                if number == len(lines):  # the run was interrupted while it wrote its last record
-                    continue
-                raise FormatError(f"line {number} is not a JSON object; restore it or remove it") from None
-            piece = _of_record(folder, fields, number)
-            found[piece.index] = piece
+    found: dict[int, ListedPiece] = {}
+    for record in read_records(folder):
+        if isinstance(record, FormatError):
+            raise FormatError(f"{shown_name(folder / RECORDS)}: {record}")
+        path = inside_folder(folder, record.file, "the file")
+        found[record.index] = ListedPiece(record.index, path, record.read, record.sha256 or None)
     if not found:
         raise FormatError(f"the folder {shown_name(folder)} has no piece yet; resume the run")
     return PieceList(folder, mode, tuple(found[index] for index in sorted(found)), mount, planned)
-
-
-def _of_record(folder: Path, fields: object, line: int) -> ListedPiece:
-    if not isinstance(fields, Mapping):
-        raise FormatError(f"line {line} is not a JSON object")
-    index = fields.get("index")
-    if index is None or not is_int(index) or not 0 <= int(index) < 1_000_000:
-        raise FormatError(f"line {line} has the index {one_line(repr(index), 40)}; it must be a whole number from 0")
-    at = fields.get("read_deg", fields.get("asked_deg"))
-    if not (isinstance(at, list) and len(at) == 2 and all(map(is_number, at))):
-        raise FormatError(f"line {line} has no read_deg with pan and tilt in degrees")
-    sha256 = fields.get("sha256")
-    if sha256 is not None and not isinstance(sha256, str):
-        raise FormatError(f"line {line} has a sha256 that is not a text")
-    path = inside_folder(folder, fields.get("file"), f"the file of line {line}")
-    return ListedPiece(int(index), path, _position(at[0], at[1], line), sha256)
 
 
 def _of_csv(file: Path) -> tuple[ListedPiece, ...]:
@@ -169,7 +140,7 @@ def _of_csv(file: Path) -> tuple[ListedPiece, ...]:
         if not name or "\0" in name:
             raise FormatError(f"line {number} names no file")
         try:
-            at = _position(float(pan), float(tilt), number)
+            at = position_of(float(pan), float(tilt), f"line {number}")
         except ValueError:
             raise FormatError(
                 f"line {number} has the angles {one_line(pan, 20)!r} and {one_line(tilt, 20)!r}; they must be degrees"
@@ -178,12 +149,6 @@ def _of_csv(file: Path) -> tuple[ListedPiece, ...]:
     if not found:
         raise FormatError("it lists no piece; each line needs file,pan_deg,tilt_deg")
     return tuple(found)
-
-
-def _position(pan_deg: float, tilt_deg: float, line: int) -> PanTilt:
-    if not (math.isfinite(pan_deg) and math.isfinite(tilt_deg) and abs(pan_deg) <= 720 and abs(tilt_deg) <= 180):
-        raise FormatError(f"line {line} has pan {pan_deg:g} and tilt {tilt_deg:g} deg; they must be angles in degrees")
-    return PanTilt(float(np.radians(pan_deg)), float(np.radians(tilt_deg)))
 
 
 def _plan_of(path: Path) -> tuple[Mode, Rigid | None, int | None]:

@@ -16,7 +16,7 @@ import io
 import json
 import os
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from ladarreg_core.acquisition.devices import PanTilt
 from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.acquisition.piece_list import ListedPiece
 from ladarreg_core.acquisition.plan import Plan, plan_from_fields, write_plan
+from ladarreg_core.acquisition.run_records import RECORDS, Record, in_degrees, read_records
 from ladarreg_core.acquisition.sweep_pieces import read_sweeps
 from ladarreg_core.atomic_write import AppendedFile, replaced_file, sync_folder, write_bytes
 from ladarreg_core.errors import ExportError, FormatError, OptionError
@@ -36,35 +37,8 @@ from ladarreg_core.formats.json_file import read_json_object
 from ladarreg_core.formats.untrusted import shown_name
 from ladarreg_core.scan import Scan
 
-PLAN, RECORDS, PIECES, PHOTOS = "plan.json", "run.jsonl", "pieces", "photos"
+PLAN, PIECES, PHOTOS = "plan.json", "pieces", "photos"
 _LOCK = ".lock"
-_LONGEST_RECORD = 1 << 16
-
-
-@dataclass(frozen=True, slots=True)
-class Record:
-    """What `run.jsonl` says of a piece."""
-
-    index: int
-    """Number of the stop in the order of the plan."""
-    file: str
-    """Relative to the run's folder."""
-    sha256: str
-    asked: PanTilt
-    read: PanTilt
-    """Position read back."""
-    time: str
-    """UTC, ISO 8601."""
-    passed: int = 0
-    photo: str | None = None
-
-    def as_fields(self) -> dict[str, Any]:
-        """Return the record's JSON object."""
-        fields: dict[str, Any] = {
-            "index": self.index, "file": self.file, "sha256": self.sha256, "asked_deg": _degrees(self.asked),
-            "read_deg": _degrees(self.read), "time": self.time, "pass": self.passed,
-        }  # fmt: skip
-        return fields if self.photo is None else {**fields, "photo": self.photo}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,23 +99,16 @@ class RunFolder:
         return sweep
 
     def _read_records(self) -> None:
-        try:
-            lines = (self.path / RECORDS).read_bytes().splitlines()
-        except FileNotFoundError:
+        if not (self.path / RECORDS).is_file():
             return
-        for number, line in enumerate(lines, 1):
-            try:
-                record = _record_of(json.loads(line))
-            except (ValueError, KeyError, TypeError, RecursionError):
-                # The last line is incomplete if the program was killed while it was written.
-                if number < len(lines):
-                    self.faults.append(f"line {number} of {RECORDS} is no record; its piece does not count")
-                continue
-            if not _is_whole(self.path, record):
+        for record in read_records(self.path):
+            if isinstance(record, FormatError):
+                self.faults.append(f"{RECORDS}: {record}; its piece does not count")
+            elif _is_whole(self.path, record):
+                self.records[record.index] = record
+            else:
                 self.faults.append(f"{record.file} is missing or has changed; it does not count")
                 self.records.pop(record.index, None)
-                continue
-            self.records[record.index] = record
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,18 +136,14 @@ def summary(path: str | Path) -> RunSummary:
         raise FormatError(f"{shown_name(folder)}: there is no {PLAN}; give the folder of a run")
     plan = _plan_of(folder / PLAN)
     records: dict[int, Record] = {}
-    for line in (folder / RECORDS).read_bytes().splitlines() if (folder / RECORDS).is_file() else []:
-        try:
-            record = _record_of(json.loads(line))
-        except (ValueError, KeyError, TypeError, RecursionError):
-            continue
-        if (folder / record.file).is_file():
+    for record in read_records(folder) if (folder / RECORDS).is_file() else ():
+        if isinstance(record, Record) and (folder / record.file).is_file():
             records[record.index] = record
     kept = [records[index] for index in sorted(records)]
     photos = [(folder / one.photo, one.read) for one in kept if one.photo is not None]
     return RunSummary(
         plan, len(kept), len(stops_of(plan)),
-        tuple((file, (_degrees(at)[0], _degrees(at)[1])) for file, at in photos if file.is_file()),
+        tuple((file, (in_degrees(at)[0], in_degrees(at)[1])) for file, at in photos if file.is_file()),
     )  # fmt: skip
 
 
@@ -317,20 +280,6 @@ def _require_same(before: Plan, now: Plan, folder: Path) -> None:
         )
 
 
-def _record_of(fields: Mapping[str, Any]) -> Record:
-    file, photo = str(fields["file"]), fields.get("photo")
-    for name in (file, photo or PIECES):
-        if Path(name).is_absolute() or ".." in Path(name).parts:
-            raise ValueError("the record leads out of the folder")
-    index = fields["index"]
-    if type(index) is not int or index < 0:
-        raise ValueError("the record has no number")
-    return Record(
-        index, file, str(fields.get("sha256", "")), _position(fields["asked_deg"]), _position(fields["read_deg"]),
-        str(fields.get("time", "")), int(fields.get("pass", 0)), None if photo is None else str(photo),
-    )  # fmt: skip
-
-
 def _is_whole(folder: Path, record: Record) -> bool:
     """Return whether a piece is as it was kept; records written by hand may leave out the checksum."""
     path = folder / record.file
@@ -356,14 +305,3 @@ def _remove_run(folder: Path) -> None:
         (folder / name).unlink(missing_ok=True)
     for name in (PIECES, PHOTOS):
         shutil.rmtree(folder / name, ignore_errors=True)
-
-
-def _degrees(at: PanTilt) -> list[float]:
-    return [float(np.degrees(at.pan_rad)), float(np.degrees(at.tilt_rad))]
-
-
-def _position(value: Any) -> PanTilt:
-    pan, tilt = (float(np.radians(float(v))) for v in value)
-    if not (np.isfinite(pan) and np.isfinite(tilt)):
-        raise ValueError("the record has no position")
-    return PanTilt(pan, tilt)

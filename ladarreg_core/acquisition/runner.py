@@ -18,7 +18,8 @@ from ladarreg_core.acquisition.devices import FrameSource, LineScanner, PanTilt,
 from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.acquisition.plan import Plan
 from ladarreg_core.acquisition.ports import GuardEndedError
-from ladarreg_core.acquisition.run_folder import PHOTOS, PIECES, Record, RunWriter, ScanPiece, write_sweep
+from ladarreg_core.acquisition.run_folder import PHOTOS, PIECES, RunWriter, ScanPiece, write_sweep
+from ladarreg_core.acquisition.run_records import Record
 from ladarreg_core.acquisition.stops import Stop, forecast, require_possible, stops_of
 from ladarreg_core.errors import Cancelled, DeviceError, FormatError, OptionError
 from ladarreg_core.formats import read_scan

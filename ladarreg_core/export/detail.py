@@ -123,12 +123,16 @@ def edge_lines(scan: Scan, window: Window, size: tuple[int, int]) -> BoolArray:
     Returns:
         (height, width) bool.
     """
-    intensity = intensity_picture(scan)[..., 0]
-    known = scan.valid.astype(np.float32)
+    reach = int(np.ceil(4 * _BLUR_CELLS)) + 1  # of the blur
+    rows, columns = (slice(max(0, part.start - reach), part.stop + reach) for part in window.cells)
+    inner = slice(window.top - rows.start, None), slice(window.left - columns.start, None)
+    intensity = intensity_picture(scan)[rows, columns, 0]
+    known = scan.valid[rows, columns].astype(np.float32)
     # Speckle is blurred, and holes are filled from their neighbours so that they create no edges.
     weight = cv2.GaussianBlur(known, (0, 0), _BLUR_CELLS)
     smooth = cv2.GaussianBlur(intensity * known, (0, 0), _BLUR_CELLS) / np.maximum(weight, 1e-3)
-    crop = np.asarray(cv2.resize(smooth[window.cells], size, interpolation=cv2.INTER_CUBIC))
+    part = smooth[inner][: window.height, : window.width]
+    crop = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_CUBIC))
     # The enlarged image is piecewise smooth per cell; without blurring, each cell border in a ramp would be an edge.
     cell_px = max(size[0] / window.width, size[1] / window.height)
     crop = cv2.GaussianBlur(crop, (0, 0), max(_BLUR_CELLS * cell_px, _BLUR_CELLS))

@@ -18,7 +18,7 @@ from ladarreg_core.export.images import (
     write_uncertainty_png,
     write_visibility_png,
 )
-from ladarreg_core.export.json import registration_document, write_document
+from ladarreg_core.export.json import InputFile, registration_document, write_document
 from ladarreg_core.export.output_frame import FrameName, OutputFrame
 from ladarreg_core.export.ply import write_ply
 from ladarreg_core.export.rejected_overlay import write_rejected_overlay
@@ -39,11 +39,13 @@ from ladarreg_core.quality.assessment import Assessment, assess
 from ladarreg_core.quality.smoothing import SmoothedScan
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
+from ladarreg_core.side_by_side import side_by_side
 from ladarreg_core.surface.photo_model import ModelPhoto, photo_model
 from ladarreg_core.surface.texture import RegisteredTexture, texture_scan
 
 FILE_NAMES = REGISTRATION_FILES
 """Files of a results folder; all but the first two are only written for accepted registrations."""
+_MOST_CELLS_TOGETHER = 4_000_000  # of larger scans, the memory matters more than the time
 FileJob = tuple[str, Callable[[Path], None]]
 """File name, with `/` between folders, and the function that writes the file to a path."""
 
@@ -113,6 +115,7 @@ def export_registration(
         apart_from=apart_from,
         more_names=[name for name, _ in more],
         force=force,
+        together=scan.ranges.size <= _MOST_CELLS_TOGETHER,
         report=report,
     )
 
@@ -125,6 +128,7 @@ def write_folder(
     apart_from: Sequence[str | Path] = (),
     more_names: Collection[str] = (),
     force: bool = False,
+    together: bool = False,
     report: Report | None = None,
 ) -> None:
     """Write files into a new folder atomically.
@@ -139,6 +143,7 @@ def write_folder(
         apart_from: open project folders; a folder that is, contains or lies in one of them is not replaced.
         more_names: names of additional result files, beyond those that every run writes.
         force: replace the results of an earlier run.
+        together: whether two files may be written at a time, which needs the memory for both.
         report: receives the progress, before each file and at the end.
 
     Raises:
@@ -151,7 +156,7 @@ def write_folder(
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with staging_folder(target, more_names=more_names) as new:
-            _write_all(new, files(), report)
+            _write_all(new, files(), report, together=together)
             _sync(new)
             _require_free(target, force, inputs, apart_from, more_names)  # it may have been created meanwhile
             put_in_place(
@@ -245,12 +250,22 @@ def _sync(folder: Path) -> None:
         sync_folder(Path(parent))
 
 
-def _write_all(folder: Path, jobs: Sequence[FileJob], report: Report | None) -> None:
-    for done, (name, write) in enumerate(jobs):
+def _write_all(folder: Path, jobs: Sequence[FileJob], report: Report | None, *, together: bool) -> None:
+    def tell(done: int) -> None:
         if report is not None:
-            report(Progress(done, len(jobs), f"writing {name}"))
+            report(Progress(done, len(jobs), f"writing {jobs[done][0]}"))
+
+    def write_one(job: FileJob) -> None:
+        name, write = job
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         write(folder / name)
+
+    if together:
+        side_by_side(write_one, jobs, before=tell)
+    else:
+        for done, job in enumerate(jobs):
+            tell(done)
+            write_one(job)
     if report is not None:
         report(Progress(len(jobs), len(jobs), "written"))
 
@@ -259,7 +274,7 @@ def registration_files(
     registration: Registration,
     scan: Scan,
     photo: Photo,
-    inputs: Sequence[str | Path] = (),
+    inputs: Sequence[InputFile] = (),
     assessment: Assessment | None = None,
     smoothed: SmoothedScan | None = None,
     rests_on: Mapping[str, Any] | None = None,

@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import platform
+import re
 from collections.abc import Mapping, Sequence
 from enum import Enum
 from pathlib import Path
@@ -43,6 +44,9 @@ REJECTED_GUESS_IS = (
 """Explanation of `rejected_guess`."""
 _REGISTRATION_VERSION = 1
 _READ_BYTES = 1 << 20
+_UPLOAD = re.compile(r"[0-9a-f]{32}")
+InputFile = str | Path | tuple[Path, str]
+"""An input file, or one with the name that its user knows it by."""
 
 
 def write_document(path: str | Path, document: Mapping[str, Any]) -> None:
@@ -60,7 +64,7 @@ def registration_document(
     *,
     assessment: Assessment | None = None,
     smoothed: SmoothedScan | None = None,
-    inputs: Sequence[str | Path] = (),
+    inputs: Sequence[InputFile] = (),
     read_with: Sequence[Mapping[str, Any]] = (),
 ) -> dict[str, Any]:
     """Return a registration as a JSON-ready document; undefined numbers are None.
@@ -235,25 +239,33 @@ def software_document() -> dict[str, str]:
     }
 
 
-def input_documents(inputs: Sequence[str | Path], read_with: Sequence[Mapping[str, Any]] = ()) -> list[dict[str, Any]]:
+def input_documents(inputs: Sequence[InputFile], read_with: Sequence[Mapping[str, Any]] = ()) -> list[dict[str, Any]]:
     """Return the documents of input files.
 
     Args:
-        inputs: the files, the scan first, then the photograph.
+        inputs: the files, the scan first, then the photograph; with a name, it is recorded in place of the file's.
         read_with: the options that the first of them were read with, in the same order: the arguments of `read_scan`
-            and `read_photo`, recorded as `read_with` so that nobody need repeat them. A file among them is recorded by
-            its name; options that were not given are left out.
+            and `read_photo`, recorded as `read_with` so that nobody need repeat them. Files among them are recorded by
+            their names; options that were not given are left out.
 
     Raises:
         ExportError: if a file cannot be read.
     """
-    found = [input_document(Path(path)) for path in inputs]
+    found = []
+    for each in inputs:
+        path, name = each if isinstance(each, tuple) else (Path(each), Path(each).name)
+        found.append({**input_document(path), "name": name})
     for document, options in zip(found, read_with, strict=False):
         given = {name: value for name, value in options.items() if value is not None and value != ()}
-        document["read_with"] = {
-            name: value.name if isinstance(value, Path) else plain(value) for name, value in given.items()
-        }
+        document["read_with"] = {name: plain(_name_of(value)) for name, value in given.items()}
     return found
+
+
+def _name_of(value: Any) -> Any:
+    """Return a file as its name, and files as theirs; any other value unchanged."""
+    if isinstance(value, Path):
+        return value.name
+    return [_name_of(item) for item in value] if isinstance(value, tuple) else value
 
 
 def input_document(path: Path) -> dict[str, Any]:
@@ -294,11 +306,18 @@ def find_inputs(
         there = [folder if folder.is_file() else folder / name for folder in dict.fromkeys(folders)]
         there = sorted((path for path in there if path.is_file()), key=lambda path: path.name != name)
         path = next((path for path in there if is_recorded(path, record)), None)
+        if path is None:  # a file that was uploaded to a project lies there under a random name
+            uploads = (path for folder in dict.fromkeys(folders) for path in _uploads(folder))
+            path = next((path for path in uploads if is_recorded(path, record)), None)
         if path is None:
             why = f"{there[0]} differs from it (another SHA-256)" if there else "there is no such file"
             raise ExportError(f"the input {name} is needed, but {why}; give its folder with {option}")
         found.append(path)
     return found
+
+
+def _uploads(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if _UPLOAD.fullmatch(path.stem)) if folder.is_dir() else []
 
 
 def is_recorded(path: Path, record: Mapping[str, Any]) -> bool:

@@ -43,6 +43,10 @@ PANORAMA_FILES = (PANORAMA_FILE, "scan.npz", PROVENANCE_FILE)
 """Files of a panorama."""
 STATIONS_FILE = "stations.json"
 """File that describes stations, beside their scans."""
+RIG_FILE = "rig.json"
+"""File that describes a rig."""
+RIG_FILES = (RIG_FILE, "camera.transform.yaml", "static_transforms.launch.py", "camchain-lidar.yaml")
+"""Files of a rig; all but the first are only written if it is accepted."""
 _SIMULATION_FILES = ("scan.npz", "photo.png", "camera.json", "truth.json")
 _STAGE_PICTURE = re.compile(r"(registered|not_accepted)_[a-z0-9_]+\.png")
 _FILE_MANAGER_FILES = frozenset({".DS_Store", "Thumbs.db", "desktop.ini", ".directory"})
@@ -276,6 +280,10 @@ def _files_of_stations(fields: Mapping[str, Any]) -> Collection[str] | None:
     return (STATIONS_FILE, *(name for name in named if isinstance(name, str) and is_file_name(name)))
 
 
+def _files_of_rig(fields: Mapping[str, Any]) -> Collection[str] | None:
+    return RIG_FILES if fields.get("kind") == "rig" and isinstance(fields.get("software"), dict) else None
+
+
 def is_file_name(name: str) -> bool:
     """Return whether a name, with `/` between folders, is of a file below the folder that it is relative to."""
     parts = name.split("/")
@@ -301,6 +309,7 @@ _DOCUMENTS: Mapping[str, Callable[[Mapping[str, Any]], Collection[str] | None]] 
     EXPORT_FILE: _files_of_export,
     PANORAMA_FILE: _files_of_panorama,
     STATIONS_FILE: _files_of_stations,
+    RIG_FILE: _files_of_rig,
 }
 """Identifying document of each kind of results, and a function that returns the names of all their files; None if the
 document was not written by ladarreg."""

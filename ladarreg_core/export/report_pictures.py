@@ -19,6 +19,7 @@ from ladarreg_core.inspection.model_textures import (
     model_texture,
     registered_texture,
     texture_choices,
+    visibility_texture,
 )
 from ladarreg_core.inspection.pictures import scan_over_photo
 from ladarreg_core.palette import ACCENT, BACKGROUND, DIM, LINE, as_css
@@ -28,6 +29,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture import Label, RegisteredTexture, intensity_picture
 
 _WIDE, _HALF, _TALLEST = 1280, 760, 760
+_MAP_WIDTH = 480  # of the half page, less its margins
 _MAPS: tuple[TextureKind, ...] = ("uncertainty", "label", "residual", "depth_error", "resolution")
 _PER_CENT_LABELS = (Label.SEEN, Label.OCCLUDED, Label.OUT_OF_FRAME, Label.GRAZING, Label.UNCERTAIN)
 
@@ -116,22 +118,29 @@ class ReportPictures:
     def maps(self) -> list[tuple[str, Legend, dict[str, str], str]]:
         """Return the maps on the scan's grid: picture, legend, the share of cells by legend entry, and a caption."""
         usable = {choice.kind: choice for choice in texture_choices(self._result) if choice.usable}
+        # Quantities that change slowly are computed at the size they are shown at.
+        stride = max(1, self._tile.width // _MAP_WIDTH)
+        every = slice(None, None, stride)
+        scan = self._scan.window(every, every) if stride > 1 else self._scan
+        coarse = RegisteredTexture(self._texture.image[every, every], self._texture.labels[every, every])
+        shown = tuple(slice(part.start // stride, -(-part.stop // stride)) for part in self._tile.cells)
+        size = window_size(self._scan, self._tile, max(_MAP_WIDTH, shown[1].stop - shown[1].start), _TALLEST)
+        whole = bool(self._scan.valid[self._tile.cells].all())
         found = []
         for kind in _MAPS:
             if kind not in usable:
                 continue
-            texture = model_texture(self._scan, kind, photo=self._photo, result=self._result, registered=self._texture)
-            window = self._tile
-            size = window_size(self._scan, window, _HALF, _TALLEST)
-            picture = np.array(texture.image)
-            picture[~self._scan.valid] = BACKGROUND
-            legend = texture.legend
-            if not self._scan.valid[window.cells].all():
+            texture = model_texture(scan, kind, photo=self._photo, result=self._result, registered=coarse)
+            legend, shares = texture.legend, {}
+            if kind == "label":  # few cells of a class may all be left out
+                legend = visibility_texture(self._texture.labels).legend
+                shares = self._shares(legend)
+            picture = np.array(texture.image[shown])
+            picture[~scan.valid[shown]] = BACKGROUND
+            if not whole:
                 legend = replace(legend, entries=(*legend.entries, (BACKGROUND, "no return")))
-            image = _nearest(picture[window.cells], size)
-            shares = self._shares(texture.legend) if kind == "label" else {}
             words = usable[kind].description
-            found.append((map_uri(image), legend, shares, f"{usable[kind].label}: {words}."))
+            found.append((map_uri(_nearest(picture, size)), legend, shares, f"{usable[kind].label}: {words}."))
         return found
 
     def _shares(self, legend: Legend) -> dict[str, str]:
@@ -179,4 +188,4 @@ def _nearest(picture: ByteArray, size: tuple[int, int]) -> ByteArray:
     """Return an image resized without mixing its colours, which are codes."""
     rows = (np.arange(size[1]) * picture.shape[0] // size[1]).astype(np.intp)
     columns = (np.arange(size[0]) * picture.shape[1] // size[0]).astype(np.intp)
-    return np.ascontiguousarray(picture[np.ix_(rows, columns)])
+    return np.ascontiguousarray(picture[rows][:, columns])

@@ -14,9 +14,10 @@ from ladarreg_core.arrays import FloatArray
 ORIENTATIONS = 8
 _PRE_BLUR_PX = 0.8
 _SELECTIVITY = 0.83
-_STRIP_ROWS = 48
+_STRIP_ROWS = 16
 _MIN_FACTOR, _NOISE_FACTOR = 0.02, 1.0
 _ANGLES = np.arange(ORIENTATIONS) * np.pi / ORIENTATIONS
+_COSINES, _SINES = np.cos(_ANGLES).astype(np.float32), np.sin(_ANGLES).astype(np.float32)
 
 
 def raw_channels(planes: list[FloatArray], *, pre_blur_px: float = _PRE_BLUR_PX) -> FloatArray:
@@ -32,26 +33,46 @@ def raw_channels(planes: list[FloatArray], *, pre_blur_px: float = _PRE_BLUR_PX)
         (8, H, W) float32: max(|gx cos t + gy sin t| - .83 m, 0) at t = k pi / 8, m the gradient's magnitude.
     """
     height, width = planes[0].shape
-    total = np.zeros((ORIENTATIONS, height, width), np.float32)
+    total = np.empty((ORIENTATIONS, height, width), np.float32)
+    gradients = []
     for plane in planes:
         smooth = cv2.GaussianBlur(np.ascontiguousarray(plane, dtype=np.float32), (0, 0), pre_blur_px)
-        gradient = [np.asarray(cv2.Sobel(smooth, cv2.CV_32F, *order), dtype=np.float32) for order in ((1, 0), (0, 1))]
-        # Strip by strip, so that the passes run in the processor's cache. Sums and roots are NumPy's: OpenCV's differ
-        # in the last digit with the alignment of the array in memory, and equal images must give equal poses.
-        for top in range(0, height, _STRIP_ROWS):
+        gradients.append(
+            [np.asarray(cv2.Sobel(smooth, cv2.CV_32F, *order), dtype=np.float32) for order in ((1, 0), (0, 1))]
+        )
+    # Strip by strip, so that the passes run in the processor's cache. Sums and roots are NumPy's: OpenCV's differ
+    # in the last digit with the alignment of the array in memory, and equal images must give equal poses.
+    buffers = np.empty((4, min(_STRIP_ROWS, height), width), np.float32)
+    for top in range(0, height, _STRIP_ROWS):
+        strip = total[:, top : top + _STRIP_ROWS]
+        floor, by_u, by_v, response = buffers[:, : strip.shape[1]]
+        for number, gradient in enumerate(gradients):
             gx, gy = (g[top : top + _STRIP_ROWS] for g in gradient)
-            floor = np.sqrt(gx * gx + gy * gy)
+            np.multiply(gx, gx, out=floor)
+            np.multiply(gy, gy, out=by_v)
+            floor += by_v
+            np.sqrt(floor, out=floor)
             floor *= np.float32(_SELECTIVITY)
-            response, part = np.empty_like(gx), np.empty_like(gx)
-            for k, angle in enumerate(_ANGLES):
-                np.multiply(gx, np.float32(np.cos(angle)), out=response)
-                np.multiply(gy, np.float32(np.sin(angle)), out=part)
-                response += part
-                np.abs(response, out=response)
-                response -= floor
-                np.maximum(response, 0, out=response)
-                total[k, top : top + _STRIP_ROWS] += response
+            for k in range(ORIENTATIONS // 2 + 1):
+                np.multiply(gx, _COSINES[k], out=by_u)
+                np.multiply(gy, _SINES[k], out=by_v)
+                np.add(by_u, by_v, out=response)
+                _add_rectified(strip[k], response, floor, first=number == 0)
+                if 0 < k < ORIENTATIONS // 2:  # the orientation mirrored at the vertical has the same products
+                    np.subtract(by_v, by_u, out=response)
+                    _add_rectified(strip[-k], response, floor, first=number == 0)
     return total
+
+
+def _add_rectified(total: FloatArray, response: FloatArray, floor: FloatArray, *, first: bool) -> None:
+    """Add max(|response| - floor, 0) to the total, or set it; `response` is overwritten."""
+    np.abs(response, out=response)
+    response -= floor
+    if first:
+        np.maximum(response, 0, out=total)
+    else:
+        np.maximum(response, 0, out=response)
+        total += response
 
 
 def channel_scale(raw: FloatArray, *, blur_px: float = 1.5) -> tuple[float, float]:
@@ -73,6 +94,7 @@ def normalised_channels(
     local_px: float = 8.0,
     local_factor: float = 0.5,
     least_floor: float = 0.0,
+    overwrite: bool = False,
 ) -> FloatArray:
     """Blur the channels and divide by their local strength, so that faint and strong edges have similar weight.
 
@@ -87,12 +109,13 @@ def normalised_channels(
         local_factor: weight of the local strength in the divisor.
         least_floor: least value of median n + .02 max n, for one of several pictures that are compared together: the
             noise of an empty one must not be amplified either.
+        overwrite: whether `raw` may be overwritten; fresh memory of this size costs as much time as the blur.
 
     Returns:
         (H, W, 8) float32, C / (n + factor blur(n) + median n + .02 max n) with n the norm over the channels; its norm
         is below 1.
     """
-    planes = _blurred(raw, blur_px)
+    planes = _blurred(raw, blur_px, overwrite=overwrite)
     norm = _norm(planes)
     largest = float(norm.max(initial=0.0))
     if largest <= 0:
@@ -102,18 +125,22 @@ def normalised_channels(
     norm += np.float32(max(channel_floor(largest, noise), least_floor))
     for plane in planes:
         plane /= norm
-    return np.asarray(cv2.merge(planes), dtype=np.float32)
+    return np.asarray(cv2.merge(list(planes)), dtype=np.float32)
 
 
-def _blurred(raw: FloatArray, blur_px: float) -> list[FloatArray]:
+def _blurred(raw: FloatArray, blur_px: float, *, overwrite: bool = False) -> FloatArray:
     side = 2 * int(np.ceil(3 * blur_px)) - 1
-    return [np.asarray(cv2.GaussianBlur(plane, (side, side), blur_px), dtype=np.float32) for plane in raw]
+    blurred = raw if overwrite else np.empty_like(raw)
+    for plane, smooth in zip(raw, blurred, strict=True):
+        cv2.GaussianBlur(plane, (side, side), blur_px, dst=smooth)
+    return blurred
 
 
-def _norm(planes: list[FloatArray]) -> FloatArray:
-    norm = np.zeros_like(planes[0])
+def _norm(planes: FloatArray) -> FloatArray:
+    norm, square = np.zeros_like(planes[0]), np.empty_like(planes[0])
     for plane in planes:
-        norm += plane * plane
+        np.multiply(plane, plane, out=square)
+        norm += square
     return np.asarray(np.sqrt(norm, out=norm))
 
 
@@ -133,7 +160,9 @@ def channel_products(first: FloatArray, second: FloatArray) -> FloatArray:
 def add_channels(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the sum of two normalised channel images (H, W, 8), with its norm limited to 1."""
     total = first + second
-    square = channel_products(total, total)
-    longer = square > 1
-    total[longer] /= np.sqrt(square[longer])[:, None]
+    for top in range(0, len(total), _STRIP_ROWS):
+        strip = total[top : top + _STRIP_ROWS]
+        square = channel_products(strip, strip)
+        longer = square > 1
+        strip[longer] /= np.sqrt(square[longer])[:, None]
     return total

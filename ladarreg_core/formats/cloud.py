@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +14,7 @@ from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.untrusted import unit_notes
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
+from ladarreg_core.scanner.accumulation import OneCloud
 from ladarreg_core.scanner.cloud import Coordinates, locate_cloud
 from ladarreg_core.scanner.gridding import LARGEST_GRID
 
@@ -20,6 +23,19 @@ _HELD_BYTES = 120  # the same per point alone
 _CELL_BYTES = 300  # the same per cell of a grid that is mostly empty
 _FAR_M = 1000.0
 _SAMPLES = 10_000
+_kept: ContextVar[list[OneCloud] | None] = ContextVar("kept", default=None)
+
+
+@contextmanager
+def clouds_kept() -> Iterator[list[OneCloud]]:
+    """Keep the points of clouds that are read until the block ends, as they were before they were gridded."""
+    token = _kept.set([])
+    try:
+        found = _kept.get()
+        assert found is not None
+        yield found
+    finally:
+        _kept.reset(token)
 
 
 def most_cells_of(budget: ReadBudget, points: int, bytes_per_point: float) -> int:
@@ -86,6 +102,11 @@ def scan_of_cloud(
         world_from_scanner=world_from_scanner, most_cells=most_cells,
     )  # fmt: skip
     cloud = located.cloud
+    kept = _kept.get()
+    if kept is not None:
+        moved = np.asarray(points, dtype=np.float64) - located.origin
+        rings = None if ring is None else np.asarray(ring, dtype=np.int64)
+        kept.append(OneCloud(name, moved, np.asarray(intensity, dtype=np.float32), color, rings))
     return Scan(
         cloud.geometry,
         cloud.ranges,

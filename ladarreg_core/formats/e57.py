@@ -20,7 +20,7 @@ from ladarreg_core.formats.intensity import require_intensity
 from ladarreg_core.formats.scan_request import IntensitySource
 from ladarreg_core.formats.untrusted import LARGEST_GRID_CELLS, PathLike, one_line, reading, unit_notes
 from ladarreg_core.progress import Progress, Report
-from ladarreg_core.scan import LUMA_NOTE, Scan, luma
+from ladarreg_core.scan import LUMA_NOTE, NO_INTENSITY_NOTE, Scan, luma
 from ladarreg_core.scanner.gridding import LARGEST_GRID
 from ladarreg_core.scanner.ray_table import MOST_FITTED_CELLS
 
@@ -70,7 +70,8 @@ def read_e57(
         is up to 100 million cells, if the memory allows, and thinned beyond.
 
     Raises:
-        FormatError: if it is damaged, has no scan or no intensity, or would need more memory than it may use.
+        FormatError: if it is damaged, has no scan or lacks the intensity asked for, or would need more memory than
+            it may use.
         ShapeError: if there are no returns.
         OptionError: if there is no scan with that index.
     """
@@ -299,7 +300,7 @@ def _filled(records: _Records, first: tuple[int, int], shape: tuple[int, int], t
             continue
         points, state = _positions(part)
         color = _color_planes(part, scan.color_largest) if with_color else None
-        intensity = _strength(part, color)
+        intensity = _strength(part, color, len(cells[0]))
         grid.add(cells[0], cells[1], points, state=state, intensity=intensity, color=color)
     if grid.filled < _LEAST_UNIQUE * kept:
         return None
@@ -342,7 +343,7 @@ def _from_cloud(
     for axis in (*_CARTESIAN, *_SPHERICAL):
         columns.pop(axis, None)
     colors = _color_planes(columns, scan.color_largest) if set(_COLORS) <= set(columns) else None
-    intensity = _strength(columns, colors)
+    intensity = _strength(columns, colors, len(points))
     with np.errstate(over="ignore", invalid="ignore"):
         ranges = np.linalg.norm(points, axis=-1)
     returned = np.isfinite(ranges) & (ranges > 0)
@@ -368,6 +369,8 @@ def _from_cloud(
 
 def _notes(info: E57Info, scan: E57ScanInfo, intensity: IntensitySource) -> list[str]:
     notes = [LUMA_NOTE] if intensity == "luma" else []
+    if intensity == "auto" and "intensity" not in scan.field_names:
+        notes.append(NO_INTENSITY_NOTE)
     if len(info.scans) > 1:
         notes.append(f"the file contains {len(info.scans)} scans; this is {scan.name!r}")
     if scan.pose_problem:
@@ -397,11 +400,12 @@ def _positions(
 
 
 def _strength(
-    columns: dict[str, NDArray[Any]], color: tuple[ByteArray, ByteArray, ByteArray] | None
+    columns: dict[str, NDArray[Any]], color: tuple[ByteArray, ByteArray, ByteArray] | None, count: int
 ) -> NDArray[np.floating]:
-    """Return the intensity (N,), NaN where it is invalid; the luminance of the colours where it was not read."""
+    """Return the intensity (N,), NaN where it is invalid; if it was not read, the luminance of the colours, or 0."""
     if "intensity" not in columns:
-        assert color is not None, "_require_fields has refused it"
+        if color is None:
+            return np.zeros(count, np.float32)
         return luma(np.stack(color, axis=-1))
     if "isIntensityInvalid" not in columns:
         return columns["intensity"]

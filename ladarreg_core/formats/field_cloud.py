@@ -53,17 +53,17 @@ def scan_of_fields(
         notes: remarks on the file so far.
 
     Raises:
-        FormatError: without x, y, z or without intensity.
+        FormatError: without x, y, z, or without what is asked for as the intensity.
         ShapeError: if there are no returns.
     """
     names = {field.lower(): field for field in columns}
     if not {"x", "y", "z"} <= set(names):
-        raise FormatError(f"its fields are {one_line(' '.join(columns), 80)}; a scan needs x, y, z and intensity")
+        raise FormatError(f"its fields are {one_line(' '.join(columns), 80)}; a scan needs x, y, z")
     found = intensity_name(columns)
     color = next((_unpack_rgb(columns[names[field]]) for field in PACKED_COLOR_NAMES if field in names), None)
     require_intensity(intensity, has_intensity=found is not None, has_color=color is not None, fields=" ".join(columns))
-    strength, said = chosen_intensity(intensity, None if found is None else columns[found], color)
     points = np.stack([columns[names[axis]].astype(np.float64) for axis in "xyz"], axis=-1)
+    strength, said = chosen_intensity(intensity, None if found is None else columns[found], color, points.shape[:-1])
     ring = next((columns[names[field]] for field in RING_NAMES if field in names), None)
     remarks = [*notes, *said]
     if pose is not None:

@@ -12,7 +12,7 @@ from ladarreg_core.arrays import ByteArray, FloatArray
 from ladarreg_core.errors import FormatError, UnderspecifiedError
 from ladarreg_core.formats.scan_request import IntensitySource
 from ladarreg_core.formats.untrusted import as_float32, one_line
-from ladarreg_core.scan import LUMA_NOTE, luma
+from ladarreg_core.scan import LUMA_NOTE, NO_INTENSITY_NOTE, luma
 
 INTENSITY_NAMES = (
     "intensity", "intensities", "i", "reflectivity", "reflectance", "remission", "amplitude", "signal", "refl", "inten",
@@ -60,6 +60,8 @@ def require_intensity(
 ) -> None:
     """Refuse a cloud without the quantity that is asked for as its intensity, before its points are read.
 
+    A cloud without intensity and without colours is no error: its shape is compared alone.
+
     Args:
         source: `auto`: the laser's intensity; `luma`: the luminance of the colours.
         has_intensity: whether the file has an intensity.
@@ -76,38 +78,43 @@ def require_intensity(
             f"{what} have no colours{found}, so that there is no luminance to take as the intensity; leave out "
             "`intensity='luma'`"
             if has_intensity
-            else f"{what} have neither intensity nor colours{found}, of which one is needed for matching: export them "
-            "with intensity"
+            else f"{what} have neither intensity nor colours{found}, so that there is no luminance to take as the "
+            "intensity; leave out `intensity='luma'` to compare their shape alone, or export them with intensity"
         )
     if source == "auto" and not has_intensity and has_color:
         raise UnderspecifiedError(
             f"{what} have colours but no intensity, which is needed for matching: export with intensity, or take the "
             "luminance of the colours (`intensity='luma'`)"
         )
-    if source == "auto" and not has_intensity:
-        raise FormatError(f"{what} have no intensity{found}, which is needed for matching: export with intensity")
 
 
 def chosen_intensity(
-    source: IntensitySource, intensity: ArrayLike | None, color: ByteArray | None
+    source: IntensitySource, intensity: ArrayLike | None, color: ByteArray | None, shape: tuple[int, ...]
 ) -> tuple[NDArray[np.float32], tuple[str, ...]]:
     """Return the intensity that is asked for, and what the operator should know of it.
 
     Args:
         source: as `require_intensity`, whose conditions hold.
-        intensity: (...,), the laser's; None without one.
+        intensity: of that shape, the laser's; None without one.
         color: (..., 3) uint8 RGB; None without one.
+        shape: of the points, (N,) or (H, W).
+
+    Returns:
+        The intensity, 0 everywhere if there is none, and notes.
     """
     if source == "luma":
         assert color is not None, "require_intensity has refused it"
         return luma(color), (LUMA_NOTE,)
-    assert intensity is not None, "require_intensity has refused it"
+    if intensity is None:
+        return np.zeros(shape, np.float32), (NO_INTENSITY_NOTE,)
     strength = as_float32(intensity)
     known = strength[np.isfinite(strength)]
-    if color is not None and known.size and known.min() == known.max():
+    if not known.size or known.min() == known.max():
+        same = f"the intensity is {known.flat[0]:g} everywhere" if known.size else "the intensity is not known anywhere"
+        if color is None:
+            return strength, (f"{same}: only the scan's shape can be compared with a photo",)
         return strength, (
-            f"the intensity is {known.flat[0]:g} everywhere, which nothing can be matched by; `intensity='luma'` takes "
-            "the luminance of the colours",
+            f"{same}, which nothing can be matched by; `intensity='luma'` takes the luminance of the colours",
         )
     return strength, ()
 

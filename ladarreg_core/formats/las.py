@@ -18,7 +18,7 @@ from ladarreg_core.formats.scan_request import IntensitySource
 from ladarreg_core.formats.untrusted import PathLike, as_float32, one_line, reading
 from ladarreg_core.frames import describe_position
 from ladarreg_core.progress import Progress, Report
-from ladarreg_core.scan import LUMA_NOTE, Scan, luma
+from ladarreg_core.scan import LUMA_NOTE, NO_INTENSITY_NOTE, Scan, luma
 
 INTENSITY_NAMES = ("reflectance", "amplitude", "intensity", "reflectivity", "signal")
 """Extra bytes that are intensities, in the order of preference."""
@@ -53,7 +53,8 @@ def read_las(
 
     Raises:
         DependencyError: if laspy or lazrs is not installed.
-        FormatError: if it is damaged, has waveforms, no intensity, or would need more memory than it may use.
+        FormatError: if it is damaged, has waveforms or no colours to take as intensity, or would need more memory than
+            it may use.
         ShapeError: if there are too few points.
         UnderspecifiedError: if it is neither given nor clear where the scanner stood.
     """
@@ -183,10 +184,7 @@ def _intensity(
             "all its points have the same intensity; an intensity is needed for matching: export it again with "
             "intensity, or take the luminance of its colours by `intensity='luma'`"
         )
-    raise FormatError(
-        "all its points have the same intensity, and it has no colours; an intensity is needed for matching: export it "
-        "again with intensity"
-    )
+    return as_float32(columns["intensity"]), [NO_INTENSITY_NOTE]
 
 
 def _varies(values: NDArray[Any]) -> bool:

@@ -62,8 +62,8 @@ def read_pcd(
         confirm it; any other cloud is gridded.
 
     Raises:
-        FormatError: if the header is damaged, claims more than the file contains or than fits into memory, or if there
-            is no intensity.
+        FormatError: if the header is damaged, claims more than the file contains or than fits into memory, or if the
+            points lack what is asked for as the intensity.
         ShapeError: if there are no returns.
     """
     with reading(path) as file:

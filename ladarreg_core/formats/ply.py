@@ -117,11 +117,10 @@ def read_ply(
                     "with them"
                 )
             faces = next((e.count for e in header.elements if e.name == "face"), 0)
-            if strength is None and paint is None:
-                what = f"it is a mesh of {faces:,} faces whose vertices" if faces else "its vertices"
+            if faces and strength is None and paint is None:
                 raise FormatError(
-                    f"{what} have {one_line(listed, 60)!r}, neither intensity nor colours, of which one is needed for "
-                    "matching: export the cloud with its intensity"
+                    f"it is a mesh of {faces:,} faces whose vertices have {one_line(listed, 60)!r}, neither intensity "
+                    "nor colours, so that it is hardly a scan: export the scan's points"
                 )
             require_intensity(
                 intensity, has_intensity=strength is not None, has_color=paint is not None, what="its vertices",
@@ -134,7 +133,8 @@ def read_ply(
         notes = (f"the file is a mesh; its {vertex.count:,} vertices are the scan, its {faces:,} faces are left out",)
         color = None if paint is None else colors_as_bytes([columns.pop(name) for name in paint])
         points = as_points([columns.pop(name) for name in position if name is not None])
-        value, said = chosen_intensity(intensity, None if strength is None else columns[strength], color)
+        laser = None if strength is None else columns[strength]
+        value, said = chosen_intensity(intensity, laser, color, points.shape[:-1])
         return scan_of_cloud(
             points,
             value,

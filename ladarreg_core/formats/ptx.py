@@ -285,7 +285,7 @@ def _to_scan(
         color = colors_as_bytes([table[:, k] for k in range(block.width - 3, block.width)]).reshape(*shape, 3)
     del table
     rays = unit_rays(points)
-    value, more = chosen_intensity(source, strength, color)
+    value, more = chosen_intensity(source, strength, color, shape)
     if not _is_grid(rays):
         header = f"the header says {shape[0]:,} x {shape[1]:,}, but the points are not in this order"
         return scan_of_cloud(

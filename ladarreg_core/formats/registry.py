@@ -12,7 +12,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ladarreg_core.errors import FormatError, LadarregError
+from ladarreg_core.errors import FormatError, LadarregError, OptionError
+from ladarreg_core.formats.accumulated import read_accumulated
 from ladarreg_core.formats.bag import read_bag, sniff_bag
 from ladarreg_core.formats.camera_file import CAMERA_FORMATS, CameraFormat
 from ladarreg_core.formats.camera_nerfstudio import is_nerfstudio
@@ -321,6 +322,7 @@ def listed_kind(path: Path) -> FileKind | None:
 def read_scan(
     path: PathLike,
     *,
+    more: Sequence[PathLike] = (),
     scan_index: int = 0,
     origin: tuple[float, float, float] | None = None,
     intensity: IntensitySource = "auto",
@@ -334,6 +336,8 @@ def read_scan(
 
     Args:
         path: a file of one of the scan formats.
+        more: further files that were taken from the same standpoint, the scanner at rest: the clouds are merged before
+            they are arranged in a grid. The frame is that of `path`, and the other options hold for all.
         scan_index: index of the scan in files that contain several.
         origin: where the scanner stood, (3,) in the coordinates of the file, m; for clouds that are not in the
             scanner's frame.
@@ -346,10 +350,13 @@ def read_scan(
         report: receives the progress.
 
     Raises:
-        FormatError: if it is not a scan, is damaged, has no intensity, or would need more memory than it may use.
-        ShapeError: if its arrays disagree, or there are no returns.
+        FormatError: if it is not a scan, is damaged, lacks the intensity asked for, or would need more memory than
+            it may use.
+        ShapeError: if its arrays disagree, there are no returns, or a file of `more` was plainly taken from elsewhere.
         OptionError: if there is no scan of that index, or the format has no use for an option.
     """
+    if isinstance(more, (str, bytes)) or not isinstance(more, Sequence):
+        raise OptionError(f"'more' is {more!r:.80}; give a list of files")
     asked = ScanRequest(
         scan_index=scan_index,
         origin=origin,
@@ -360,6 +367,14 @@ def read_scan(
         memory_bytes=memory_bytes,
         report=report,
     )
+    if more:
+        return read_accumulated(
+            [Path(file) for file in (path, *more)], lambda file: _read_one(file, asked), memory_bytes=memory_bytes
+        )
+    return _read_one(path, asked)
+
+
+def _read_one(path: PathLike, asked: ScanRequest) -> Scan:
     with parsed_once():
         found = recognise(path, kinds=("scan",))
         asked.require_only(found.takes, found.name)

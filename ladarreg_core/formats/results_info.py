@@ -59,6 +59,8 @@ def _describer(fields: Fields) -> Callable[[Path, Fields], FileInfo] | None:
         return _panorama
     if fields.get("kind") == "stations" and isinstance(fields.get("stations"), list):
         return _stations
+    if fields.get("kind") == "rig" and isinstance(fields.get("pairs"), list):
+        return _rig
     if "offset_is" in fields and isinstance(fields.get("offset_m"), list):
         return _offset
     return None
@@ -131,6 +133,17 @@ def _panorama(path: Path, fields: Fields) -> FileInfo:
 def _stations(path: Path, fields: Fields) -> FileInfo:
     lines = tuple(f"{name}: {one_line(text, _LONGEST)}" for name, text in station_lines(fields))
     return FileInfo(**_about(path, fields, "stations"), contents=lines)
+
+
+def _rig(path: Path, fields: Fields) -> FileInfo:
+    where = POSE_FIELD if fields["accepted"] else GUESS_FIELD
+    lines = [f"{one_line(one['name'], 60)}: {one_line(one['outcome'], 20)}" for one in fields["pairs"]]
+    return FileInfo(
+        **_about(path, fields, "rig"),
+        verdict="Accepted: verified by pairs that were held out." if fields["accepted"] else "Not accepted.",
+        pose={} if fields.get(where) is None else _pose(read_pose(path, field=where)),
+        contents=(*lines, *(one_line(reason, _LONGEST) for reason in fields["reasons"])),
+    )
 
 
 def _offset(path: Path, fields: Fields) -> FileInfo:

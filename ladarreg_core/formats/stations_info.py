@@ -5,8 +5,44 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ladarreg_core.errors import FormatError
+from ladarreg_core.errors import FormatError, LadarregError
 from ladarreg_core.formats.untrusted import one_line
+from ladarreg_core.frames import Rigid
+
+VERSION = 1
+"""Version of `stations.json` that is written and read."""
+
+
+def stated_poses(fields: Mapping[str, Any]) -> dict[str, Rigid]:
+    """Return the `world_from_scanner` that a `stations.json` states for each file of a scan.
+
+    Raises:
+        FormatError: if it is of another version, or damaged.
+    """
+    version, listed = fields.get("version"), fields.get("stations")
+    if isinstance(version, bool) or version != VERSION:
+        raise FormatError(
+            f"it is of version {one_line(repr(version), 30)}, and version {VERSION} is read; register the stations "
+            "again"
+        )
+    if fields.get("kind") != "stations" or not isinstance(listed, list):
+        raise FormatError("it does not describe stations; give the folder of `register-scans`")
+    poses: dict[str, Rigid] = {}
+    for number, one in enumerate(listed):
+        if not isinstance(one, dict):
+            raise FormatError(f"station {number} is no object; register the stations again")
+        scan, pose = one.get("scan"), one.get("world_from_scanner")
+        if scan is None and pose is None:
+            continue
+        if not isinstance(scan, str) or scan in poses:
+            raise FormatError(f"station {number} has a pose and names no scan of its own; register the stations again")
+        try:
+            poses[scan] = Rigid.from_matrix([] if pose is None else pose)
+        except (LadarregError, TypeError, ValueError):
+            raise FormatError(f"the pose of {one_line(scan, 60)} is damaged; register the stations again") from None
+    if not poses:
+        raise FormatError("it names no scans; register the stations again")
+    return poses
 
 
 def station_lines(fields: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -15,6 +51,7 @@ def station_lines(fields: Mapping[str, Any]) -> list[tuple[str, str]]:
     Raises:
         FormatError: if they are damaged.
     """
+    stated_poses(fields)
     try:
         names = [one_line(one["name"], 60) for one in fields["stations"]]
         lines = []

@@ -39,6 +39,7 @@ _AXES = {
     "z": ("z", "z_m", "z_coord", "coord._z", "elevation", "height", "altitude"),
 }
 _PTS_COLUMNS = {
+    3: ("x", "y", "z"),
     4: ("x", "y", "z", "intensity"),
     6: ("x", "y", "z", "r", "g", "b"),
     7: ("x", "y", "z", "intensity", "r", "g", "b"),
@@ -217,8 +218,9 @@ def read_text_cloud(
         color = None
         if "r" in at:
             color = colors_as_bytes([table[:, at[name]] for name in "rgb"])
-        value, said = chosen_intensity(intensity, table[:, at["intensity"]] if "intensity" in at else None, color)
         points = table[:, :3]
+        laser = table[:, at["intensity"]] if "intensity" in at else None
+        value, said = chosen_intensity(intensity, laser, color, points.shape[:-1])
         return scan_of_cloud(
             points,
             value,
@@ -282,10 +284,11 @@ def _places(names: Sequence[str], source: IntensitySource) -> dict[str, int]:
     listed = ", ".join(names)
     if position is None:
         raise FormatError(f"its columns are {one_line(listed, 80)}; a scan needs x, y and z: name them by `columns`")
-    if strength is None and paint is None:
+    others = [name for name in names if name not in (*position, *_SKIPPED)]
+    if strength is None and paint is None and others:
         raise UnderspecifiedError(
-            f"its columns are {one_line(listed, 60)}, none of them an intensity, which is needed for matching: "
-            "export it with intensity, or name the column by `columns`"
+            f"its columns are {one_line(listed, 60)}, none of which is called an intensity: name the column by "
+            "`columns`, or skip the others by - to compare the shape alone"
         )
     require_intensity(
         source, has_intensity=strength is not None, has_color=paint is not None, what="its points", fields=listed

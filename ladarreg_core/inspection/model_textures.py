@@ -363,8 +363,8 @@ def _of_depth_errors(values: FloatArray) -> ModelTexture:
     known = np.isfinite(values)
     mm = np.where(known, 1000 * values, 0).astype(np.float32)
     most = max(scale_end(np.abs(mm)), _LEAST_MM) if known.any() else _LEAST_MM
-    picture = np.array(diverging_colours(mm / np.float32(most)))
-    picture[~known] = UNKNOWN
+    picture = np.full((*values.shape, 3), UNKNOWN, np.uint8)
+    picture[known] = diverging_colours(mm[known] / np.float32(most))
     legend = Legend(
         "Laser minus stereo depth of the nearby matches, mm",
         ((UNKNOWN, "no data"),),

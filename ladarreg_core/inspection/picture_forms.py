@@ -9,7 +9,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from ladarreg_core.errors import OptionError
 
@@ -102,6 +101,8 @@ def part(pixels: NDArray[np.uint8], column: int, row: int) -> EncodedPicture:
 
 
 def _saved(pixels: NDArray[np.uint8], name: str, **options: Any) -> EncodedPicture:
+    from PIL import Image
+
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, name, **options)
     return EncodedPicture(buffer.getvalue(), f"image/{name.lower()}")

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.errors import OptionError, ShapeError
-from ladarreg_core.frames import Rigid
+from ladarreg_core.frames import Rigid, look_along
+from ladarreg_core.inspection.drawn_surface import drawn_surface
 from ladarreg_core.inspection.viewpoints import is_all_around
 from ladarreg_core.matching.views import viewing_directions
 from ladarreg_core.palette import ACCENT
@@ -25,7 +26,7 @@ from ladarreg_core.surface.render import LARGEST_DRAWN_SCAN, render_scan_colors
 from ladarreg_core.surface.texture import RegisteredTexture, intensity_picture
 from ladarreg_core.validation import require_choice
 
-Show = Literal["intensity", "raw", "range", "normals", "edges", "color"]
+Show = Literal["intensity", "raw", "range", "shape", "normals", "edges", "color"]
 OverlayShow = Literal["intensity", "edges", "range"]
 _STRONG = 150.0
 _WIDEST_PX = 2048
@@ -35,8 +36,14 @@ _FIELD_RAD = math.radians(90.0)
 _WELL_FILLED, _SAMPLED = 0.9, 4
 _NOTABLE = 1.05
 _EMPTY = np.array((11, 12, 15), np.uint8)  # no return
+_LIGHT = np.array((-0.58, 0.79, 0.21), np.float32)  # from above and the left: floors, walls and their sides differ
+_CREASE = 0.04  # step of the range between neighbouring pixels, as a share of it, at which one surface hides another
+_CREASE_GRAY = 0.25
 _BINS = 4096
 _MOST_GAMMA = 10.0
+_BETWEEN_RAD = float(np.deg2rad(30.0))
+_SAME_DIRECTION_RAD = float(np.deg2rad(10.0))
+_LEAST_SHARE_BETWEEN = 0.4  # of the cells that other views show
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +57,7 @@ class NamedView:
     view_from_scanner: Rigid
     """Its rotation."""
     label: str
-    """Its viewing direction, in words."""
+    """Its viewing direction, in words; empty for one in between, to which one turns step by step."""
     _latest: list[ReferenceType[View]] = field(default_factory=list, repr=False)
 
     @property
@@ -66,7 +73,9 @@ class NamedView:
 def inspection_views(scan: Scan) -> tuple[NamedView, ...]:
     """Return one view of the whole scan, or several side by side where one would be too wide.
 
-    Several go from left to right; all around they begin with a well filled one, as nearly ahead as can be.
+    Several go from left to right; all around they begin with a well filled one, as nearly ahead as can be. Behind them
+    are the views in between, without a label: of the directions in which the scan has cells, none is far from the
+    middle of a view.
 
     Each has about one pixel per cell, but no more than 8 Mpixel, 16 pixels per cell of the scan, or 32,000 pixels a
     side; beyond these limits the views are coarser. Source: thesis 2.2.2.
@@ -92,7 +101,27 @@ def inspection_views(scan: Scan) -> tuple[NamedView, ...]:
         good = [k for k in range(len(views)) if filled[k] >= _WELL_FILLED * max(filled)]
         first = min(good, key=lambda k: abs(_azimuth(directions[k].rotation[2])))
         views = views[first:] + views[:first]
-    return tuple(views)
+    return (*views, *_views_between(scan, camera, directions)) if len(views) > 1 else tuple(views)
+
+
+def _views_between(scan: Scan, camera: Camera, directions: Sequence[Rigid]) -> list[NamedView]:
+    """Return upright views some 30 degrees apart, in directions that no other has and where the scan has cells."""
+    axes = [direction.rotation[2] for direction in directions]
+    rays = scan.sampled_directions
+    within = np.cos(_FIELD_RAD / 2)
+    usual = float(np.median([np.count_nonzero(rays @ axis > within) for axis in axes]))
+    found = []
+    for elevation in np.arange(-3, 4) * _BETWEEN_RAD:
+        count = max(1, round(2 * np.pi * np.cos(elevation) / _BETWEEN_RAD))
+        for azimuth in 2 * np.pi * np.arange(count) / count:
+            level = np.cos(elevation)
+            axis = np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+            if np.count_nonzero(rays @ axis > within) < _LEAST_SHARE_BETWEEN * usual:
+                continue
+            if max(float(axis @ other) for other in axes) < np.cos(_SAME_DIRECTION_RAD):
+                axes.append(axis)
+                found.append(NamedView(scan, camera, Rigid(look_along(axis), np.zeros(3)), ""))
+    return found
 
 
 def _returns_in(view: View) -> int:
@@ -107,6 +136,18 @@ def resolution_note(scan: Scan, views: Sequence[NamedView]) -> str | None:
     if cells < _NOTABLE:
         return None
     return f"shown at one pixel per {cells:.2g} cells of its finer direction, the finest resolution of a view"
+
+
+def usual_show(scan: Scan) -> Show:
+    """Return how a scan is shown at first: by its intensity or, where it has none, by its shape."""
+    return "intensity" if scan.has_intensity else "shape"
+
+
+def display_note(scan: Scan) -> str | None:
+    """Return a note on how a scan without intensity is shown."""
+    if scan.has_intensity:
+        return None
+    return "the scan has no intensity, so it is shown by its shape; its range, normals and edges can be shown instead"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,7 +180,8 @@ def scan_picture(view: View, show: str, stretch: Stretch | None = None) -> NDArr
     Args:
         view: the view.
         show: `intensity`, compensated for range; `raw`, as recorded; `range`, colours by inverse range, to which
-            parallax is proportional; `normals`, surface normals as colours; `edges` of intensity and range; `color`,
+            parallax is proportional; `shape`, the surface as if lit from above, with dark outlines, which needs no
+            intensity; `normals`, surface normals as colours; `edges` of intensity and range; `color`,
             the colour recorded by the scanner.
         stretch: contrast of the intensity; for the range only its percentiles count.
 
@@ -155,15 +197,18 @@ def scan_picture(view: View, show: str, stretch: Stretch | None = None) -> NDArr
         planes = [view.resample(view.scan.color[..., k].astype(np.float32)) for k in range(3)]
         picture = np.rint(np.stack(planes, axis=-1)).astype(np.uint8)
         return np.where(view.inside[..., None], picture, _EMPTY)
-    seen = np.isfinite(view.ranges)
+    ranges, intensity = drawn_surface(view)
+    seen = np.isfinite(ranges)
     if show in ("intensity", "raw"):
-        values = view.intensity if show == "raw" else compensated(view)
+        values = intensity if show == "raw" else _compensated(view.scan, ranges, intensity)
         gray = stretched(values, seen, stretch or Stretch())
         picture = np.repeat(gray[..., None], 3, axis=-1)
     elif show == "range":
-        picture = _range_colours(view.ranges, seen, stretch or Stretch(low=1, high=99))
+        picture = _range_colours(ranges, seen, stretch or Stretch(low=1, high=99))
+    elif show == "shape":
+        picture = np.repeat(_shape_shading(view.camera, ranges, seen)[..., None], 3, axis=-1)
     elif show == "normals":
-        picture = _normal_colours(view)
+        picture = _normal_colours(view.camera, ranges)
     else:
         gray = 255 - edge_strength(view)
         picture = np.repeat(gray[..., None], 3, axis=-1)
@@ -176,11 +221,15 @@ def compensated(view: View) -> FloatArray:
     Returned light falls with the square of the range; compensation makes far surfaces as legible as near ones. It is
     limited to a factor of four in range, beyond which it would amplify noise only.
     """
-    seen = np.isfinite(view.ranges)
-    if view.scan.intensity_is != "raw" or not seen.any():
-        return view.intensity
-    share = view.ranges / np.float32(np.median(view.ranges[seen]))
-    return np.asarray(view.intensity * np.clip(np.nan_to_num(share, nan=1.0), 0.25, 4.0) ** 2, dtype=np.float32)
+    return _compensated(view.scan, view.ranges, view.intensity)
+
+
+def _compensated(scan: Scan, ranges: FloatArray, intensity: FloatArray) -> FloatArray:
+    seen = np.isfinite(ranges)
+    if scan.intensity_is != "raw" or not seen.any():
+        return intensity
+    share = ranges / np.float32(np.median(ranges[seen]))
+    return np.asarray(intensity * np.clip(np.nan_to_num(share, nan=1.0), 0.25, 4.0) ** 2, dtype=np.float32)
 
 
 def stretched(values: FloatArray, known: NDArray[np.bool_], stretch: Stretch) -> NDArray[np.uint8]:
@@ -227,11 +276,12 @@ def scan_over_photo(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid,
         camera = camera.resized(_WIDEST_PX, max(1, round(camera.height * _WIDEST_PX / camera.width)))
     scan, _ = scan.thinned(LARGEST_DRAWN_SCAN)
     picture = _range_picture(scan) if show == "range" else intensity_picture(scan)
+    if show == "edges":  # one rendering for both grays, of which every channel is a copy
+        picture = np.stack([picture[..., 0], _range_picture(scan)[..., 0], picture[..., 0]], axis=-1)
     colour, covered = render_scan_colors(scan, camera, camera_from_scanner, picture=picture, supersample=1)
     if show != "edges":
         return _with_alpha(colour, np.where(covered, 255, 0))
-    depth, _ = render_scan_colors(scan, camera, camera_from_scanner, picture=_range_picture(scan), supersample=1)
-    strength = np.maximum(_magnitude(colour[..., 0]), _magnitude(depth[..., 0]))
+    strength = np.maximum(_magnitude(colour[..., 0]), _magnitude(colour[..., 1]))
     edge = np.zeros_like(colour)
     edge[:] = ACCENT
     inside = cv2.erode(covered.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
@@ -272,14 +322,37 @@ def _range_colours(ranges: FloatArray, seen: NDArray[np.bool_], stretch: Stretch
     return np.asarray(cv2.cvtColor(cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS), cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
-def _normal_colours(view: View) -> NDArray[np.uint8]:
+def _normal_colours(camera: Camera, ranges: FloatArray) -> NDArray[np.uint8]:
     """Colour a surface by its normal in view axes, as renderers do: right red, up green, facing the viewer blue."""
-    ranges = np.nan_to_num(view.ranges)
+    return np.asarray(np.rint(127.5 * (_normals(camera, np.nan_to_num(ranges)) + 1)), dtype=np.uint8)
+
+
+def _shape_shading(camera: Camera, ranges: FloatArray, seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return gray levels (h, w) of a matt surface, darker along the outlines of nearer parts and beside holes."""
+    if not seen.any():
+        return np.zeros(ranges.shape, np.uint8)
+    normals = _normals(camera, _filled(ranges, seen))
+    shade = 0.15 + 0.85 * np.clip(0.5 + 0.5 * normals @ _LIGHT, 0, 1) ** 1.5
+    low = cv2.erode(np.where(seen, ranges, np.float32(1e9)).astype(np.float32), np.ones((3, 3), np.uint8))
+    hidden = seen & (ranges / low > 1 + _CREASE)  # the farther side: the nearer surface keeps its whole width
+    shade = np.where(hidden, _CREASE_GRAY * shade, shade)
+    return np.asarray(np.rint(255 * np.clip(shade, 0, 1)), dtype=np.uint8)
+
+
+def _filled(ranges: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
+    """Return ranges (h, w) with those of the nearest known pixel where there is none, so that borders have normals."""
+    empty = np.asarray(~seen, np.uint8)
+    _, label = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    of_label = np.zeros(int(label.max()) + 1, np.float32)
+    of_label[label[seen]] = ranges[seen]
+    return np.asarray(of_label[label])
+
+
+def _normals(camera: Camera, ranges: FloatArray) -> FloatArray:
+    """Return the normals (h, w, 3) of a surface, x right, y up, z towards the viewer; of ranges in m, 0 for none."""
     smooth = cv2.bilateralFilter(np.log(np.maximum(ranges, 1e-3)).astype(np.float32), 7, 0.03, 3)
-    v, u = np.mgrid[: view.camera.height, : view.camera.width].astype(np.float32)
-    rays = np.stack(
-        [(u - view.camera.cx) / view.camera.fx, (v - view.camera.cy) / view.camera.fy, np.ones_like(u)], axis=-1
-    )
+    v, u = np.mgrid[: camera.height, : camera.width].astype(np.float32)
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     points = rays * np.exp(smooth)[..., None]
     across, down = (
@@ -288,8 +361,7 @@ def _normal_colours(view: View) -> NDArray[np.uint8]:
     )
     normal = np.cross(down, across)
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
-    shown = normal * np.array([1, -1, -1], np.float32)  # y up and z towards the viewer
-    return np.asarray(np.rint(127.5 * (shown + 1)), dtype=np.uint8)
+    return np.asarray(normal * np.array([1, -1, -1], np.float32))
 
 
 def _range_picture(scan: Scan) -> NDArray[np.uint8]:

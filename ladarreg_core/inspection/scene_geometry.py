@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ from ladarreg_core.camera import CameraModel
 from ladarreg_core.frames import Rigid
 from ladarreg_core.inspection.viewpoints import field_of_view
 from ladarreg_core.results import PoseResult
+from ladarreg_core.scan import Scan
 
 _NEAR_OF_DISTANCE = 0.01
 
@@ -161,3 +163,11 @@ def marks_of_result(result: PoseResult, colours: Sequence[tuple[int, int, int]],
     inliers = inliers[spread(len(inliers), most)] if len(inliers) else inliers
     palette = np.asarray(colours, dtype=np.uint8)[np.arange(len(inliers)) % len(colours)]
     return Marks(points[inliers], palette, np.ones(len(inliers), np.bool_), inliers)
+
+
+def spread_points(scan: Scan, most: int) -> NDArray[np.float32]:
+    """Return at most so many of a scan's points (N, 3), m, evenly spread over its grid, frame of its scanner."""
+    stride = max(1, math.ceil(math.sqrt(np.count_nonzero(scan.valid) / most)))
+    points = scan.thinned_points(stride).reshape(-1, 3)
+    found = points[np.isfinite(points).all(axis=-1)]
+    return np.ascontiguousarray(found[:: max(1, -(-len(found) // most))], dtype=np.float32)

@@ -62,7 +62,9 @@ def resolution_field(scan: Scan, result: PoseResult, seen: BoolArray) -> NDArray
     Returns:
         (H, W) float32, mm per pixel; NaN where the camera sees nothing.
     """
-    points = np.where(scan.valid[..., None], scan.points, np.float32(np.nan)).astype(np.float32)
+    field = np.full(scan.shape, np.nan, np.float32)
+    box = _box_around(seen, margin=_NORMAL_CELLS)
+    points = np.where(scan.valid[box][..., None], scan.points[box], np.float32(np.nan)).astype(np.float32)
     to_camera = result.camera_from_scanner.centre.astype(np.float32) - points
     distance = np.linalg.norm(to_camera, axis=-1)
     forward = result.camera_from_scanner.rotation[2].astype(np.float32)
@@ -72,7 +74,8 @@ def resolution_field(scan: Scan, result: PoseResult, seen: BoolArray) -> NDArray
         # A pixel off the axis covers less than one on it: its solid angle falls with the cube of the cosine.
         across = depth * np.sqrt(depth / distance) / np.float32(result.camera.focal_px)
         found = 1000 * across / np.sqrt(np.clip(facing, _MOST_OBLIQUE, 1))
-    return np.where(seen & np.isfinite(found), found, np.float32(np.nan)).astype(np.float32)
+    field[box] = np.where(seen[box] & np.isfinite(found), found, np.float32(np.nan))
+    return field
 
 
 def without_pepper(picture: NDArray[np.uint8], known: BoolArray, fillable: BoolArray) -> NDArray[np.uint8]:
@@ -85,10 +88,9 @@ def without_pepper(picture: NDArray[np.uint8], known: BoolArray, fillable: BoolA
         known: (H, W) cells whose colour is known.
         fillable: (H, W) other cells that may take a colour.
     """
-    rows, columns = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
-    if not len(rows):
+    if not known.any():
         return picture
-    box = tuple(slice(max(0, at[0] - _LARGEST_GAP - 1), at[-1] + _LARGEST_GAP + 2) for at in (rows, columns))
+    box = _box_around(known, margin=_LARGEST_GAP + 1)
     if known[box].size < known.size:  # what is far from all known cells has no gap
         result = np.array(picture)
         result[box] = without_pepper(picture[box], known[box], fillable[box])
@@ -106,6 +108,15 @@ def without_pepper(picture: NDArray[np.uint8], known: BoolArray, fillable: BoolA
     fill = gaps & (weight > 0.3)  # most of the cells around are known
     result[fill] = np.rint(mean[fill] / weight[fill][:, None])
     return result
+
+
+def _box_around(cells: BoolArray, *, margin: int) -> tuple[slice, slice]:
+    """Return the rows and columns that contain all cells of a mask (H, W) and a margin; none if there are no cells."""
+    rows, columns = (np.flatnonzero(cells.any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return slice(0, 0), slice(0, 0)
+    top, left = (max(0, int(at[0]) - margin) for at in (rows, columns))
+    return slice(top, int(rows[-1]) + margin + 1), slice(left, int(columns[-1]) + margin + 1)
 
 
 def _normals(points: FloatArray) -> FloatArray:

@@ -94,7 +94,7 @@ class Agreement:
         if not count:
             return 1.0
         near = tolerance_px * self._scale + 1e-9
-        agreeing = int((self._peak_distances(self.block_maps) <= near).sum())
+        agreeing = self.agreeing_blocks(tolerance_px)
         u, v = (shift.reshape(-1) for shift in self._shifts())
         best = self.block_maps.reshape(count, -1).argmax(axis=1)
         far = np.hypot(u, v) > 2 * near
@@ -103,6 +103,10 @@ class Agreement:
         if count > _MOST_EXACT:
             return _upper_tail(agreeing, count, p)
         return float(sum(comb(count, k) * p**k * (1 - p) ** (count - k) for k in range(agreeing, count + 1)))
+
+    def agreeing_blocks(self, tolerance_px: float) -> int:
+        """Return the number of single blocks that peak within `tolerance_px` working pixels of zero shift."""
+        return int((self._peak_distances(self.block_maps) <= tolerance_px * self._scale + 1e-9).sum())
 
     def _peak_distances(self, maps: FloatArray) -> FloatArray:
         """Return the distance (n,) of each map's (n, 2r+1, 2r+1) peak from zero shift, level pixels."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -13,14 +13,32 @@ from ladarreg_core.matching.agreement import Agreement, agreement
 from ladarreg_core.matching.blocks import BlockComparison, BlockMatches, Target, block_matches, compare_blocks
 from ladarreg_core.matching.covariance import RegionEvidence, region_evidence
 from ladarreg_core.matching.ecc import NO_CHANGE, CameraChange, RefineOptions, refine_pose
-from ladarreg_core.matching.pyramid import LEVELS, PhotoLevels, ScanLevels, photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.pyramid import (
+    BLOCK_PX,
+    LEVELS,
+    ChannelSet,
+    PhotoLevels,
+    ScanLevels,
+    pair_levels,
+    photo_levels,
+    working_camera,
+)
 from ladarreg_core.matching.sampling import ViewPoints, draw_points, edge_strength
-from ladarreg_core.matching.verification import GateOptions, Verification, verify
+from ladarreg_core.matching.support import carries_intensity, is_coarse
+from ladarreg_core.matching.verification import (
+    GateOptions,
+    Verification,
+    coarse_gate,
+    shape_alone_gate,
+    small_regions_gate,
+    verify,
+)
 from ladarreg_core.matching.views import viewing_directions
 from ladarreg_core.matching.zbuffer import Occluder
 from ladarreg_core.photo import Photo
 from ladarreg_core.pose.ransac import ransac_pose
 from ladarreg_core.scan import Scan
+from ladarreg_core.side_by_side import side_by_side
 from ladarreg_core.surface.perspective import perspective_view
 
 REFINEMENT = {2: RefineOptions(tau_px=8, iterations=8), 1: RefineOptions(tau_px=6, iterations=6)}
@@ -82,15 +100,21 @@ class Aligner:
         self._fine_count = fine_points
         self.scan = scan
         self.photo = photo
-        self.gate = gate
+        self.gate = gate if scan.coarse or scan.block_px == BLOCK_PX else small_regions_gate(gate)
         self.seed = seed
         self.points: dict[int, ViewPoints] = {}
         self._strength: dict[int, FloatArray] = {}
         for level in LEVELS:
-            strength = edge_strength(scan, scan.channels[level], level=level)
+            strength = scan.once(("strength", level), partial(edge_strength, scan, scan.channels[level], level=level))
             if strength is not None:
                 self._strength[level] = strength
-                self.points[level] = draw_points(scan, scan.channels[level], strength, level=level, seed=seed)
+                self.points[level] = self._drawn(level)
+
+    def _drawn(self, level: int, count: int | None = None) -> ViewPoints:
+        scan, seed = self.scan, self.seed
+        channels, strength = scan.channels[level], self._strength[level]
+        draw = partial(draw_points, scan, channels, strength, level=level, seed=seed, count=count)
+        return scan.once(("points", level, seed, count), draw)
 
     @property
     def usable(self) -> bool:
@@ -114,9 +138,12 @@ class Aligner:
 
     @cached_property
     def fine_points(self) -> ViewPoints | None:
-        """Level-0 points of the finish, away from depth edges; None if the view has none."""
+        """Level-0 points of the finish, away from depth edges unless the scan is coarse; None if the view has none."""
+        return self.scan.once(("fine points", self.seed, self._fine_count), self._draw_fine)
+
+    def _draw_fine(self) -> ViewPoints | None:
         channels = self.scan.fine_channels
-        strength = edge_strength(self.scan, channels, level=0, away_from_edges=True)
+        strength = edge_strength(self.scan, channels, level=0, away_from_edges=not self.scan.coarse)
         if strength is None:
             return None
         return draw_points(self.scan, channels, strength, level=0, seed=self.seed, count=self._fine_count)
@@ -125,8 +152,7 @@ class Aligner:
     def verification_points(self) -> ViewPoints:
         """Level-0 points of the verdict: more than refinement needs, so that each window's peak is well determined."""
         assert 0 in self._strength, "an aligner that is not usable cannot verify"
-        channels, strength = self.scan.channels[0], self._strength[0]
-        return draw_points(self.scan, channels, strength, level=0, seed=self.seed, count=self._fine_count)
+        return self._drawn(0, self._fine_count)
 
     def agreement_at(self, pose: Rigid, level: int) -> Agreement:
         """Return the agreement at a pose."""
@@ -219,7 +245,8 @@ class Aligner:
 
     def verify(self, pose: Rigid) -> tuple[Verification, Agreement, Agreement]:
         """Return the verdict on a finished pose, and its agreement at levels 1 and 0."""
-        coarse, fine = self.agreement_at(pose, 1), self.agreement_at(pose, 0)
+        _ = self.verification_points, self.targets, self.occluder.depth_buffer(pose)  # both levels use them
+        fine, coarse = side_by_side(lambda level: self.agreement_at(pose, level), (0, 1))
         return verify(coarse, fine, self.gate), coarse, fine
 
     def regions(self, pose: Rigid, *, free: int, change: CameraChange = NO_CHANGE) -> RegionEvidence | None:
@@ -260,7 +287,13 @@ def verify_pose(
     working = working_camera(scan, photo.pinhole)
     direction = viewing_directions(scan, working, initial=camera_from_scanner)[0]
     view = perspective_view(scan, working, view_from_scanner=direction)
-    aligner = Aligner(scan_levels(scan, view), photo_levels(photo, working), gate=gate or GateOptions(), seed=seed)
+    channel_set: ChannelSet = "both" if carries_intensity(scan) else "geometry"
+    coarse = is_coarse(scan, photo.pinhole)
+    levels = pair_levels(scan, view, channel_set=channel_set, coarse=coarse)
+    chosen = gate or GateOptions()
+    if coarse:
+        chosen = shape_alone_gate(chosen) if channel_set == "geometry" else coarse_gate(chosen)
+    aligner = Aligner(levels, photo_levels(photo, working), gate=chosen, seed=seed)
     return aligner.verify(camera_from_scanner)[0] if aligner.usable else None
 
 

@@ -16,11 +16,12 @@ from ladarreg_core.features.channels import ORIENTATIONS
 from ladarreg_core.frames import Rigid, rotation_about
 from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.blocks import project_visible
-from ladarreg_core.matching.ecc import RefineOptions, refine_pose
+from ladarreg_core.matching.ecc import RefineOptions, RefineResult, refine_pose
 from ladarreg_core.matching.pyramid import LEVELS
 from ladarreg_core.matching.verification import GateOptions, Verification
 from ladarreg_core.pose.ambiguity import mirrored
 from ladarreg_core.scan import Scan
+from ladarreg_core.side_by_side import side_by_side
 
 _COARSEST = LEVELS[-1]
 _REFINEMENT = RefineOptions(tau_px=8, iterations=8)
@@ -100,14 +101,15 @@ def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, known: Know
         known: decides which poses are different.
     """
     gate = aligner.gate
-    ends = []
-    for start in (pose, *_starts(aligner, pose)):
-        end = refine_pose(aligner.points[_COARSEST], aligner.targets[_COARSEST], aligner.occluder, start, _REFINEMENT)
-        if end is not None:
-            ends.append(end)
-        elif start is pose:
-            return None
-    first, *others = ends
+    points, target, occluder = aligner.points[_COARSEST], aligner.targets[_COARSEST], aligner.occluder
+
+    def refined(start: Rigid) -> RefineResult | None:
+        return refine_pose(points, target, occluder, start, _REFINEMENT)
+
+    first, *ends = side_by_side(refined, (pose, *_starts(aligner, pose)))
+    if first is None:
+        return None
+    others = [end for end in ends if end is not None]
     others = [e for e in others if e.correlation >= gate.second_correlation * first.correlation]
     others.sort(key=lambda e: -e.correlation)
     elsewhere = [e for e in others if _differ(known, pose, e.camera_from_scanner, gate)]

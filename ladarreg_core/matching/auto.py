@@ -17,6 +17,7 @@ from ladarreg_core.matching.covariance import WindowEvidence, window_evidence
 from ladarreg_core.matching.pyramid import ChannelSet, PairLevels
 from ladarreg_core.matching.roll import Roll
 from ladarreg_core.matching.self_calibration import FreeCamera, check_free_camera, estimate_camera, verify_finished
+from ladarreg_core.matching.support import is_coarse, widest_cell_px
 from ladarreg_core.matching.verification import GateOptions, Verification, check_precision, region_markers
 from ladarreg_core.matching.view_search import ViewSearch
 from ladarreg_core.matching.views import rolled_view, scan_density, viewing_directions
@@ -28,6 +29,12 @@ from ladarreg_core.validation import require_choice
 Reach = Literal["everywhere", "near_start"]
 _MAX_ROLLED_VIEWS, _MAX_GRID_VIEWS = 2, 3
 _MEDIAN_CELLS = 8_000_000
+# Variance factors of coarse scans, from simulated places outdoors. What the poses rest on is known to a cell, and
+# displaced alike all over the image, which no comparison of its regions shows: outlines without intensity, and print
+# with it. The wider the cells, as between the lines of a spinning lidar, the larger the common error.
+_OUTLINES_VARIANCE, _OUTLINES_VARIANCE_PER_PX = 10.0, 4.5
+_PRINT_VARIANCE, _PRINT_VARIANCE_PER_PX = 1.0, 1.5
+_WIDE_CELL_PX = 1.25
 _RANGE_M = (1e-6, 1e7)  # generous, to allow for wrong units; the limits of the estimator of matches
 ADVICE = "Draw a few matches by hand, or give an initial pose."
 """What to do about a photograph that is not accepted."""
@@ -223,12 +230,20 @@ class CandidateSet:
 
 
 def _explain_if_sparse(result: AutoResult, scan: Scan, photo: Photo, poses: Sequence[Rigid]) -> AutoResult:
-    """Return a refused result with a sparse scan as its first reason, or as its only one if nothing was verified."""
+    """Return a refused result with a sparse scan as its first reason, or as its only one if nothing was verified.
+
+    Of a scan that is coarse only, what to do about it is added.
+    """
     if result.verification is not None and result.verification.accepted:
         return result
     density = scan_density(scan, photo.pinhole, poses)
-    if density is None or not density.too_sparse:
+    if density is None:
         return result
+    if not density.too_sparse:
+        if not is_coarse(scan, photo.pinhole):
+            return result
+        rest = tuple(reason for reason in result.reasons if reason != ADVICE)
+        return replace(result, reasons=(*rest, density.advice(), ADVICE))
     if result.verification is None:
         return replace(result, reasons=(density.summary(), ADVICE))
     return replace(result, reasons=(density.summary(), *result.reasons))
@@ -255,8 +270,10 @@ def _search_everywhere(
     upright = directions[0 if initial is None else 1 :]
     several = len(upright) > 1
     rolls: list[tuple[Roll, Rigid]] = []
+    aligner: Aligner | None
     for number, direction in enumerate(directions):
         given = initial if number == 0 else None
+        aligner = None  # lets go of the channels of the last view before those of the next are made
         aligner = search.view(direction, name=number)
         if aligner is None:
             continue
@@ -290,9 +307,11 @@ def _search_views(
     find: Callable[[Aligner, KnownPoses], Candidate | None],
 ) -> None:
     """Search the likely views, and after a verified pose all others for a second one."""
+    aligner: Aligner | None
     for number, direction in enumerate([*likely, *others]):
         if found.is_ambiguous or (number >= len(likely) and not found.known):
             return
+        aligner = None
         aligner = search.view(direction, name=f"{name} {number}")
         if aligner is not None:
             found.add_candidate(aligner, find(aligner, found.known))
@@ -331,10 +350,17 @@ def _finish(
         evidence = window_evidence(found.fine, aligner.verification_points, aligner.photo.cameras[0], camera, pose)
         if found.regions is not None:
             evidence = replace(evidence, covariance=found.regions.pose_covariance)
+        cell_px = widest_cell_px(aligner.scan.view.scan, aligner.scan.view.camera)
+        coarse = aligner.scan.coarse or cell_px > _WIDE_CELL_PX
+        if coarse:
+            factor = _common_variance(cell_px, shape_alone=aligner.scan.channel_set == "geometry")
+            evidence = replace(evidence, covariance=factor * evidence.covariance)
         blocks = aligner.block_matches(pose)
         steps.pose, steps.matches = pose, blocks.matches if blocks else None
     points = aligner.verification_points.points[found.fine.visible]
-    verification = check_precision(found.verification, points, camera, pose, evidence.covariance, aligner.gate)
+    verification = check_precision(
+        found.verification, points, camera, pose, evidence.covariance, aligner.gate, coarse=coarse
+    )
     verification = replace(
         verification, regions=region_markers(found.fine, aligner.photo.cameras[0], camera, aligner.gate)
     )
@@ -344,3 +370,10 @@ def _finish(
         pose, verification, evidence, (*reasons, *found.summary(photo.pinhole), *advice), blocks,
         camera if found.free else None, found.camera_sigmas,
     ), aligner  # fmt: skip
+
+
+def _common_variance(cell_px: float, *, shape_alone: bool) -> float:
+    """Return the variance factor of a coarse scan whose cells are so wide in the coarser direction."""
+    if shape_alone:
+        return max(_OUTLINES_VARIANCE, _OUTLINES_VARIANCE_PER_PX * cell_px)
+    return _PRINT_VARIANCE + _PRINT_VARIANCE_PER_PX * cell_px

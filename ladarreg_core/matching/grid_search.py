@@ -17,6 +17,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.features.channels import ORIENTATIONS
 from ladarreg_core.frames import Rigid, rotation_about
 from ladarreg_core.matching.pyramid import PhotoLevels, ScanLevels
+from ladarreg_core.side_by_side import side_by_side
 
 MAX_STARTS = 5
 """Maximum number of poses returned."""
@@ -27,7 +28,9 @@ _GRID = tuple((x, y, z) for x in range(-4, 5) for y in (-0.5, 0.5) for z in (-0.
 _NEAR_STEP_M = 0.2
 _GRID_NEAR = tuple((x, y, z) for x in range(-2, 3) for y in (-1, 0, 1) for z in (-1, 0, 1))
 _MAX_ROTATION_RAD, _MAX_ROTATION_NEAR_RAD = np.deg2rad(16), np.deg2rad(7)  # beyond, false peaks dominate
-_MIN_OVERLAP = 0.3
+_MIN_OVERLAP = 0.3  # of the photo ...
+_MIN_SHARED = 0.5  # ... or of what the scan shows of it, if that is less
+_LEAST_SHOWN = 0.05  # of the photo
 _NEAREST_DEPTH_M = 0.05
 _MIN_POINTS = 100
 _APART_PX = 16.0
@@ -70,13 +73,16 @@ def likely_poses(scan: ScanLevels, photo: PhotoLevels, *, around: Rigid | None =
         base, positions, max_rotation = around, _GRID_NEAR, _MAX_ROTATION_NEAR_RAD
         step = max(_NEAR_STEP_M, _STEP_OF_RANGE * middle)
     slider = _Slider(photo, max_rotation)
-    found = []
-    for position in positions:
+
+    def scored(position: tuple[float, float, float]) -> ScoredPose | None:
         seen_from = Rigid(base.rotation, base.translation - step * np.array(position))
         best = slider.best(*cloud.seen_by(slider.camera, seen_from))
-        if best is not None:
-            turn, score = best
-            found.append(ScoredPose(turn @ seen_from, score))
+        if best is None:
+            return None
+        turn, score = best
+        return ScoredPose(turn @ seen_from, score)
+
+    found = [item for item in side_by_side(scored, positions) if item is not None]
     found.sort(key=lambda item: -item.score)
     return _one_per_basin(found, photo.cameras[0], cloud.points)
 
@@ -148,15 +154,16 @@ class _Slider:
         """Return the best rotation of the virtual camera and its score, or None if too little overlaps."""
         where = mask.astype(np.float32)
         total = float(where.sum())
-        if total < _MIN_OVERLAP * mask.size:
+        if total < _LEAST_SHOWN * mask.size:
             return None
+        least = min(_MIN_OVERLAP * mask.size, _MIN_SHARED * total)
         centred = channels - where * (channels.sum(axis=(1, 2)) / total)[:, None, None]
         seen = self._transform(where)
         product = self._at_shifts((np.conj(self._transform(centred)) * self._channels).sum(axis=0))
         pixels = self._at_shifts(np.conj(seen) * self._mask)
         of_photo = self._at_shifts(np.conj(seen) * self._energy)
         of_scan = self._at_shifts(np.conj(self._transform((centred**2).sum(axis=0))) * self._mask)
-        enough = (pixels >= _MIN_OVERLAP * mask.size) & (of_photo > 1e-6) & (of_scan > 1e-6)
+        enough = (pixels >= least) & (of_photo > 1e-6) & (of_scan > 1e-6)
         if not enough.any():
             return None
         length = np.sqrt(np.where(enough, of_photo * of_scan, 1))

@@ -53,8 +53,8 @@ def hypotheses(scan: ScanLevels, photo: PhotoLevels, *, seed: int) -> Iterator[H
     """
     described = _DescriptorMatcher(scan, photo)
     attempts: list[tuple[str, Callable[[], tuple[FloatArray, FloatArray]]]] = [
-        ("descriptors of intensity", lambda: described.matches(scan.intensity_channels[0])),
-        ("descriptors of intensity and geometry", lambda: described.matches(scan.channels[0])),
+        ("descriptors of intensity", lambda: described.matches("intensity", lambda: scan.intensity_channels[0])),
+        ("descriptors of intensity and geometry", lambda: described.matches("both", lambda: scan.channels[0])),
         ("gray and edge correlation", lambda: _correlation_matches(scan, photo)),
     ]
     needed = _FIRST_INLIERS
@@ -69,11 +69,13 @@ class _DescriptorMatcher:
     """Matches corners by descriptors; the corners and the photo's descriptors are shared by both attempts."""
 
     def __init__(self, scan: ScanLevels, photo: PhotoLevels) -> None:
+        self._scan = scan
         self._scan_uv, self._photo_uv = descriptor_corners(scan, photo)
         self._photo = describe(photo.channels[0], self._photo_uv)
 
-    def matches(self, channels: FloatArray) -> tuple[FloatArray, FloatArray]:
-        score = describe(channels, self._scan_uv) @ self._photo.T
+    def matches(self, name: str, channels: Callable[[], FloatArray]) -> tuple[FloatArray, FloatArray]:
+        described = self._scan.once(("descriptors", name), lambda: describe(channels(), self._scan_uv))
+        score = described @ self._photo.T
         first, second, _ = unique_matches(score, margin=_DESCRIPTOR_MARGIN)
         return self._scan_uv[first], self._photo_uv[second]
 
@@ -85,10 +87,14 @@ def descriptor_corners(scan: ScanLevels, photo: PhotoLevels) -> tuple[NDArray[np
 
 def view_corners(scan: ScanLevels) -> NDArray[np.float64]:
     """Return the corners of a view that are described, pixels (N, 2)."""
-    usable = np.isfinite(scan.ranges)
-    if scan.structured is not None:
-        usable &= scan.structured
-    return find_corners(scan.gray_planes[0], _DESCRIPTOR_CORNERS, usable=usable).uv
+
+    def found() -> NDArray[np.float64]:
+        usable = np.isfinite(scan.ranges)
+        if scan.structured is not None:
+            usable &= scan.structured
+        return find_corners(scan.gray_planes[0], _DESCRIPTOR_CORNERS, usable=usable).uv
+
+    return scan.once("corners", found)
 
 
 def photo_corners(photo: PhotoLevels) -> NDArray[np.float64]:

@@ -16,7 +16,8 @@ from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.auto import AutoOptions, AutoResult, Reach, register_auto
 from ladarreg_core.matching.face_registration import is_wide, register_faces
 from ladarreg_core.matching.pyramid import ChannelSet, PairLevels
-from ladarreg_core.matching.verification import COARSE_GATE, Verification
+from ladarreg_core.matching.support import carries_intensity, is_coarse
+from ladarreg_core.matching.verification import COARSE_GATE, Verification, coarse_gate, shape_alone_gate
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import StepLog
 from ladarreg_core.scan import Scan
@@ -26,7 +27,8 @@ _CHANNEL_LABELS: dict[ChannelSet, str] = {
     "geometry": "geometry alone",
     "intensity": "intensity alone",
 }
-_PROMISING_FRACTION = 0.3
+_PROMISING_FRACTION, _SHARED_PRINT = 0.3, 0.9
+_ROWS_AT_ONCE = 64
 _COARSE_VARIANCE = 4.5
 """Variance factor of thermal over colour poses at the same scatter, from simulated images: thermal edges are displaced
 from visible ones, in the same direction over the whole image."""
@@ -49,8 +51,11 @@ class ModalityVerification(Verification):
 
 def is_gray(photo: Photo) -> bool:
     """Return whether a photo has no colour: a thermal image, or three equal channels."""
+    if photo.temperature_k is not None:
+        return True
     pixels = photo.pixels
-    return photo.temperature_k is not None or bool((pixels == pixels[..., :1]).all())
+    bands = (pixels[top : top + _ROWS_AT_ONCE] for top in range(0, len(pixels), _ROWS_AT_ONCE))
+    return all(bool((band == band[..., :1]).all()) for band in bands)  # a colour photo differs in its first rows
 
 
 def register_by_modality(
@@ -61,7 +66,8 @@ def register_by_modality(
     A colour photo is compared with intensity and geometry together, as in `register_auto`. If a gray photo is refused
     that way, geometry alone and intensity alone are tried with the same thresholds. A thermal image is tried with every
     channel set and verified with `COARSE_GATE`. Of the channel sets that pass, the one that agrees best at full
-    resolution is used, because its edges coincide best with those of the photo.
+    resolution is used, because its edges coincide best with those of the photo. A scan whose intensity shows nothing
+    is compared by geometry alone. A coarse scan with intensity is compared in the usual way, too, near the pose found.
 
     Args:
         scan: the scan.
@@ -71,10 +77,20 @@ def register_by_modality(
         options: thresholds and seed; thermal images have their own thresholds.
     """
     o = options or AutoOptions()
+    shape_alone = not carries_intensity(scan)
+    coarse = not is_wide(photo) and is_coarse(scan, photo.pinhole)
+    if shape_alone:
+        o = replace(o, channel_set="geometry")
+    if shape_alone and coarse and o.intrinsics == "auto":
+        o = replace(o, intrinsics="fixed")  # outlines that are known to a cell do not determine the lens
     if not is_gray(photo):
         if is_wide(photo):
             return register_faces(scan, photo, steps, initial=initial, options=o)
-        return register_auto(scan, photo, steps, initial=initial, options=o)
+        if not coarse:
+            return register_auto(scan, photo, steps, initial=initial, options=o)
+        levels = PairLevels(scan, photo)
+        result = register_auto(scan, photo, steps, initial=initial, options=_gated(o, coarse=True), pair=levels)
+        return result if shape_alone else _more_precise(result, levels.as_dense(), scan, photo, steps, o)
     thermal = photo.temperature_k is not None
     if thermal:
         # A few blurred regions determine a pose, but not the lens as well.
@@ -82,12 +98,12 @@ def register_by_modality(
     found: dict[ChannelSet, AutoResult] = {}
     pair = None if is_wide(photo) else PairLevels(scan, photo)
     start = initial
-    for channel_set in get_args(ChannelSet):
+    for channel_set in ("geometry",) if shape_alone else get_args(ChannelSet):
         if len(found) == 2 and not any(map(_is_promising, found.values())):
             break  # in no test did intensity alone find a pose when neither the sum nor geometry came near one
         # a pose found with one channel set need only be refined with the others
         reach: Reach = o.reach if start is initial else "near_start"
-        tried = replace(o, channel_set=channel_set, reach=reach)
+        tried = _gated(replace(o, channel_set=channel_set, reach=reach), coarse=coarse and not thermal)
         found[channel_set] = (
             register_faces(scan, photo, steps, initial=start, options=tried)
             if pair is None
@@ -109,7 +125,32 @@ def register_by_modality(
         steps.pose = found[best].camera_from_scanner
     others = [result for name, result in found.items() if name != best and _accepted(result)]
     answer = _with_disagreement(found[best], others)
-    return _labelled(_scaled_covariance(answer, _COARSE_VARIANCE) if thermal else answer, best, thermal=thermal)
+    if thermal:
+        answer = _scaled_covariance(answer, _COARSE_VARIANCE)
+    return _labelled(answer, best, thermal=thermal)
+
+
+def _gated(options: AutoOptions, *, coarse: bool) -> AutoOptions:
+    """Return the options with the thresholds for a coarse scan, if it is."""
+    if not coarse:
+        return options
+    gate = shape_alone_gate if options.channel_set == "geometry" else coarse_gate
+    return replace(options, gate=gate(options.gate))
+
+
+def _more_precise(
+    result: AutoResult, as_dense: PairLevels, scan: Scan, photo: Photo, steps: StepLog, options: AutoOptions
+) -> AutoResult:
+    """Return a coarse scan's result, or that of the usual comparison near it if nearly all regions agree there.
+
+    Outlines are known to a cell, print more finely; where they agree in some regions only, outlines are more precise.
+    """
+    if not _is_promising(result):
+        return result
+    usual = replace(options, reach="near_start")
+    other = register_auto(scan, photo, steps, initial=result.camera_from_scanner, options=usual, pair=as_dense)
+    shares_print = other.verification is not None and other.verification.fraction >= _SHARED_PRINT
+    return other if _accepted(other) and shares_print else result
 
 
 def _accepted(result: AutoResult) -> bool:

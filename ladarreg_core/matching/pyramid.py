@@ -6,10 +6,10 @@ The photo is undistorted once and not resampled again; the scan is rendered in p
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar, cast
 
 import cv2
 import numpy as np
@@ -25,10 +25,11 @@ from ladarreg_core.features.channels import (
     raw_channels,
 )
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.structure import structured_cells
+from ladarreg_core.matching.structure import painted_cells, shaped_pixels, structured_cells
+from ladarreg_core.matching.support import carries_intensity, comparison_focal_px, is_coarse, open_cells
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.perspective import View, native_focal_px, perspective_view
+from ladarreg_core.surface.perspective import View, perspective_view
 from ladarreg_core.surface.ranges import EDGE_FRACTION
 from ladarreg_core.surface.remap import look_up
 from ladarreg_core.surface.spikes import fill_from_nearest, gate_spikes, median_range
@@ -36,6 +37,7 @@ from ladarreg_core.thermal import thermal_gray
 
 ChannelSet = Literal["both", "geometry", "intensity"]
 """Scan channels compared with the photo: laser intensity, geometry (normals and log range), or the sum of both."""
+_Made = TypeVar("_Made")
 LEVELS = (0, 1, 2)
 """Pyramid levels; level L has 1 / 2^L of the working resolution."""
 _MAX_PIXELS = 1_000_000
@@ -45,23 +47,43 @@ _STANDARD_RANGE_M = 2.5
 _RANGE_RATIO = (0.4, 4.0)
 _STRETCH_PERCENT = (1.0, 99.5)
 _STRETCH_SAMPLES = 1_000_000
-_RANGE_SPAN_M = (0.3, 30.0)
+_RANGE_SPAN_M = (0.3, 300.0)
+_BEYOND = 2.0  # times as far as the surface beside it: what returned nothing, for the edge between them
 _HOLE_REACH_PX = 2.0
-_FINE = {"blur_px": 1.2, "local_factor": 2.0}
+_OUTLINE_PX, _HOLE_PX, _BORDER_PX = 7, 5, 5
+_FINE_BLUR_PX, _FINE_FACTOR = 1.2, 2.0
+BLOCK_PX = 48
+"""Side of a block of points that are compared together, level-0 pixels of the scan's view."""
+_SMALL_BLOCK_PX, _FEW_RETURNS = 32, 120_000
 _SHARED_BY_SETS = ("_raw_intensity", "_near_returns", "intensity_channels", "geometry_channels")
 _LARGEST_WHOLE_SCAN = 4_000_000  # cells; of larger scans only the part in the view is compared
 _WINDOW_MARGIN = 32
 _LARGEST_WINDOW = 8_000_000
-_KEPT_VIEWS = 2  # about ten bytes per pixel and channel; a scan of one view needs two, upright and rolled
+_KEPT_VIEWS, _KEPT_VIEWS_OF_LARGE = 2, 1  # up to 240 MB each; one view needs two, upright and rolled
 
 
 def _blur_px(level: int) -> float:
     return 1.2 if level >= 2 else 1.5
 
 
-def _normalised(raw: FloatArray, level: int, least_floor: float = 0.0) -> FloatArray:
+def _normalised(raw: FloatArray, level: int, least_floor: float = 0.0, *, overwrite: bool = False) -> FloatArray:
     local_px = 6.0 if level >= 2 else 8.0
-    return normalised_channels(raw, blur_px=_blur_px(level), local_px=local_px, least_floor=least_floor)
+    return normalised_channels(
+        raw, blur_px=_blur_px(level), local_px=local_px, least_floor=least_floor, overwrite=overwrite
+    )
+
+
+def _fine(raw: FloatArray, least_floor: float = 0.0, *, overwrite: bool = False) -> FloatArray:
+    return normalised_channels(
+        raw, blur_px=_FINE_BLUR_PX, local_factor=_FINE_FACTOR, least_floor=least_floor, overwrite=overwrite
+    )
+
+
+def _raw_near(planes: list[FloatArray], near: FloatArray) -> FloatArray:
+    """Return the raw channels of planes, 0 where `near` is."""
+    raw = raw_channels(planes)
+    raw *= near
+    return raw
 
 
 def _halved(planes: list[FloatArray], camera: Camera) -> list[FloatArray]:
@@ -78,7 +100,7 @@ def working_camera(scan: Scan, camera: Camera) -> Camera:
     """
     pixels = camera.width * camera.height
     enlarged = min(max(1.0, float(np.sqrt(_FEW_PIXELS / pixels))), _MAX_ENLARGED)
-    factor = min(enlarged, native_focal_px(scan) / camera.focal_px, float(np.sqrt(_MAX_PIXELS / pixels)))
+    factor = min(enlarged, comparison_focal_px(scan, camera) / camera.focal_px, float(np.sqrt(_MAX_PIXELS / pixels)))
     scaled = camera.scaled(factor)
     return Camera(scaled.width, scaled.height, scaled.focal_px, scaled.focal_px, scaled.cx, scaled.cy)
 
@@ -111,13 +133,13 @@ class PhotoLevels:
     @cached_property
     def channels(self) -> tuple[FloatArray, ...]:
         """(h, w, 8) of each level."""
-        raw = [self._raw_fine, *(raw_channels(self.planes[level]) for level in LEVELS[1:])]
-        return tuple(map(_normalised, raw, LEVELS))
+        coarser = (_normalised(raw_channels(self.planes[level]), level, overwrite=True) for level in LEVELS[1:])
+        return (_normalised(self._raw_fine, 0), *coarser)
 
     @cached_property
     def fine_channels(self) -> FloatArray:
         """(h, w, 8), level 0, sharper and more strongly normalised, for the final sub-pixel refinement."""
-        return normalised_channels(self._raw_fine, **_FINE)
+        return _fine(self._raw_fine)
 
 
 def photo_levels(photo: Photo, working: Camera) -> PhotoLevels:
@@ -173,7 +195,7 @@ class ChannelFloors:
             largest, median = zip(*(channel_scale(raw, blur_px=blur_px) for raw in raws), strict=True)
             return channel_floor(max(largest), float(np.median(median)))
 
-        fine = float(_FINE["blur_px"])
+        fine = _FINE_BLUR_PX
         return ChannelFloors(
             tuple(floor((v.raw_intensity[L] for v in views), _blur_px(L)) for L in LEVELS),
             tuple(floor((v.raw_geometry[L] for v in views), _blur_px(L)) for L in LEVELS),
@@ -204,6 +226,30 @@ class ScanLevels:
     """(h, w) bool, level 0: pixels with structure to compare; None: all."""
     floors: ChannelFloors | None = None
     """Least floors of the channels, common to several views; None: each view has its own."""
+    coarse: bool = False
+    """Whether the scan is much coarser than the photo: the finish then needs its depth edges, too."""
+    block_px: int = BLOCK_PX
+    """Side of the blocks that are compared, level-0 pixels."""
+
+    @cached_property
+    def made(self) -> dict[object, Any]:
+        """What has been made `once` of these levels, by name."""
+        return {}
+
+    def once(self, name: object, make: Callable[[], _Made]) -> _Made:
+        """Return what `make` returns, from the first call with this name; it depends on the levels only.
+
+        Levels are kept for further photos, and what is made of them with them.
+        """
+        made = self.made
+        if name not in made:
+            made[name] = make()
+        return cast(_Made, made[name])
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all channels have been computed."""
+        return {"channels", "fine_channels"} <= vars(self).keys()
 
     def with_channels(self, channel_set: ChannelSet) -> ScanLevels:
         """Return the same levels with another channel set; channels already computed are shared."""
@@ -216,21 +262,19 @@ class ScanLevels:
 
     @cached_property
     def _raw_intensity(self) -> FloatArray:
-        raw = raw_channels([self.gray_planes[0]])
-        raw *= self._near_returns[0]
-        return raw
+        return _raw_near([self.gray_planes[0]], self._near_returns[0])
 
     @cached_property
     def raw_intensity(self) -> tuple[FloatArray, ...]:
         """(8, h, w) of each level, from intensity, not normalised."""
         coarser = zip(self.gray_planes[1:], self._near_returns[1:], strict=True)
-        return (self._raw_intensity, *(raw_channels([plane]) * near for plane, near in coarser))
+        return (self._raw_intensity, *(_raw_near([plane], near) for plane, near in coarser))
 
     @cached_property
     def raw_geometry(self) -> tuple[FloatArray, ...]:
         """(8, h, w) of each level, from normals and log range, not normalised."""
         pairs = zip(self.geometry_planes, self._near_returns, strict=True)
-        return tuple(raw_channels(planes) * near for planes, near in pairs)
+        return tuple(_raw_near(planes, near) for planes, near in pairs)
 
     def with_floors(self, floors: ChannelFloors) -> ScanLevels:
         """Return the same levels with floors common to several views; raw channels already computed are shared."""
@@ -261,9 +305,9 @@ class ScanLevels:
         """(h, w, 8) of each level, from intensity."""
         if self.floors is not None:
             return tuple(map(_normalised, self.raw_intensity, LEVELS, self.floors.intensity))
-        coarser = zip(self.gray_planes[1:], self._near_returns[1:], strict=True)
-        raw = [self._raw_intensity, *(raw_channels([plane]) * near for plane, near in coarser)]
-        return tuple(map(_normalised, raw, LEVELS))
+        coarser = zip(self.gray_planes[1:], self._near_returns[1:], LEVELS[1:], strict=True)
+        made = (_normalised(_raw_near([plane], near), level, overwrite=True) for plane, near, level in coarser)
+        return (_normalised(self._raw_intensity, 0), *made)
 
     @cached_property
     def geometry_channels(self) -> tuple[FloatArray, ...]:
@@ -271,7 +315,7 @@ class ScanLevels:
         if self.floors is not None:
             return tuple(map(_normalised, self.raw_geometry, LEVELS, self.floors.geometry))
         pairs = zip(self.geometry_planes, self._near_returns, strict=True)
-        return tuple(_normalised(raw_channels(planes) * near, L) for L, (planes, near) in enumerate(pairs))
+        return tuple(_normalised(_raw_near(planes, near), L, overwrite=True) for L, (planes, near) in enumerate(pairs))
 
     @cached_property
     def channels(self) -> tuple[FloatArray, ...]:
@@ -282,13 +326,24 @@ class ScanLevels:
 
     @cached_property
     def fine_channels(self) -> FloatArray:
-        """(h, w, 8), level 0, sharper, for the final sub-pixel refinement: of intensity, if the set includes it."""
-        if self.channel_set != "geometry":
-            least = 0.0 if self.floors is None else self.floors.fine_intensity
-            return normalised_channels(self._raw_intensity, **_FINE, least_floor=least)
+        """(h, w, 8), level 0, sharper, for the final sub-pixel refinement.
+
+        Of intensity, if the set includes it; of a coarse scan, of the whole set.
+        """
+        if self.channel_set == "both" and self.coarse:
+            return add_channels(self._fine_intensity, self._fine_geometry)
+        return self._fine_geometry if self.channel_set == "geometry" else self._fine_intensity
+
+    @property
+    def _fine_intensity(self) -> FloatArray:
+        least = 0.0 if self.floors is None else self.floors.fine_intensity
+        return _fine(self._raw_intensity, least)
+
+    @property
+    def _fine_geometry(self) -> FloatArray:
         least = 0.0 if self.floors is None else self.floors.fine_geometry
-        raw = raw_channels(self.geometry_planes[0]) * self._near_returns[0]
-        return normalised_channels(raw, **_FINE, least_floor=least)
+        raw = _raw_near(self.geometry_planes[0], self._near_returns[0])
+        return _fine(raw, least, overwrite=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -323,7 +378,12 @@ class CleanedScan:
 
 
 def scan_levels(
-    scan: Scan, view: View, *, channel_set: ChannelSet = "both", cleaned: CleanedScan | None = None
+    scan: Scan,
+    view: View,
+    *,
+    channel_set: ChannelSet = "both",
+    cleaned: CleanedScan | None = None,
+    coarse: bool = False,
 ) -> ScanLevels:
     """Return the levels of a scan in one view.
 
@@ -332,6 +392,8 @@ def scan_levels(
         view: the view.
         channel_set: the channels to compare.
         cleaned: the scan's images, if they have been computed already.
+        coarse: whether the scan is coarse, as `is_coarse` says; the outlines of its surfaces against the sky are then
+            edges, too.
     """
     cleaned = cleaned or CleanedScan.of(scan)
     gated, gray = cleaned.ranges, cleaned.gray
@@ -339,14 +401,21 @@ def scan_levels(
 
     ranges = view.resample_ranges(gated)
     ranges[~view.inside] = np.nan
-    valid = np.isfinite(ranges)
+    valid, sharp = np.isfinite(ranges), ranges
     median = median_range(ranges)
     low, high = cv2.erode(median, np.ones((5, 5))), cv2.dilate(median, np.ones((5, 5)))
     jump = high - low > EDGE_FRACTION * median
     surface = np.where(jump, low, median)  # the foreground owns the contour
     jump |= ~valid
     edge = cv2.dilate(jump.astype(np.uint8), np.ones((3, 3))) > 0  # the 5 x 5 window already reaches two pixels
-    geometry = _geometry_planes(view, fill_from_nearest(ranges, valid))
+    filled, structured = fill_from_nearest(ranges, valid), None
+    if cleaned.structured is not None:
+        structured = _in_view(view, cleaned.structured)
+    if coarse:
+        beyond = ~valid & _in_view(view, open_cells(scan))
+        structured = _shown_by_coarse(scan, view, sharp, cleaned.gray, beyond)
+        filled = np.where(beyond, np.float32(_BEYOND) * filled, filled)
+    geometry = _geometry_planes(view, filled)
 
     shown = gray[valid] if valid.any() else gray
     low_gray, high_gray = cleaned.stretch or np.percentile(shown, _STRETCH_PERCENT)
@@ -365,8 +434,45 @@ def scan_levels(
         np.where(valid, surface, np.nan).astype(np.float32),
         edge,
         channel_set,
-        None if cleaned.structured is None else view.resample(cleaned.structured.astype(np.float32)) > 0.5,
+        structured,
+        coarse=coarse,
     )
+
+
+def _shown_by_coarse(scan: Scan, view: View, ranges: FloatArray, gray: FloatArray, beyond: BoolArray) -> BoolArray:
+    """Return the pixels (h, w) at which a coarse scan shows something: a shape, an outline against the sky, paint.
+
+    The border of what was looked at is no outline of anything.
+    """
+    shown = shaped_pixels(ranges, focal_px=view.camera.fx, cell_rad=min(scan.geometry.step_rad))
+    shown |= cv2.dilate(beyond.astype(np.uint8), np.ones((_OUTLINE_PX, _OUTLINE_PX), np.uint8)) > 0
+    if carries_intensity(scan):
+        shown |= _in_view(view, painted_cells(gray))
+    unseen: NDArray[Any] = np.pad((np.isnan(ranges) & ~beyond).astype(np.uint8), _BORDER_PX, constant_values=1)
+    unseen = cv2.morphologyEx(unseen, cv2.MORPH_OPEN, np.ones((_HOLE_PX, _HOLE_PX), np.uint8))
+    unseen = cv2.dilate(unseen, np.ones((2 * _BORDER_PX + 1, 2 * _BORDER_PX + 1), np.uint8))
+    inner = np.s_[_BORDER_PX:-_BORDER_PX, _BORDER_PX:-_BORDER_PX]
+    return np.asarray(shown & (unseen[inner] == 0))
+
+
+def _in_view(view: View, cells: BoolArray) -> BoolArray:
+    return np.asarray(view.resample(cells.astype(np.float32)) > 0.5)
+
+
+def pair_levels(scan: Scan, view: View, *, channel_set: ChannelSet, coarse: bool) -> ScanLevels:
+    """Return the levels of a scan in the one view that is compared with a photo.
+
+    A verdict needs enough regions, so that a view with few returns, of a coarse or narrow scan, has smaller blocks.
+
+    Args:
+        scan: the scan.
+        view: the view.
+        channel_set: the channels to compare.
+        coarse: whether the scan is coarse.
+    """
+    levels = scan_levels(scan, view, channel_set=channel_set, coarse=coarse)
+    few = np.count_nonzero(np.isfinite(levels.ranges)) < _FEW_RETURNS
+    return replace(levels, block_px=_SMALL_BLOCK_PX) if few else levels
 
 
 class PairLevels:
@@ -380,9 +486,18 @@ class PairLevels:
     def __init__(self, scan: Scan, photo: Photo) -> None:
         self.scan = scan
         self.working = working_camera(scan, photo.pinhole)
+        self.coarse = is_coarse(scan, photo.pinhole)
+        """Whether the scan is compared as a coarse one."""
         self._photo = photo
         self._photo_levels: PhotoLevels | None = None
-        self._views: deque[tuple[Rigid, ScanLevels]] = deque(maxlen=_KEPT_VIEWS)
+        self.kept_views = _KEPT_VIEWS_OF_LARGE if scan.ranges.size > _LARGEST_WHOLE_SCAN else _KEPT_VIEWS
+        self._views: deque[tuple[Rigid, ScanLevels]] = deque()
+
+    def as_dense(self) -> PairLevels:
+        """Return the pair with its scan compared as if it was not coarse; the photo's levels are shared."""
+        other = PairLevels(self.scan, self._photo)
+        other.coarse, other._photo_levels = False, self._photo_levels
+        return other
 
     @property
     def photo(self) -> PhotoLevels:
@@ -401,12 +516,26 @@ class PairLevels:
         for known, levels in self._views:
             if (known.rotation == direction.rotation).all():
                 return levels.with_channels(channel_set)
+        self._make_room()  # before the next one takes as much memory
         view = perspective_view(self.scan, self.working, view_from_scanner=direction)
         if self.scan.ranges.size > _LARGEST_WHOLE_SCAN:
             view = view.of_window(margin=_WINDOW_MARGIN, most_cells=_LARGEST_WINDOW)
-        levels = scan_levels(view.scan, view, channel_set=channel_set)
+        levels = pair_levels(view.scan, view, channel_set=channel_set, coarse=self.coarse)
         self._views.append((direction, levels))
         return levels
+
+    def has_view(self, direction: Rigid) -> bool:
+        """Return whether the levels of a view have been computed."""
+        return any((known.rotation == direction.rotation).all() for known, _ in self._views)
+
+    def add_view(self, direction: Rigid, levels: ScanLevels) -> None:
+        """Add the levels of a view that were computed for another photo."""
+        self._make_room()
+        self._views.append((direction, levels))
+
+    def _make_room(self) -> None:
+        while len(self._views) >= self.kept_views:
+            self._views.popleft()
 
 
 def _laser_gray(scan: Scan, ranges: FloatArray) -> FloatArray:

@@ -18,6 +18,7 @@ from ladarreg_core.errors import ShapeError
 from ladarreg_core.features.channels import ORIENTATIONS, normalised_channels, raw_channels
 from ladarreg_core.features.correlation import check_window, unique_matches
 from ladarreg_core.features.descriptors import unit_rows
+from ladarreg_core.side_by_side import side_by_side
 
 ANGLES = 24
 """Number of rotations tried, evenly spaced."""
@@ -144,8 +145,12 @@ def roll_between(
         return scan_at[first], photo_at[second]
 
     angles = np.arange(ANGLES) * _STEP_RAD
-    matched = [matches_at(angle, margin) for angle in angles]
-    counts = [_agreeing(*pairs, angle) for pairs, angle in zip(matched, angles, strict=True)]
+
+    def counted(angle: float) -> tuple[_Pairs, int]:
+        pairs = matches_at(angle, margin)
+        return pairs, _agreeing(*pairs, angle)
+
+    matched, counts = zip(*side_by_side(counted, angles), strict=True)
     best = int(np.argmax(counts))
     agreeing, pairs, between = counts[best], matched[best], _peak(*(counts[k] for k in _within_a_step(best)))
     others = [counts[k] for k in set(range(ANGLES)).difference(_within_a_step(best))]

@@ -12,8 +12,6 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.features.channels import channel_products
 from ladarreg_core.matching.pyramid import ScanLevels
 
-BLOCK_PX = 48
-"""Side of a block, full-resolution pixels of the scan's view."""
 _COUNT = (7000, 7000, 3500)
 _STRATUM_PX = (32, 16, 8)
 _MIN_NORM = 0.15
@@ -104,7 +102,7 @@ def draw_points(
         pixel = np.random.default_rng(seed).choice(pixel, limit, replace=False)
     v, u = np.divmod(pixel, camera.width)
 
-    side = BLOCK_PX >> level
+    side = scan.block_px >> level
     block_row, block_column = v // side, u // side
     label = block_row * (camera.width // side + 1) + block_column
     order = np.lexsort((pixel, label))

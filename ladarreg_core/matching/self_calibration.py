@@ -15,7 +15,7 @@ from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.covariance import RegionEvidence
 from ladarreg_core.matching.ecc import NO_CHANGE, CameraChange
-from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.pyramid import pair_levels, photo_levels, working_camera
 from ladarreg_core.matching.verification import Verification, verify
 from ladarreg_core.photo import Photo
 from ladarreg_core.surface.perspective import perspective_view
@@ -270,7 +270,7 @@ def _aligner_for(aligner: Aligner, photo: Photo, camera: Camera) -> Aligner:
     levels = aligner.scan
     if abs(np.log(working.focal_px / view.camera.focal_px)) > _SAME_VIEW_LOG_FOCAL:
         rendered = perspective_view(scan, working, view_from_scanner=view.view_from_scanner)
-        levels = scan_levels(scan, rendered, channel_set=levels.channel_set)
+        levels = pair_levels(scan, rendered, channel_set=levels.channel_set, coarse=levels.coarse)
     side = photo_levels(replace(photo, camera=camera), working)
     seen = Aligner(levels, side, gate=aligner.gate, seed=aligner.seed)
     if not seen.usable:

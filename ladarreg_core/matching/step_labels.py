@@ -34,6 +34,11 @@ STEP_LABELS: Mapping[str, str] = {
     "starts": "Multi-start check",
     "image check": "Compare with the images",
     "result": "Result",
+    "rig pair": "Register pair",
+    "rig candidates": "Try on all pairs",
+    "rig finish": "Refine on all pairs",
+    "rig held out": "Hold out each pair",
+    "rig covariance": "Uncertainty of the rig",
 }
 """Label of each step name."""
 

@@ -57,8 +57,24 @@ class GateOptions:
     """Minimum contrast with fewer than `few` agreeing regions."""
     fine_fraction: float = 0.35
     """Minimum fraction of regions that agree at level 0, where the tolerance is half as large."""
+    coarse_few_contrast: float = 2.8
+    """`few_contrast` for a coarse scan with intensity, which is compared where it shows a shape or paint."""
+    shape_many: int = 20
+    """`many` for a coarse scan without intensity, of which outlines alone are compared: few regions, most of which
+    agree."""
+    shape_fraction: float = 0.60
+    """`fraction` for such a scan."""
+    shape_contrast: float = 2.3
+    """`contrast` for such a scan."""
+    shape_fine_fraction: float = 0.45
+    """`fine_fraction` for such a scan: outlines may agree at level 1 beside the pose."""
     most_sigma_px: float = 1.0
-    """Maximum median uncertainty of a pose accepted on few regions, px of a 1-megapixel photo; larger photos: more."""
+    """Maximum median uncertainty of a pose accepted on fewer than `few` regions, px of a 1-megapixel photo; larger
+    photos: more."""
+    few_sigma_px: float = 4.0
+    """The same for a pose accepted on `few` regions or more, but fewer than `many`; smaller photos: less."""
+    coarse_sigma_px: float = 3.0
+    """The same for any other pose of a scan that is coarse, if only between its lines; smaller photos: less."""
     same_pose_px: float = 8.0
     """Maximum median displacement in the photo of two poses that count as the same, px."""
     same_angle_rad: float = float(np.deg2rad(3.0))
@@ -75,6 +91,27 @@ class GateOptions:
     """Minimum share of the compared points inside the photo after that shift."""
     sure_fraction: float = 0.6
     """With an initial pose: with at least this fraction of agreeing regions no second pose is sought."""
+
+
+def small_regions_gate(gate: GateOptions) -> GateOptions:
+    """Return the thresholds for smaller regions: `few` of them do not suffice without ruling out chance."""
+    return replace(gate, few=gate.many)
+
+
+def coarse_gate(gate: GateOptions) -> GateOptions:
+    """Return the thresholds for a coarse scan of which intensity and shape are compared, where they show anything."""
+    return replace(gate, few_contrast=max(gate.few_contrast, gate.coarse_few_contrast))
+
+
+def shape_alone_gate(gate: GateOptions) -> GateOptions:
+    """Return the thresholds for a coarse scan of which the shape alone is compared: no fraction is lower."""
+    return replace(
+        gate,
+        many=min(gate.many, gate.shape_many),
+        fraction=max(gate.fraction, gate.shape_fraction),
+        contrast=max(gate.contrast, gate.shape_contrast),
+        fine_fraction=max(gate.fine_fraction, gate.shape_fine_fraction),
+    )
 
 
 COARSE_GATE = GateOptions(
@@ -179,11 +216,13 @@ def check_precision(
     pose: Rigid,
     covariance: FloatArray,
     options: GateOptions | None = None,
+    *,
+    coarse: bool = False,
 ) -> Verification:
-    """Return the verdict, refused if it rests on few regions and the pose is too uncertain.
+    """Return the verdict, refused if the pose is too uncertain and rests on few regions or on a coarse scan.
 
-    A few regions of a coarse scan may all agree and still determine the pose only to one scan cell, which can be many
-    pixels of the photo.
+    Regions of a coarse scan may all agree and still determine the pose only to one scan cell, which can be many pixels
+    of the photo.
 
     Args:
         verdict: of `verify`.
@@ -192,20 +231,29 @@ def check_precision(
         pose: `camera_from_scanner`.
         covariance: (6, 6) of the pose.
         options: the thresholds.
+        coarse: whether the scan's cells are wider than the pixels compared, in either direction.
     """
-    if not verdict.by_few or not len(points):
+    gate = options or GateOptions()
+    size = float(np.sqrt(camera.width * camera.height / _STANDARD_PIXELS))
+    if verdict.by_few:
+        most = gate.most_sigma_px * max(1.0, size)
+    elif verdict.accepted and coarse:
+        most = gate.coarse_sigma_px * size
+    elif verdict.accepted and verdict.agreeing < gate.many:
+        most = gate.few_sigma_px * size
+    else:
+        return verdict
+    if not len(points):
         return verdict
     some = points[:: max(1, len(points) // _SAMPLE)].astype(np.float64)
     sigma_px = float(np.nanmedian(pixel_sigma(pose @ some, camera, pose.rotation, covariance)))
-    most = (options or GateOptions()).most_sigma_px * max(
-        1.0, float(np.sqrt(camera.width * camera.height / _STANDARD_PIXELS))
-    )
     if sigma_px <= most:
         return verdict
     known = f"is known to {sigma_px:.1f} px of the photo only, and {most:.1f} px are needed"
     if not sigma_px <= _MEANINGFUL * max(camera.size):
         known = "is not determined"
-    reason = f"The image regions agree, but they are too few: the pose {known}. Scan at a higher resolution."
+    why = "the scan is coarse" if coarse and not verdict.by_few else "they are too few"
+    reason = f"The image regions agree, but {why}: the pose {known}. Scan at a higher resolution."
     return replace(verdict, accepted=False, reasons=(reason,))
 
 

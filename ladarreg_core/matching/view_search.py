@@ -17,16 +17,17 @@ from ladarreg_core.matching.ambiguity import KnownPoses
 from ladarreg_core.matching.ecc import RefineOptions, RefineResult, refine_pose
 from ladarreg_core.matching.grid_search import ScoredPose, likely_poses
 from ladarreg_core.matching.hypotheses import Hypothesis, count_inliers, descriptor_corners, hypotheses, points_at
+from ladarreg_core.matching.kept_view import keep, recall
 from ladarreg_core.matching.pyramid import LEVELS, ChannelSet, PairLevels, ScanLevels
 from ladarreg_core.matching.roll import Roll, roll_between
 from ladarreg_core.matching.verification import GateOptions
 from ladarreg_core.matching.views import direction_towards_overlap
 from ladarreg_core.progress import StepLog
+from ladarreg_core.side_by_side import side_by_side
 
 _COARSEST = LEVELS[-1]
 _COARSE_REFINEMENT = RefineOptions(tau_px=8, iterations=8)
 _MAX_GRID_POSES = 2
-_KEPT_VIEWS = 2  # a scan of one view returns to it after the rolled view
 
 
 class ViewSearch:
@@ -59,13 +60,15 @@ class ViewSearch:
         self._good_fraction = good_fraction
         self._seed = seed
         self._channel_set = channel_set
-        self._kept: deque[tuple[Rigid, Aligner]] = deque(maxlen=_KEPT_VIEWS)
+        self._kept: deque[tuple[Rigid, Aligner]] = deque()
 
     def view(self, direction: Rigid, *, name: int | str) -> Aligner | None:
         """Return the aligner of one view, or None if the view has too little to compare."""
         for kept, aligner in self._kept:
             if kept is direction:
                 return aligner if aligner.usable else None
+        if len(self._kept) == self._pair.kept_views:
+            self._kept.popleft()  # before the next one takes as much memory
         with self._steps.step("channels") as note:
             levels = _with_channels(self._pair, direction, self._channel_set)
             aligner = Aligner(levels, self._photo, gate=self._gate, seed=self._seed)
@@ -176,8 +179,12 @@ class ViewSearch:
 def _coarse_refinements(aligner: Aligner, poses: Sequence[ScoredPose]) -> list[RefineResult]:
     """Return the results of short refinements on the coarsest level, where the correct pose is most distinct."""
     points, target = aligner.points[_COARSEST], aligner.targets[_COARSEST]
-    ends = (refine_pose(points, target, aligner.occluder, p.camera_from_scanner, _COARSE_REFINEMENT) for p in poses)
-    return [end for end in ends if end is not None]
+    occluder = aligner.occluder
+
+    def refined(pose: ScoredPose) -> RefineResult | None:
+        return refine_pose(points, target, occluder, pose.camera_from_scanner, _COARSE_REFINEMENT)
+
+    return [end for end in side_by_side(refined, poses) if end is not None]
 
 
 def _with_channels(pair: PairLevels, direction: Rigid, channel_set: ChannelSet) -> ScanLevels:
@@ -185,11 +192,18 @@ def _with_channels(pair: PairLevels, direction: Rigid, channel_set: ChannelSet) 
     photo_side = pair.photo
     with ThreadPoolExecutor(1) as other_core:
         of_photo = other_core.submit(lambda: (photo_side.channels, photo_side.fine_channels))
+        if not pair.has_view(direction):
+            kept = recall(pair.scan, pair.working, direction, channel_set, coarse=pair.coarse)
+            if kept is not None:
+                pair.add_view(direction, kept)
         levels = pair.view(direction, channel_set)
-        of_geometry = other_core.submit(lambda: levels.geometry_channels)
-        _ = levels.intensity_channels, levels.fine_channels
+        if not levels.is_complete:
+            of_geometry = other_core.submit(lambda: levels.geometry_channels)
+            _ = levels.intensity_channels, levels.fine_channels
+            of_geometry.result()
+            _ = levels.channels
+            keep(pair.scan, pair.working, direction, levels)
         of_photo.result()
-        of_geometry.result()
     return levels
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,8 @@ _MIN_SHARE = 0.05
 _SAMPLES = 10_000
 _MIN_SEEN = 30
 _ENOUGH_SEEN, _MIN_GAIN_SEEN = 0.7, 0.1
+_MOSTLY = 0.5
+_COMBINE, _ACCUMULATE = "combine several scans", "accumulate longer from the same place"
 MIN_RETURNS_IN_PHOTO = 25_000
 """Least number of returns in a full image: images are compared at the scan's resolution, not the photo's."""
 _DENSITY_SAMPLES = 200_000
@@ -116,6 +118,8 @@ class ScanDensity:
     """Photo pixels per return, in the parts of the image that have returns."""
     needed_px_per_point: float
     """Largest number of photo pixels per return at which registration works."""
+    covered: float = 1.0
+    """Share of the image that has returns, by tiles."""
 
     @property
     def too_sparse(self) -> bool:
@@ -124,11 +128,30 @@ class ScanDensity:
 
     def summary(self) -> str:
         """Return the sentence for a scan that is too sparse."""
+        needed = round(self.needed_px_per_point)
+        found = max(round(self.photo_px_per_point), needed + 1)  # never the same number twice
         return (
-            f"The scan is too sparse for this photo: 1 point per {self.photo_px_per_point:.0f} photo pixels "
-            f"({self.points:,} points in the image); about 1 per {self.needed_px_per_point:.0f} is needed. Scan at a "
-            "higher resolution, or combine several scans."
+            f"The scan is too sparse for this photo: 1 point per {found} photo pixels "
+            f"({self.points:,} points in the image); about 1 per {needed} is needed. Scan at a "
+            f"higher resolution, or {_COMBINE}."
         )
+
+    def advice(self) -> str:
+        """Return what to do about a coarse scan that gives too little evidence."""
+        if self.covered < _MOSTLY:
+            return (
+                f"The scan has returns in {self.covered:.0%} of the photo: turn the camera to where the scan has more, "
+                "near and far."
+            )
+        return (
+            f"The scan is coarse for this photo, with 1 point per {self.photo_px_per_point:.0f} photo pixels where it "
+            f"has any: {_ACCUMULATE}, or turn the camera to where outlines stand before what is far or the sky."
+        )
+
+
+def would_clouds_help(reasons: Iterable[str]) -> bool:
+    """Return whether the reasons of a verdict advise further clouds of the scan's standpoint."""
+    return any(advice in reason for reason in reasons for advice in (_COMBINE, _ACCUMULATE))
 
 
 def scan_density(scan: Scan, camera: Camera, poses: Sequence[Rigid]) -> ScanDensity | None:
@@ -154,7 +177,7 @@ def scan_density(scan: Scan, camera: Camera, poses: Sequence[Rigid]) -> ScanDens
         column, row = np.minimum(np.floor((uv + 0.5) * tiles / camera.size).astype(np.intp), tiles - 1).T
         seen = np.bincount(row * _TILES[0] + column, minlength=_TILES[0] * _TILES[1])
         covered = np.count_nonzero(seen) / len(seen)
-        densest = ScanDensity(count, covered * area / count, area / MIN_RETURNS_IN_PHOTO)
+        densest = ScanDensity(count, covered * area / count, area / MIN_RETURNS_IN_PHOTO, covered)
     return densest
 
 

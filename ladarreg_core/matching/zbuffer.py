@@ -35,8 +35,9 @@ class Occluder:
 
     def depth_buffer(self, camera_from_scanner: Rigid) -> FloatArray:
         """Return the nearest depth of each coarse pixel, (h w,) float32 m; infinite without points."""
-        if self._last is not None and self._last[0] is camera_from_scanner:
-            return self._last[1]  # the end of a refinement is used several times
+        last = self._last  # read once: another thread may be working on another pose
+        if last is not None and last[0] is camera_from_scanner:
+            return last[1]  # the end of a refinement is used several times
         cloud = camera_from_scanner.rotation.astype(np.float32) @ self._cloud
         cloud += camera_from_scanner.translation.astype(np.float32)[:, None]
         cell, inside = self._cells(*cloud)

@@ -18,6 +18,7 @@ Source: thesis 2.3.1 for the lines; least median of squares (Rousseeuw 1984) for
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,7 +88,7 @@ def line_on_scan(scan: Scan, ends: FloatArray) -> LineOnScan | None:
     if on_edge is None or np.ptp(s[on_edge]) < _LEAST_SPAN:
         return None
     # a range's noise in 1/z is that of the range times |d (1/z) / d r| = inverse^2 / length
-    information = range_quality(scan, rays[known]) * (length / inverse**2) ** 2
+    information = range_quality(scan, rays[known], _only(found, known)) * (length / inverse**2) ** 2
     design = np.column_stack([1 - s, s])[on_edge]
     weights = information[on_edge]
     try:
@@ -151,9 +152,11 @@ def _snapped_to_outline(scan: Scan, rays: FloatArray) -> tuple[FloatArray, Measu
     at = np.arange(len(rays))
     beside = reach[side, at] * (1 + EDGE_FRACTION) < reach[0]
     chosen = np.where(beside, side, 0) * len(rays) + at
-    return trial.reshape(-1, 3)[chosen], MeasuredRanges(
-        *(getattr(found, name)[chosen] for name in MeasuredRanges.__dataclass_fields__)
-    )
+    return trial.reshape(-1, 3)[chosen], _only(found, chosen)
+
+
+def _only(found: MeasuredRanges, chosen: NDArray[Any]) -> MeasuredRanges:
+    return MeasuredRanges(*(getattr(found, name)[chosen] for name in MeasuredRanges.__dataclass_fields__))
 
 
 def _variance(coefficients: FloatArray, shares: FloatArray, cells: IntArray) -> NDArray[np.float64]:

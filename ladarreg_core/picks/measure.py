@@ -16,7 +16,7 @@ from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.picks.lines import along_line, fraction_in_photo, kappa_of, line_on_scan
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.ranges import measured_ranges, range_quality
+from ladarreg_core.surface.ranges import measured_ranges, range_quality, usual_noise_m
 from ladarreg_core.validation import require_choice, require_int
 
 LineUse = Literal["ends", "equal", "kappa"]
@@ -25,6 +25,8 @@ the thesis; `kappa`: samples at constant intervals on the scan, placed in the ph
 SAMPLES_PER_LINE = 9
 """Default number of samples along a drawn line."""
 _MOST_SAMPLES = 1000
+_COARSE_RAD, _COARSE_PX = 2e-3, 1.7  # least step of the coarser direction of a coarse scan: as an angle, in the photo
+_OUTLINE_SIGMA = 0.03  # of the range, of a point on an outline
 
 
 def check_samples(samples_per_line: object) -> None:
@@ -51,8 +53,9 @@ def matches_from_picks(
     A pick that came with lengths keeps them; see `lengths` for their comparison with the scan. Of the others, a point
     gets the range of the surface under it; the ends of a line get theirs from the straight edge under it. A
     line without such an edge counts as two points. Samples of one line are not independent, so each has the weight
-    1 / sqrt of their number. There is no match without a return, or if a depth edge runs under a point. Ranges are
-    weighted by the returned light, the incidence angle and the distance from depth edges.
+    1 / sqrt of their number. There is no match without a return, or if a depth edge runs under a point; of a scan much
+    coarser than the photo, in which little but outlines can be picked, such a point belongs to the nearer surface.
+    Ranges are weighted by the returned light, the incidence angle and the distance from depth edges.
 
     Args:
         scan: the scan.
@@ -69,7 +72,7 @@ def matches_from_picks(
     """
     check_samples(samples_per_line)
     check_line_use(lines)
-    builder = _MatchBuilder()
+    builder = _MatchBuilder(outlines=camera is not None and _is_coarse(scan, camera))
     for pick in picks:
         if not pick.on:
             continue
@@ -87,10 +90,17 @@ def matches_from_picks(
     return builder.matches(camera)
 
 
+def _is_coarse(scan: Scan, camera: CameraModel) -> bool:
+    step = max(scan.geometry.step_rad)
+    return bool(step >= _COARSE_RAD and step * camera.focal_px >= _COARSE_PX)
+
+
 @dataclass(slots=True)
 class _MatchBuilder:
     """Collects the columns of the matches, pick by pick."""
 
+    outlines: bool = False
+    """Whether a point at a depth edge, or at the rim of a hole, is taken as one of the nearer surface's outline."""
     rays: list[FloatArray] = field(default_factory=list)
     ranges: list[FloatArray] = field(default_factory=list)
     edges: list[BoolArray] = field(default_factory=list)
@@ -109,7 +119,15 @@ class _MatchBuilder:
             self._stated(pick, rays, along, uv, weight)
             return
         found = measured_ranges(scan, rays)
-        self._add(pick, rays, found.ranges, found.edge, uv, along, weight, range_quality(scan, rays))
+        quality = range_quality(scan, rays, found)
+        if not self.outlines:
+            self._add(pick, rays, found.ranges, found.edge, uv, along, weight, quality)
+            return
+        on_outline = np.isnan(found.ranges) & np.isfinite(found.outline)
+        ranges = np.where(on_outline, found.outline, found.ranges)
+        sigma = usual_noise_m(scan) / (_OUTLINE_SIGMA * np.where(on_outline, ranges, 1))
+        quality = np.where(on_outline, np.minimum(quality, sigma**2), quality)
+        self._add(pick, rays, ranges, found.edge & ~on_outline, uv, along, weight, quality)
 
     def line(self, scan: Scan, pick: Pick) -> None:
         """Add both ends of a line with the ranges of the edge under it."""

@@ -9,16 +9,17 @@ match, and a camera that would see the scene from behind. `AcceptanceOptions` ho
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import lgamma, log, log10
+from functools import lru_cache
+from math import hypot, lgamma, log, log10
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.arrays import BoolArray, FloatArray, IntArray, median
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.formatting import format_length
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, count_picks
-from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, linearise, residuals
+from ladarreg_core.pose.bundle import UNSEEN, Evaluation
 from ladarreg_core.pose.covariance import LEAST_EIGENVALUE, guarded_inverse
 from ladarreg_core.results import is_determined
 
@@ -103,11 +104,12 @@ def decide_acceptance(
         options: the thresholds.
     """
     # a line end known only across the line counts as half a match
-    halves = int(np.count_nonzero(matches.dimensions[inliers] == 1))
-    agree, count = count_distinct(matches.points[inliers], matches.uv[inliers]) - (halves + 1) // 2, len(matches)
+    points, uv, count = matches.points[inliers], matches.uv[inliers], len(matches)
+    halves = int(np.count_nonzero(matches.across[inliers]))
+    agree = count_distinct(points, uv) - (halves + 1) // 2
     # a line end known only across the line is an inlier more easily, so it does not count towards the share
-    share = np.count_nonzero(inliers & (matches.dimensions == 2)) / count
-    of_lines = " among points and line ends" if len(set(matches.pick_ids)) < count else ""
+    share = np.count_nonzero(inliers & ~matches.across) / count
+    of_lines = "" if matches.distinct_picks else " among points and line ends"
     against = []
     if agree < options.least_inliers:
         against.append(
@@ -132,7 +134,7 @@ def decide_acceptance(
         )
     angle = float(np.sqrt(np.trace(covariance[:3, :3])))
     position = float(np.sqrt(np.trace(covariance[3:, 3:])))
-    reach = float(np.median(matches.ranges))
+    reach = median(matches.ranges)
     if not (angle <= options.most_angle_rad and position <= options.most_position_of_range * reach):
         known = f"(1 sigma: {format_length(position)}, {np.degrees(angle):.2g} deg)"
         how = (
@@ -141,9 +143,9 @@ def decide_acceptance(
             else "do not determine the pose"
         )
         against.append(f"the matches {how}; spread them over the photo and over near and far surfaces")
-    if _collinear(matches.uv[inliers], options):
+    if _collinear(uv, options):
         against.append("the inliers are collinear in the photo; add matches off that line")
-    if _sees_plane_from_behind(pose, matches.points[inliers], options):
+    if _sees_plane_from_behind(pose, points, options):
         against.append(
             "the camera would see the matches' plane from behind; check whether the photo or the scan is mirrored"
         )
@@ -174,8 +176,10 @@ def _collinear(uv: FloatArray, options: AcceptanceOptions) -> bool:
     if len(uv) < 3:
         return False
     centred = uv - uv.mean(axis=0)
-    squared = np.linalg.eigvalsh(centred.T @ centred)
-    return bool(squared[0] <= options.least_aspect**2 * squared[1])
+    (a, b), (_, c) = (centred.T @ centred).tolist()
+    # eigenvalues of the scatter, the smaller from the determinant, which cancels less
+    larger = (a + c) / 2 + hypot((a - c) / 2, b)
+    return bool(larger <= 0 or (a * c - b * b) / larger <= options.least_aspect**2 * larger)
 
 
 def _sees_plane_from_behind(pose: Rigid, points: FloatArray, options: AcceptanceOptions) -> bool:
@@ -194,38 +198,53 @@ def _sees_plane_from_behind(pose: Rigid, points: FloatArray, options: Acceptance
 
 def _common_plane(points: FloatArray, options: AcceptanceOptions) -> tuple[FloatArray, FloatArray] | None:
     """Return a point and the normal of the plane that contains most of the points (N, 3), or None."""
-    rng = np.random.default_rng(0)
-    a, b, c = points[rng.integers(0, len(points), (3, _PLANE_SAMPLES))]
-    normals = np.cross(b - a, c - a)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    least = max(3.0, options.plane_share * len(points))
+    a, b, c = points[_triples(len(points))]
+    (x, y, z), (u, v, w) = (b - a).T, (c - a).T
+    normals = np.stack([y * w - z * v, z * u - x * w, x * v - y * u])  # (3, planes)
+    length = np.sqrt((normals * normals).sum(axis=0))
     normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
-    off = np.where(length > 0, np.abs(points @ normals.T - (a * normals).sum(axis=1)).T, np.inf)
-    width = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(points.T, bias=True))[1], 0))
-    on_plane = off <= 2 * options.plane_tolerance * width
-    best = int(np.argmax(np.count_nonzero(on_plane, axis=1)))
-    members = points[on_plane[best]]
-    if len(members) < max(3, options.plane_share * len(points)):
-        return None
+    centred = points - points.mean(axis=0)
+    width = np.sqrt(max(float(np.linalg.eigvalsh(centred.T @ centred)[1]) / len(points), 0.0))
+    within = np.where(length > 0, 2 * options.plane_tolerance * width, -1.0)
+    through = (a.T * normals).sum(axis=0)
+    for part in (points[: len(points) // 2], points):  # half of the points mostly rule out every plane
+        on_plane = np.abs(part @ normals - through) <= within
+        counts = np.count_nonzero(on_plane, axis=0)
+        if counts.max() + len(points) - len(part) < least:
+            return None
+    members = points[on_plane[:, int(np.argmax(counts))]]
     centroid = members.mean(axis=0)
     centred = members - centroid
     return centroid, np.linalg.eigh(centred.T @ centred)[1][:, 0]
 
 
+@lru_cache(maxsize=64)
+def _triples(count: int) -> IntArray:
+    """Return the indices (3, planes) of the points through which planes are tried."""
+    return np.random.default_rng(0).integers(0, count, (3, _PLANE_SAMPLES))
+
+
 def count_distinct(points: FloatArray, uv: FloatArray) -> int:
     """Return the number of matches that differ on both sides, (N, 3) and (N, 2): duplicates are no evidence."""
     # hash each row to one number, which is faster to sort; collisions are practically impossible
-    return min(len(np.unique(points @ _HASH_WEIGHTS)), len(np.unique(uv @ _HASH_WEIGHTS[:2])))
+    return min(_count_different(points @ _HASH_WEIGHTS), _count_different(uv @ _HASH_WEIGHTS[:2]))
+
+
+def _count_different(numbers: FloatArray) -> int:
+    """Return how many of the finite numbers (N,) differ."""
+    ordered = np.sort(numbers)
+    return min(len(numbers), 1 + int(np.count_nonzero(ordered[1:] != ordered[:-1])))
 
 
 def log10_false_alarms(
-    measured: Measurements, matches: Matches, state: States, inliers: BoolArray, camera: CameraModel, *, gate: float
+    at: Evaluation, matches: Matches, inliers: BoolArray, camera: CameraModel, *, gate: float
 ) -> float:
     """Return log10 of the expected number of poses with as many inliers if all matches were random.
 
     Args:
-        measured: all matches.
+        at: all matches at the pose.
         matches: the same matches.
-        state: the pose (B = 1).
         inliers: (M,) bool.
         camera: intrinsics.
         gate: largest cost s of an inlier.
@@ -235,15 +254,15 @@ def log10_false_alarms(
     n, k = len(matches), int(np.count_nonzero(inliers))
     if k <= 3:
         return float(log10(max(n, 1)))
-    lin = linearise(measured, state, residuals(measured, state))
+    measured = at.measured
     # det(M - M j j^T M / h) = det M / (sigma_r^2 h)
-    determinant = measured.information.prod(axis=0) - measured.cross_information[0] ** 2
-    determinant = determinant * measured.range_information / lin.h[0]
+    determinant = measured.information[0] * measured.information[1] - measured.cross_information[0] ** 2
+    determinant = determinant * measured.range_information / at.lin.h[0]
     low, high = matches.uv.min(axis=0), matches.uv.max(axis=0)
     full = inliers & (matches.dimensions == 2)
     if not full.any():
         return float(log10(max(n, 1)))
-    gate_area = np.pi * gate * camera.focal_px**2 / np.sqrt(np.median(determinant[full]))
+    gate_area = np.pi * gate * camera.focal_px**2 / np.sqrt(median(determinant[full]))
     radius = np.sqrt(gate_area / np.pi)
     patch = float(np.prod(np.minimum(high - low + 2 * radius, np.maximum(camera.size, high - low))))
     p = float(min(1.0, gate_area / max(patch, 1e-9)))
@@ -253,9 +272,8 @@ def log10_false_alarms(
 
 
 def find_critical_match(
-    measured: Measurements,
+    at: Evaluation,
     matches: Matches,
-    state: States,
     inliers: BoolArray,
     options: AcceptanceOptions = DEFAULT_ACCEPTANCE,
 ) -> str | None:
@@ -264,37 +282,40 @@ def find_critical_match(
     Without pick k, whose part of the information H is A, the covariance is (H - A)^-1.
 
     Args:
-        measured: all matches.
+        at: all matches at the pose.
         matches: the same matches.
-        state: the pose (B = 1).
         inliers: (M,) bool.
         options: the thresholds.
 
     Source: Cook and Weisberg, Residuals and influence in regression (1982), for deletion.
     """
-    seen = residuals(measured, state)
-    lin = linearise(measured, state, seen)
+    measured, seen, lin = at.measured, at.seen, at.lin
     counts = inliers & (seen.s[0] < UNSEEN)
     share = lin.m[0] / lin.h[0]
-    diagonal = measured.information - lin.m[0] * share
-    cross = measured.cross_information - lin.m[0, :1] * share[1:]
+    diagonal = counts * (measured.information - lin.m[0] * share)
+    cross = counts * (measured.cross_information - lin.m[0, :1] * share[1:])
     J = lin.j_pose[0]  # (6, 2, N)
-    each = np.einsum("aen,ben->nab", diagonal * J + cross * J[:, ::-1], J) * counts[:, None, None]
-    names, pick = np.unique(np.asarray(matches.pick_ids), return_inverse=True)
-    parts = np.zeros((len(names), 6, 6))
-    np.add.at(parts, pick, each)
-    H = parts.sum(axis=0)
+    K = diagonal * J
+    K += cross * J[:, ::-1]
+    H = K.reshape(6, -1) @ J.reshape(6, -1).T
     unit = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
     inverse = guarded_inverse(H * np.outer(unit, unit))
     # a standard deviation grows noticeably only if a pick provides nearly all the information in some direction
-    leverage = np.einsum("kab,ab->k", parts * np.outer(unit, unit), inverse)
+    scaled = (inverse * np.outer(unit, unit)) @ K.reshape(6, -1)
+    scaled *= J.reshape(6, -1)
+    leverage = scaled.sum(axis=0).reshape(2, -1).sum(axis=0)  # of each match
+    names, pick = matches.numbered_picks()
+    if len(names) < len(matches):
+        leverage = np.bincount(pick, leverage)
     heavy = np.flatnonzero(leverage > options.critical_leverage)
     if not len(heavy):
         return None
-    values, vectors = np.linalg.eigh((H - parts[heavy]) * np.outer(unit, unit))
+    own = [(K[..., pick == k].reshape(6, -1), J[..., pick == k].reshape(6, -1)) for k in heavy]
+    parts = np.stack([a @ b.T for a, b in own])
+    values, vectors = np.linalg.eigh((H - parts) * np.outer(unit, unit))
     variance = np.einsum("kab,kb->ka", vectors**2, 1 / np.maximum(values, LEAST_EIGENVALUE)) * unit**2
     angle, position = np.sqrt(variance[:, :3].sum(axis=1)), np.sqrt(variance[:, 3:].sum(axis=1))
-    most_position_m = options.most_position_of_range * float(np.median(matches.ranges))
+    most_position_m = options.most_position_of_range * median(matches.ranges)
     beyond = np.maximum(angle / options.most_angle_rad, position / most_position_m)
     with_all = np.diag(inverse) * unit**2
     grown = np.maximum(angle / np.sqrt(with_all[:3].sum()), position / np.sqrt(with_all[3:].sum()))

@@ -70,7 +70,7 @@ def find_second_pose(
     points = (few.rays * few.ranges).T
     descent = Descent.start(few, States.of([mirrored(pose, points), *orbiting_poses(pose, points)], few))
     for _ in range(_STEPS):
-        descent.step(np.ones_like, _sum)
+        descent.step(lambda s: (np.ones_like(s), s.sum(axis=-1)))
     # a second pose may score worse by the margin on all matches, and by chance on a sample
     promising = truncated_score(descent.residuals.s, gate) < truncated_score(s[sample], gate) + (
         margin * noise + 4 * np.sqrt(4 * len(sample))
@@ -275,7 +275,3 @@ def _distinct(pose: Rigid, states: States, H: FloatArray, options: AcceptanceOpt
     step, angle = pose_differences(pose, states)
     far = np.einsum("bi,ij,bj->b", step, H, step) > options.second_pose_sigmas**2
     return np.asarray(far | (angle > np.pi / 2))
-
-
-def _sum(s: FloatArray) -> FloatArray:
-    return np.asarray(s.sum(axis=-1))

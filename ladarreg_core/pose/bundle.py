@@ -16,7 +16,8 @@ Source: Triggs et al., Bundle adjustment: a modern synthesis (1999), 6.1; increm
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import sin, sqrt
 
 import numpy as np
 
@@ -34,10 +35,8 @@ _EYE = np.eye(6)
 _GENERATORS = np.stack([skew(axis) for axis in np.eye(3)]).reshape(3, 9)
 _LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e9
 
-WeightFunction = Callable[[FloatArray], FloatArray]
-"""Weights (B, N) from s (B, N)."""
-CostFunction = Callable[[FloatArray], FloatArray]
-"""Costs (B,) from s (B, N)."""
+CostFunction = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+"""Costs (B,) from s (B, N), with their derivatives by s: the weights (B, N)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +63,8 @@ class Measurements:
     """(N,) lower bound of the adjusted range, m."""
     most_rho: FloatArray
     """(N,) upper bound of the adjusted range, m."""
+    correlated: bool
+    """False if `cross_information` is zero throughout, as it is without distortion."""
     fronts: FloatArray | None = None
     """(N, 3, 3) rotations that turn the observed ray of each match to the Z axis, from camera axes; None: the image
     plane is that of the camera. A wide camera has no image plane, and `xy` are tangents around the observed rays."""
@@ -74,19 +75,7 @@ class Measurements:
 
         A line end known only across the line has the information of a point-to-line distance, which is of rank 1.
         """
-        rays_camera = camera.unproject(matches.uv)
-        fronts: FloatArray | None = None
-        if isinstance(camera, Camera):
-            ideal = rays_camera / rays_camera[:, 2:]
-            _, d_uv = camera.project_with_jacobian(ideal)
-        else:
-            fronts = front_rotations(rays_camera)
-            _, d_uv = camera.project_with_jacobian(rays_camera)
-            d_uv = d_uv @ fronts.swapaxes(1, 2)
-            ideal = np.where(np.isfinite(rays_camera).all(axis=1, keepdims=True), [0.0, 0.0, 1.0], np.nan)
-            fronts = np.where(np.isfinite(fronts), fronts, np.eye(3))
-        D = np.moveaxis(d_uv[..., :2], 0, -1)  # (2, 2, N) d uv / d xy
-        D = np.where(np.isfinite(D).all(axis=(0, 1)), D, 0.0)
+        xy, D, fronts = _undistorted(matches.uv, camera)
         by_weight = matches.weights / sigma_px**2
         diagonal = (D * D).sum(axis=0)
         cross = (D[:, 0] * D[:, 1]).sum(axis=0, keepdims=True)
@@ -101,12 +90,25 @@ class Measurements:
             np.ascontiguousarray(matches.rays.T),
             matches.ranges,
             of_range / sigma_range_m**2,
-            np.ascontiguousarray(ideal[:, :2].T),
+            xy,
             diagonal * by_weight,
             cross * by_weight,
             np.maximum(matches.ranges - reach, _NEAREST * matches.ranges),
             matches.ranges + reach,
+            bool(cross.any()),
             fronts,
+        )
+
+    def with_noise(self, *, px_factor: float, range_factor: float) -> Measurements:
+        """Return the same measurements with the standard deviations of pixels and ranges multiplied by factors."""
+        reach = range_factor * (self.most_rho - self.ranges)
+        return replace(
+            self,
+            range_information=self.range_information / range_factor**2,
+            information=self.information / px_factor**2,
+            cross_information=self.cross_information / px_factor**2,
+            least_rho=np.maximum(self.ranges - reach, _NEAREST * self.ranges),
+            most_rho=self.ranges + reach,
         )
 
     def __len__(self) -> int:
@@ -123,8 +125,35 @@ class Measurements:
             self.cross_information[:, keep],
             self.least_rho[keep],
             self.most_rho[keep],
+            self.correlated,
             None if self.fronts is None else self.fronts[keep],
         )
+
+
+def _undistorted(uv: FloatArray, camera: CameraModel) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+    """Return the tangents (2, N) of pixels (N, 2), their derivatives D (2, 2, N) = d uv / d xy, and `fronts`.
+
+    D is 0 outside the field of the lens.
+    """
+    fronts: FloatArray | None = None
+    if isinstance(camera, Camera) and not camera.distortion:
+        focal = np.array([[camera.fx], [camera.fy]])
+        D = np.zeros((2, 2, len(uv)))
+        D[0, 0], D[1, 1] = camera.fx, camera.fy
+        return (uv.T - [[camera.cx], [camera.cy]]) / focal, D, None
+    rays_camera = camera.unproject(uv)
+    if isinstance(camera, Camera):
+        ideal = rays_camera / rays_camera[:, 2:]
+        _, d_uv = camera.project_with_jacobian(ideal)
+    else:
+        fronts = front_rotations(rays_camera)
+        _, d_uv = camera.project_with_jacobian(rays_camera)
+        d_uv = d_uv @ fronts.swapaxes(1, 2)
+        ideal = np.where(np.isfinite(rays_camera).all(axis=1, keepdims=True), [0.0, 0.0, 1.0], np.nan)
+        fronts = np.where(np.isfinite(fronts), fronts, np.eye(3))
+    D = np.asarray(d_uv[..., :2].transpose(1, 2, 0))
+    D = np.where(np.isfinite(D).all(axis=(0, 1)), D, 0.0)
+    return np.ascontiguousarray(ideal[:, :2].T), D, fronts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,6 +213,8 @@ class Residuals:
     """(B, 2, N) observed minus predicted tangents."""
     range_error: FloatArray
     """(B, N) measured minus adjusted, m."""
+    all_seen: bool
+    """True if every match is in front of the camera in every state."""
 
 
 def residuals(measured: Measurements, states: States) -> Residuals:
@@ -200,17 +231,20 @@ def residuals(measured: Measurements, states: States) -> Residuals:
         xy = p[:, :2] * inverse_z
         e = measured.xy - xy
         error = measured.ranges - states.rho
-        s = (measured.information * e + measured.cross_information * e[:, ::-1]) * e
-        s = s[:, 0] + s[:, 1]
+        weighted = measured.information * e
+        if measured.correlated:
+            weighted += measured.cross_information * e[:, ::-1]
+        weighted *= e
+        s = weighted[:, 0] + weighted[:, 1]
         s += measured.range_information * error * error
-        seen = (z[:, 0] > 0) & (s < UNSEEN)
-    if not seen.all():
-        unseen = ~seen
+        all_seen = bool(z.min(initial=1.0) > 0 and s.max(initial=0.0) < UNSEEN)
+    if not all_seen:
+        unseen = ~((z[:, 0] > 0) & (s < UNSEEN))
         s[unseen] = UNSEEN
         error[unseen] = 0.0
         for values in (xy, inverse_z, e):
             values.swapaxes(1, 2)[unseen] = 0.0
-    return Residuals(s, rotated, xy, inverse_z, e, error)
+    return Residuals(s, rotated, xy, inverse_z, e, error, all_seen)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,13 +266,12 @@ def linearise(measured: Measurements, states: States, seen: Residuals) -> Linear
     R, xy, inverse_z = states.rotations, seen.xy, seen.inverse_z
     B, _, N = xy.shape
     J = np.empty((B, 6, 2, N))
-    x, y = xy[:, 0], xy[:, 1]
-    J[:, :2, 0] = -x[:, None] * xy[:, ::-1]  # d p = w x p
-    J[:, :2, 1] = -y[:, None] * xy[:, ::-1]
-    J[:, 1] *= -1
-    J[:, 1, 0] += 1
+    J[:, 2, 1] = xy[:, 0]  # d p = w x p
+    np.negative(xy[:, 1], out=J[:, 2, 0])
+    np.multiply(J[:, 2, :1], xy, out=J[:, 0])
+    np.multiply(J[:, 2, 1:], xy, out=J[:, 1])
     J[:, 0, 1] -= 1
-    J[:, 2, 0], J[:, 2, 1] = -y, x
+    J[:, 1, 0] += 1
     if measured.fronts is None:
         np.multiply(xy[:, None], R[:, 2, :, None, None], out=J[:, 3:])  # d p = -R c
         J[:, 3:] -= R[:, :2].swapaxes(1, 2)[..., None]
@@ -248,8 +281,43 @@ def linearise(measured: Measurements, states: States, seen: Residuals) -> Linear
         J[:, 3:] = xy[:, None] * turned[:, 2, :, None] - turned[:, :2].swapaxes(1, 2)
     J[:, 3:] *= inverse_z[:, None]
     j = (seen.rotated[:, :2] - xy * seen.rotated[:, 2:]) * inverse_z
-    m = measured.information * j + measured.cross_information * j[:, ::-1]
-    return Linearised(J, j, m, (j * m).sum(axis=1) + measured.range_information)
+    m = measured.information * j
+    if measured.correlated:
+        m += measured.cross_information * j[:, ::-1]
+    by_pixel = j * m
+    h = by_pixel[:, 0] + by_pixel[:, 1]
+    h += measured.range_information
+    return Linearised(J, j, m, h)
+
+
+@dataclass(slots=True, eq=False)
+class Evaluation:
+    """The residuals of all matches at one pose, and their derivatives, which are computed when first needed."""
+
+    measured: Measurements
+    """The matches."""
+    state: States
+    """The pose (B = 1)."""
+    seen: Residuals
+    """The residuals."""
+    _lin: Linearised | None = None
+
+    @property
+    def lin(self) -> Linearised:
+        """The derivatives of the residuals."""
+        if self._lin is None:
+            self._lin = linearise(self.measured, self.state, self.seen)
+        return self._lin
+
+    @property
+    def s(self) -> FloatArray:
+        """(N,) cost of each match."""
+        return np.asarray(self.seen.s[0])
+
+    def information(self, members: BoolArray) -> FloatArray:
+        """Return the Fisher information (6, 6) of (w, c) from the members (N,), with the ranges marginalised."""
+        weights = members.astype(np.float64)[None]
+        return np.asarray(normal_equations(self.measured, self.seen, self.lin, weights)[0][0])
 
 
 def normal_equations(
@@ -264,20 +332,27 @@ def normal_equations(
         weights: (B, N) multiply the information; matches behind the camera do not count.
     """
     B, _, _, N = lin.j_pose.shape
-    weights = (weights * (seen.s < UNSEEN))[:, None]
+    if not seen.all_seen:
+        weights = weights * (seen.s < UNSEEN)
+    weights = weights[:, None]
     # information of a pixel with its range marginalised: M - M j j^T M / h
-    share = lin.m / lin.h[:, None]
-    diagonal = weights * (measured.information - lin.m * share)
-    cross = weights * (measured.cross_information - lin.m[:, :1] * share[:, 1:])
+    share = lin.m * (weights / lin.h[:, None])
+    diagonal = weights * measured.information
+    diagonal -= lin.m * share
+    cross = lin.m[:, :1] * share[:, 1:]
+    if measured.correlated:
+        cross -= weights * measured.cross_information
     J = lin.j_pose
     K = diagonal[:, None] * J
-    K += cross[:, None] * J[:, :, ::-1]
+    K -= cross[:, None] * J[:, :, ::-1]
     # residual at the measured range: e' = e - j (r - rho)
     e = seen.e - lin.j * seen.range_error[:, None]
     flat = K.reshape(B, 6, 2 * N)
     H = flat @ J.reshape(B, 6, 2 * N).swapaxes(1, 2)
     g = flat @ e.reshape(B, 2 * N, 1)
-    return (H + H.swapaxes(1, 2)) / 2, g[..., 0]
+    H += H.swapaxes(1, 2).copy()
+    H *= 0.5
+    return H, g[..., 0]
 
 
 def apply_step(
@@ -290,12 +365,31 @@ def apply_step(
         e = e - (step[:, None] @ lin.j_pose.reshape(B, 6, 2 * N)).reshape(B, 2, N)
         rotations = rotations_from_rotvecs(step[:, :3]) @ rotations
         centres = centres + step[:, 3:]
-    rho = states.rho + ((lin.m * e).sum(axis=1) + measured.range_information * seen.range_error) / lin.h
-    return States(rotations, centres, np.minimum(np.maximum(rho, measured.least_rho), measured.most_rho))
+    pulled = lin.m * e
+    step_rho = measured.range_information * seen.range_error
+    step_rho += pulled[:, 0]
+    step_rho += pulled[:, 1]
+    step_rho /= lin.h
+    step_rho += states.rho
+    np.maximum(step_rho, measured.least_rho, out=step_rho)
+    return States(rotations, centres, np.minimum(step_rho, measured.most_rho, out=step_rho))
 
 
 def rotations_from_rotvecs(rotvecs: FloatArray) -> FloatArray:
     """Return exp([w]x), (B, 3, 3), of rotation vectors (B, 3). Source: Rodrigues' formula."""
+    if len(rotvecs) == 1:  # in numbers of Python's own, at a third of the time
+        x, y, z = rotvecs[0].tolist()
+        turn = sqrt(x * x + y * y + z * z) + 1e-30
+        a, b = sin(turn) / turn, 2 * (sin(turn / 2) / turn) ** 2
+        return np.array(
+            [
+                [
+                    [1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y],
+                    [b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x],
+                    [b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)],
+                ]
+            ]
+        )
     angle = np.sqrt((rotvecs * rotvecs).sum(axis=1)) + 1e-30
     half = np.sin(angle / 2) / angle
     K = (rotvecs @ _GENERATORS).reshape(-1, 3, 3)
@@ -336,48 +430,63 @@ class Descent:
     """(B,) relative to the diagonal of H."""
     step_sigma: FloatArray
     """(B,) length of the last step in standard deviations; infinite after a rejected step."""
+    _known: tuple[CostFunction, FloatArray, FloatArray] | None = None
+    """The last cost function, with the weights and costs of the current residuals."""
 
     @staticmethod
-    def start(measured: Measurements, states: States) -> Descent:
-        """Return the descent before its first step."""
+    def start(measured: Measurements, states: States, seen: Residuals | None = None) -> Descent:
+        """Return the descent before its first step; `seen` are the residuals of the states, if known."""
         B = len(states.centres)
-        return Descent(measured, states, residuals(measured, states), np.full(B, 1e-4), np.full(B, np.inf))
+        seen = residuals(measured, states) if seen is None else seen
+        return Descent(measured, states, seen, np.full(B, 1e-4), np.full(B, np.inf))
 
-    def step(self, weigh: WeightFunction, cost: CostFunction) -> None:
+    def step(self, cost: CostFunction) -> None:
         """Take one step of every state; a step that would increase the cost is rejected, and the damping raised."""
         lin = linearise(self.measured, self.states, self.residuals)
-        H, g = normal_equations(self.measured, self.residuals, lin, weigh(self.residuals.s))
+        if self._known is not None and self._known[0] is cost:
+            _, weights, before = self._known
+        else:
+            weights, before = cost(self.residuals.s)
+        H, g = normal_equations(self.measured, self.residuals, lin, weights)
         step = _solve_damped(H, g, self.damping)
         there = apply_step(self.measured, self.states, self.residuals, lin, step)
         seen = residuals(self.measured, there)
-        lower = cost(seen.s) <= cost(self.residuals.s)
-        length = np.sqrt(np.maximum((step[:, None, :] @ H @ step[:, :, None])[:, 0, 0], 0))
-        self.step_sigma = np.where(lower, length, np.where(length < 1e-3, 0.0, np.inf))
-        self.damping = np.minimum(
-            np.maximum(np.where(lower, self.damping / 10, self.damping * 10), _LEAST_DAMPING), _MOST_DAMPING
-        )
-        if not lower.all():
+        weights_there, after = cost(seen.s)
+        lower = after <= before
+        squared = (step[:, None] @ H @ step[:, :, None])[:, 0, 0]
+        length = np.sqrt(np.maximum(squared, 0))
+        self._known = None
+        if lower.all():
+            self._known = cost, weights_there, after
+            self.step_sigma = length
+            self.damping = np.maximum(self.damping / 10, _LEAST_DAMPING)
+        else:
+            self.step_sigma = np.where(lower, length, np.where(length < 1e-3, 0.0, np.inf))
+            self.damping = np.where(lower, self.damping / 10, self.damping * 10)
+            self.damping = np.minimum(np.maximum(self.damping, _LEAST_DAMPING), _MOST_DAMPING)
             _keep(~lower, self.states, there)
             _keep(~lower, self.residuals, seen)
+            seen = replace(seen, all_seen=seen.all_seen and self.residuals.all_seen)
         self.states, self.residuals = there, seen
 
 
 def _keep(stay: BoolArray, old: States | Residuals, new: States | Residuals) -> None:
     """Restore the old values of the states that stay, in place: the new arrays are not shared yet."""
     for name in new.__slots__:
-        getattr(new, name)[stay] = getattr(old, name)[stay]
+        if name != "all_seen":
+            getattr(new, name)[stay] = getattr(old, name)[stay]
 
 
 def _solve_damped(H: FloatArray, g: FloatArray, damping: FloatArray) -> FloatArray:
-    diagonal = np.einsum("bii->bi", H)
     damped = H.copy()
-    np.einsum("bii->bi", damped)[:] += damping[:, None] * diagonal + (
-        1e-14 * diagonal.max(axis=1, keepdims=True) + 1e-300
-    )
+    diagonal = damped.reshape(len(H), 36)[:, ::7]  # a view
+    diagonal += damping[:, None] * diagonal + (1e-14 * diagonal.max(axis=1, keepdims=True) + 1e-300)
     try:
         step = np.linalg.solve(damped, g[..., None])[..., 0]
     except np.linalg.LinAlgError:
         step = np.stack([np.linalg.lstsq(h, v, rcond=None)[0] for h, v in zip(damped, g, strict=True)])
+    if np.abs(step).max() < 0.5:  # far from what follows
+        return step
     length = np.sqrt((step[:, :3] ** 2).sum(axis=1, keepdims=True))
     if not (length < 1).all():  # beyond a radian the linearisation is invalid
         step = np.where(np.isfinite(step), step, 0.0) / np.maximum(np.where(np.isfinite(length), length, 1.0), 1.0)
@@ -389,6 +498,7 @@ def least_squares(
     states: States,
     *,
     members: BoolArray | None = None,
+    seen: Residuals | None = None,
     steps: int = 20,
     tolerance_sigma: float = 1e-2,
 ) -> tuple[States, Residuals, BoolArray]:
@@ -398,23 +508,22 @@ def least_squares(
         measured: the matches.
         states: the starting poses.
         members: (N,) the matches that count, None: all; the ranges of the others are adjusted as well.
+        seen: the residuals of the starting poses, if known.
         steps: maximum number of steps.
         tolerance_sigma: stop when no pose moves by more than this many of its standard deviations.
 
     Returns:
         The states, their residuals, and which of the states converged (B,).
     """
-    descent = Descent.start(measured, states)
+    descent = Descent.start(measured, states, seen)
     counts = np.ones(len(measured)) if members is None else members.astype(np.float64)
+    weights = np.broadcast_to(counts, descent.residuals.s.shape)
 
-    def weigh(s: FloatArray) -> FloatArray:
-        return np.broadcast_to(counts, s.shape)
-
-    def cost(s: FloatArray) -> FloatArray:
-        return np.asarray(s @ counts)
+    def cost(s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return weights, s @ counts
 
     for _ in range(steps):
-        descent.step(weigh, cost)
+        descent.step(cost)
         if (descent.step_sigma < tolerance_sigma).all():
             break
     return descent.states, descent.residuals, descent.step_sigma < tolerance_sigma

@@ -18,7 +18,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose import bundle
-from ladarreg_core.pose.bundle import Measurements, States, adjust_ranges
+from ladarreg_core.pose.bundle import Evaluation, Measurements, States, adjust_ranges
 from ladarreg_core.pose.intrinsics import (
     PARAMETERS,
     Descent,
@@ -160,6 +160,7 @@ def choose_intrinsics(
     gate_chi2: float = 9.21,
     most: Intrinsics = "focal_k1",
     noise: Noise | None = None,
+    at: Evaluation | None = None,
     seed: int = 0,
 ) -> IntrinsicsChoice:
     """Estimate only those intrinsics that the matches require.
@@ -178,14 +179,19 @@ def choose_intrinsics(
         gate_chi2: largest cost s of an inlier.
         most: the last step of the ladder.
         noise: estimator of the noise if it is not stated; None: the noise is as given.
+        at: all matches at the pose, with that noise, if known.
         seed: random seed of the folds.
     """
     ladder = _LADDER[most]
     model = _Model(camera, pose, inliers, 0)
+    if at is not None and not _rejects(
+        Descent.at(at, matches, camera, (sigma_px, sigma_range_m)), inliers, ladder, gate_chi2
+    ):
+        return IntrinsicsChoice(camera, None, ())
     folds = _Folds.of(matches, sigma_px, sigma_range_m, gate_chi2, seed)
     kept: IntrinsicsFit | None = None
     trials: list[Trial] = []
-    if not folds.rejects(model, ladder):
+    if at is None and not folds.rejects(model, ladder):
         return IntrinsicsChoice(camera, None, ())
     for step in ladder:
         if kept is not None and not folds.rejects(model, (step,)):
@@ -266,10 +272,26 @@ def assign_folds(pick_ids: Sequence[str], *, folds: int = FOLDS, seed: int = 0) 
     Returns:
         The index of each match's pick, and its fold, both (M,).
     """
-    number: dict[str, int] = {}
-    group = np.array([number.setdefault(name, len(number)) for name in pick_ids], dtype=np.intp)
-    order = np.random.default_rng(seed).permutation(len(number))
-    return group, (order % max(min(folds, len(number)), 1))[group]
+    count = len(set(pick_ids))
+    if count == len(pick_ids):
+        group = np.arange(count)
+    else:
+        number: dict[str, int] = {}
+        group = np.array([number.setdefault(name, len(number)) for name in pick_ids], dtype=np.intp)
+    order = np.random.default_rng(seed).permutation(count)
+    return group, (order % max(min(folds, count), 1))[group]
+
+
+def _rejects(descent: Descent, inliers: BoolArray, ladder: Sequence[Intrinsics], gate: float) -> bool:
+    """Return whether a score test rejects the intrinsics of a descent in favour of any step of the ladder."""
+    if not ladder:
+        return False
+    counts = [len(PARAMETERS[step]) for step in ladder]
+    if max(predicted_gains(descent, inliers, counts)) > SCORE_TEST_SIGMA:
+        return True
+    wide = descent.residuals.s[0] <= _WIDE * gate
+    more = np.count_nonzero(wide) > _WORTH_WIDENING * np.count_nonzero(inliers)
+    return bool(more and max(predicted_gains(descent, wide, counts)) > SCORE_TEST_SIGMA)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -319,15 +341,7 @@ class _Folds:
 
     def rejects(self, model: _Model, ladder: Sequence[Intrinsics]) -> bool:
         """Return whether a score test rejects the model in favour of any step of the ladder."""
-        if not ladder:
-            return False
-        descent = self.descent(model)
-        counts = [len(PARAMETERS[step]) for step in ladder]
-        if max(predicted_gains(descent, model.inliers, counts)) > SCORE_TEST_SIGMA:
-            return True
-        wide = descent.residuals.s[0] <= _WIDE * self.gate
-        more = np.count_nonzero(wide) > _WORTH_WIDENING * np.count_nonzero(model.inliers)
-        return bool(more and max(predicted_gains(descent, wide, counts)) > SCORE_TEST_SIGMA)
+        return _rejects(self.descent(model), model.inliers, ladder, self.gate)
 
     def gain(self, before: FloatArray, after: FloatArray) -> Gain:
         by_pick = np.bincount(self.group, before - after)
@@ -354,7 +368,7 @@ class _Folds:
         counts = training.astype(np.float64)
         descent = bundle.Descent.start(measured, States.of([model.pose] * len(training), measured))
         for _ in range(_STEPS):
-            descent.step(lambda s: counts, lambda s: np.asarray((s * counts).sum(axis=1)))
+            descent.step(lambda s: (counts, (s * counts).sum(axis=1)))
             if (descent.step_sigma < _SETTLED_SIGMA).all():
                 break
         return adjust_ranges(measured, descent.states)[1].s

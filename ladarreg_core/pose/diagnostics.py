@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.arrays import BoolArray, FloatArray, median
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.frames import Rigid, principal_extents
 from ladarreg_core.matches import Matches
@@ -104,13 +104,15 @@ def diagnose(
     figures["planarity"] = float(s[2] / s[1]) if s[1] > 0 else 0.0
     figures["linearity"] = float(s[1] / s[0]) if s[0] > 0 else 0.0
     figures["range_near_m"], figures["range_far_m"] = float(ranges.min()), float(ranges.max())
-    spread = np.ptp(uv, axis=0) / camera.size
-    figures["spread_of_picture"] = float(np.clip(spread, 0, 1).prod())
-    length = np.linalg.norm(d.disparity[:, inliers], axis=0) * camera.focal_px
-    if np.isfinite(length).any():
-        median = float(np.nanmedian(length))
-        figures["disparity_median_px"] = median
-        figures["disparity_over_sigma"] = median / sigma_px
-        if median > 0:
-            figures["stereo_sigma_z_over_z"] = float(np.sqrt(2) * sigma_px / median)
+    wide, high = ((uv.max(axis=0) - uv.min(axis=0)) / camera.size).tolist()
+    figures["spread_of_picture"] = min(wide, 1.0) * min(high, 1.0)
+    x, y = d.disparity[:, inliers]
+    length = np.sqrt(x * x + y * y)
+    length = length[~np.isnan(length)]
+    if len(length):
+        middle = median(length) * camera.focal_px
+        figures["disparity_median_px"] = middle
+        figures["disparity_over_sigma"] = middle / sigma_px
+        if middle > 0:
+            figures["stereo_sigma_z_over_z"] = float(np.sqrt(2) * sigma_px / middle)
     return figures

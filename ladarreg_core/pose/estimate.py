@@ -15,7 +15,7 @@ from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.assumed_camera import with_assumed_camera
-from ladarreg_core.pose.bundle import Measurements, States, adjust_ranges
+from ladarreg_core.pose.bundle import Evaluation, Measurements, States, adjust_ranges
 from ladarreg_core.pose.intrinsics import Intrinsics
 from ladarreg_core.pose.options import STATED_SIGMA_PX as STATED_SIGMA_PX
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M as STATED_SIGMA_RANGE_M
@@ -123,7 +123,7 @@ def _solve_linear(matches: Matches, camera: Camera, options: PoseOptions, _: Rig
         )
     pose = linear_pose(matches.points, xy)
     state, seen = adjust_ranges(measured, States.of([pose], measured))
-    fit = Fit(measured, state, seen.s[0] <= options.gate_chi2, seen.s[0], True)
+    fit = Fit(Evaluation(measured, state, seen), seen.s[0] <= options.gate_chi2, seen.s[0], True)
     root = np.sqrt(matches.weights)
     covariance = linear_covariance(
         pose, matches.points, matches.rays, xy,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
-from ladarreg_core.pose.bundle import CostFunction, Descent, Measurements, States, WeightFunction, adjust_ranges
+from ladarreg_core.pose.bundle import CostFunction, Descent, Measurements, States, adjust_ranges
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,17 +38,14 @@ _SETTLED_SIGMA = 1.0  # on a sample; the final states are refined on all matches
 _NEAR_RAD, _NEAR_OF_DISTANCE = np.deg2rad(0.5), 0.01  # starts within these are merged
 
 
-def geman_mcclure(scale: float | FloatArray) -> tuple[WeightFunction, CostFunction]:
-    """Return the weight function and the cost function of Geman-McClure for a scale, () or (B, 1), in units of s."""
+def geman_mcclure(scale: float | FloatArray) -> CostFunction:
+    """Return the cost function of Geman-McClure for a scale, () or (B, 1), in units of s."""
 
-    def weigh(s: FloatArray) -> FloatArray:
+    def cost(s: FloatArray) -> tuple[FloatArray, FloatArray]:
         ratio = scale / (scale + s)
-        return np.asarray(ratio * ratio)
+        return ratio * ratio, (scale * (s * ratio)).sum(axis=-1)
 
-    def cost(s: FloatArray) -> FloatArray:
-        return np.asarray((scale * (s / (scale + s))).sum(axis=-1))
-
-    return weigh, cost
+    return cost
 
 
 def narrow_scales(states: States, gate: float, options: GncOptions = DEFAULT_GNC) -> FloatArray:
@@ -80,11 +77,12 @@ def graduate(
     descent = Descent.start(measured, states)
     mu = np.maximum(np.asarray(scales, dtype=np.float64), gate)[:, None]
     while (mu > gate).any():
-        descent.step(*geman_mcclure(mu))
+        descent.step(geman_mcclure(mu))
         mu = mu / options.divide_by
         mu = np.where(mu < _CLOSED * gate, gate, mu)  # a scale just above the gate would repeat the last one
+    cost = geman_mcclure(mu)
     for _ in range(options.last_steps):
-        descent.step(*geman_mcclure(mu))
+        descent.step(cost)
         if (descent.step_sigma < options.tolerance_sigma).all():
             break
     return descent.states, truncated_score(descent.residuals.s, gate)
@@ -111,7 +109,7 @@ def graduate_merging(few: Measurements, starts: States, *, gate: float, reach: f
     mu = np.maximum(_scale(descent.residuals.s), DEFAULT_GNC.narrow * gate)[:, None]
     end_of: IntArray = np.arange(len(mu))
     for k in range(_STEPS):
-        descent.step(*geman_mcclure(mu))
+        descent.step(geman_mcclure(mu))
         if k >= _FIRST_STEPS and len(mu) > 1:
             near = near_pairs(descent.states, _NEAR_RAD, _NEAR_OF_DISTANCE * reach)
             label, leaders = group_by_leader(near, truncated_score(descent.residuals.s, gate))

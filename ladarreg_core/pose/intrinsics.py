@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import sqrt
 from typing import Literal
 
 import numpy as np
@@ -24,11 +25,11 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.pose.bundle import (
     UNSEEN,
     CostFunction,
+    Evaluation,
     Linearised,
     Measurements,
     Residuals,
     States,
-    WeightFunction,
     apply_step,
     linearise,
     residuals,
@@ -223,8 +224,7 @@ def estimate_intrinsics(
 def _fit_robustly(descent: Descent, gate: float) -> tuple[bool, BoolArray]:
     """Minimise a robust cost of shrinking scale, then the sum of s until the inliers are stable."""
     for factor in _SCALES:
-        weigh, cost = geman_mcclure(factor * gate)
-        descent.run(weigh, cost, steps=_SCALE_STEPS, tolerance_sigma=_SCALE_SIGMA)
+        descent.run(geman_mcclure(factor * gate), steps=_SCALE_STEPS, tolerance_sigma=_SCALE_SIGMA)
     settled, inliers = False, descent.residuals.s[0] <= gate
     for _ in range(_GATE_ROUNDS):
         if np.count_nonzero(inliers) < 4:
@@ -260,6 +260,8 @@ class Descent:
     """Damping relative to the diagonal of H."""
     anchor: Anchor | None = None
     """A prior on the intrinsics, which then says which are free."""
+    lin: Linearised | None = None
+    """The derivatives by the pose, if known."""
 
     @staticmethod
     def start(
@@ -280,21 +282,22 @@ class Descent:
         seen = residuals(measured, state)
         return Descent(matches, (sigma_px, sigma_range_m), count, camera, camera, measured, state, seen, anchor=anchor)
 
+    @staticmethod
+    def at(evaluation: Evaluation, matches: Matches, camera: Camera, noise: tuple[float, float]) -> Descent:
+        """Return the descent at a pose whose residuals are known, without free intrinsics."""
+        at = evaluation
+        return Descent(matches, noise, 0, camera, camera, at.measured, at.state, at.seen, lin=at.lin)
+
     def least_squares(
         self, members: BoolArray, *, steps: int = _STEPS, tolerance_sigma: float = _SETTLED_SIGMA
     ) -> bool:
         """Minimise the sum of s over the members (M,); return whether it converged."""
         counts = members.astype(np.float64)
-        return self.run(
-            lambda s: np.broadcast_to(counts, s.shape),
-            lambda s: np.asarray(s @ counts),
-            steps=steps,
-            tolerance_sigma=tolerance_sigma,
-        )
+        return self.run(lambda s: (counts[None], s @ counts), steps=steps, tolerance_sigma=tolerance_sigma)
 
-    def run(self, weigh: WeightFunction, cost: CostFunction, *, steps: int, tolerance_sigma: float) -> bool:
+    def run(self, cost: CostFunction, *, steps: int, tolerance_sigma: float) -> bool:
         """Minimise a cost until a step is shorter than `tolerance_sigma` standard deviations; return whether it was."""
-        return any(self._step(weigh, cost) < tolerance_sigma for _ in range(steps))
+        return any(self._step(cost) < tolerance_sigma for _ in range(steps))
 
     def normal_equations(self, weights: FloatArray) -> tuple[FloatArray, FloatArray, Linearised, FloatArray]:
         """Return H (6 + K, 6 + K), g (6 + K,), the derivatives by the pose, and those by the intrinsics (K, 2, M).
@@ -305,7 +308,7 @@ class Descent:
         Source: `bundle.normal_equations`, with columns for the camera.
         """
         measured, seen = self.measured, self.residuals
-        lin = linearise(measured, self.state, seen)
+        lin = linearise(measured, self.state, seen) if self.lin is None else self.lin
         columns = intrinsic_columns(self.camera, seen.xy[0], 4 if self.anchor else self.count)
         if self.anchor:
             columns = columns[list(self.anchor.free)]
@@ -323,20 +326,22 @@ class Descent:
             g[6:] += self.anchor.information * self.anchor.off(self.camera)
         return (H + H.T) / 2, g, lin, columns
 
-    def _step(self, weigh: WeightFunction, cost: CostFunction) -> float:
+    def _step(self, cost: CostFunction) -> float:
         """Take one step and return its length in standard deviations; infinite if it was rejected."""
-        H, g, lin, columns = self.normal_equations(weigh(self.residuals.s))
+        weights, costs = cost(self.residuals.s)
+        H, g, lin, columns = self.normal_equations(weights)
         free = self.anchor.free if self.anchor else range(self.count)
         step = _solve_damped(H, g, self.damping, free)
         length = float(np.sqrt(max(float(step @ H @ step), 0.0)))
-        before = float(cost(self.residuals.s)[0]) + (self.anchor.cost(self.camera) if self.anchor else 0.0)
+        before = float(costs[0]) + (self.anchor.cost(self.camera) if self.anchor else 0.0)
         there = self._after(step, lin, columns)
         after = 0.0 if there is None or self.anchor is None else self.anchor.cost(there[0])
-        if there is None or not float(cost(there[3].s)[0]) + after <= before:
+        if there is None or not float(cost(there[3].s)[1][0]) + after <= before:
             self.damping = min(self.damping * 10, _MOST_DAMPING)
             return 0.0 if length < 1e-3 else np.inf
         self.damping = max(self.damping / 10, _LEAST_DAMPING)
         self.camera, self.measured, self.state, self.residuals = there
+        self.lin = None
         return length
 
     def _after(
@@ -377,26 +382,38 @@ def predicted_gains(descent: Descent, members: BoolArray, counts: Sequence[int])
     H, g, _, _ = replace(descent, count=counts[-1]).normal_equations(members[None].astype(np.float64))
     numbers, s = int(descent.matches.dimensions[members].sum()), float(descent.residuals.s[0, members].sum())
     free = 6 + descent.count
-    before, found = _predicted_decrease(H[:free, :free], g[:free]), []
-    for count in counts:
+    before, *decreases = _predicted_decreases(H, g, [free, *(6 + count for count in counts)])
+    found = []
+    for count, after in zip(counts, decreases, strict=True):
         more, dof = count - descent.count, numbers - 6 - count
         if dof < _LEAST_DOF:
             found.append(0.0)
             continue
-        after = _predicted_decrease(H[: 6 + count, : 6 + count], g[: 6 + count])
         F = max(after - before, 0.0) / more / max(max(s - after, 0.0) / dof, 1e-9)
-        a, b, root = 2 / (9 * more), 2 / (9 * dof), np.cbrt(F)
-        found.append(float(((1 - b) * root - (1 - a)) / np.sqrt(b * root * root + a)))
+        a, b, root = 2 / (9 * more), 2 / (9 * dof), F ** (1 / 3)
+        found.append(((1 - b) * root - (1 - a)) / sqrt(b * root * root + a))
     return found
 
 
-def _predicted_decrease(H: FloatArray, g: FloatArray) -> float:
-    """Return g^T H^-1 g, ignoring directions that H does not determine."""
+def _predicted_decreases(H: FloatArray, g: FloatArray, sizes: Sequence[int]) -> list[float]:
+    """Return g^T H^-1 g of the leading parts of a system, ignoring directions that H does not determine."""
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
-    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
-    known = values > _LEAST_INFORMATION
-    along = vectors.T[known] @ (g / scale)
-    return float((along * along / values[known]).sum())
+    scaled, right = H / np.outer(scale, scale), g / scale
+    try:
+        inverse = np.linalg.inv(np.linalg.cholesky(scaled))
+    except np.linalg.LinAlgError:
+        inverse = np.full_like(H, np.inf)
+    # 1 / trace(H^-1) is a lower bound of the eigenvalues, also of those of the leading parts
+    if (inverse * inverse).sum() < 1 / _LEAST_INFORMATION:
+        along = inverse @ right  # triangular: each part has its own
+        return [float(along[:size] @ along[:size]) for size in sizes]
+    found = []
+    for size in sizes:
+        values, vectors = np.linalg.eigh(scaled[:size, :size])
+        known = values > _LEAST_INFORMATION
+        along = vectors.T[known] @ right[:size]
+        found.append(float((along * along / values[known]).sum()))
+    return found
 
 
 def intrinsic_columns(camera: Camera, xy: FloatArray, count: int) -> FloatArray:
@@ -412,6 +429,11 @@ def intrinsic_columns(camera: Camera, xy: FloatArray, count: int) -> FloatArray:
     """
     if not count:
         return np.zeros((0, *xy.shape))
+    if not camera.distortion:
+        by_k1 = xy * (xy * xy).sum(axis=0)
+        fx, fy = np.zeros((2, *xy.shape))
+        fx[0], fy[1] = 1 / camera.fx, 1 / camera.fy
+        return np.stack([xy, by_k1, fx, fy][:count])
     ideal = np.column_stack([*xy, np.ones(xy.shape[1])])
     _, d_uv = camera.project_with_jacobian(ideal)
     by_theta = camera.intrinsics_jacobian(xy.T)[..., :count]

@@ -11,9 +11,11 @@ the stated value. Source: maximum likelihood of the two variance components.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, across_lines
@@ -21,15 +23,17 @@ from ladarreg_core.matches import Matches, across_lines
 _PARAMETERS = 6
 _LEAST_PX = 0.05
 _PRIOR_LOG_SIGMA = np.log(3.0)
-_STEPS = 41
+_STEPS, _COARSE = 41, 5  # the cost has one minimum, so that every fifth value brackets it
 _ROUNDS = 6
+_FRACTIONS = np.linspace(0, 1, _STEPS)
 
 
 def estimate_noise(
     pose: Rigid,
-    inliers: Matches,
+    matches: Matches,
     camera: CameraModel,
     *,
+    members: BoolArray | None = None,
     stated_range_m: float,
     most_px: float,
     most_range_m: float,
@@ -40,51 +44,67 @@ def estimate_noise(
 
     Args:
         pose: camera_from_scanner, fitted to the inliers.
-        inliers: the inliers, all in front of the camera.
+        matches: M matches.
         camera: intrinsics.
+        members: (M,) the inliers, all in front of the camera; None: all.
         stated_range_m: centre of the prior, m.
         most_px: upper bound of the pixel noise, px.
         most_range_m: upper bound of the range noise, m.
         fixed_px: pixel noise if known, px.
         fixed_range_m: range noise if known, m.
     """
-    points = pose @ inliers.points
-    uv, d_uv = camera.project_with_jacobian(points)
-    e: FloatArray = camera.difference(inliers.uv, uv) * np.sqrt(inliers.weights)[:, None]
-    j: FloatArray = (d_uv @ (inliers.rays @ pose.rotation.T)[..., None])[..., 0] / np.sqrt(inliers.range_weights)[
-        :, None
-    ]
-    e, j = across_lines(inliers, e), across_lines(inliers, j)
-    length2 = (j * j).sum(axis=1)
-    along2 = np.divide((e * j).sum(axis=1) ** 2, length2, out=np.zeros(len(e)), where=length2 > 0)
-    across2 = np.maximum((e * e).sum(axis=1) - along2, 0)
-    dof = int(inliers.dimensions.sum())
+    keep: Any = slice(None) if members is None else members
+    rays = matches.rays[keep]
+    uv, d_uv = camera.project_with_jacobian(pose @ (rays * matches.ranges[keep, None]))
+    e = across_lines(matches, camera.difference(matches.uv[keep], uv), keep) * np.sqrt(matches.weights[keep])[:, None]
+    by_range = np.einsum("nij,nj->ni", d_uv, rays @ pose.rotation.T)
+    j = across_lines(matches, by_range, keep) / np.sqrt(matches.range_weights[keep])[:, None]
+    length2 = np.einsum("ni,ni->n", j, j)
+    along2 = np.divide(np.einsum("ni,ni->n", e, j) ** 2, length2, out=np.zeros(len(e)), where=length2 > 0)
+    across2 = np.maximum(np.einsum("ni,ni->n", e, e) - along2, 0)
+    dof = int(matches.dimensions[keep].sum())
     free = dof - len(e)  # coordinates unaffected by range errors
     fitted = dof / max(dof - _PARAMETERS, 1)  # the fitted pose absorbs part of the scatter
     along2, across2 = along2 * fitted, across2 * fitted
 
     least_range_m = min(stated_range_m, most_range_m) / 30
     grid = (
-        np.geomspace(least_range_m, most_range_m, _STEPS) if fixed_range_m is None else np.array([float(fixed_range_m)])
+        least_range_m * (most_range_m / least_range_m) ** _FRACTIONS
+        if fixed_range_m is None
+        else np.array([float(fixed_range_m)])
     )
-    by_range = grid[:, None] ** 2 * length2
-    variance = np.full(len(grid), float(fixed_px) ** 2 if fixed_px is not None else 1.0)
-    if fixed_px is None:
-        variance = _pixel_variance(along2, across2, by_range, dof=dof)
-        variance = np.clip(variance, _LEAST_PX**2, most_px**2)
-    total = variance[:, None] + by_range
-    cost = (np.log(total) + along2 / total).sum(axis=1) + free * np.log(variance) + across2.sum() / variance
-    cost += (np.log(grid / stated_range_m) / _PRIOR_LOG_SIGMA) ** 2
+    rest = float(across2.sum())
+
+    def profile(of_range: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the costs of range noises (G,), each with its best pixel variance (G,)."""
+        by_range = of_range[:, None] ** 2 * length2
+        if fixed_px is not None:
+            variance = np.full(len(of_range), float(fixed_px) ** 2)
+        else:
+            variance = _pixel_variance(along2, rest, by_range, dof=dof)
+            variance = np.clip(variance, _LEAST_PX**2, most_px**2)
+        total = variance[:, None] + by_range
+        cost = (np.log(total) + along2 / total).sum(axis=1) + free * np.log(variance) + rest / variance
+        return cost + (np.log(of_range / stated_range_m) / _PRIOR_LOG_SIGMA) ** 2, variance
+
+    coarse = np.arange(0, len(grid), _COARSE)
+    nearest = coarse[int(np.argmin(profile(grid[coarse])[0]))]
+    fine = grid[max(nearest - _COARSE + 1, 0) : nearest + _COARSE]
+    cost, variance = profile(fine)
     best = int(np.argmin(cost))
-    return float(np.sqrt(variance[best])), float(grid[best])
+    return float(np.sqrt(variance[best])), float(fine[best])
 
 
-def _pixel_variance(along2: FloatArray, across2: FloatArray, by_range: FloatArray, *, dof: int) -> FloatArray:
+def _pixel_variance(along2: FloatArray, rest: float, by_range: FloatArray, *, dof: int) -> FloatArray:
     """Return the maximum-likelihood pixel variance for each range noise, by fixed-point iteration."""
-    variance = np.full(len(by_range), max((across2.sum() + along2.sum()) / dof, _LEAST_PX**2))
+    variance = np.full(len(by_range), max((rest + along2.sum()) / dof, _LEAST_PX**2))
+    count, inverse = len(along2), np.empty_like(by_range)
     for _ in range(_ROUNDS):
-        # expected contribution of pixel noise to the scatter along the line, given the current variances
-        share = variance[:, None] / (variance[:, None] + by_range)
-        part = share * share * along2 + share * by_range
-        variance = np.maximum((across2.sum() + part.sum(axis=1)) / dof, _LEAST_PX**2)
+        # expected contribution of pixel noise to the scatter along the line, given the current variances: the sum of
+        # share^2 along2 + share by_range, with share = variance * inverse
+        np.divide(1, np.add(variance[:, None], by_range, out=inverse), out=inverse)
+        part = inverse.sum(axis=1)
+        part -= np.multiply(inverse, inverse, out=inverse) @ along2
+        part = variance * (count - variance * part)
+        variance = np.maximum((rest + part) / dof, _LEAST_PX**2)
     return variance

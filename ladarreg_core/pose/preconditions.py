@@ -40,30 +40,33 @@ def check_matches(matches: Matches, camera: CameraModel, initial: Rigid | None) 
     if count < LEAST_MATCHES:
         raise DegenerateGeometryError(f"{_count_phrase(matches)} and a pose needs {LEAST_MATCHES}; add matches")
     numbers = [matches.rays, matches.ranges, matches.uv, matches.weights, matches.range_weights, matches.directions]
-    finite = np.isfinite(np.column_stack(numbers)).all(axis=1)
-    if not finite.all():
+    if not all(np.isfinite(each).all() for each in numbers):
+        finite = np.isfinite(np.column_stack(numbers)).all(axis=1)
         raise ShapeError(f"{_subject(~finite, matches)} NaN or infinity; remove them, or give each a range and a pixel")
     both = np.stack([matches.weights, matches.weights * matches.range_weights])
-    bad = ~((both >= _LEAST_WEIGHT) & (both <= _MOST_WEIGHT)).all(axis=0)
-    if bad.any():
+    if not (both.min() >= _LEAST_WEIGHT and both.max() <= _MOST_WEIGHT):
+        bad = ~((both >= _LEAST_WEIGHT) & (both <= _MOST_WEIGHT)).all(axis=0)
         raise ShapeError(
             f"{_subject(bad, matches)} a weight outside {_LEAST_WEIGHT:g} to {_MOST_WEIGHT:g}; remove them"
         )
-    good = (matches.ranges > 0) & (matches.ranges <= _MOST_RANGE_M)
-    good &= (np.abs(matches.uv) <= _MOST_PIXEL).all(axis=1)
-    if not good.all():
+    ranges, uv = matches.ranges, matches.uv
+    if not (ranges.min() > 0 and ranges.max() <= _MOST_RANGE_M and np.abs(uv).max() <= _MOST_PIXEL):
+        good = (ranges > 0) & (ranges <= _MOST_RANGE_M) & (np.abs(uv) <= _MOST_PIXEL).all(axis=1)
         raise ShapeError(
             f"{_subject(~good, matches)} a range that is not positive, or a range or pixel beyond "
             f"{_MOST_RANGE_M:g}; ranges are metres along the ray"
         )
-    along = np.abs(np.linalg.norm(matches.directions, axis=1) - 1) <= _UNIT_TOLERANCE
-    undirected = matches.across & ~along
-    if undirected.any():
-        raise ShapeError(f"{_subject(undirected, matches)} no line direction; give it as a unit vector")
+    if matches.across.any():
+        along = np.abs(np.linalg.norm(matches.directions, axis=1) - 1) <= _UNIT_TOLERANCE
+        undirected = matches.across & ~along
+        if undirected.any():
+            raise ShapeError(f"{_subject(undirected, matches)} no line direction; give it as a unit vector")
     length = np.linalg.norm(matches.rays, axis=1)
-    unit = np.abs(length - 1) <= _UNIT_TOLERANCE
-    if not unit.all():
-        raise ShapeError(f"{_subject(~unit, matches)} a ray whose length is not 1; normalise the rays")
+    off_unit = np.abs(length - 1)
+    if off_unit.max() > _UNIT_TOLERANCE:
+        raise ShapeError(
+            f"{_subject(off_unit > _UNIT_TOLERANCE, matches)} a ray whose length is not 1; normalise the rays"
+        )
     different = count_distinct(matches.points, matches.uv)
     if different < LEAST_MATCHES:
         raise DegenerateGeometryError(
@@ -72,7 +75,7 @@ def check_matches(matches: Matches, camera: CameraModel, initial: Rigid | None) 
     extent = principal_extents(matches.points)
     if extent[1] <= _COLLINEAR * extent[0]:
         raise DegenerateGeometryError("the scan points of the matches are collinear; add matches off that line")
-    if np.abs(length - 1).max() < 1e-14:
+    if off_unit.max() < 1e-14:
         return matches
     return replace(matches, rays=matches.rays / length[:, None])
 

@@ -129,7 +129,9 @@ def sample_pose(
         return None
     points, uv = points_scanner[usable], np.ascontiguousarray(uv_ideal[usable])
     # centre and scale the points: with large coordinates both backends lose precision
-    origin = np.median(points, axis=0)
+    middle = len(points) // 2
+    ordered = np.partition(points, (middle - 1, middle), axis=0)
+    origin = ordered[middle] if len(points) % 2 else (ordered[middle - 1] + ordered[middle]) / 2  # the median
     local = points - origin
     reach = float(np.abs(local).max())
     if not (0 < reach < np.inf) or float(np.abs(uv).max()) > _MOST_PIXELS:

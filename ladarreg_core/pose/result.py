@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.arrays import BoolArray, FloatArray, median
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.frames import Rigid
@@ -19,7 +19,7 @@ from ladarreg_core.pose.acceptance import (
     log10_false_alarms,
 )
 from ladarreg_core.pose.ambiguity import find_second_pose, is_planar, second_pose_of_outliers
-from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, adjust_ranges
+from ladarreg_core.pose.bundle import UNSEEN, Evaluation, Measurements, States, adjust_ranges
 from ladarreg_core.pose.diagnostics import diagnose, stereo_depth_error, stereo_disparities
 from ladarreg_core.pose.noise import estimate_noise
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M, PoseOptions
@@ -30,10 +30,8 @@ from ladarreg_core.results import PoseResult
 class Fit:
     """A pose fitted to its inliers."""
 
-    measured: Measurements
-    """All M matches."""
-    state: States
-    """The pose (B = 1)."""
+    at: Evaluation
+    """All M matches at the pose."""
     inliers: BoolArray
     """(M,) bool."""
     s: FloatArray
@@ -42,6 +40,16 @@ class Fit:
     """True if the optimisation converged."""
     free: int = 6
     """Number of fitted parameters."""
+
+    @property
+    def measured(self) -> Measurements:
+        """All M matches."""
+        return self.at.measured
+
+    @property
+    def state(self) -> States:
+        """The pose (B = 1)."""
+        return self.at.state
 
     @property
     def count(self) -> int:
@@ -54,15 +62,18 @@ class Fit:
         return float(self.s[self.inliers].sum() / dof) if dof > 0 else float("nan")
 
 
-def noise_of_inliers(fit: Fit, matches: Matches, camera: CameraModel, options: PoseOptions) -> tuple[float, float]:
+def noise_of_inliers(
+    pose: Rigid, inliers: BoolArray, matches: Matches, camera: CameraModel, options: PoseOptions
+) -> tuple[float, float]:
     """Return (sigma_px, sigma_range_m) estimated from the inliers, within bounds for plausible matches."""
     return estimate_noise(
-        fit.state.pose(),
-        matches.subset(fit.inliers),
+        pose,
+        matches,
         camera,
+        members=inliers,
         stated_range_m=STATED_SIGMA_RANGE_M,
         most_px=max(3.0, 0.005 * max(camera.size)),
-        most_range_m=max(0.05, 0.03 * float(np.median(matches.ranges))),
+        most_range_m=max(0.05, 0.03 * median(matches.ranges)),
         fixed_px=options.sigma_px,
         fixed_range_m=options.sigma_range_m,
     )
@@ -93,9 +104,9 @@ def build_result(
             the matches, for which the camera counts as exact.
     """
     whole = covariance if camera_uncertainty is None else camera_uncertainty.covariance[:6, :6]
-    pose, inliers, measured = fit.state.pose(), fit.inliers, fit.measured
+    pose, inliers = fit.state.pose(), fit.inliers
     chi2 = fit.chi2_per_dof(matches)
-    chance = log10_false_alarms(measured, matches, fit.state, inliers, camera, gate=options.gate_chi2)
+    chance = log10_false_alarms(fit.at, matches, inliers, camera, gate=options.gate_chi2)
     verdict: dict[str, Any] = {
         "pose": pose, "matches": matches, "inliers": inliers, "chi2_per_dof": chi2, "covariance": covariance,
         "log10_chance": chance, "second_pose_sought": options.check_ambiguity, "options": options.acceptance,
@@ -104,7 +115,7 @@ def build_result(
     accepted, reasons = decide_acceptance(**verdict)
     second_pose = None
     if accepted:
-        critical_match = find_critical_match(measured, matches, fit.state, inliers, options.acceptance)
+        critical_match = find_critical_match(fit.at, matches, inliers, options.acceptance)
         if critical_match is not None:
             accepted, reasons = decide_acceptance(**verdict, critical_match=critical_match)
     if accepted and options.check_ambiguity:  # the search is costly and cannot change a refusal

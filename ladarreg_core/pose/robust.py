@@ -11,11 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import sqrt
 from typing import Any
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.arrays import BoolArray, FloatArray, median
 from ladarreg_core.camera import Camera, CameraModel, require_pinhole
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import DegenerateGeometryError
@@ -25,10 +26,10 @@ from ladarreg_core.pose.ambiguity import is_planar, likelihood_scores, mirrored
 from ladarreg_core.pose.assumed_camera import fit_assumed_camera, with_assumed_camera
 from ladarreg_core.pose.bundle import (
     UNSEEN,
+    Evaluation,
     Measurements,
     States,
     adjust_ranges,
-    information_matrix,
     least_squares,
     linearise,
     residuals,
@@ -49,6 +50,11 @@ _GATE_ROUNDS = 5
 _CLEAR_SHARE = 0.5
 _NOISE_ROUNDS = 3
 _SETTLED_NOISE = 1.1  # a smaller change of the noise changes neither inliers nor pose
+_LITTLE_NOISE = (
+    1.3,
+    2.0,
+)  # of pixels and of ranges: up to such changes the inliers are selected again from the pose found
+_FINAL_SIGMA, _PASSING_SIGMA = 1e-2, 2.0  # the last step; one step of 2 sigma leaves an error of some .004
 
 
 def solve_robust(
@@ -85,9 +91,7 @@ def _result(
 ) -> PoseResult:
     covariance = solution.covariance
     if covariance is None:
-        covariance = pose_covariance(
-            information_matrix(solution.fit.measured, solution.fit.state, members=solution.fit.inliers)[0]
-        )
+        covariance = pose_covariance(solution.fit.at.information(solution.fit.inliers))
     stopped = "settled" if solution.fit.settled else "step limit"
     search = {"stopped": stopped, "noise_rounds": solution.noise_rounds}
     result = build_result(
@@ -122,8 +126,8 @@ def _with_assumed_camera(
         sigmas = {name: uncertainty.sigmas[name] for name in solution.camera_sigmas}
         solution = replace(solution, camera_sigmas=sigmas)
     measured = solution.measured_by(solution.sigma)
-    state, _ = adjust_ranges(measured, States.of([free.pose], measured))
-    fit = Fit(measured, state, free.inliers, free.s, free.settled, free=solution.fit.free)
+    at = Evaluation(measured, *adjust_ranges(measured, States.of([free.pose], measured)))
+    fit = Fit(at, free.inliers, free.s, free.settled, free=solution.fit.free)
     fitted = _result(replace(solution, fit=fit), options, uncertainty)
     return fitted if fitted.accepted or not result.accepted else kept
 
@@ -157,7 +161,9 @@ def _initial_fit(
         first.append(initial)
     if not first:
         raise _no_pose(len(matches))
-    return _fit(measured, _best_of(measured, first, options, wide=initial is not None), options)
+    best = _best_of(measured, first, options, wide=initial is not None)
+    # With open noise this fit only serves to estimate it.
+    return _fit(measured, best, options, tolerance_sigma=_PASSING_SIGMA if _noise_is_open(options) else _FINAL_SIGMA)
 
 
 def _with_repaired_ends(solution: _Solution, options: PoseOptions) -> _Solution:
@@ -173,21 +179,36 @@ def _with_repaired_ends(solution: _Solution, options: PoseOptions) -> _Solution:
 
 def _with_estimated_noise(solution: _Solution, options: PoseOptions) -> _Solution:
     """Alternate between estimating unstated noise and selecting inliers until both are stable."""
-    while (
-        options.sigma_px is None or options.sigma_range_m is None
-    ) and solution.fit.count >= options.acceptance.least_inliers:
-        sigma = noise_of_inliers(solution.fit, solution.matches, solution.camera, options)
-        change = max(max(a / b, b / a) for a, b in zip(sigma, solution.sigma, strict=True))
-        measured, rounds = solution.measured_by(sigma), solution.noise_rounds + 1
-        last = change < _SETTLED_NOISE or rounds > _NOISE_ROUNDS
-        start = solution.fit.state
+    if not _noise_is_open(options):
+        return solution
+    last = False
+    while not last and solution.fit.count >= options.acceptance.least_inliers:
+        fit, rounds = solution.fit, solution.noise_rounds + 1
+        sigma = noise_of_inliers(fit.state.pose(), fit.inliers, solution.matches, solution.camera, options)
+        of_px, of_range = (a / b for a, b in zip(sigma, solution.sigma, strict=True))
+        px_change, range_change = max(of_px, 1 / of_px), max(of_range, 1 / of_range)
+        measured = fit.measured.with_noise(px_factor=of_px, range_factor=of_range)
+        last = max(px_change, range_change) < _SETTLED_NOISE or rounds > _NOISE_ROUNDS
+        little = px_change <= _LITTLE_NOISE[0] and range_change <= _LITTLE_NOISE[1]
+        start = fit.state
         if not last:
-            scales = narrow_scales(start, options.gate_chi2)
+            scales = narrow_scales(start, options.gate_chi2, options.gnc)
+            if little:
+                scales = np.array([options.gate_chi2 * options.gnc.divide_by])
             start, _ = graduate(measured, start, scales, options.gate_chi2, options.gnc)
-        solution = replace(solution, sigma=sigma, fit=_fit(measured, start, options), noise_rounds=rounds)
-        if last:
+        before = fit.inliers
+        fit = _fit(measured, start, options, tolerance_sigma=_FINAL_SIGMA if last else _PASSING_SIGMA)
+        same = not last and little and bool((fit.inliers == before).all())
+        solution = replace(solution, sigma=sigma, fit=fit, noise_rounds=rounds)
+        if same:  # the same matches have the same noise
             break
-    return solution
+    if last:
+        return solution
+    return replace(solution, fit=_fit(solution.fit.measured, solution.fit.state, options))
+
+
+def _noise_is_open(options: PoseOptions) -> bool:
+    return options.sigma_px is None or options.sigma_range_m is None
 
 
 def _with_intrinsics(solution: _Solution, options: PoseOptions) -> _Solution:
@@ -202,7 +223,13 @@ def _with_intrinsics(solution: _Solution, options: PoseOptions) -> _Solution:
     free: IntrinsicsFit | None
     if options.intrinsics == "auto":
         choice = choose_intrinsics(
-            solution.matches, solution.camera, pose, solution.fit.inliers, seed=options.seed, **stated
+            solution.matches,
+            solution.camera,
+            pose,
+            solution.fit.inliers,
+            at=solution.fit.at,
+            seed=options.seed,
+            **stated,
         )
         free, words = choice.fit, choice.describe()
     else:
@@ -219,8 +246,8 @@ def _with_intrinsics(solution: _Solution, options: PoseOptions) -> _Solution:
         intrinsics=free,
     )
     measured = solution.measured_by(solution.sigma)
-    state, _ = adjust_ranges(measured, States.of([free.pose], measured))
-    fit = Fit(measured, state, free.inliers, free.s, free.settled, free=len(free.covariance))
+    at = Evaluation(measured, *adjust_ranges(measured, States.of([free.pose], measured)))
+    fit = Fit(at, free.inliers, free.s, free.settled, free=len(free.covariance))
     return replace(solution, fit=fit, covariance=free.covariance[:6, :6])
 
 
@@ -230,10 +257,9 @@ def _noise_estimator(solution: _Solution, options: PoseOptions) -> Noise | None:
     def noise(pose: Rigid, of: CameraModel, inliers: BoolArray) -> tuple[float, float]:
         if np.count_nonzero(inliers) < options.acceptance.least_inliers:
             return solution.sigma
-        there = replace(solution.fit, state=States.of([pose], solution.fit.measured), inliers=inliers)
-        return noise_of_inliers(there, solution.matches, of, options)
+        return noise_of_inliers(pose, inliers, solution.matches, of, options)
 
-    return noise if options.sigma_px is None or options.sigma_range_m is None else None
+    return noise if _noise_is_open(options) else None
 
 
 def _or_initial_pose(solution: _Solution, initial: Rigid, options: PoseOptions) -> _Solution:
@@ -248,7 +274,7 @@ def _or_initial_pose(solution: _Solution, initial: Rigid, options: PoseOptions) 
         return solution
     measured = solution.fit.measured
     state, seen = adjust_ranges(measured, States.of([initial], measured))
-    fit = Fit(measured, state, seen.s[0] <= options.gate_chi2, seen.s[0], True)
+    fit = Fit(Evaluation(measured, state, seen), seen.s[0] <= options.gate_chi2, seen.s[0], True)
     words = "The initial pose predicts held-out matches at least as well as a pose fitted to the others, and is kept."
     return replace(solution, fit=fit, notes=(*solution.notes, words), kept_initial=True)
 
@@ -315,17 +341,17 @@ def _second_threshold_px(
     """
     state = States.of([pose], measured)
     seen = residuals(measured, state)
-    squared = (seen.e[0] ** 2).sum(axis=0) * camera.focal_px**2
+    x, y = seen.e[0]
+    squared = (x * x + y * y) * camera.focal_px**2
     near = (squared < gate_px**2) & (seen.s[0] < UNSEEN)
-    trace = measured.information.sum(axis=0)
-    determinant = measured.information.prod(axis=0) - measured.cross_information[0] ** 2
-    full = determinant > 1e-9 * trace * trace  # rank 1 for line ends known only across the line
-    if not (near & full).any():
+    xx, yy = measured.information
+    trace, determinant = xx + yy, xx * yy - measured.cross_information[0] ** 2
+    full = near & (determinant > 1e-9 * trace * trace)  # rank 1 for line ends known only across the line
+    if not full.any():
         return float("nan"), 0.0
-    lin = linearise(measured, state, seen)
-    own = trace / 2 / np.where(full, determinant, np.inf)
-    by_range = (lin.j[0] ** 2).sum(axis=0) / measured.range_information
-    sigma = float(np.sqrt(np.median((own + by_range)[near & full])) * camera.focal_px)
+    a, b = linearise(measured, state, seen).j[0]
+    variance = trace[full] / 2 / determinant[full] + ((a * a + b * b) / measured.range_information)[full]
+    sigma = sqrt(median(variance)) * camera.focal_px
     return options.ransac_again_sigma * sigma, float(np.mean(near))
 
 
@@ -349,7 +375,7 @@ def _best_of(measured: Measurements, poses: Sequence[Rigid], options: PoseOption
     return best
 
 
-def _fit(measured: Measurements, state: States, options: PoseOptions) -> Fit:
+def _fit(measured: Measurements, state: States, options: PoseOptions, *, tolerance_sigma: float = _FINAL_SIGMA) -> Fit:
     """Alternate between selecting inliers and least squares until the inliers are stable."""
     gate, settled = options.gate_chi2, False
     seen = residuals(measured, state)
@@ -357,12 +383,12 @@ def _fit(measured: Measurements, state: States, options: PoseOptions) -> Fit:
     for _ in range(_GATE_ROUNDS):
         if np.count_nonzero(inliers) < LEAST_MATCHES:
             break
-        state, seen, calm = least_squares(measured, state, members=inliers)
+        state, seen, calm = least_squares(measured, state, members=inliers, seen=seen, tolerance_sigma=tolerance_sigma)
         settled = bool(calm[0])
         before, inliers = inliers, seen.s[0] <= gate
         if (before == inliers).all():
             break
-    return Fit(measured, state, inliers, seen.s[0], settled)
+    return Fit(Evaluation(measured, state, seen), inliers, seen.s[0], settled)
 
 
 def _no_pose(count: int) -> DegenerateGeometryError:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, adjust_ranges
+from ladarreg_core.pose.bundle import UNSEEN, Evaluation, Measurements, States, adjust_ranges
 from ladarreg_core.pose.covariance import simplex_covariance
 from ladarreg_core.pose.options import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions
 from ladarreg_core.pose.result import Fit, build_result, noise_of_inliers
@@ -33,14 +33,13 @@ def build_simplex_result(found: SimplexFit, matches: Matches, camera: Camera, op
     if (options.sigma_px is None or options.sigma_range_m is None) and np.count_nonzero(
         inliers
     ) >= options.acceptance.least_inliers:
-        fit = Fit(measured, state, inliers, seen.s[0], True)
-        sigma_px, sigma_m = noise_of_inliers(fit, matches, camera, options)
+        sigma_px, sigma_m = noise_of_inliers(pose, inliers, matches, camera, options)
         measured = Measurements.of(matches, camera, sigma_px=sigma_px, sigma_range_m=sigma_m)
         state, seen = adjust_ranges(measured, States.of([pose], measured))
     covariance = simplex_covariance(
         pose, matches, inliers, camera, residual=found.residual, sigma_px=sigma_px, sigma_range_m=sigma_m
     )
-    fit = Fit(measured, state, inliers, seen.s[0], found.stopped == "settled")
+    fit = Fit(Evaluation(measured, state, seen), inliers, seen.s[0], found.stopped == "settled")
     result = build_result(fit, matches, camera, options, covariance, (sigma_px, sigma_m), found.diagnostics())
     if not found.collapsed:
         return result

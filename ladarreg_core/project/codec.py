@@ -9,6 +9,7 @@ import msgspec
 
 from ladarreg_core.errors import FormatError, NewerVersionError
 from ladarreg_core.project.document import VERSION, Document, PoseEntry
+from ladarreg_core.project.station_edits import checked_survey
 from ladarreg_core.project.stored_arrays import StoredArrays
 
 
@@ -50,9 +51,11 @@ def decode_document(data: bytes, find: FindArrays) -> Document:
         raise FormatError(f"it is not a ladarreg project, or it is damaged: {error.reason}") from None
     if found.version != VERSION:
         raise FormatError(f"there is no project version {found.version}; the file is damaged")
-    for photo in found.photos:
+    for photo in (*found.photos, *(each for station in found.stations for each in station.photos)):
         for pick in photo.picks:
             pick.as_pick()  # validates
+    if found.survey is not None:
+        checked_survey(found.survey)
     return found
 
 
@@ -72,7 +75,8 @@ def from_plain(kind: Any, value: object, find: FindArrays) -> Any:
 
 def arrays_of(document: Document) -> dict[str, StoredArrays]:
     """Return all arrays of a document by name."""
-    poses: list[PoseEntry] = [pose for photo in document.photos for pose in photo.poses]
+    photos = [*document.photos, *(photo for station in document.stations for photo in station.photos)]
+    poses: list[PoseEntry] = [pose for photo in photos for pose in photo.poses]
     return {pose.arrays.name: pose.arrays for pose in poses}
 
 

@@ -5,6 +5,7 @@ Everything in it is plain and small except the arrays of a pose's matches, which
 
 from __future__ import annotations
 
+from pathlib import PurePath
 from typing import Any, Literal, get_args
 
 import msgspec
@@ -44,12 +45,32 @@ class Source(msgspec.Struct, frozen=True, kw_only=True):
     """Duration over which the clouds of a recording are accumulated, s."""
     temperature_unit: Literal["K", "C", "none"] | None = None
     """Unit of a thermal image's pixels, if it was given."""
+    more: tuple[str, ...] = ()
+    """Further clouds of a scan's standpoint, which are accumulated with this file; paths as `path`."""
+    more_names: tuple[str, ...] = ()
+    """Their names for display, in the same order; empty: the names of the files."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of all files for display, that of `path` first."""
+        known = self.more_names if len(self.more_names) == len(self.more) else map(file_name, self.more)
+        return (self.name, *known)
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """All files, `path` first."""
+        return (self.path, *self.more)
 
     @property
     def scan_options(self) -> dict[str, Any]:
-        """The arguments of `read_scan` for this file."""
+        """The arguments of `read_scan` for this file, except `more`: see `ProjectFolder.scan_options`."""
         names = ("origin", "intensity", "columns", "topic", "seconds")
         return {"scan_index": self.index, **{name: getattr(self, name) for name in names}}
+
+
+def file_name(path: str) -> str:
+    """Return the name of a file by its path in a `Source`."""
+    return PurePath(path).name
 
 
 class CameraGiven(msgspec.Struct, frozen=True, kw_only=True):
@@ -157,6 +178,8 @@ class PoseEntry(msgspec.Struct, frozen=True, kw_only=True):
     """Wall time."""
     note: str = ""
     """Remark of the estimator."""
+    clouds: int = 1
+    """Number of clouds of the scan that it was solved on."""
 
 
 class StepEntry(msgspec.Struct, frozen=True, kw_only=True):
@@ -220,6 +243,49 @@ class PhotoEntry(msgspec.Struct, frozen=True, kw_only=True):
         return next((pick for pick in self.picks if pick.id == pick_id), None)
 
 
+class StationEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """A further station: a scan of the same place from elsewhere, beside the one that is shown."""
+
+    id: str
+    """Stable id of letters and digits."""
+    source: Source
+    """Its file."""
+    rough: Rows | None = None
+    """Rough pose (4, 4) of its scanner in the frame of the scan that is shown, where a search may begin."""
+    photos: tuple[PhotoEntry, ...] = ()
+    """The photographs with their matches and poses as they were when this station was shown last."""
+
+
+class Survey(msgspec.Struct, frozen=True, kw_only=True):
+    """The stations registered to each other, as they were then."""
+
+    scans: tuple[Source, ...]
+    """The scans in the order of the result; the first one is fixed."""
+    fields: dict[str, Any]
+    """`StationNetwork.as_fields`; `station_edits.checked_survey` checks it."""
+    checks: tuple[PhotoCheck, ...] = ()
+    """What the photographs' poses are worth at the other stations."""
+
+
+class PhotoCheck(msgspec.Struct, frozen=True, kw_only=True):
+    """The verdict on a photograph's pose, carried over to another station, by that station's scan."""
+
+    photo: str
+    """Id of the photograph."""
+    name: str
+    """Its display name."""
+    scan: Source
+    """The scan."""
+    pose: str
+    """Name of the arrays of the pose that was carried over."""
+    outcome: Literal["verified", "contradicted", "undecidable"]
+    """What the images say."""
+    sentence: str
+    """The same with its reason."""
+    fraction: float | None = None
+    """Fraction of the regions that agree; None: too little of the photograph is seen from there."""
+
+
 class Document(msgspec.Struct, frozen=True, kw_only=True):
     """Complete state of a project."""
 
@@ -235,6 +301,17 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
     """Last number used in a photograph's id."""
     settings: Settings = Settings()
     """Thresholds and choices."""
+    stations: tuple[StationEntry, ...] = ()
+    """Further stations in display order."""
+    numbered_stations: int = 0
+    """Last number used in a station's id."""
+    survey: Survey | None = None
+    """Where the stations stand; None before they were registered."""
+
+    @property
+    def clouds(self) -> int:
+        """Number of clouds that the scan consists of; 0 without a scan."""
+        return 0 if self.scan is None else len(self.scan.paths)
 
     def photo(self, photo_id: str) -> PhotoEntry | None:
         """Return a photograph by its id; None if there is none."""

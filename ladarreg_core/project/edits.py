@@ -21,6 +21,7 @@ from ladarreg_core.project.document import (
     PoseEntry,
     Rows,
     Source,
+    file_name,
 )
 
 MOST_PHOTOS = 32
@@ -38,7 +39,37 @@ def with_scan(document: Document, scan: Source) -> Document:
     photos = tuple(
         replace(p, picks=(), poses=(), shown_stage=None, stated_pose=None, stated_by="") for p in document.photos
     )
-    return replace(document, scan=scan, photos=photos)
+    taken = {(path, scan.index) for path in scan.paths}
+    others = (s for s in document.stations if (s.source.path, s.source.index) not in taken)
+    stations = tuple(replace(station, rough=None) for station in others)  # rough places were seen from the old one
+    return replace(document, scan=scan, photos=photos, stations=stations)
+
+
+def with_more_clouds(document: Document, paths: Sequence[str], names: Sequence[str] = ()) -> Document:
+    """Return the document with further clouds accumulated to its scan; what was drawn and solved stays.
+
+    Picks are rays of the scanner, which the grid that is made anew does not change.
+
+    Args:
+        document: the document.
+        paths: files of the scan's standpoint, as in `Source.path`.
+        names: their names for display; empty: the names of the files.
+
+    Raises:
+        OptionError: if there is no scan, or a file is part of it already, or a further station.
+    """
+    if document.scan is None:
+        raise OptionError("clouds are accumulated with a scan; open the scan first")
+    named = dict(zip(paths, names or map(file_name, paths), strict=True))
+    files = (*document.scan.paths, *paths)
+    twice = next((path for k, path in enumerate(files) if path in files[:k]), None)
+    if twice is not None:
+        raise OptionError(f"{named[twice]} is part of the scan already; give clouds that are not")
+    elsewhere = next((path for each in document.stations for path in each.source.paths if path in named), None)
+    if elsewhere is not None:
+        raise OptionError(f"{named[elsewhere]} is a station of the project; remove the station, or leave the cloud out")
+    every = (*document.scan.names[1:], *named.values())
+    return replace(document, scan=replace(document.scan, more=files[1:], more_names=every))
 
 
 def with_photo(

@@ -32,7 +32,7 @@ from ladarreg_core.folder_lock import FolderLock
 from ladarreg_core.project.checksum import verify_checksum, with_checksum
 from ladarreg_core.project.codec import arrays_of, decode_document, encode
 from ladarreg_core.project.delta import change_between
-from ladarreg_core.project.document import Document
+from ladarreg_core.project.document import Document, Source
 from ladarreg_core.project.history import Entry, History
 from ladarreg_core.project.records import Records, read_records, record_line
 from ladarreg_core.project.replay import RECOVERED, Replayed, Snapshot, replay
@@ -119,6 +119,15 @@ class ProjectFolder:
     def source_path(self, path: str) -> Path:
         """Return the path of a source's file."""
         return self.path / path  # an absolute one stays itself
+
+    def scan_options(self, source: Source) -> dict[str, Any]:
+        """Return the arguments of `read_scan` for a scan, `more` among them where clouds are accumulated."""
+        more = tuple(map(self.source_path, source.more))
+        return {**source.scan_options, "more": more} if more else source.scan_options
+
+    def source_files(self, source: Source) -> list[Path]:
+        """Return all files of a source, that of its path first."""
+        return [self.source_path(path) for path in (source.path, *source.more)]
 
     def relative(self, path: Path) -> str:
         """Return a file's path for a `Source`: relative inside the folder, so that the folder can be moved."""

@@ -21,7 +21,7 @@ Part = tuple[str, ...]
 Parts = dict[Part, tuple[Any, Any]]
 """Parts with their values before and after an edit."""
 T = TypeVar("T", bound=msgspec.Struct)
-_COUNTER = "numbered"
+_COUNTERS = ("numbered", "numbered_stations")
 _LISTS = ("picks", "poses")
 _KEYS = {"photos": "id", "picks": "id", "poses": "stage"}
 
@@ -51,7 +51,7 @@ def changed_parts(before: Document, after: Document) -> Parts:
     """Return the parts in which two documents differ."""
     found: Parts = {}
     for name in before.__struct_fields__:
-        if name in ("photos", "settings", _COUNTER):
+        if name in ("photos", "settings", *_COUNTERS):
             continue
         _note(found, (name,), getattr(before, name), getattr(after, name))
     for name in before.settings.__struct_fields__:
@@ -97,7 +97,7 @@ def touches(change: Iterable[Part], part: Part) -> bool:
 
 def _compare_photos(found: Parts, path: Part, old: PhotoEntry, new: PhotoEntry) -> None:
     for name in old.__struct_fields__:
-        if name not in (*_LISTS, "id", _COUNTER):
+        if name not in (*_LISTS, "id", *_COUNTERS):
             _note(found, (*path, name), getattr(old, name), getattr(new, name))
     for pose_path, was, now in _differing((*path, "poses"), old.poses, new.poses):
         found[pose_path] = was, now

@@ -11,7 +11,7 @@ from pathlib import Path
 from msgspec.structs import replace as changed
 
 from ladarreg_core.errors import ExportError, LadarregError
-from ladarreg_core.project.document import Document, Source
+from ladarreg_core.project.document import Document, PhotoEntry, Source
 from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import History
 
@@ -79,14 +79,33 @@ def _with_absolute_paths(folder: ProjectFolder, document: Document) -> Document:
     """Return the document with absolute paths of all files."""
 
     def absolute(source: Source) -> Source:
-        return changed(source, path=str(folder.source_path(source.path)))
+        path, *more = map(str, folder.source_files(source))
+        return changed(source, path=path, more=tuple(more))
 
-    photos = tuple(
-        changed(
-            photo,
-            source=absolute(photo.source),
-            camera=changed(photo.camera, file=absolute(photo.camera.file)) if photo.camera.file else photo.camera,
+    def of_photos(photos: tuple[PhotoEntry, ...]) -> tuple[PhotoEntry, ...]:
+        return tuple(
+            changed(
+                photo,
+                source=absolute(photo.source),
+                camera=changed(photo.camera, file=absolute(photo.camera.file)) if photo.camera.file else photo.camera,
+            )
+            for photo in photos
         )
-        for photo in document.photos
+
+    survey = document.survey
+    return changed(
+        document,
+        scan=absolute(document.scan) if document.scan else None,
+        photos=of_photos(document.photos),
+        stations=tuple(
+            changed(station, source=absolute(station.source), photos=of_photos(station.photos))
+            for station in document.stations
+        ),
+        survey=None
+        if survey is None
+        else changed(
+            survey,
+            scans=tuple(map(absolute, survey.scans)),
+            checks=tuple(changed(check, scan=absolute(check.scan)) for check in survey.checks),
+        ),
     )
-    return changed(document, scan=absolute(document.scan) if document.scan else None, photos=photos)

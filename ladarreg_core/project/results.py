@@ -34,6 +34,7 @@ def pose_entry(
     method: str = "manual",
     seconds: float = 0.0,
     note: str = "",
+    clouds: int = 1,
 ) -> PoseEntry:
     """Return the document entry of a result.
 
@@ -44,6 +45,7 @@ def pose_entry(
         method: registration method, for results that do not carry it.
         seconds: wall time, for results without steps.
         note: remark of the estimator.
+        clouds: number of clouds of the scan that it was solved on.
 
     Raises:
         DegenerateGeometryError: if the covariance or a noise level is not finite, which project files cannot store.
@@ -81,6 +83,7 @@ def pose_entry(
         seed=result.seed if isinstance(result, Registration) else 0,
         seconds=seconds or sum(step.seconds for step in steps),
         note=note,
+        clouds=clouds,
     )
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +21,11 @@ from ladarreg_core.quality.influence import INFLUENTIAL_COOK, Influence, influen
 from ladarreg_core.quality.next_match import SuggestedMatch, part_of_photo, suggest_matches
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
+from ladarreg_core.side_by_side import side_by_side
 from ladarreg_core.surface.spikes import SPIKE_FRACTION, median_range
 from ladarreg_core.surface.uncertainty import picture_sigma, pixel_sigma
 from ladarreg_core.surface.visibility import LARGEST_WHOLE_SCAN, places_in_picture
 
-T = TypeVar("T")
 _SPIKE_MARGIN = 16  # cells around a tile: those that its medians depend on
 
 
@@ -103,25 +103,25 @@ def assess(scan: Scan, result: PoseResult) -> Assessment:
         scan: the scan.
         result: a pose of a photo of it, with its matches.
     """
-    absent: dict[str, str] = {}
+    parts: dict[str, Callable[[], Any]] = {
+        "findings": lambda: _findings(result),
+        "influence": lambda: influence(result),
+        "uncertainty": lambda: _uncertainty(scan, result),
+        "advice": lambda: _advice(scan, result),
+    }
 
-    def attempt(name: str, work: Callable[[], T]) -> T | None:
+    def attempt(work: Callable[[], Any]) -> tuple[Any, str | None]:
         try:
             with np.errstate(all="ignore"):
-                return work()
+                return work(), None
         except LadarregError as error:
-            absent[name] = str(error)
+            return None, str(error)
         except np.linalg.LinAlgError:
-            absent[name] = "the matches contradict the pose so strongly that nothing can be computed"
-        return None
+            return None, "the matches contradict the pose so strongly that nothing can be computed"
 
-    return Assessment(
-        attempt("findings", lambda: _findings(result)),
-        attempt("influence", lambda: influence(result)),
-        attempt("uncertainty", lambda: _uncertainty(scan, result)),
-        attempt("advice", lambda: _advice(scan, result)),
-        absent,
-    )
+    found = dict(zip(parts, side_by_side(attempt, parts.values()), strict=True))
+    absent = {name: reason for name, (_, reason) in found.items() if reason is not None}
+    return Assessment(**{name: value for name, (value, _) in found.items()}, absent=absent)
 
 
 def _uncertainty(scan: Scan, result: PoseResult) -> PictureUncertainty:

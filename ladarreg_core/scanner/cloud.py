@@ -27,6 +27,8 @@ class LocatedCloud:
     """The grid, scanner frame."""
     world_from_scanner: Rigid | None
     """The scanner in the world, which contains where it stood; None: it stood at zero and no world is known."""
+    origin: NDArray[np.float64]
+    """Where the scanner stood in the coordinates of the points, (3,) m."""
     notes: tuple[str, ...]
     """Where the scanner was taken to stand, how the points were arranged and what was dropped."""
 
@@ -80,7 +82,7 @@ def locate_cloud(
             f"{lost} lie behind others and were dropped: if the scanner did not stand at {describe_position(where)}, "
             "give where it stood by `origin`; if the cloud was taken from several places, export each scan by itself"
         )
-    return LocatedCloud(cloud, world_from_scanner, tuple(remarks))
+    return LocatedCloud(cloud, world_from_scanner, where, tuple(remarks))
 
 
 def _located(
@@ -108,6 +110,11 @@ def _located(
             ]
         return np.zeros(3), []
     where = np.array(estimate.position)
+    if estimate.may_be_centre and coordinates != "any":
+        return np.zeros(3), [
+            f"the zero point of {own} was taken for the scanner's position; the pattern of the points would also agree "
+            f"with {describe_position(where)}: if the scanner stood elsewhere, give it by `origin`"
+        ]
     if where.any():
         return where, [
             f"the scanner's position {describe_position(where)} in {own} was estimated from the pattern of the points; "

@@ -57,6 +57,9 @@ def grid_rays(grid: ScanGeometry, rows: slice, columns: slice) -> FloatArray:
     """Return the unit rays (h, w, 3) of some rows and columns; those of the rest are not computed."""
     if isinstance(grid, TabulatedGrid):
         return grid.table[rows, columns]
+    kept = getattr(grid, "__dict__", {}).get("rays")  # of a whole grid that computed them once
+    if kept is not None:
+        return np.asarray(kept[rows, columns])
     cells = np.meshgrid(
         *(np.arange(n)[part] for n, part in zip(grid.shape, (rows, columns), strict=True)), indexing="ij"
     )

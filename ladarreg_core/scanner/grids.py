@@ -140,9 +140,8 @@ class AzimuthElevation:
         """Return the unit rays (..., 3) of fractional cells (..., 2)."""
         c = np.asarray(cells, dtype=np.float64)
         azimuth, elevation = self._azimuth(c[..., 1]), self._elevation(c[..., 0])
-        return np.stack(
-            [np.cos(azimuth) * np.cos(elevation), np.sin(azimuth), np.cos(azimuth) * np.sin(elevation)], axis=-1
-        )
+        ahead = np.cos(azimuth)
+        return np.stack([ahead * np.cos(elevation), np.sin(azimuth), ahead * np.sin(elevation)], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -236,9 +235,8 @@ class SphericalGrid:
         c = np.asarray(cells, dtype=np.float64)
         latitude = self.top_latitude_rad - c[..., 0] * self.d_latitude_rad
         longitude = self.centre_longitude_rad - (c[..., 1] - (self.columns - 1) / 2) * self.d_longitude_rad
-        return np.stack(
-            [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], axis=-1
-        )
+        level = np.cos(latitude)
+        return np.stack([level * np.cos(longitude), level * np.sin(longitude), np.sin(latitude)], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,9 +297,8 @@ class RingGrid:
         phase = np.interp(c[..., 0], np.arange(self.shape[0]), self.phases)
         from_centre = (c[..., 1] - (self.columns - 1) / 2 + phase) * self.d_longitude_rad
         longitude = self.centre_longitude_rad - from_centre
-        return np.stack(
-            [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], axis=-1
-        )
+        level = np.cos(latitude)
+        return np.stack([level * np.cos(longitude), level * np.sin(longitude), np.sin(latitude)], axis=-1)
 
     def _row_of(self, latitude: FloatArray) -> NDArray[np.float64]:
         return _extended_interp(latitude, self.latitudes_rad[::-1], np.arange(float(self.shape[0]))[::-1])

@@ -33,6 +33,7 @@ _SHARPENED = 6
 _HIDDEN = 0.12
 _HIDDEN_IF_SHARP = 0.3
 _AS_GOOD = 0.05
+_CLEARLY_WORSE = 0.15
 _LEAST_GAIN = 0.8
 _LEAST_DIFFERENCE = 0.06
 _FARTHEST = 12  # in units of the cloud's size: a field of view of ten degrees
@@ -49,6 +50,8 @@ class OriginEstimate:
     """Share of the points that lie behind surfaces, seen from `position`; from the centre if it is None."""
     hidden_from_centre: float
     """The same from (0, 0, 0)."""
+    may_be_centre: bool = False
+    """Whether (0, 0, 0) is not clearly contradicted: the densities of uneven patterns are a weak hint."""
 
 
 def estimate_origin(points: FloatArray) -> OriginEstimate:
@@ -85,7 +88,8 @@ def estimate_origin(points: FloatArray) -> OriginEstimate:
     if not (gain or (sharp and hidden < _HIDDEN_IF_SHARP)) or np.linalg.norm(best) > _FARTHEST * cloud.size:
         return OriginEstimate(None, centre.hidden_share, centre.hidden_share)
     x, y, z = (best + middle).tolist()
-    return OriginEstimate((x, y, z), hidden, centre.hidden_share)
+    alike = near and not sharp and cloud.misfit(-middle) < misfit + _CLEARLY_WORSE
+    return OriginEstimate((x, y, z), hidden, centre.hidden_share, alike and centre.hidden_share < _HIDDEN_IF_SHARP)
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,7 +29,7 @@ class SelfTest:
 
     @property
     def accepted_wrongly(self) -> int:
-        """Number of false acceptances: unrelated photos, and poses with errors beyond 3 px."""
+        """Number of false acceptances: unrelated photos, and poses off by more than 3 px, or three cells if coarse."""
         return sum(t.accepted and not t.right for t in (*self.of("right"), *self.of("wrong")))
 
     @property

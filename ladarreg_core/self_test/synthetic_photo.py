@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
+from ladarreg_core.matching.support import carries_intensity, is_coarse, open_cells
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.render import render_scan_colors
+from ladarreg_core.surface.spikes import fill_from_nearest
 
 _AMBIENT = (0.35, 0.6)
 _KNOTS = 5
@@ -27,6 +29,12 @@ _NORMAL_BLUR = 3.0
 _LATERAL = (0.06, 0.25)  # of the median range
 _OTHER_AXES = 0.04
 _TILT_RAD = np.deg2rad(2.0)
+FARTHEST_REACH_M = 5.0
+"""Range by which baselines grow no further: cameras stand beside a scanner outdoors as they do indoors."""
+_SAME_SURFACE = 0.04
+_FACING_UP = 0.7
+_LEAST_SURFACE = 12  # cells
+_SKY = (0.75, 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +57,8 @@ def random_pose(scan: Scan, camera: Camera, rng: np.random.Generator) -> Rigid:
         camera: its field of view decides how far off the middle of the scan it may look.
         rng: random generator.
     """
-    reach = float(np.nanmedian(scan.ranges))
+    median = float(np.nanmedian(scan.ranges))
+    reach = min(median, FARTHEST_REACH_M)
     aim, scatter = scan.mean_direction, scan.sampled_directions
     if float(np.median(scatter @ aim)) < np.cos(
         camera.width / 2 / camera.fx
@@ -58,7 +67,7 @@ def random_pose(scan: Scan, camera: Camera, rng: np.random.Generator) -> Rigid:
     axes = look_along(aim)  # rows: right, down, forward
     aside = rng.choice([-1.0, 1.0]) * rng.uniform(*_LATERAL)
     centre = reach * (np.array([aside, *rng.uniform(-_OTHER_AXES, _OTHER_AXES, 2)]) @ axes)
-    towards = reach * aim - centre
+    towards = median * aim - centre
     tilt = rotation_from_rotvec(rng.uniform(-_TILT_RAD, _TILT_RAD, 3))
     return Rigid.from_centre(tilt @ look_along(towards / np.linalg.norm(towards)), centre)
 
@@ -73,7 +82,10 @@ def render_photo(scan: Scan, camera: Camera, pose: Rigid, rng: np.random.Generat
         rng: random generator of light, inks and noise.
     """
     rgb, covered = render_scan_colors(scan, camera, pose, picture=_relit(scan, rng), supersample=2)
-    filled = _fill_holes(rgb, covered)
+    known = covered
+    if is_coarse(scan, camera):
+        rgb, known = _with_sky(rgb, covered, scan, camera, pose, rng)
+    filled = _fill_holes(rgb, known)
     noise = rng.normal(size=filled.shape).astype(np.float32) * rng.uniform(*_NOISE)
     pixels = np.clip(np.rint(filled + noise * np.sqrt(np.maximum(filled, 1) / 128)), 0, 255).astype(np.uint8)
     return SyntheticPhoto(
@@ -102,7 +114,7 @@ def unrelated_photo(photo: Photo, number: int) -> Photo:
 
 def _relit(scan: Scan, rng: np.random.Generator) -> ByteArray:
     """Return the picture (H, W, 3) of the scan in another light and with other inks."""
-    ink = _ink(scan)
+    ink = _ink(scan, rng)
     shade = _shade(scan, rng)
     relit = np.empty((*scan.shape, 3), dtype=np.float32)
     for c in range(3):
@@ -110,10 +122,13 @@ def _relit(scan: Scan, rng: np.random.Generator) -> ByteArray:
     return np.clip(np.rint(relit), 0, 255).astype(np.uint8)
 
 
-def _ink(scan: Scan) -> NDArray[np.float32]:
-    """Return (H, W, 3) float32, 0 to 255: the colour of the scan, or its intensity compensated for range."""
+def _ink(scan: Scan, rng: np.random.Generator) -> NDArray[np.float32]:
+    """Return (H, W, 3) float32, 0 to 255: the colour of the scan, its intensity compensated for range, or inks drawn
+    for its surfaces if it has neither."""
     if scan.color is not None:
         return np.asarray(scan.color, dtype=np.float32)
+    if not carries_intensity(scan):
+        return _inks_of_surfaces(scan, rng)
     signal = np.maximum(scan.intensity, 0).astype(np.float32)
     if scan.intensity_is == "raw":
         median = float(np.nanmedian(scan.ranges))
@@ -123,6 +138,41 @@ def _ink(scan: Scan) -> NDArray[np.float32]:
     low, high = np.percentile(signal[scan.valid], (1, 99.5))
     gray = np.clip((signal - low) * (255 / max(float(high - low), 1e-9)), 0, 255)
     return np.repeat(gray[..., None].astype(np.float32), 3, axis=2)
+
+
+def _inks_of_surfaces(scan: Scan, rng: np.random.Generator) -> NDArray[np.float32]:
+    """Return a random ink for every surface: connected cells of about one range that face up, or to the side, alike."""
+    ranges, up = np.nan_to_num(scan.ranges), np.abs(_normals(scan)[..., 2]) > _FACING_UP
+    picture = np.empty((*scan.shape, 3), dtype=np.float32)
+    picture[:] = rng.uniform(0, 255, 3)
+    low, high = (cv2.erode(ranges, np.ones((3, 3))), cv2.dilate(ranges, np.ones((3, 3))))
+    smooth = (low > 0) & (high - low < _SAME_SURFACE * ranges)
+    for facing in (up, ~up):
+        count, label, figures, _ = cv2.connectedComponentsWithStats((smooth & facing).astype(np.uint8), connectivity=4)
+        inks = rng.uniform(0, 255, (count, 3)).astype(np.float32)
+        large = figures[:, cv2.CC_STAT_AREA] >= _LEAST_SURFACE
+        large[0] = False
+        picture[large[label]] = inks[label[large[label]]]
+    inked = smooth[..., None] & np.ones(3, np.bool_)
+    nearest = [fill_from_nearest(np.ascontiguousarray(picture[..., c]), inked[..., c]) for c in range(3)]
+    return np.stack(nearest, axis=-1)
+
+
+def _with_sky(
+    rgb: ByteArray, covered: BoolArray, scan: Scan, camera: Camera, pose: Rigid, rng: np.random.Generator
+) -> tuple[ByteArray, BoolArray]:
+    """Return the picture with a sky where the scan looked and nothing returned, and where the picture is known."""
+    v, u = np.mgrid[: camera.height, : camera.width]
+    rays = camera.unproject(np.stack([u, v], axis=-1).reshape(-1, 2).astype(np.float64)) @ pose.rotation
+    cell = scan.geometry.cell_of(rays)
+    inside = np.isfinite(cell).all(axis=-1) & (cell >= 0).all(axis=-1) & (cell <= np.array(scan.shape) - 1).all(axis=-1)
+    sky = np.zeros(len(rays), np.bool_)
+    row, column = np.rint(cell[inside]).astype(np.intp).T
+    sky[inside] = open_cells(scan)[row, column]
+    sky = sky.reshape(covered.shape) & ~covered
+    shown = rgb.copy()
+    shown[sky] = np.rint(255 * rng.uniform(*_SKY, 3)).astype(np.uint8)
+    return shown, np.asarray(covered | sky)
 
 
 def _tone(values: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -136,10 +186,7 @@ def _tone(values: FloatArray, rng: np.random.Generator) -> FloatArray:
 def _shade(scan: Scan, rng: np.random.Generator) -> NDArray[np.float32]:
     """Return the brightness (H, W) of each cell under a lamp at a random position, 0 to about 1."""
     points = np.nan_to_num(np.asarray(scan.points, dtype=np.float32))
-    right, down = (cv2.Sobel(points, cv2.CV_32F, dx, 1 - dx, ksize=3) for dx in (1, 0))
-    normals = cv2.GaussianBlur(np.cross(right, down), (0, 0), _NORMAL_BLUR)
-    length = np.linalg.norm(normals, axis=2, keepdims=True)
-    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    normals = _normals(scan)
     facing = np.where((normals * points).sum(axis=2, keepdims=True) > 0, -1.0, 1.0)
     lamp = rng.normal(size=3) * float(np.nanmedian(scan.ranges)) * 0.7
     to_lamp = lamp.astype(np.float32) - points
@@ -147,6 +194,15 @@ def _shade(scan: Scan, rng: np.random.Generator) -> NDArray[np.float32]:
     ambient = float(rng.uniform(*_AMBIENT))
     lit = np.maximum((facing * normals * to_lamp).sum(axis=2), 0)
     return np.asarray(ambient + (1 - ambient) * lit, dtype=np.float32)
+
+
+def _normals(scan: Scan) -> NDArray[np.float32]:
+    """Return the smoothed unit normals (H, W, 3) of the cells, of either sign; 0 where there is none."""
+    points = np.nan_to_num(np.asarray(scan.points, dtype=np.float32))
+    right, down = (cv2.Sobel(points, cv2.CV_32F, dx, 1 - dx, ksize=3) for dx in (1, 0))
+    normals = cv2.GaussianBlur(np.cross(right, down), (0, 0), _NORMAL_BLUR)
+    length = np.linalg.norm(normals, axis=2, keepdims=True)
+    return np.asarray(np.divide(normals, length, out=np.zeros_like(normals), where=length > 0), dtype=np.float32)
 
 
 def _fill_holes(rgb: ByteArray, covered: BoolArray) -> NDArray[np.float32]:

@@ -13,18 +13,27 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.auto import AutoOptions
+from ladarreg_core.matching.support import is_coarse
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.registration import RegisterOptions, register
 from ladarreg_core.scan import Scan
-from ladarreg_core.self_test.synthetic_photo import SyntheticPhoto, random_pose, render_photo, unrelated_photo
+from ladarreg_core.self_test.synthetic_photo import (
+    FARTHEST_REACH_M,
+    SyntheticPhoto,
+    random_pose,
+    render_photo,
+    unrelated_photo,
+)
+from ladarreg_core.surface.perspective import native_focal_px
 from ladarreg_core.validation import LARGEST_INT, require_int
 
 TrialKind = Literal["right", "start", "wrong"]
 
 START_LEVELS_DEG = (3.0, 6.0, 12.0)
-"""Rotation errors of the initial poses; their position errors are the arc of that angle at the median range."""
-_RIGHT_PX = 3.0
+"""Rotation errors of the initial poses; their position errors are the arc of that angle at the median range, or at 5 m
+if that is nearer."""
+_RIGHT_PX, _RIGHT_CELLS = 3.0, 3.0
 _LEAST_COVERED = 0.5
 _POSE_TRIES = 20
 _LARGEST_SIDE = 1280
@@ -79,13 +88,15 @@ class Trial:
     """Rotation error of the initial pose; 0 without one."""
     seconds: float
     """Wall-clock time of the registration."""
+    limit_px: float = _RIGHT_PX
+    """Largest error that counts as right: of a coarse scan, that of three cells."""
 
     @property
     def right(self) -> bool:
         """Whether the outcome is correct."""
         if self.kind == "wrong":
             return not self.accepted
-        return self.accepted and self.error_px <= _RIGHT_PX
+        return self.accepted and self.error_px <= self.limit_px
 
 
 def run_trials(
@@ -164,7 +175,8 @@ def _run_trial(
     if kind == "wrong":
         photo = unrelated_photo(photo, number)
     elif kind == "start":
-        start = _wrong_start(made.camera_from_scanner, off_deg, float(np.nanmedian(scan.ranges)), rng)
+        reach = min(float(np.nanmedian(scan.ranges)), FARTHEST_REACH_M)
+        start = _wrong_start(made.camera_from_scanner, off_deg, reach, rng)
     begun = time.perf_counter()
     accepted, pose = _register(scan, photo, start)
     seconds = time.perf_counter() - begun
@@ -178,8 +190,13 @@ def _run_trial(
     error_px = float(np.median(np.where(np.isfinite(shift), shift, np.inf))) if seen.any() else float("inf")
     return Trial(
         kind, accepted, error_px, 1000 * pose.distance_to(truth), float(np.degrees(pose.angle_to(truth))), off_deg,
-        seconds,
+        seconds, _limit_px(scan, photo.pinhole),
     )  # fmt: skip
+
+
+def _limit_px(scan: Scan, camera: Camera) -> float:
+    cell_px = camera.focal_px / native_focal_px(scan) if is_coarse(scan, camera) else 0.0
+    return max(_RIGHT_PX, _RIGHT_CELLS * cell_px)
 
 
 def _wrong_start(truth: Rigid, degrees: float, reach: float, rng: np.random.Generator) -> Rigid:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, ThesisParameters
 from ladarreg_core.photo import Photo
@@ -39,13 +40,16 @@ class OutdoorCase:
     """The returns before they were gridded."""
 
 
-def simulate_outdoors(scene: str, *, lidar: LidarName, seed: int = 0) -> OutdoorCase:
+def simulate_outdoors(
+    scene: str, *, lidar: LidarName, seed: int = 0, camera_from_scanner: Rigid | None = None
+) -> OutdoorCase:
     """Simulate a robot's lidar and camera outdoors; equal arguments give equal bytes.
 
     Args:
         scene: a name in `OUTDOORS`: street or courtyard.
         lidar: petals and narrow (accumulated, petals without intensity), or 64 or 128 lines, one turn.
         seed: not negative; every seed gives another place and pose.
+        camera_from_scanner: the pose instead of the seed's, as of a camera that is mounted on the lidar.
 
     Raises:
         OptionError: if the scene or lidar does not exist or the seed is out of range.
@@ -53,13 +57,12 @@ def simulate_outdoors(scene: str, *, lidar: LidarName, seed: int = 0) -> Outdoor
     """
     require_choice(scene, tuple(OUTDOORS), "the scene")
     require_int(seed, "the seed", least=0)
-    streams = np.random.SeedSequence([zlib.crc32(f"{scene}/{lidar}".encode()), seed]).spawn(4)
-    layout, pose_rng, scan_rng, photo_rng = (np.random.default_rng(s) for s in streams)
+    layout, pose_rng, scan_rng, photo_rng = _streams(scene, lidar, seed)
     rays = lidar_rays(lidar, scan_rng)
     world = build_outdoors(scene, layout=layout)
     caster = RayCaster(world.triangles)
     cloud = scan_points(world, caster, rays, rng=scan_rng, with_intensity=lidar not in _SILENT)
-    truth = _pose(pose_rng)
+    truth = _pose(pose_rng) if camera_from_scanner is None else camera_from_scanner
     pixels = take_photograph(world, caster, OUTDOOR_CAMERA, truth, lighting=_LIT, rng=photo_rng)
     name = f"{scene}-{lidar}-{seed}"
     return OutdoorCase(
@@ -69,6 +72,39 @@ def simulate_outdoors(scene: str, *, lidar: LidarName, seed: int = 0) -> Outdoor
         OUTDOOR_CAMERA,
         cloud,
     )
+
+
+def simulate_rig(lidar: LidarName, *, pairs: int, seed: int = 0) -> list[OutdoorCase]:
+    """Simulate a rig of a lidar and a camera in so many places, streets and courtyards by turns, all with one pose.
+
+    Args:
+        lidar: as `simulate_outdoors`.
+        pairs: number of places.
+        seed: not negative; every seed gives another rig and other places.
+
+    Raises:
+        OptionError: if the lidar does not exist or the seed is out of range.
+        DependencyError: if `embreex` is not installed.
+    """
+    require_int(seed, "the seed", least=0)
+    truth = _pose(np.random.default_rng([zlib.crc32(f"rig/{lidar}".encode()), seed]))
+    scenes = sorted(OUTDOORS)
+    return [
+        simulate_outdoors(
+            scenes[k % len(scenes)], lidar=lidar, seed=1_000_000 + 100 * seed + k, camera_from_scanner=truth
+        )
+        for k in range(pairs)
+    ]
+
+
+def outdoor_triangles(scene: str, *, lidar: LidarName, seed: int = 0) -> FloatArray:
+    """Return the triangles (T, 3, 3), m, of the place of a case; arguments as of `simulate_outdoors`."""
+    return build_outdoors(scene, layout=_streams(scene, lidar, seed)[0]).triangles
+
+
+def _streams(scene: str, lidar: LidarName, seed: int) -> list[np.random.Generator]:
+    sequence = np.random.SeedSequence([zlib.crc32(f"{scene}/{lidar}".encode()), seed])
+    return [np.random.default_rng(each) for each in sequence.spawn(4)]
 
 
 def _pose(rng: np.random.Generator) -> Rigid:

@@ -52,7 +52,7 @@ class PairOptions:
     """Another placement counts as long as no more than this, beyond what is contradicted of the best, is."""
     alternative_overlap: float = 0.5
     """Another placement counts from this share of the best one's overlap."""
-    most_sigma_mm: float = 10.0
+    most_sigma_mm: float = 5.0
     """Beyond it a direction counts as not determined."""
     most_sigma_deg: float = 0.1
     """Beyond it a rotation counts as not determined."""

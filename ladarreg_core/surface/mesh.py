@@ -202,8 +202,13 @@ def scan_mesh(
     kept = np.flatnonzero(used)
     index = np.zeros(ranges.size, dtype=np.int32)
     index[kept] = np.arange(len(kept), dtype=np.int32)
-    i, j = np.divmod(kept, len(columns))
-    return Mesh(points.reshape(-1, 3)[kept], index[faces], np.stack([rows[i], columns[j]], axis=-1), scan.shape)
+    i, j = np.nonzero(used.reshape(ranges.shape))
+    cells = np.empty((len(kept), 2), dtype=np.int32)
+    cells[:, 0], cells[:, 1] = rows[i], columns[j]
+    vertices, triangles = points.reshape(-1, 3)[kept], index[faces]
+    for array in (vertices, triangles, cells):
+        array.flags.writeable = False  # handed over, not copied
+    return Mesh(vertices, triangles, cells, scan.shape)
 
 
 def _decimate(scan: Scan, steps: tuple[int, int], max_vertices: int | None) -> tuple[IntArray, IntArray]:

@@ -23,6 +23,7 @@ from ladarreg_core.camera import CameraModel
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
+from ladarreg_core.surface.components import connected_components
 from ladarreg_core.surface.facets import point_facets
 from ladarreg_core.surface.mesh import scan_mesh
 from ladarreg_core.surface.model_part import LARGEST_TILE_PX, ModelPart, model_part
@@ -180,13 +181,9 @@ def _seen_and_beside(labels: ByteArray) -> tuple[BoolArray, BoolArray]:
 
 def _without_specks(triangles: TexturedTriangles) -> BoolArray:
     """Return the triangles (F,) that are not in tiny components."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    faces, n = triangles.faces, len(triangles.vertices)
-    ends = np.concatenate([faces[:, :2], faces[:, 1:]])
-    links = coo_array((np.ones(len(ends), np.bool_), (ends[:, 0], ends[:, 1])), shape=(n, n))
-    component = connected_components(links, directed=False)[1][faces[:, 0]]
+    faces = triangles.faces
+    edges = np.concatenate([faces[:, :2], faces[:, 1:]])
+    component = connected_components(edges, len(triangles.vertices))[faces[:, 0]]
     a, b, c = (triangles.cells[faces[:, k]] for k in range(3))
     areas = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
     size = np.bincount(component, areas)

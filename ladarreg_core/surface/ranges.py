@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.scan import Scan
+from ladarreg_core.surface.between_lines import ranges_between_lines
 
 EDGE_FRACTION = 0.04
 """Neighbouring ranges that differ by more than this fraction of the nearer one belong to two surfaces."""
@@ -43,12 +44,17 @@ class MeasuredRanges:
     """(N, 4) the four surrounding cells, as flat indices into the scan."""
     shares: FloatArray
     """(N, 4) weight of each cell in 1 / `outline`; rows sum to 1, or to 0 without a return."""
+    sigma: FloatArray
+    """(N,) m: standard deviation of a range between lines of a coarse scan, see `ranges_between_lines`; NaN: the range
+    is that of the cells beside the ray."""
 
 
 def surface_range(scan: Scan, rays: FloatArray) -> NDArray[np.float64]:
     """Return the range (N,), m, of the surface along rays (N, 3); NaN without a return or at a depth edge.
 
     Inside a surface, bilinear in 1/range of the four surrounding cells, which is exact on a plane up to their angles.
+    Where their ranges differ, or some have none, that of the plane through the returns all around the ray, if there is
+    one: neighbouring lines of a coarse scan meet the ground metres apart.
     """
     return np.asarray(measured_ranges(scan, rays).ranges)
 
@@ -79,15 +85,24 @@ def measured_ranges(scan: Scan, rays: FloatArray) -> MeasuredRanges:
     inverse = (shares / np.where(near | smooth[:, None], corners, 1)).sum(axis=1)
     with np.errstate(divide="ignore"):
         outline = np.where(near.any(axis=1), 1 / inverse, np.nan)
-    return MeasuredRanges(np.where(smooth, outline, np.nan), edge, outline, cells, shares)
+    ranges, sigma = np.where(smooth, outline, np.nan), np.full(len(rays), np.nan)
+    between = np.flatnonzero(inside & ~smooth)
+    if len(between):
+        found = ranges_between_lines(scan, rays[between], i[between], j[between])
+        known = np.isfinite(found.ranges)
+        at = between[known]
+        ranges[at] = outline[at] = found.ranges[known]
+        sigma[at], shares[at], cells[at], edge[at] = found.sigma[known], found.shares[known], found.cells[known], False
+    return MeasuredRanges(ranges, edge, outline, cells, shares, sigma)
 
 
-def range_quality(scan: Scan, rays: FloatArray) -> FloatArray:
+def range_quality(scan: Scan, rays: FloatArray, found: MeasuredRanges | None = None) -> FloatArray:
     """Return the relative information (inverse variance) of the ranges along rays.
 
     Args:
         scan: the scan.
         rays: (N, 3) unit, scanner frame.
+        found: the ranges along them, of which those between lines have standard deviations of their own.
 
     Returns:
         (N,) above 0, at most 4; 1 for a usual return from a surface facing the scanner, far from depth edges. The value
@@ -101,9 +116,12 @@ def range_quality(scan: Scan, rays: FloatArray) -> FloatArray:
     rows = np.clip(row[:, None] + steps, 0, height - 1)[:, :, None]
     columns = np.clip(column[:, None] + steps, 0, width - 1)[:, None, :]
     around = scan.ranges[rows, columns].astype(np.float64)  # (N, 5, 5)
-    return np.asarray(
-        1 / (_weakness(scan, row, column) * _edge_factor(around) + _slope_variance(around, usual_noise_m(scan)))
-    )
+    noise_m = usual_noise_m(scan)
+    quality = 1 / (_weakness(scan, row, column) * _edge_factor(around) + _slope_variance(around, noise_m))
+    if found is not None:
+        between = np.isfinite(found.sigma)
+        quality = np.where(between, noise_m**2 / (noise_m**2 + np.where(between, found.sigma, 0) ** 2), quality)
+    return np.asarray(quality)
 
 
 def _weakness(scan: Scan, row: IntArray, column: IntArray) -> FloatArray:

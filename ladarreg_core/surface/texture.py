@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from weakref import WeakKeyDictionary
 
 import cv2
 import numpy as np
@@ -32,6 +33,7 @@ from ladarreg_core.validation import require_number
 
 _LARGEST_POSE_SIGMA_PX = 2.0
 _ROWS_AT_ONCE = 256
+_latest_intensity: WeakKeyDictionary[Scan, ByteArray] = WeakKeyDictionary()
 _NET_NODES = 65
 _UNSEEN_BRIGHTNESS = 0.45
 _SEAM_PX = 64
@@ -257,7 +259,21 @@ def intensity_rows(intensity: FloatArray, levels: tuple[float, float]) -> NDArra
 
 
 def intensity_picture(scan: Scan) -> ByteArray:
-    """Return the scan's intensity, with stretched contrast, as gray RGB, (H, W, 3) uint8."""
+    """Return the scan's intensity, with stretched contrast, as gray RGB, (H, W, 3) uint8, read-only.
+
+    The picture of the latest scan is kept, unless the scan is large: a report shows it in several places.
+    """
+    known = _latest_intensity.get(scan)
+    if known is None:
+        known = _intensity_picture(scan)
+        known.flags.writeable = False
+        _latest_intensity.clear()
+        if scan.ranges.size <= LARGEST_WHOLE_SCAN:
+            _latest_intensity[scan] = known
+    return known
+
+
+def _intensity_picture(scan: Scan) -> NDArray[np.uint8]:
     levels = intensity_levels(scan)
     gray = np.empty(scan.shape, np.uint8)
     for first in range(0, scan.shape[0], _ROWS_AT_ONCE):

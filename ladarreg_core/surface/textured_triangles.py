@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.camera import CameraModel, EquirectangularCamera
 from ladarreg_core.frames import Rigid
-from ladarreg_core.surface.subdivision import cut_edges, edge_ends, edge_keys
+from ladarreg_core.surface.subdivision import (
+    at_all_corners,
+    at_any_corner,
+    cut_edges,
+    distinct,
+    edge_ends,
+    edge_keys,
+    with_edge_of,
+)
 
 LASER = -1
 """Owner of a triangle that no photograph textures."""
@@ -93,11 +101,11 @@ class TexturedTriangles:
     def cut_at_frames(self) -> None:
         """Cut edges that leave the frame of a photograph at its border."""
         for k, photo in enumerate(self._photos):
-            touched = photo.seen[self.faces].any(axis=1) & photo.beside[self.faces].any(axis=1)
+            touched = at_any_corner(photo.seen, self.faces) & at_any_corner(photo.beside, self.faces)
             rows = np.flatnonzero(touched)
             if not len(rows):
                 continue
-            keys = np.unique(edge_keys(self.faces[rows], len(self.vertices)))
+            keys = distinct(edge_keys(self.faces[rows], len(self.vertices)))
             a, b = edge_ends(keys, len(self.vertices))
             leaves = (photo.seen[a] & photo.beside[b]) | (photo.seen[b] & photo.beside[a])
             keys, a, b = keys[leaves], a[leaves], b[leaves]
@@ -130,7 +138,7 @@ class TexturedTriangles:
         for choice in range(2, -1, -1):
             for k, photo in enumerate(self._photos):
                 rows = np.flatnonzero(order[:, choice] == k)
-                self.owner[rows[photo.seen[self.faces[rows]].all(axis=1)]] = k
+                self.owner[rows[at_all_corners(photo.seen, self.faces[rows])]] = k
 
     def refine(self, largest_error_px: float, *, most_faces: int | None) -> float:
         """Divide triangles until the texture errs by at most so much within them.
@@ -148,16 +156,23 @@ class TexturedTriangles:
             new = self._edges_that_err(error / _INSIDE_OVER_EDGE)
             if not len(new):
                 break
-            if most_faces is not None:
-                cuts = np.isin(edge_keys(self.faces, len(self.vertices)), new).sum()
-                if len(self.faces) + int(cuts) > most_faces:
-                    error *= 2
-                    self._changed[:] = True
-                    continue
+            if most_faces is not None and self._would_exceed(most_faces, new):
+                error *= 2
+                self._changed[:] = True
+                continue
             first, second = edge_ends(new, len(self.vertices))
             self._cut(new, first, second, np.full(len(new), 0.5))
         self._drop_unplaced()
         return error
+
+    def _would_exceed(self, most_faces: int, keys: IntArray) -> bool:
+        """Return whether there would be more than so many triangles; each cut of one adds one."""
+        room = most_faces - len(self.faces)
+        if 2 * len(keys) <= room:  # an edge of the surface belongs to two triangles at most
+            return False
+        n = len(self.vertices)
+        near = self.faces[with_edge_of(self.faces, keys, n)]
+        return int(np.isin(edge_keys(near, n), keys).sum()) > room
 
     def _cut(self, keys: IntArray, start: IntArray, end: IntArray, share: NDArray[np.float64]) -> None:
         """Cut edges (E,), given by ascending keys, at a share of the way from `start` to `end`."""
@@ -178,7 +193,7 @@ class TexturedTriangles:
         for photo in self._photos:
             photo.seen = np.concatenate([photo.seen, photo.seen[start] & photo.seen[end]])
             photo.beside = np.concatenate([photo.beside, photo.beside[start] & photo.beside[end]])
-        self.faces, parent, self._changed = cut_edges(self.faces, edge_keys(self.faces, n), keys, n)
+        self.faces, parent, self._changed = cut_edges(self.faces, keys, n)
         self.owner = self.owner[parent]
 
     def _edges_that_err(self, most_px: float) -> NDArray[np.int64]:
@@ -187,11 +202,11 @@ class TexturedTriangles:
         for owner in range(LASER, len(self._photos)):
             faces = self.faces[self._changed & (self.owner == owner)]
             for first in range(0, len(faces), _AT_ONCE):
-                keys = np.unique(edge_keys(faces[first : first + _AT_ONCE], n))
+                keys = distinct(edge_keys(faces[first : first + _AT_ONCE], n))
                 a, b = edge_ends(keys, n)
                 errs = self._errs_on_grid(a, b) if owner == LASER else self._errs_in(self._photos[owner], a, b, most_px)
                 found.append(keys[errs])
-        return np.unique(np.concatenate(found))
+        return distinct(np.concatenate(found))
 
     def _errs_on_grid(self, a: IntArray, b: IntArray) -> BoolArray:
         near, far = (np.linalg.norm(self.vertices[at], axis=1) for at in (a, b))
@@ -223,7 +238,7 @@ class TexturedTriangles:
         """Give triangles to the laser that have a corner without a place in their photograph."""
         for k, photo in enumerate(self._photos):
             rows = np.flatnonzero(self.owner == k)
-            used = np.unique(self.faces[rows])
+            used = distinct(self.faces[rows])
             lost = used[~np.isfinite(photo.project(self.vertices[used])).all(axis=1)]
             if len(lost):
                 self.owner[rows[np.isin(self.faces[rows], lost).any(axis=1)]] = LASER
@@ -236,8 +251,10 @@ class TexturedTriangles:
             faces (F, 3) int32, indices of these. Triangles across the seam of a panorama have pixels beyond its border.
         """
         faces = self.faces[self.owner == owner]
-        vertex, inverse = np.unique(faces, return_inverse=True)
-        faces = inverse.reshape(faces.shape).astype(np.int32)
+        used = np.zeros(len(self.vertices), np.bool_)
+        used[faces] = True
+        vertex = np.flatnonzero(used)
+        faces = (np.cumsum(used, dtype=np.int32) - np.int32(1))[faces]
         if owner == LASER:
             return vertex, self.cells[vertex, ::-1].astype(np.float64), faces
         photo = self._photos[owner]

@@ -97,6 +97,8 @@ class _Surface:
 
 
 _surface_of_scan: WeakKeyDictionary[Scan, _Surface] = WeakKeyDictionary()
+# The texture and the assessment of a pose ask for the same projection: the latest one is kept as long as its scan.
+_latest: WeakKeyDictionary[Scan, tuple[CameraModel, Rigid, ScanProjection]] = WeakKeyDictionary()
 
 
 def visible_cells(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid) -> BoolArray:
@@ -116,10 +118,21 @@ def project_scan(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid) ->
         scan: the scan; everything that does not depend on the pose is cached for its lifetime.
         camera: the camera, with or without distortion.
         camera_from_scanner: its pose.
+
+    Returns:
+        The projection; its arrays are read-only.
     """
     if scan.ranges.size > LARGEST_WHOLE_SCAN:
         return _projection_by_tiles(scan, camera, camera_from_scanner)
-    return _projection(scan, camera, camera_from_scanner, None)
+    latest = _latest.get(scan)
+    if latest is not None and latest[0] is camera and latest[1] is camera_from_scanner:
+        return latest[2]
+    found = _projection(scan, camera, camera_from_scanner, None)
+    for array in (found.uv, found.depth_m, found.in_picture, found.occluded, found.untested, found.cosine):
+        array.flags.writeable = False
+    _latest.clear()
+    _latest[scan] = camera, camera_from_scanner, found
+    return found
 
 
 class Occluder:

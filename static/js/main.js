@@ -15,6 +15,7 @@ import { offeredPictures } from "./panels/embedded_pictures.js";
 import { openFiles } from "./panels/files.js";
 import { mountHeader } from "./panels/header.js";
 import { mountModelPane } from "./panels/model_pane.js";
+import { mountFramesButton } from "./panels/scan_clouds.js";
 import { openProjects } from "./panels/start_page.js";
 import { mountStatusBar } from "./panels/status_bar.js";
 import { mountPanes } from "./panes/index.js";
@@ -49,6 +50,7 @@ mountPanes({
   view,
   ask,
 });
+mountFramesButton(part("scan-pane", "pane-head"), () => openFiles("frames"));
 mountLiveScan(part("scan-pane", "pane-body"));
 listenToShortcuts();
 followAccess();

@@ -206,7 +206,7 @@ _FIELDS: dict[str, tuple[str, ...]] = {
     "go_to": ("n",),
     "run": ("photo", "job"),
     "job_control": ("action", "value"),
-    "open_served": ("path", "what", "photo"),
+    "open_served": ("path", "what", "photo", "scan"),
     "probe": ("at", "scan"),
 }  # fmt: skip
 """Fields of the most frequent commands; others get arbitrary fields."""

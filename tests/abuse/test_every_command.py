@@ -52,6 +52,7 @@ HOSTILE = (*NUMBERS, *WORDS, *OTHERS, *ROWS, *LISTS)
 BAD_FOLDERS = tuple(json.dumps(name) for name in ("\0", "a\0b", "a" * 300, "a/" * 3000, "\u202e\u2028", "\ud800"))
 FEW = {
     ("open_served", "photo"): OTHERS[:3],
+    ("open_served", "scan"): (*OTHERS[:3], '"frames"', '"stations"'),
     ("refine", "photo"): OTHERS,
     ("export_folder", "photo"): (*OTHERS, *WORDS),
     ("export_folder", "folder"): BAD_FOLDERS,
@@ -70,6 +71,15 @@ PLAN = {
     "pan_deg": [-10, 10, 1], "tilt_deg": [0, 0, 0], "mount": {"xyz_m": [0, 0, 0], "rpy_deg": [90, 0, 0]},
 }  # fmt: skip
 SOUND: dict[str, list[dict[str, Any]]] = {
+    "register_stations": [{}],
+    "check_at_stations": [{}],
+    "export_stations": [{}],
+    "place_station": [
+        {"station": "s1", "place": {"x": 1, "y": 2, "z": 0, "yaw_deg": 90}},
+        {"station": "s1", "place": None},
+    ],
+    "show_station": [{"station": "s1"}],
+    "remove_station": [{"station": "s1"}],
     "acquire_ports": [{}],
     "acquire_check": [{"plan": PLAN}],
     "acquire_keep": [{"plan": PLAN}, {"plan": {"half": "a plan"}}],
@@ -122,7 +132,10 @@ SOUND: dict[str, list[dict[str, Any]]] = {
     "set_model": [{"texture": "range", "z_buffer": False, "detail": "coarse", "cameras": False, "rays": True}],
     "call_me": [{"name": "Ann"}],
     "hover_pick": [{"pick": "1"}],
-    "open_served": [{"path": "matches.csv", "what": "matches", "photo": "p1"}, {"path": "scan.npz", "what": "scan"}],
+    "open_served": [
+        {"path": "matches.csv", "what": "matches", "photo": "p1"},
+        {"paths": ["scan.npz"], "what": "scan", "scan": "replace"},
+    ],
     "list_served": [{}],
     "open_files": [{"files": ["nobody"], "scan": "replace", "photo": "p1"}],
     "discard_files": [{"files": ["nobody"]}],
@@ -197,7 +210,9 @@ class Page:
         """Open a copy of the project as another program would, and compare."""
         session = self.bench.workbench.session
         shutil.rmtree(self._aside, ignore_errors=True)
-        shutil.copytree(session.folder.path, self._aside, ignore=shutil.ignore_patterns("inputs", "lock"))
+        # What another thread is just writing goes by a name of its own, which may be gone when it is copied.
+        passing = shutil.ignore_patterns("inputs", "lock", "*.part")
+        shutil.copytree(session.folder.path, self._aside, ignore=passing)
         folder = ProjectFolder(self._aside)
         try:
             found = folder.read()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -17,18 +18,17 @@ _NOT_OURS = {"report_style.py", "ros.py", "report.py"}  # style sheets, and comm
 _ONLY_IN_PYTHON = {"xyz", "ranges", "rays", "azimuth_rad", "elevation_rad", "white", "points", "to_json"}
 
 
+@cache
 def texts() -> dict[str, list[str]]:
     """Return the string constants of the core's files, without docstrings."""
     found = {}
     for path in sorted(CORE.rglob("*.py")):
         tree = ast.parse(path.read_text(encoding="utf-8"))
-        documented = [
-            node.value for node in ast.walk(tree) if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-        ]
+        documented = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
         found[path.name] = [
             node.value
             for node in ast.walk(tree)
-            if isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in documented
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in documented
         ]
     return found
 

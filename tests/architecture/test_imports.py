@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -44,7 +45,8 @@ def modules(package: str) -> dict[str, Path]:
     return found
 
 
-def imported_modules(path: Path) -> set[str]:
+@cache
+def imported_modules(path: Path) -> frozenset[str]:
     """Return the dotted names that a file imports anywhere, those for type checkers included."""
     names: set[str] = set()
     package = path.relative_to(CHECKOUT).with_suffix("").parts[:-1]
@@ -55,7 +57,7 @@ def imported_modules(path: Path) -> set[str]:
             base = ".".join(package[: len(package) - node.level + 1]) if node.level else ""
             module = ".".join(part for part in (base, node.module or "") if part)
             names.update(f"{module}.{alias.name}" for alias in node.names)
-    return names
+    return frozenset(names)
 
 
 def file_graph(package: str) -> dict[str, set[str]]:
@@ -136,6 +138,18 @@ def test_the_app_holds_no_mathematics() -> None:
             name for name in names if name.startswith("ladarreg_core") and "._" in name.replace("__version__", "")
         }
         assert not private, f"{path} reaches into {private}"
+
+
+def test_slow_packages_are_imported_where_they_are_used() -> None:
+    quick = {*sys.stdlib_module_names, "numpy", "cv2", "msgspec", "threadpoolctl", "ladarreg_core"}
+    for path in sorted((CHECKOUT / "ladarreg_core").rglob("*.py")):
+        if "twins" in path.parts:  # programs of their own
+            continue
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        at_the_top = {alias.name for node in tree.body if isinstance(node, ast.Import) for alias in node.names}
+        at_the_top |= {node.module or "" for node in tree.body if isinstance(node, ast.ImportFrom)}
+        slow = {name for name in at_the_top if name.split(".")[0] not in quick}
+        assert not slow, f"{path}: import {', '.join(sorted(slow))} in the function that needs it"
 
 
 def test_importing_the_core_costs_nothing() -> None:

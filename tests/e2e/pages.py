@@ -63,6 +63,15 @@ def keep(page: Page, checkout: Path, name: str) -> None:
     page.screenshot(path=folder / f"{name}.png")
 
 
+def wait_for_store(page: Page, wanted: str, *, seconds: float = 60) -> None:
+    """Wait until an expression of `store` holds in the page; `wait_for_function` awaits no promise."""
+    end = time.monotonic() + seconds
+    while not page.evaluate(f"import('./js/net/store.js').then(({{ store }}) => Boolean({wanted}))"):
+        if time.monotonic() > end:
+            pytest.fail(f"not so within {seconds:g} s: {wanted}")
+        page.wait_for_timeout(50)
+
+
 def pixels(page: Page) -> np.ndarray:
     """Return a screenshot of the page, (h, w, 3) uint8 RGB."""
     return np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB"))

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.e2e.pages import wait_for_store
+
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="the server is ended by a signal")]
 SIZE = {"width": 1280, "height": 720}
-STATE = "import('./js/net/store.js').then(({ store }) => store.get('acquisition').%s)"
 
 
 @pytest.fixture
@@ -34,21 +35,22 @@ def address(tmp_path: Path) -> Iterator[str]:
 
 def opened(browser: Browser, address: str) -> tuple[Page, list[str]]:
     page = browser.new_context(viewport=SIZE, bypass_csp=True).new_page()  # type: ignore[arg-type]
+    page.set_default_timeout(90_000)  # a server, two simulated devices and a browser share the cores with other tests
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.goto(address)
     return page, errors
 
 
-def awaits(page: Page, field: str, text: str) -> None:
-    page.wait_for_function(f"{STATE % field}.then((found) => String(found) === {text!r})", timeout=60_000)
+def awaits(page: Page, state: str) -> None:
+    wait_for_store(page, f"store.get('acquisition').state === {state!r}")
 
 
 def test_a_newcomer_scans_all_around(browser: Browser, address: str) -> None:
     page, errors = opened(browser, address)
     page.get_by_role("tab", name="Acquire", selected=True).wait_for()  # it opens by itself, without the file dialog
     page.get_by_role("button", name="Connect", exact=True).click()
-    awaits(page, "state", "ready")
+    awaits(page, "ready")
     page.get_by_role("button", name="Left", exact=True).click()
     page.locator(".dial output").first.filter(has_text="5.0").wait_for()
 
@@ -66,33 +68,32 @@ def test_a_newcomer_scans_all_around(browser: Browser, address: str) -> None:
     page.get_by_label("Pan, step").fill("99")
     page.keyboard.press("Tab")
     page.locator(".acquire-plan .form-wrong").filter(has_text="beyond its end").wait_for()
-    page.get_by_label("Pan, step").fill("4")
+    page.get_by_label("Pan, step").fill("1")
     page.keyboard.press("Tab")
     page.locator(".plan-ahead").filter(has_text="stops").wait_for()
 
     page.get_by_role("button", name="Start", exact=True).click()
     page.locator(".live-scan").wait_for()
-    page.wait_for_function(f"{STATE % 'done'}.then((done) => done >= 2)")
-    page.wait_for_function(f"{STATE % 'points'}.then((points) => points > 0)")
+    wait_for_store(page, "store.get('acquisition').done >= 2 && store.get('acquisition').points > 0")
+    page.get_by_role("button", name="Pause").dispatch_event("click")  # click() waits for a still page, no run does
+    awaits(page, "paused")
     page.locator("iframe.model-frame[src]").wait_for()
     page.locator(".model-cover.gone").wait_for(state="attached")
-    page.get_by_role("button", name="Pause").click()
-    awaits(page, "state", "paused")
 
     other, more = opened(browser, address)
     other.get_by_role("tab", name="Acquire", selected=True).wait_for()
     other.get_by_text("Operator 1 drives").wait_for()
     assert other.get_by_role("button", name="Resume").is_disabled()
     other.keyboard.press("F8")
-    awaits(page, "state", "ready")
+    awaits(page, "ready")
     page.get_by_text("pieces are kept.").first.wait_for()
 
     page.get_by_role("button", name="Go on with the run").click()
-    awaits(page, "state", "running")
-    page.get_by_role("tab", name="Match").click()
+    awaits(page, "running")
+    page.get_by_role("tab", name="Match").dispatch_event("click")
     page.get_by_role("button", name="Stop the unit", exact=True).wait_for()  # whatever step is open
     page.frame_locator("iframe.model-frame").locator("body").press("F8")  # viser's page has the focus
-    awaits(page, "state", "ready")
+    awaits(page, "ready")
     page.get_by_role("tab", name="Acquire").click()
     page.get_by_role("button", name="Go on with the run").click()
     page.get_by_role("button", name="Open as the scan").wait_for(timeout=60_000)
@@ -100,7 +101,7 @@ def test_a_newcomer_scans_all_around(browser: Browser, address: str) -> None:
     listed.filter(has_text="run-001").get_by_role("button", name="Open").wait_for()
     page.get_by_role("button", name="Open as the scan").click()
     page.locator("#scan-pane canvas").first.wait_for()
-    page.wait_for_function("import('./js/net/store.js').then(({ store }) => store.get('scan')?.name === 'run-001.npz')")
+    wait_for_store(page, "store.get('scan')?.name === 'run-001.npz'")
     until = time.monotonic() + 5
     while page.locator(".live-scan").is_visible() and time.monotonic() < until:
         time.sleep(0.1)

@@ -15,6 +15,7 @@ import pytest
 
 from ladarreg_core.simulate.sample import sample_folder
 from tests.e2e.audits import hard_to_read
+from tests.e2e.pages import wait_for_store
 from tests.e2e.test_files import shot
 from tests.e2e.test_newcomer import SLICE, TOKEN, draw, drop, opened
 from tests.served_workbench import Served
@@ -59,7 +60,7 @@ def test_from_the_start_page_to_a_second_project_and_back(browser: Browser, tmp_
         page.wait_for_function("document.querySelector('.start-page').matches(':modal')")
         drop(page, ".start-page", {"office.npz": scan, "desk.jpg": photo})
         projects.wait_for(state="hidden")
-        page.wait_for_function("import('./js/net/store.js').then(({ store }) => store.photo())")
+        wait_for_store(page, "store.photo()")
         page.get_by_role("dialog", name="Camera of the photograph").wait_for()
         page.keyboard.press("Escape")
 

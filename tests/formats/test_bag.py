@@ -15,7 +15,7 @@ import pytest
 
 from ladarreg_core.errors import DependencyError, FormatError, OptionError, UnderspecifiedError
 from ladarreg_core.formats import bag, describe, read_scan, recognise
-from ladarreg_core.scan import Scan
+from ladarreg_core.scan import NO_INTENSITY_NOTE, Scan
 from tests.formats.conftest import make_scan
 
 needs_rosbags = pytest.mark.skipif(importlib.util.find_spec("rosbags") is None, reason="rosbags is not installed")
@@ -194,8 +194,9 @@ def test_refusals_say_what_was_found(tmp_path: Path, wall: Scan) -> None:
     columns = columns_of(wall)
     del columns["intensity"]
     file = record(tmp_path / "a", "mcap", {"/points": [(0, {"columns": columns, "shape": wall.shape})]})
-    with pytest.raises(FormatError, match="no intensity"):
-        read_scan(file)
+    with pytest.raises(FormatError, match="neither intensity nor colours"):
+        read_scan(file, intensity="luma")
+    assert NO_INTENSITY_NOTE in read_scan(file).notes
     other = tmp_path / "other.mcap"
     other.write_bytes(file.read_bytes().replace(b"\x04\0\0\0ros2", b"\x04\0\0\0ros1", 1))
     with pytest.raises(FormatError, match="MCAP of the profile ros1; the profile ros2 is read"):

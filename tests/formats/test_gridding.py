@@ -219,3 +219,23 @@ def test_accumulated_sweeps_fill_their_cells_and_keep_their_holes() -> None:
     error = cloud.ranges[around & valid] - np.linalg.norm(truth, axis=1)
     assert np.abs(np.median(error)) < 0.002
     assert 1.4826 * np.median(np.abs(error)) < 0.008
+
+
+def test_a_pattern_that_nearly_repeats_is_filled_between_its_lines_and_not_across_edges() -> None:
+    """Its points crowd on few lines: the steps follow the lines' distance, and the cells between them are filled."""
+    rng = np.random.default_rng(5)
+    turn = rng.uniform(0, 2 * np.pi, 60_000)
+    ring = np.radians(1.0 + 0.4 * rng.integers(0, 70, len(turn)))
+    polar = ring + np.radians(0.01) * rng.standard_normal(len(turn))
+    rays = np.stack([np.cos(polar), np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn)], axis=-1)
+    depth = np.where(rays[:, 1] > 0.1 * rays[:, 0], 8.0, 12.0)  # two walls, one in front of the other
+    noise = 0.01 * rng.standard_normal(len(rays))
+    cloud = grid_points(rays * (depth / rays[:, 0] + noise)[:, None], np.ones(len(rays)))
+    assert cloud.accumulated
+    found = cloud.geometry.rays
+    inside = np.arccos(found[..., 0].clip(-1, 1)) < np.radians(26)
+    valid = np.isfinite(cloud.ranges)
+    beside_edge = np.abs(found[..., 1] / found[..., 0] - 0.1) < 0.02
+    assert valid[inside & ~beside_edge].mean() > 0.97
+    at = cloud.ranges[inside & valid] * found[inside & valid][:, 0]
+    assert (np.minimum(np.abs(at - 8), np.abs(at - 12)) < 0.15).mean() > 0.999, "no cell lies between the walls"

@@ -98,6 +98,30 @@ def test_a_moved_cloud_is_noticed_and_keeps_its_points(tmp_path: Path) -> None:
     assert any("lie behind others and were dropped" in note and "`origin`" in note for note in wrong.notes)
 
 
+def _frame(lidar: str, place: str, seed: int, share: int) -> np.ndarray:
+    """The first of a lidar's returns outdoors, from which patterns of points say little."""
+    pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
+    from ladarreg_core.simulate.outdoor_case import simulate_outdoors
+
+    points = simulate_outdoors(place, lidar=lidar, seed=seed).cloud.points.astype(np.float64)  # type: ignore[arg-type]
+    return points[: len(points) // share]
+
+
+@pytest.mark.parametrize(
+    ("lidar", "place", "seed", "share"),
+    [("petals", "courtyard", 7, 2), ("narrow", "courtyard", 9, 2), ("128 lines", "street", 7, 1)],
+)
+def test_frames_of_a_lidar_are_not_moved_away_from_the_zero_point(
+    lidar: str, place: str, seed: int, share: int, tmp_path: Path
+) -> None:
+    points = _frame(lidar, place, seed, share)
+    scan = read_scan(_pcd(tmp_path / "frame.pcd", points))
+    assert scan.world_from_scanner is None
+    assert any("zero point" in note and "`origin`" in note for note in scan.notes)
+    on_the_ground = read_scan(_pcd(tmp_path / "ground.pcd", points + np.array([0, 0, 1.7])))
+    assert on_the_ground.world_from_scanner is not None, "from the ground, most of the points would be hidden"
+
+
 def test_coordinates_of_millions_of_metres_keep_their_millimetres(tmp_path: Path) -> None:
     points = cloud("room, terrestrial")[::3]
     scan = read_scan(_pcd(tmp_path / "utm.pcd", points + UTM, "f8"), origin=tuple(UTM.tolist()))

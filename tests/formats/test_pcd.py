@@ -154,7 +154,6 @@ def bad_headers(make: Any, wall: Scan) -> dict[str, bytes]:
         "which is impossible": swollen,
         "compressed bytes": compressed[:at] + b"\xff\xff\xff\x7f" + compressed[at + 4 :],
         "but the header claims": compressed[: at + 4] + b"\xff\xff\xff\x7f" + compressed[at + 8 :],
-        "have no intensity": make.pcd(points, None),
         "x, y, z": good.replace(b"FIELDS x y z", b"FIELDS q y z"),
         "POINTS": good.replace(b"POINTS %d" % size, b"POINTS 7"),
         "WIDTH is '-4'": good.replace(b"WIDTH %d" % size, b"WIDTH -4"),

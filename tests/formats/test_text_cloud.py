@@ -165,7 +165,7 @@ def test_damage_is_said_in_a_sentence(tmp_path: Path, wall: Scan) -> None:
     broken = {
         "not a row of numbers": "\n".join([*lines[:90], "1,2,what,4,5,6,7", *lines[90:]]),
         "has 3 columns instead of 7": "\n".join([*lines, "1,2,3"]),
-        "none of them an intensity": "x,y,z,time\n1,2,3,4\n",
+        "none of which is called an intensity": "x,y,z,time\n1,2,3,4\n",
         "more than 64 kB": text + "1" * 9_000_000,
     }
     for words, damaged in broken.items():

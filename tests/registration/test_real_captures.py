@@ -77,11 +77,15 @@ def test_pump_from_another_position(pump: lr.Scan, seed: int) -> None:
     assert result.camera_from_scanner.distance_to(truth) <= 0.008
 
 
+# What is known of these captures is a published calibration, itself 5 to 11 px off where it could be checked.
 @pytest.mark.parametrize(
-    ("name", "scan", "photo"), [("garage", "scan.npz", "frame9.png"), ("street", "scan.pcd", "photo.png")]
+    ("name", "scan", "photo", "known_px"),
+    [("garage", "scan.npz", "frame9.png", 8.0), ("street", "scan.pcd", "photo.png", 12.0)],
 )
 @pytest.mark.parametrize("start", ["none", "truth", "off"])
-def test_sparse_captures_end_in_a_clear_verdict(real_data: Path, name: str, scan: str, photo: str, start: str) -> None:
+def test_sparse_captures_end_in_a_clear_verdict(
+    real_data: Path, name: str, scan: str, photo: str, known_px: float, start: str
+) -> None:
     pair = capture(real_data / name, scan, photo)
     truth = truth_of(real_data / name)
     off = lr.Rigid(rotation_from_rotvec([0.05, -0.08, 0.03]) @ truth.rotation, truth.translation + 0.1)
@@ -91,7 +95,7 @@ def test_sparse_captures_end_in_a_clear_verdict(real_data: Path, name: str, scan
         true = result.camera.project(truth @ points)
         seen = result.camera.contains(true)
         error = np.hypot(*(true - result.camera.project(result.camera_from_scanner @ points))[seen].T)
-        assert np.median(error) < 2
+        assert np.median(error) < known_px
     assert result.reasons
 
 

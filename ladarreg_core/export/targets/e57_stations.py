@@ -48,13 +48,14 @@ def export_stations(
         folder,
         lambda: [
             (EXPORT_FILE, lambda path: write_document(path, document)),
-            (_FILE, lambda path: _write(path, scans, report)),
+            (_FILE, lambda path: write_stations_e57(path, scans, report=report)),
         ],
         inputs=inputs, force=force, report=report,
     )  # fmt: skip
 
 
-def _write(path: Path, scans: Sequence[ScanReader], report: Report | None) -> None:
+def write_stations_e57(path: Path, scans: Sequence[ScanReader], *, report: Report | None = None) -> None:
+    """Write an E57 with all scans and their poses; arguments and errors as of `export_stations`."""
     software = software_document()
     note = f"stations registered to each other by their ranges with {software['name']} {software['version']}"
     with new_e57(path) as file:

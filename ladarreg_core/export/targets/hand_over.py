@@ -122,7 +122,7 @@ def _document(
 
 
 def _sources(handed: RegisteredScan) -> list[Path]:
-    listed = [handed.scan_file]
+    listed = [handed.scan_file, *handed.scan_options.get("more", ())]
     for one in (*handed.photos, *handed.refused):
         listed += [one.file, one.camera_file]
     return list(dict.fromkeys(path for path in listed if path is not None))

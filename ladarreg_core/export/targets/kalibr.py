@@ -70,7 +70,7 @@ def _camchain(handed: RegisteredScan, photos: Sequence[RegisteredPhoto]) -> str:
         lines.append(f"cam{index}:")
         overlaps = [other for other in range(len(photos)) if other != index]
         lines.append(f"  cam_overlaps: [{', '.join(map(str, overlaps))}]")
-        lines += _intrinsics(one)
+        lines += _intrinsics(one.camera, one.id)
         if before is not None:
             step = (pose @ before.inverse).matrix.tolist()
             lines += ["  T_cn_cnm1:", *(f"  - {_list(row)}" for row in step)]
@@ -78,16 +78,41 @@ def _camchain(handed: RegisteredScan, photos: Sequence[RegisteredPhoto]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _intrinsics(one: RegisteredPhoto) -> list[str]:
-    fields, terms = one.camera.as_fields(), _distortion(one.camera)
+def lidar_chain(camera_from_scanner: Rigid, camera: CameraModel, words: Sequence[str]) -> str | None:
+    """Return the camchain of a camera that is mounted on a scanner; None if Kalibr has no model for the camera.
+
+    `T_cam_lidar` is written as Kalibr writes `T_cam_imu`: it maps points of the scanner into the camera's frame.
+
+    Args:
+        camera_from_scanner: the pose.
+        camera: the camera.
+        words: comments.
+    """
+    if _distortion(camera) is None:
+        return None
+    lines = [
+        *(f"# {on_one_line(line)}" for line in words),
+        "# Pixels: (0, 0) is the centre of the first one. Camera: x right, y down, z forward; scanner: x forward, y",
+        "# left, z up; metres. T_cam_lidar maps points of the scanner into the camera's frame.",
+        "cam0:",
+        "  cam_overlaps: []",
+        "  T_cam_lidar:",
+        *(f"  - {_list(row)}" for row in camera_from_scanner.matrix.tolist()),
+        *_intrinsics(camera, "camera"),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _intrinsics(camera: CameraModel, topic: str) -> list[str]:
+    fields, terms = camera.as_fields(), _distortion(camera)
     assert terms is not None, "others are refused before"
     return [
         "  camera_model: pinhole",
         f"  intrinsics: {_list([fields[name] for name in ('fx', 'fy', 'cx', 'cy')])}",
-        f"  distortion_model: {'equidistant' if one.camera.model == 'fisheye' else 'radtan'}",
+        f"  distortion_model: {'equidistant' if camera.model == 'fisheye' else 'radtan'}",
         f"  distortion_coeffs: {_list(terms)}",
-        f"  resolution: [{one.camera.width}, {one.camera.height}]",
-        f"  rostopic: /{''.join(c if c.isalnum() else '_' for c in one.id)}/image_raw",
+        f"  resolution: [{camera.width}, {camera.height}]",
+        f"  rostopic: /{''.join(c if c.isalnum() else '_' for c in topic)}/image_raw",
     ]
 
 

@@ -80,7 +80,7 @@ class RegisteredScan:
     scan_file: Path | None = None
     """The file it was read from."""
     scan_options: dict[str, Any] = field(default_factory=dict)
-    """How that file was read: the arguments of `read_scan`."""
+    """How that file was read: the arguments of `read_scan`; further files under `more`."""
     frame: OutputFrame = field(default_factory=OutputFrame)
     """The frame of written points, models and poses; formats with a frame of their own say so."""
     refused: Sequence[RegisteredPhoto] = ()

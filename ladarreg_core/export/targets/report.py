@@ -29,7 +29,7 @@ def _of(handed: RegisteredScan, one: RegisteredPhoto, k: int | None) -> list[Fil
     def document() -> Mapping[str, Any]:
         if one.saved_document is not None:
             return one.saved_document()
-        sources = (handed.scan_file, one.file, one.camera_file)
+        sources = (handed.scan_file, one.file, one.camera_file, *handed.scan_options.get("more", ()))
         return registration_document(
             one.registration,
             assessment=one.assessment(handed.scan),

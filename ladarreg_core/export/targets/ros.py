@@ -32,6 +32,7 @@ from ladarreg_core.export.ros_messages import (
 from ladarreg_core.export.targets.photo_files import on_one_line, text_writer, undistorted
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.target import ExportOptions
+from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.surface.texture import dimmed_levels, model_rows
 
@@ -79,6 +80,28 @@ def ros_files(handed: RegisteredScan, options: ExportOptions, report: Report | N
         ("scan.mcap", lambda path: write_chunks(path, _recording(handed, cameras, transforms, words, report))),
     ]
     return jobs
+
+
+def rig_files(camera_from_scanner: Rigid, words: Sequence[str]) -> dict[str, str]:
+    """Return the static transform of a camera that is mounted on a scanner: a launch file and a YAML, by their names.
+
+    Args:
+        camera_from_scanner: the pose.
+        words: comments.
+    """
+    transform = StaticTransform(
+        parent=SCANNER, child="camera_optical_frame", parent_from_child=camera_from_scanner.inverse
+    )
+    lines = [
+        *map(on_one_line, words),
+        f"Parent: {SCANNER} (x forward, y left, z up; metres). Child: {transform.child}, the camera's optical frame (x "
+        "right, y down, z forward).",
+        f"The transform is the pose of the camera in the frame {SCANNER}: it maps points of the child to the parent.",
+    ]
+    return {
+        "camera.transform.yaml": _transform_file(transform, lines),
+        "static_transforms.launch.py": _launch_file([transform], lines),
+    }
 
 
 @dataclass(frozen=True, slots=True, eq=False)

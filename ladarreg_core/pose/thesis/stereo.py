@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ladarreg_core.arrays import BoolArray, FloatArray
-from ladarreg_core.camera import CameraModel
+from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters, look_along
 from ladarreg_core.matches import Matches
 
@@ -176,10 +176,14 @@ class StereoPairs:
         """
         frame = stereo_frame(matches.rays) if frame_from_scanner is None else np.asarray(frame_from_scanner)
         points = STEREO_AXES_FROM_SCANNER @ frame @ matches.points.T
-        sight = camera.unproject(matches.uv).T
         with np.errstate(divide="ignore", invalid="ignore"):
-            laser, colour = -points[:2] / points[2], sight[:2] / sight[2]  # both negated: camera to stereo axes
-            colour = np.where(sight[2] > 0, colour, np.nan)  # wide cameras also see beside and behind them
+            if isinstance(camera, Camera) and not camera.distortion:
+                colour = (matches.uv.T - [[camera.cx], [camera.cy]]) / [[camera.fx], [camera.fy]]
+            else:
+                sight = camera.unproject(matches.uv).T
+                # wide cameras also see beside and behind them
+                colour = np.where(sight[2] > 0, sight[:2] / sight[2], np.nan)
+            laser = -points[:2] / points[2]  # both negated: camera to stereo axes
             usable = (points[2] > _LEAST_COSINE * matches.ranges) & np.isfinite(colour).all(axis=0)
         return StereoPairs(frame, laser, colour, points[2], matches.weights, usable)
 
@@ -203,7 +207,9 @@ class StereoPairs:
 
     def parameters(self, camera_from_scanner: Rigid) -> FloatArray:
         """Return Tx, Ty, Tz (m), alpha, beta, gamma (rad) in this frame, (6,)."""
-        p = ThesisParameters.from_pose(camera_from_scanner @ Rigid(self.frame_from_scanner.T, np.zeros(3)))
+        ahead = bool((self.frame_from_scanner == np.eye(3)).all())  # as mostly: the frame is the scanner's
+        turned = camera_from_scanner if ahead else camera_from_scanner @ Rigid(self.frame_from_scanner.T, np.zeros(3))
+        p = ThesisParameters.from_pose(turned)
         return np.array([p.Tx, p.Ty, p.Tz, p.alpha, p.beta, p.gamma])
 
     def ahead(self, camera_from_scanner: Rigid) -> BoolArray:

@@ -10,6 +10,7 @@ import { mountHandOver } from "../panels/hand_over.js";
 import { mountMatchTable } from "../panels/match_table.js";
 import { mountPipeline } from "../panels/pipeline.js";
 import { mountStages } from "../panels/stages.js";
+import { mountStations } from "../panels/stations.js";
 import { mountVerdict } from "../panels/verdict.js";
 import { view } from "../state/view.js";
 import { element } from "../ui/dom.js";
@@ -17,6 +18,7 @@ import { element } from "../ui/dom.js";
 /** The panels of each step, in order; each panel is created once and then only shown or hidden. */
 const SHOWN = {
   acquire: ["devices", "plan", "run"],
+  stations: ["stations", "fit"],
   match: ["table", "matching", "verdict"],
   solve: ["table", "pipeline", "convergence"],
   judge: ["depth", "verdict", "stages"],
@@ -26,10 +28,13 @@ const SHOWN = {
 /** @param {HTMLElement} dock */
 export const mountDock = (dock) => {
   const [exporting, files] = mountExport();
+  const [stations, fit] = mountStations();
   const parts = {
     devices: mountDevices(),
     plan: mountPlanForm(),
     run: mountRun(),
+    stations,
+    fit,
     table: mountMatchTable(),
     matching: mountPipeline("match", "Find matches"),
     pipeline: mountPipeline("all", "Solve step by step"),

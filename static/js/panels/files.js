@@ -12,10 +12,18 @@ import { bytes } from "../ui/numbers.js";
 import { confirmation } from "./confirmation.js";
 import { embeddedList, offeredPictures } from "./embedded_pictures.js";
 import { accepted, labelOf, readable } from "./file_kinds.js";
+import { ABOUT_FRAMES, scanClouds } from "./scan_clouds.js";
+import { scanQuestion } from "./scan_question.js";
 import { waitingList } from "./waiting_files.js";
 
 const OPENABLE = new Set(["scan", "photo", "camera", "matches"]);
 const NEEDS_PHOTO = new Set(["camera", "matches"]);
+
+const TITLES = {
+  photo: "Drop photographs here",
+  scan: "Drop a scan here",
+  frames: "Drop further frames of the scan here",
+};
 
 const isLeft = ({ state }) => state !== "opened" && state !== "kept";
 
@@ -93,47 +101,44 @@ class FileEntry {
   }
 }
 
-/** The question whether a second scan replaces the first. */
-const scanQuestion = (act) => {
-  const text = element("p", {});
-  const choose = (choice) => () => {
-    question.hidden = true;
-    act(choice);
-  };
-  const begin = button({ label: "New project with it", kind: "primary", act: choose("new") });
-  const replace = button({ label: "Replace the scan of this project", act: choose("replace") });
-  const leave = button({ label: "Leave it for later", kind: "plain", act: choose(null) });
-  const question = element(
-    "section",
-    { class: "file-question", role: "group", "aria-label": "A second scan", hidden: true },
-    text,
-    element("div", { class: "row" }, begin, replace, leave),
-  );
-  const ask = (name) => {
-    const present = store.get("scan")?.name ?? "another scan";
-    setText(
-      text,
-      `This project has a scan, ${present}. Is ${name} a second project, or does it replace that scan, whose matches ` +
-        "and poses are then removed (Undo brings them back)?",
-    );
-    question.hidden = false;
-    begin.focus();
-  };
-  return { question, ask };
-};
-
-const servedList = () => {
+/**
+ * The files of the served folder; scans can be ticked and opened together.
+ * @param {(paths: string[]) => Promise<boolean>} openScans
+ */
+const servedList = (openScans) => {
   const list = element("ul", { class: "served-list" });
   const title = element("h3", {});
+  const ticked = new Set();
+  const together = button({ label: "Open together", kind: "small edits", act: () => openScans([...ticked]).then(show) });
   const again = button({ label: "Refresh", kind: "small", act: () => request("list_served") });
-  const section = element("section", { class: "served" }, element("div", { class: "row" }, title, again), list);
-  const row = ({ path, size, kind }) => {
+  const section = element(
+    "section",
+    { class: "served" },
+    element("div", { class: "row" }, title, element("span", { class: "row" }, together, again)),
+    list,
+  );
+  const tick = (path) =>
+    element("input", {
+      type: "checkbox",
+      checked: ticked.has(path),
+      "aria-label": `Choose ${path}`,
+      on: {
+        change: ({ target }) => {
+          target.checked ? ticked.add(path) : ticked.delete(path);
+          showTogether();
+        },
+      },
+    });
+  const showTogether = () => {
+    together.hidden = ticked.size < 2;
+    setText(together.querySelector("span"), `Open ${ticked.size} scans together`);
+  };
+  const row = (several) => ({ path, size, kind }) => {
     const open = async () => {
       opener.disabled = true;
-      const opened = await request(
-        "open_served",
-        { path, what: OPENABLE.has(kind) ? kind : "scan", photo: NEEDS_PHOTO.has(kind) ? store.shown() : undefined },
-      );
+      const opened = kind === "scan"
+        ? await openScans([path])
+        : await request("open_served", { path, what: kind, photo: NEEDS_PHOTO.has(kind) ? store.shown() : undefined });
       opener.disabled = false;
       if (opened) setText(opener.querySelector("span"), "Open again");
       if (opened && store.get("scan") && store.photo()) files.close();
@@ -148,7 +153,7 @@ const servedList = () => {
     return element(
       "li",
       { class: "file-row" },
-      icon("file"),
+      several && kind === "scan" ? tick(path) : icon("file"),
       element("span", { class: "clip", title: path }, path),
       element("span", { class: "dim figures" }, bytes(size)),
       opener,
@@ -159,8 +164,15 @@ const servedList = () => {
     section.hidden = !served;
     if (!served) return;
     setText(title, `Served folder ${served.label ?? ""}`);
+    const scans = served.files.filter(({ kind }) => kind === "scan").map(({ path }) => path);
+    for (const path of ticked) if (!scans.includes(path)) ticked.delete(path);
     const nothing = element("li", { class: "dim" }, "It contains no file that can be opened.");
-    setChildren(list, ...(served.files.length ? served.files.map(row) : [nothing]));
+    setChildren(list, ...(served.files.length ? served.files.map(row(scans.length > 1)) : [nothing]));
+    showTogether();
+  };
+  section.untick = () => {
+    ticked.clear();
+    show();
   };
   store.watch(["served", "shown"], show);
   show();
@@ -191,13 +203,8 @@ const build = () => {
     choose,
     input,
   );
-  let asked = [];
-  let askedWith = {};
   const confirm = confirmation("Begin another project?", "Begin it all the same");
-  const { question, ask } = scanQuestion((choice) => {
-    if (choice === "new") beginProject(asked);
-    else if (choice) openTogether(asked, { ...askedWith, scan: choice });
-  });
+  const { question, ask } = scanQuestion();
 
   /** Begin a project with files; the page follows it, unless that has to be confirmed. */
   const beginProject = async (ids, fields = {}) => {
@@ -205,15 +212,23 @@ const build = () => {
     if (answer?.asks) confirm.ask(answer.asks, () => beginProject(ids, { sure: true }));
   };
 
+  /** What becomes of scans without being asked: the dialog was opened for that. */
+  const intended = () => (files.expected === "frames" && store.get("scan") ? { scan: "frames" } : {});
+
   /** Open uploaded files; those that lack something stay in the list of waiting ones. */
   const openTogether = async (ids, choice = {}) => {
+    for (const one of waiting) if (ids.includes(one.id)) one.setStatus("Reading …");
     const answer = await request("open_files", { files: ids, ...choice });
-    if (!answer) return;
+    if (!answer) {
+      for (const one of waiting) if (ids.includes(one.id)) one.setStatus("Uploaded.");
+      return;
+    }
     if (answer.asks) {
-      asked = answer.waiting;
-      askedWith = choice;
-      for (const one of waiting) if (asked.includes(one.id)) one.state = "kept";
-      ask(answer.scan);
+      for (const one of waiting) if (answer.waiting.includes(one.id)) one.state = "kept";
+      ask(answer, (chosen) => {
+        if (chosen === "new") return beginProject(answer.waiting);
+        return chosen && openTogether(answer.waiting, { ...choice, scan: chosen });
+      });
     } else {
       for (const one of waiting) if (ids.includes(one.id) && one.state !== "opened") one.settle(answer);
       for (const { name, error, file } of answer.refused) {
@@ -231,6 +246,27 @@ const build = () => {
     if (answer.opened.length && !offers) files.close();
   };
 
+  /** Open scans of the served folder. @returns {Promise<boolean>} whether they were opened */
+  const openServed = async (paths, choice = intended()) => {
+    const answer = await request("open_served", { paths, what: "scan", ...choice });
+    if (!answer?.asks) {
+      if (answer) served.untick();
+      return Boolean(answer);
+    }
+    return new Promise((done) => {
+      ask(answer, (chosen) => {
+        const opened = chosen ? openServed(paths, { scan: chosen }) : false;
+        done(opened);
+        return opened;
+      }, false);
+    });
+  };
+  const addFrames = () => {
+    files.expect("frames");
+    input.click();
+  };
+  const served = servedList(openServed);
+
   files = makeDialog(
     "Open files",
     { kind: "files-dialog" },
@@ -239,8 +275,9 @@ const build = () => {
     confirm.box,
     list,
     waitingList(openTogether),
+    scanClouds(addFrames),
     embeddedList(),
-    servedList(),
+    served,
   );
 
   const changed = () => setChildren(list, ...waiting.filter(({ state }) => state !== "kept").map(({ row }) => row));
@@ -257,7 +294,7 @@ const build = () => {
     for (let next; (next = waiting.find(({ state }) => state === "due")); ) await next.send();
     sending = false;
     const ids = waiting.filter(({ state }) => state === "sent").map(({ id }) => id);
-    if (ids.length) await openTogether(ids);
+    if (ids.length) await openTogether(ids, intended());
   };
   files.add = (added) => {
     for (const old of waiting.filter((one) => !isLeft(one))) removed(old);
@@ -265,17 +302,11 @@ const build = () => {
     sendAll();
   };
   files.expect = (what) => {
+    files.expected = what;
     const limit = store.get("limits")?.upload_bytes;
     const most = limit ? ` Up to ${bytes(limit)} each.` : "";
-    setText(
-      zone.querySelector(".drop-title"),
-      what === "photo"
-        ? "Drop photographs here"
-        : what === "scan"
-        ? "Drop a scan here"
-        : "Drop a scan and its photographs here",
-    );
-    setText(hint, `${readable()}${most}`);
+    setText(zone.querySelector(".drop-title"), TITLES[what] ?? "Drop a scan and its photographs here");
+    setText(hint, `${what === "frames" ? `Frames: ${ABOUT_FRAMES}` : readable()}${most}`);
     input.accept = accepted();
   };
   input.addEventListener("change", () => {
@@ -287,7 +318,7 @@ const build = () => {
 
 /**
  * Open the dialog.
- * @param {"scan" | "photo" | null} [what] type of file to ask for
+ * @param {"scan" | "photo" | "frames" | null} [what] type of file to ask for; frames: further clouds of the open scan
  */
 export const openFiles = (what = null) => {
   if (store.readOnly) return;
@@ -303,6 +334,6 @@ export const addFiles = (dropped) => {
     notice("This page is read-only: files can only be opened with the link that permits editing.", "warn");
     return;
   }
-  openFiles();
+  if (!files?.dialog.open) openFiles();
   files.add(dropped);
 };

@@ -4,6 +4,7 @@ import { request, requestForPhoto } from "../net/requests.js";
 import { store } from "../net/store.js";
 import { isActive, isConnecting } from "../state/acquisition.js";
 import { isRunning } from "../state/pipeline.js";
+import { cloudNames, othersText } from "../state/scan_name.js";
 import { button } from "../ui/controls.js";
 import { element, setAttribute, setChildren, setText } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
@@ -58,17 +59,19 @@ const scanChip = () => {
   const chip = element("button", { type: "button", class: "chip scan-chip", on: { click: () => openFiles("scan") } });
   const show = () => {
     const scan = store.get("scan");
+    const others = othersText(scan);
     const size = scan?.columns ? `${scan.columns}×${scan.rows}` : "";
     setChildren(
       chip,
       icon(scan ? (scan.error ? "bad" : "file") : "plus"),
       element("span", { class: "clip" }, scan ? scan.name : "Open a scan"),
+      others ? element("span", { class: "dim" }, others) : null,
       size ? element("span", { class: "dim" }, size) : null,
     );
     const place = scan?.world ? `\nIn the world: ${scan.world.position}; ${scan.world.heading}; ${scan.world.tilt}` : "";
     const notes = scan?.notes?.length ? `\n${scan.notes.join("\n")}` : "";
     chip.title = scan
-      ? `${scan.error ?? `${scan.name}, ${counted(scan.returns ?? 0, "return")}${place}${notes}`}\nClick to open another scan.`
+      ? `${scan.error ?? `${cloudNames(scan)}, ${counted(scan.returns ?? 0, "return")}${place}${notes}`}\nClick to open another scan.`
       : `Open a scan: ${namesOf("scan")}`;
     chip.classList.toggle("attention", !scan);
   };

@@ -1,8 +1,9 @@
-/** The tabs Acquire, Match, Solve, Judge and Export: the progress of the work, and the choice of what the dock shows. */
+/** The tabs Acquire, Stations, Match, Solve, Judge and Export: the progress of the work, and the choice of what the dock shows. */
 
 import { store } from "../net/store.js";
 import { acquireStep } from "../state/acquisition.js";
 import { workSteps } from "../state/progress.js";
+import { stationsStep } from "../state/stations.js";
 import { view } from "../state/view.js";
 import { element, newId, setChildren, setText } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
@@ -20,6 +21,7 @@ const poseNow = (photo) => {
 /** @returns {import("../state/progress.js").WorkStep[]} of the shown photograph */
 export const stepsNow = () => [
   acquireStep(),
+  stationsStep(),
   ...workSteps({
     scan: store.get("scan"),
     photo: store.photo(),
@@ -65,7 +67,7 @@ export const mountStepTabs = () => {
     }
     markChosen([...tabs.values()].map(({ tab }) => tab), tabs.get(view.get().step).tab);
   };
-  store.watch(["scan", "photos", "shown", "picks:*", "poses:*", "acquisition"], show);
+  store.watch(["scan", "photos", "shown", "picks:*", "poses:*", "acquisition", "stations"], show);
   store.onEvent("export_ready", ({ photo }) => {
     exported.set(photo, poseNow(photo));
     show();

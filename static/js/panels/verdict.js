@@ -9,6 +9,8 @@ import { button } from "../ui/controls.js";
 import { element, setChildren } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
 import { parameterName, sentences, typeset } from "../ui/numbers.js";
+import { openFiles } from "./files.js";
+import { ABOUT_FRAMES } from "./scan_clouds.js";
 
 const LEVELS = { good: ["tick", "Good", "ok"], fair: ["warn", "Fair", "warn"], poor: ["bad", "Poor", "bad"] };
 const EMPTY =
@@ -27,7 +29,32 @@ const solveButton = (enabled) =>
     act: () => requestForPhoto("run", { job: "solve" }),
   });
 
+/** Finding the pose in the images again, where the scan has got further clouds. */
+const registerButton = (enabled) =>
+  button({
+    label: "Register automatically",
+    kind: "small edits",
+    icon: "play",
+    title: "Find the pose from the images alone; drawn matches are not changed",
+    disabled: !enabled,
+    act: () => requestForPhoto("run", { job: "auto" }),
+  });
+
+const FROM_IMAGES = new Set(["auto", "carried"]);
+
+/** Where the reasons advise to accumulate longer. */
+const framesButton = () =>
+  button({
+    label: "Add frames",
+    kind: "small edits",
+    icon: "plus",
+    title: `Add ${ABOUT_FRAMES}`,
+    act: () => openFiles("frames"),
+  });
+
 const head = (stage, { busy, missing, solving, why }) => {
+  const again = FROM_IMAGES.has(stage.stage);
+  const lacks = again ? "" : missing;
   if (stage.stale) return element(
     "div",
     { class: "verdict warn", role: "status" },
@@ -37,8 +64,8 @@ const head = (stage, { busy, missing, solving, why }) => {
       {},
       element("strong", {}, "Out of date: "),
       solving ? "solving after the last edit." :
-        `${stage.stale}. ${missing || why || "What follows is the last solved state."}`,
-      missing || solving ? null : solveButton(!busy),
+        `${stage.stale}. ${lacks || why || "What follows is the last solved state."}`,
+      lacks || solving ? null : again ? registerButton(!busy) : solveButton(!busy),
     ),
   );
   const level = stage.accepted ? "ok" : "bad";
@@ -47,7 +74,8 @@ const head = (stage, { busy, missing, solving, why }) => {
     "div",
     { class: `verdict ${level}`, role: "status" },
     icon(stage.accepted ? "tick" : "bad"),
-    element("p", {}, element("strong", {}, first), ` ${sentences(rest)}`, ` ${sentences(stage.reasons ?? [])}`),
+    element("p", {}, element("strong", {}, first), ` ${sentences(rest)}`, ` ${sentences(stage.reasons ?? [])}`,
+      stage.wants_frames ? element("span", { class: "verdict-act" }, framesButton()) : null),
   );
 };
 

@@ -3,7 +3,7 @@
 import { request } from "../net/requests.js";
 import { store } from "../net/store.js";
 import { button } from "../ui/controls.js";
-import { element, setChildren } from "../ui/dom.js";
+import { element, setChildren, setText } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
 import { bytes } from "../ui/numbers.js";
 import { labelOf } from "./file_kinds.js";
@@ -79,7 +79,10 @@ const rowOf = (file, open) => {
  */
 export const waitingList = (open) => {
   const list = element("ul", { class: "file-list", "aria-label": "Files that wait" });
-  const section = element("section", { class: "waiting-files" }, element("h3", {}, "Not open yet"), list);
+  let scans = [];
+  const together = button({ label: "Open together", kind: "small edits", act: () => open(scans, {}) });
+  const head = element("div", { class: "row" }, element("h3", {}, "Not open yet"), together);
+  const section = element("section", { class: "waiting-files" }, head, list);
   let drawn = "";
   const show = () => {
     const files = store.get("waiting") ?? [];
@@ -87,6 +90,9 @@ export const waitingList = (open) => {
     if (text === drawn) return;
     drawn = text;
     section.hidden = files.length === 0;
+    scans = files.filter(({ kind, lacks }) => kind === "scan" && !lacks.length).map(({ id }) => id);
+    together.hidden = scans.length < 2;
+    setText(together.querySelector("span"), `Open ${scans.length} scans together`);
     setChildren(list, ...files.map((file) => rowOf(file, open)));
   };
   store.watch(["waiting", "photos", "scan"], show);

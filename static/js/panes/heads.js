@@ -2,6 +2,8 @@
 
 import { button, choice, fill, foldOut, press, slider, tickBox } from "../ui/controls.js";
 import { element, setChildren } from "../ui/dom.js";
+import { axisOf } from "./projection.js";
+import { anglesOf, directionLabel } from "./strip_geometry.js";
 import { zoomText } from "./viewport.js";
 
 /**
@@ -35,7 +37,7 @@ const zoomControls = (controller, side) => {
   return element("div", { class: "pane-zooms" }, value, single, whole);
 };
 
-const DISPLAYS = [["intensity", "Intensity"], ["raw", "Raw intensity"], ["range", "Range"], ["normals", "Normals"], ["edges", "Edges"]];
+const DISPLAYS = [["intensity", "Intensity"], ["raw", "Raw intensity"], ["range", "Range"], ["shape", "Shape"], ["normals", "Normals"], ["edges", "Edges"]];
 const DEFAULTS = { low: 1, high: 99.5, equalise: false, gamma: 0.6, brightness: 1, contrast: 1 };
 const STRETCHED = new Set(["intensity", "raw", "range"]);
 
@@ -75,11 +77,14 @@ export const mountScanHead = (head, controller) => {
   const show = () => {
     const { scan } = view.get();
     const slice = store.get("scan");
-    const displays = DISPLAYS.filter(([name]) => name !== "intensity" || slice?.has_intensity !== false);
+    const displays = DISPLAYS.filter(([name]) => slice?.has_intensity !== false || !["intensity", "raw"].includes(name));
     if (slice?.has_color) displays.push(["color", "Colour"]);
-    fill(display, displays, displays.some(([name]) => name === scan.show) ? scan.show : displays[0][0]);
+    fill(display, displays, controller.sides.scan.stretch.show);
     const views = slice?.views ?? [];
-    fill(viewed, views.map(({ label }, index) => [String(index), label || `View ${index + 1}`]), String(controller.sides.scan.index));
+    const { index: shown } = controller.sides.scan;
+    // Views in between have no label: only the one that is shown is listed.
+    const listed = views.map((each, index) => [String(index), each.label || directionLabel(anglesOf(axisOf(each)))]);
+    fill(viewed, listed.filter((_, index) => views[index].label || index === shown), String(shown));
     viewed.hidden = views.length < 2;
     for (const [name, row] of Object.entries(rows)) row.show(scan[name]);
     const stretches = STRETCHED.has(display.value);

@@ -1,6 +1,8 @@
 /** Keys of the two image panes: tools, zoom, moving ends, stepping through matches, and drawing without a mouse. */
 
 import { isTyping } from "../ui/dom.js";
+import { axisOf } from "./projection.js";
+import { angleBetween } from "./strip_geometry.js";
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const TOOLS = { l: "line", p: "point", v: "select", s: "select" };
@@ -113,8 +115,15 @@ const actionsOf = (controller) => {
 
   const changeView = (step) => {
     const views = controller.sides.scan.scan?.views ?? [];
-    if (views.length < 2) return false;
-    view.set({ scan: { view: (controller.sides.scan.index + step + views.length) % views.length } });
+    const labelled = [...views.keys()].filter((index) => views[index].label);
+    if (labelled.length < 2) return false;
+    const { index } = controller.sides.scan;
+    const at = labelled.indexOf(index);
+    const off = (other) => angleBetween(axisOf(views[other]), axisOf(views[index]));
+    const next = at < 0
+      ? labelled.reduce((best, other) => (off(other) < off(best) ? other : best))
+      : labelled[(at + step + labelled.length) % labelled.length];
+    view.set({ scan: { view: next } });
     return true;
   };
 

@@ -17,6 +17,9 @@ const rotated = ({ rotation: R }, ray) => [
   R[6] * ray[0] + R[7] * ray[1] + R[8] * ray[2],
 ];
 
+/** @param {ScanView} view @returns {number[]} the unit ray through its middle */
+export const axisOf = (view) => view.rotation.slice(6, 9);
+
 const projected = (view, [x, y, z]) => [view.cx + (view.f * x) / z, view.cy + (view.f * y) / z];
 
 /**

@@ -79,8 +79,16 @@ export class ScanSide {
   /** @returns {import("./picture_stretch.js").Stretch} the channel that is shown, and its contrast */
   get stretch() {
     const { show, low, high, equalise, gamma } = this.#view.get().scan;
-    const unavailable = (show === "color" && !this.scan?.has_color) || (show === "intensity" && this.scan?.has_intensity === false);
-    return { show: unavailable ? "range" : show, low, high, equalise, gamma };
+    const dark = this.scan?.has_intensity === false;
+    const unavailable = (show === "color" && !this.scan?.has_color) || (dark && ["intensity", "raw"].includes(show));
+    const usual = dark ? "shape" : "intensity";
+    return { show: unavailable ? usual : show, low, high, equalise, gamma };
+  }
+
+  /** @returns {string | null} a note over the picture */
+  get note() {
+    const byShape = this.lens && this.scan.has_intensity === false && this.stretch.show === "shape";
+    return byShape ? "No intensity in this scan: shown by its shape." : null;
   }
 
   /** @returns {string | null} what to do while there is no picture */

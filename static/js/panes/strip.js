@@ -4,6 +4,7 @@
  */
 
 import { makeCanvas } from "../ui/canvas.js";
+import { button } from "../ui/controls.js";
 import { element } from "../ui/dom.js";
 import { loadBitmap } from "./picture_source.js";
 import { rayOf } from "./projection.js";
@@ -84,7 +85,11 @@ export const mountStrip = (body, controller) => {
     { class: "strip", role: "slider", tabindex: "0", "aria-label": "Overview of the scan: look around", title: "Drag or arrow keys: look around. Wheel, + and -: zoom" },
     paint,
   );
-  const box = element("div", { class: "strip-box", hidden: true }, canvas);
+  const go = button({
+    label: "Look where the photograph looks", icon: "target", kind: "strip-go", bare: true, title: "Look where the photograph looks (Enter)",
+    act: () => lookAtPhoto(),
+  });
+  const box = element("div", { class: "strip-box", hidden: true }, canvas, go);
   body.before(box);
 
   const say = () => {
@@ -110,12 +115,23 @@ export const mountStrip = (body, controller) => {
     const strip = extent();
     aim = [wrapped(angles[0]), Math.min(strip.high, Math.max(strip.low, angles[1]))];
     const ray = rayAt(...aim);
-    const index = viewTowards(scan.views, ray, side.index);
+    const index = viewTowards(scan.views, ray, side.index, dragging);
     if (index !== side.index) view.set({ scan: { view: index } });
     const uv = side.toPixel(ray);
     if (uv) pane.place(filling(centredOn(uv, pane.viewport.zoom, pane.size), pane.size, pane.extent), "strip");
     aiming = true; // now: another view moves the pane, too
     changed();
+  };
+
+  /** @returns {number[] | null} where the shown photograph looks, as far as that is known */
+  const ofShown = () => {
+    const outline = store.get(`outline:${store.shown()}`);
+    return outline ? amid(outline.rays) : null;
+  };
+
+  const lookAtPhoto = () => {
+    const ray = ofShown();
+    if (ray) lookAt(anglesOf(ray));
   };
 
   const at = (event) => {
@@ -128,8 +144,13 @@ export const mountStrip = (body, controller) => {
     dragging = true;
     lookAt(at(event));
   });
+  const rest = () => {
+    if (!dragging) return;
+    dragging = false;
+    if (aiming) lookAt(aim); // in the view whose middle is nearest
+  };
   canvas.addEventListener("pointermove", (event) => dragging && lookAt(at(event)));
-  for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) canvas.addEventListener(name, () => (dragging = false));
+  for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) canvas.addEventListener(name, rest);
 
   const zoomBy = (factor) => {
     const angles = aiming ? aim : shownAngles();
@@ -152,12 +173,14 @@ export const mountStrip = (body, controller) => {
     } else if (event.key === "+" || event.key === "=") zoomBy(KEY_ZOOM);
     else if (event.key === "-") zoomBy(1 / KEY_ZOOM);
     else if (event.key === "Home") lookAt([0, 0]);
+    else if (event.key === "Enter") lookAtPhoto();
     else return;
     event.preventDefault();
     event.stopPropagation();
   });
 
   const changed = () => {
+    go.hidden = !ofShown();
     say();
     draw();
   };
@@ -193,6 +216,7 @@ export const mountStrip = (body, controller) => {
 
   /** Where the pose of each photograph looked last; undefined: not known since the page has opened. */
   const towards = new Map();
+  let shown = null;
   const follow = () => {
     const known = store.get("photos") ?? [];
     for (const { id } of known) {
@@ -204,6 +228,10 @@ export const mountStrip = (body, controller) => {
       const moved = before !== undefined && now && (!before || angleBetween(before, now) > SAME_RAD);
       if (moved && outline.registered && id === store.shown() && controller.picking.idle) lookAt(anglesOf(now));
     }
+    // Another photograph that is chosen turns the pane, too, but not the first one of a page that opens.
+    const id = store.shown();
+    if (id !== shown && shown !== null && controller.picking.idle && store.get(`outline:${id}`)?.registered) lookAtPhoto();
+    shown = id;
   };
   store.watch(["scan"], () => {
     towards.clear();

@@ -3,10 +3,11 @@
  * backwards and whose middle looks ahead (X of the scanner frame; Y left, Z up). No DOM.
  */
 
-import { pixelOf } from "./projection.js";
+import { axisOf, pixelOf } from "./projection.js";
 
 const TURN = 2 * Math.PI;
 const HYSTERESIS_RAD = 0.1;
+const FAR_OFF_RAD = 0.6;
 
 /** @typedef {{low: number, high: number}} Extent elevations of the lower and upper border, rad */
 
@@ -80,13 +81,16 @@ export const angleBetween = (a, b) => Math.acos(Math.min(1, Math.max(-1, a[0] * 
  * @param {import("./projection.js").ScanView[]} views
  * @param {number[]} ray
  * @param {number} present index of the shown view, kept unless another is clearly more central
+ * @param {boolean} turning whether one looks on, so that the view is kept until the ray is far from its middle: each is
+ *   another picture
  * @returns {number} index of the view that shows a ray nearest its middle
  */
-export const viewTowards = (views, ray, present) => {
-  const off = views.map((view) => angleBetween(view.rotation.slice(6, 9), ray));
+export const viewTowards = (views, ray, present, turning = false) => {
+  const off = views.map((view) => angleBetween(axisOf(view), ray));
   const best = off.indexOf(Math.min(...off));
   const seen = views[present] && pixelOf(views[present], ray);
-  return seen && off[present] < off[best] + HYSTERESIS_RAD ? present : best;
+  const stays = off[present] < (turning ? FAR_OFF_RAD : off[best] + HYSTERESIS_RAD);
+  return seen && stays ? present : best;
 };
 
 const nearBorder = (at, room, length) => (length <= room ? (room - length) / 2 : Math.min(0, Math.max(at, room - length)));
@@ -102,6 +106,13 @@ export const filling = ({ zoom, x, y }, pane, picture) => ({
   x: nearBorder(x, pane[0], picture[0] * zoom),
   y: nearBorder(y, pane[1], picture[1] * zoom),
 });
+
+/** @returns {string} a direction as the views are labelled, with its elevation */
+export const directionLabel = ([azimuth, elevation]) => {
+  const [across, up] = [azimuth, elevation].map((angle) => Math.round((angle * 180) / Math.PI));
+  const side = across === 0 ? "ahead" : Math.abs(across) === 180 ? "behind" : `${Math.abs(across)} deg ${across > 0 ? "left" : "right"}`;
+  return up === 0 ? side : `${side}, ${Math.abs(up)} ${up > 0 ? "up" : "down"}`;
+};
 
 /** @returns {string} a direction in words */
 export const directionSaid = ([azimuth, elevation]) => {

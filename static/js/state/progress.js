@@ -99,6 +99,9 @@ export const nextAction = ({ scan, photo, picks, poses }) => {
     return "Click Register automatically; or draw a line along an edge in one picture, then along the same edge in " +
       "the other.";
   const [match, solve, judge] = workSteps({ scan, photo, picks, poses, exported: false });
+  if (!solve.done && picks.length === 0)
+    return "Not accepted: draw a line along an edge in one picture, then along the same edge in the other; three or four " +
+      "such matches, far apart, help most.";
   if (!solve.done) return match.missing || "There are enough matches: solve from them, or register automatically.";
   return judge.missing || "Accepted: check the model, then export.";
 };

@@ -22,7 +22,7 @@
  * @property {{by: string, descending: boolean}} sort of the match table
  * @property {string[]} filter of the match table: "lines", "points", "found", "off", "rejected"
  * @property {{by: "depth" | "px", above: {depth: number | null, px: number | null}}} threshold of the depth-error plot
- * @property {"acquire" | "match" | "solve" | "judge" | "export"} step
+ * @property {"acquire" | "stations" | "match" | "solve" | "judge" | "export"} step
  * @property {string | null} reveal id of a match to show; reset to null once it is shown
  * @property {{side: "scan" | "photo", uv: number[]} | null} reveal_uv a pixel to show, likewise
  * @property {{side: "scan" | "photo", uv: number[], range_m?: number | null, intensity?: number | null,

@@ -104,6 +104,36 @@ def test_help_imports_no_slow_modules() -> None:
     assert result.returncode == 0, result.stderr
 
 
+def test_a_registration_imports_what_it_uses_alone(tmp_path: Path) -> None:
+    """Packages of other formats, of exports, of the server and of devices cost up to a second of start-up."""
+    others = {
+        "typeguard",
+        "asyncio",
+        "unittest",
+        "scipy",
+        "trimesh",
+        "pye57",
+        "laspy",
+        "mcap",
+        "av",
+        "serial",
+        "viser",
+        "starlette",
+        "uvicorn",
+        "rich",
+    }
+    rooms = {"acquisition", "twins", "project", "stations", "rig", "self_test", "simulate"}
+    unused = others | {f"ladarreg_core.{room}" for room in rooms}
+    code = (
+        f"import sys; from ladarreg.cli import main; code = main({sample('-o', str(tmp_path / 'out'), '--quiet')!r})\n"
+        f"found = {unused!r} & set(sys.modules)\n"
+        "sys.exit(f'{sorted(found)}' if found else code)"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.returncode == ExitCode.ACCEPTED, result.stderr
+    assert (tmp_path / "out" / "report.html").stat().st_size
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_has_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([name, "--help"]) == 0

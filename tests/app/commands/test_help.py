@@ -76,7 +76,7 @@ def test_options_stand_in_groups_in_the_order_of_use(
         assert all(flag in thesis for flag in THESIS)
         assert not any(f"  {flag} " in text.replace(thesis, "") for flag in THESIS)
         assert text.index("-o, --out") < text.index("--method") < text.index("--camera") < text.index("  --force ")
-        assert "usage: ladarreg register SCAN PHOTO -o OUT [OPTIONS]" in text
+        assert "usage: ladarreg register SCAN PHOTO [SCAN ...] -o OUT [OPTIONS]" in text
         assert "{auto,thesis,manual}" in text
         assert "(default: auto)" in text
 

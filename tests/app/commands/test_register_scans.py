@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +18,29 @@ from ladarreg_core.simulate.stations import scan_stations, station_room, upright
 
 pytest.importorskip("embreex")
 POSES = (upright_pose([-1.0, 0.2, 0.0], 0.4), upright_pose([0.9, -0.6, 0.1], 2.0))
+
+
+def at_office(document: dict[str, Any], value: Any) -> dict[str, Any]:
+    """Return the contents of a `stations.json` with another pose for its second station."""
+    document["stations"][1]["world_from_scanner"] = value(document["stations"][1]["world_from_scanner"])
+    return document
+
+
+DAMAGE: tuple[tuple[str, Callable[[dict[str, Any]], Any], str], ...] = (
+    ("cut", lambda d: json.dumps(d)[:900], "JSON"),
+    ("nan", lambda d: at_office(d, lambda m: [[float("nan"), *m[0][1:]], *m[1:]]), "NaN"),
+    ("millimetres", lambda d: at_office(d, lambda m: [[*row[:3], 1000 * row[3]] for row in m[:3]] + m[3:]), "another"),
+    ("sheared", lambda d: at_office(d, lambda m: [[2 * value for value in m[0]], *m[1:]]), "pose of office.npz"),
+    ("words", lambda d: at_office(d, lambda m: "here"), "pose of office.npz"),
+    ("ragged", lambda d: at_office(d, lambda m: m[:3]), "pose of office.npz"),
+    ("later", lambda d: {**d, "version": 2}, "version 2"),
+    ("true", lambda d: {**d, "version": True}, "version True"),
+    ("bare", lambda d: {**d, "stations": [1, 2]}, "no object"),
+    ("outside", lambda d: {**d, "stations": [{**d["stations"][0], "scan": "../hall.npz"}]}, "outside its folder"),
+    ("twice", lambda d: {**d, "stations": [d["stations"][0]] * 2}, "of its own"),
+    ("nobody", lambda d: {**d, "stations": []}, "no scans"),
+    ("missing", lambda d: d, "hall.npz is missing"),
+)
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +82,22 @@ def test_the_scans_are_written_with_their_poses(
         assert scan.world_from_scanner is not None
         assert again.world_from_scanner.distance_to(scan.world_from_scanner) < 1e-6
         assert int(again.valid.sum()) == int(scan.valid.sum())
+    for name, damage, said in DAMAGE:
+        document = damage(json.loads((out / "stations.json").read_text()))
+        bad = tmp_path / name
+        bad.mkdir()
+        for scan_file in () if name == "missing" else ("hall.npz", "office.npz"):
+            shutil.copy(out / scan_file, bad)
+        (bad / "stations.json").write_text(document if isinstance(document, str) else json.dumps(document))
+        assert main(["export", str(bad), "--to", "e57", "-o", str(tmp_path / "none"), "--quiet"]) == 2, name
+        shown = capsys.readouterr().err
+        assert said in shown, (name, shown)
+        assert len(shown.strip().splitlines()) == 1, shown
+        assert "internal" not in shown.lower()
+        if name in ("cut", "nan", "sheared", "later", "bare", "twice", "nobody"):
+            assert main(["info", str(bad)]) == 2, name
+            assert said in capsys.readouterr().err
+        assert not (tmp_path / "none" / "e57").exists()
     assert main(["export", str(out), "--to", "ply", "-o", str(tmp_path / "ply"), "--quiet"]) == 2
     capsys.readouterr()
     # An earlier result is replaced by --force only, and nothing else is.

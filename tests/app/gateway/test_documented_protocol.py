@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
-from ladarreg.gateway.uploads import KINDS
+from ladarreg.gateway.uploads import KINDS, STATION
 from ladarreg.workbench.commands import COMMANDS
 from ladarreg.workbench.project_commands import PROJECT_COMMANDS
 
@@ -18,7 +18,7 @@ from tests.app.workbench_driver import WorkbenchDriver, sample_bench
 
 DATA_KEYED = ("by_pick", "predicted", "lines", "camera_sigmas", "absent")
 """Fields whose keys are data: ids of picks, names of parameters."""
-NEVER_HERE = {"embedded", "corners:pID", "self_test:pID", "served"}
+NEVER_HERE = {"embedded", "corners:pID", "self_test:pID", "served", "stations"}
 """Slices that are null in this project."""
 
 
@@ -130,7 +130,7 @@ def test_the_settings_stages_jobs_and_types_of_file_are_documented(document: str
     assert set(names_in(jobs[1])) == set(bench.workbench.jobs._kinds)
     kinds = re.findall(r'"(\w+)"', re.search(r"kind: ([^}]*)}", slices["served"])[1])  # type: ignore[index]
     assert tuple(kinds) == KINDS
-    assert f"?what={'|'.join(KINDS)}&" in document
+    assert f"?what={'|'.join((*KINDS, STATION))}&" in document
 
 
 def test_the_events_are_documented(document: str) -> None:

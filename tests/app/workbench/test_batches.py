@@ -147,17 +147,34 @@ def test_a_second_scan_is_a_question(bench: WorkbenchDriver) -> None:
     assert bench.slice("scan")["name"] == "second.npz"
 
 
-def test_two_scans_wait_until_one_is_chosen(bench: WorkbenchDriver) -> None:
+def test_two_scans_are_a_question(bench: WorkbenchDriver) -> None:
     scan = (sample_folder() / "scan.npz").read_bytes()
     reply = drop(bench, {"a.npz": scan, "b.npz": scan, "photo.jpg": PHOTO.read_bytes()})
-    assert kinds(reply) == ["photo"]
-    assert waiting(bench)["b.npz"] == "a project has one scan, and a.npz and b.npz are scans: open one of them"
-    chosen = next(file["id"] for file in bench.slice("waiting") if file["name"] == "b.npz")
-    assert kinds(bench.do("open_files", files=[chosen])) == ["scan"]
+    assert (reply["asks"], reply["scans"], reply["opened"]) == ("scan", ["a.npz", "b.npz"], [])
+    assert waiting(bench)["b.npz"] == "one of 2 scans, a.npz and b.npz: open them together, or this one alone"
+    chosen = [file["id"] for file in bench.slice("waiting") if file["name"] != "a.npz"]
+    assert kinds(bench.do("open_files", files=chosen)) == ["scan", "photo"]
     assert set(waiting(bench)) == {"a.npz"}
     bench.do("discard_files", files=[file["id"] for file in bench.slice("waiting")])
     assert bench.slice("waiting") == []
     assert sum(path.is_file() for path in bench.workbench.upload_folder().rglob("*")) == 2
+
+
+def test_descriptors_are_frames_as_well_and_wait_whole_if_they_are_refused(bench: WorkbenchDriver) -> None:
+    parts = depth_scan()
+    drop(bench, parts)
+    far = np.full((60, 80), 9000, np.uint16)
+    moved = {**parts, "depth.png": cv2.imencode(".png", far)[1].tobytes()}
+    ids = drop(bench, moved)["waiting"]
+    reply = bench.do("open_files", files=ids, scan="frames")
+    assert "kinect.json was not taken from where kinect.json was" in reply["said"]
+    assert set(waiting(bench)) == set(parts)
+    bench.do("discard_files", files=ids)
+    nearly = {**parts, "intensity.png": cv2.imencode(".png", np.full((60, 80), 90, np.uint8))[1].tobytes()}
+    ids = drop(bench, nearly)["waiting"]
+    assert kinds(bench.do("open_files", files=ids, scan="frames")) == ["frame"]
+    assert bench.slice("scan")["files"] == ["kinect.json", "kinect.json"]
+    assert bench.slice("waiting") == []
 
 
 def test_a_camera_waits_for_its_photograph(bench: WorkbenchDriver) -> None:

@@ -268,8 +268,9 @@ def test_a_connection_that_is_not_answered_holds_up_no_other_device(terminal: Te
 
 
 PROGRAM = """
-    import sys, time
+    import signal, sys, time
     from ladarreg_core.acquisition.ports import Ports
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background of a shell
     ports = Ports()
     port = ports.open(sys.argv[1], 9600, stop=b"\\rH ", name="unit")
     port.write(b"PP1000 ")
@@ -291,7 +292,8 @@ def test_the_device_stops_within_a_second_of_the_programs_end(terminal: Terminal
         assert terminal.await_bytes(b"PP1000 ", 5)
         assert STOP not in terminal.received
         os.killpg(program.pid, getattr(signal, end))
-        assert terminal.await_bytes(STOP, LONGEST_S)
+        stopped = terminal.await_bytes(STOP, LONGEST_S)
+        assert stopped, (terminal.received, f"program: {program.poll()}", f"guard: {Path(f'/proc/{guard}').exists()}")
     finally:
         program.kill()
         program.wait(10)

@@ -56,7 +56,7 @@ def wall(turns: float = 1.0, columns: int = 120) -> Scan:
     return Scan(geometry, np.full((40, columns), 3.0), np.random.default_rng(0).random((40, columns)))
 
 
-@pytest.mark.parametrize("show", ["intensity", "range", "normals", "edges"])
+@pytest.mark.parametrize("show", ["intensity", "range", "shape", "normals", "edges"])
 def test_pictures_have_the_views_size_and_hide_what_has_no_return(show: str) -> None:
     view = inspection_views(the_case().scan)[0].view
     picture = scan_picture(view, show)
@@ -105,12 +105,33 @@ def test_a_narrow_scan_has_one_view_and_a_wide_one_several_that_cover_it() -> No
     scan = wall(2.8, 420)
     views = inspection_views(scan)
     assert len(views) > 1
-    assert len({named.label for named in views}) == len(views)
+    labels = [named.label for named in views if named.label]
+    assert 1 < len(set(labels)) == len(labels)
     rays = scan.rays[scan.valid]
     seen = np.zeros(len(rays), np.bool_)
-    for named in views:
+    for named in views[: len(labels)]:
         seen |= named.view.camera.contains(named.view.project(rays))
     assert seen.all()
+
+
+@pytest.mark.parametrize("lowest_deg", [-89, -60, -20])
+def test_all_around_every_direction_is_near_the_middle_of_a_view(lowest_deg: float) -> None:
+    step = np.deg2rad(2.0)
+    rows = round((89 - lowest_deg) / 2)
+    geometry = SphericalGrid(rows, 180, step, step, 0.0, np.deg2rad(89.0))
+    scan = Scan(geometry, np.full((rows, 180), 3.0), np.ones((rows, 180)))
+    views = inspection_views(scan)
+    axes = np.array([named.view_from_scanner.rotation[2] for named in views])
+    labelled = np.array([bool(named.label) for named in views])
+    assert labelled[: labelled.sum()].all()  # those in between are behind
+    farthest = [
+        np.rad2deg(np.arccos(np.clip((scan.rays @ some.T).max(axis=-1).min(), -1, 1)))
+        for some in (axes, axes[labelled])
+    ]
+    assert farthest[0] < 32
+    assert farthest[1] > 40
+    for named in views:  # upright
+        assert abs(named.view_from_scanner.rotation[0, 2]) < 1e-6
 
 
 @pytest.mark.parametrize("turned_deg", [0, 100, 250])
@@ -121,7 +142,7 @@ def test_views_all_around_begin_where_most_is_to_be_seen_and_go_on_to_the_right(
     azimuth = np.arctan2(geometry.rays[..., 1], geometry.rays[..., 0])
     empty = np.cos(azimuth - np.deg2rad(turned_deg)) < 0.2
     ranges[empty] = np.where(geometry.rays[empty][:, 2] < -0.3, 3.0, np.nan)  # only the floor is seen there
-    views = [named.view for named in inspection_views(Scan(geometry, ranges, np.ones((40, 180))))]
+    views = [named.view for named in inspection_views(Scan(geometry, ranges, np.ones((40, 180)))) if named.label]
     ahead = [np.degrees(np.arctan2(*view.view_from_scanner.rotation[2, 1::-1])) for view in views]
     assert abs((ahead[0] - turned_deg + 180) % 360 - 180) < 60
     assert all(0 < (a - b) % 360 < 120 for a, b in itertools.pairwise(ahead))

@@ -83,6 +83,15 @@ def test_the_precision_of_a_pose_on_few_regions() -> None:
     asked = verdict, points, camera, Rigid.identity(), covariance
     assert check_precision(*asked).accepted
     assert not check_precision(*asked, GateOptions(most_sigma_px=0.1)).accepted
+    asked = replace(verdict, by_few=False), *asked[1:]
+    assert check_precision(*asked, GateOptions(most_sigma_px=0.1)).accepted
+    assert not check_precision(*asked, GateOptions(few_sigma_px=0.1)).accepted
+    asked = replace(verdict, by_few=False, agreeing=200), *asked[1:]
+    assert check_precision(*asked, GateOptions(few_sigma_px=0.1, coarse_sigma_px=0.1)).accepted
+    refused = check_precision(*asked, GateOptions(coarse_sigma_px=0.1), coarse=True)
+    assert not refused.accepted
+    assert "the scan is coarse: the pose is known to 0.5 px" in refused.reasons[0]
+    assert check_precision(*asked, GateOptions(few_sigma_px=0.1), coarse=True).accepted
     strict = region_markers(maps(0, 20), camera, camera, GateOptions(fine_near_px=0.5))
     assert [agrees for *_, agrees in strict] == [False] * 20
 

@@ -43,8 +43,10 @@ def test_a_coarse_scan_is_not_interpolated(room: PaintedRoom) -> None:
     coarse = lr.Scan(geometry, fine.ranges[::2, ::2], fine.intensity[::2, ::2])
     result = register(coarse, room.photo)
     assert room.error_px(result.camera_from_scanner) < 0.7
-    assert result.diagnostics["verification"]["windows"] < 25
-    assert result.diagnostics["verification"]["by_few"] == result.accepted
+    of_fine = register(fine, room.photo).diagnostics["verification"]["windows"]
+    assert result.diagnostics["verification"]["windows"] < 0.6 * of_fine, "with blocks that are less than half as large"
+    verdict = result.diagnostics["verification"]
+    assert not result.accepted or verdict["by_few"] or verdict["fraction"] >= 0.75, "few regions, of which most agree"
 
 
 def test_the_working_camera_has_the_coarser_resolution(room: PaintedRoom) -> None:

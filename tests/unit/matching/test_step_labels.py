@@ -9,7 +9,8 @@ from ladarreg_core.matching.step_labels import STEP_LABELS, step_label
 
 
 def test_every_step_name_has_a_label(checkout: Path) -> None:
-    files = [checkout / "ladarreg_core/registration.py", *(checkout / "ladarreg_core/matching").rglob("*.py")]
+    core = checkout / "ladarreg_core"
+    files = [core / "registration.py", *(core / "matching").rglob("*.py"), *(core / "rig").rglob("*.py")]
     names = {name for path in files for name in re.findall(r"steps\.step\(\"([^\"]+)\"\)", path.read_text("utf-8"))}
     assert len(names) >= 20
     assert names | {"linear", "constrained linear"} == set(STEP_LABELS)

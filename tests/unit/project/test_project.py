@@ -24,12 +24,13 @@ from ladarreg_core.pose.estimate import estimate_pose
 from ladarreg_core.project import edits
 from ladarreg_core.project.codec import decode_document, encode
 from ladarreg_core.project.delta import apply_change, change_between, check_readable
-from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source
+from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source, Survey
 from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import History
 from ladarreg_core.project.results import pose_entry, registration_of, solved_on
 from ladarreg_core.project.settings import Settings
-from ladarreg_core.project.staleness import changed_since, stale
+from ladarreg_core.project.staleness import changed_since, rests_on, stale
+from ladarreg_core.project.station_edits import is_stale, place_of, with_stations
 from ladarreg_core.project.stored_arrays import StoredArrays
 from ladarreg_core.results import PoseResult
 
@@ -533,20 +534,50 @@ def test_a_pose_knows_the_picks_that_it_was_solved_on() -> None:
     entry = pose_entry("robust", a_result(), picks=photo.picks)
     photo = edits.with_pose(photo, entry)
     assert [pick.id for pick in solved_on(entry) or ()] == ["1", "3", "4"]
-    assert stale(photo, entry, solved_on(entry)) == ""
+    assert stale(photo, entry, solved_on(entry), 1) == ""
     moved = edits.changed_pick(photo, "1", {"photo": [[5, 5]]})
     moved = edits.switched(moved, {"2": True, "3": False})
     assert changed_since(moved, solved_on(entry)) == {"1", "2", "3"}
-    assert stale(moved, entry, solved_on(entry)) == "3 matches changed since: solve again"
+    assert stale(moved, entry, solved_on(entry), 1) == "3 matches changed since: solve again"
     found = msgspec.structs.replace(entry, stage="auto")
-    assert stale(moved, found, solved_on(entry)) == "", "it was found in the images"
+    assert stale(moved, found, solved_on(entry), 1) == "", "it was found in the images"
+    assert stale(moved, found, solved_on(entry), 2) == "solved on fewer clouds: register again"
+    said = stale(moved, entry, solved_on(entry), 2)
+    assert said == "solved on fewer clouds, 3 matches changed since: solve again"
+    stated = rests_on(moved, entry, solved_on(entry), 2)
+    assert stated is not None
+    assert stated["sentence"] == (
+        "The pose rests on 3 matches in matches.json. It is the last solved state: the scan had 1 cloud then, and has "
+        "2 clouds now. 3 matches of the project changed afterwards, and matches.json contains them as they were when "
+        "the pose was solved."
+    )
+
+
+def test_a_station_that_gets_further_clouds_stays_where_it_stands() -> None:
+    first, second, third = (msgspec.structs.replace(SOURCE, path=f"{name}.pcd", name=f"{name}.pcd") for name in "abc")
+    document = with_stations(edits.with_scan(Document(), first), [second])
+    fields = {"stations": [{"world_from_scanner": np.eye(4).tolist()}] * 2}
+    document = msgspec.structs.replace(document, survey=Survey(scans=(first, second), fields=fields))
+    assert not is_stale(document)
+    grown = edits.with_more_clouds(document, ["d.pcd"], ["sweep 4.pcd"])
+    assert grown.scan is not None
+    assert (grown.clouds, grown.scan.names) == (2, ("a.pcd", "sweep 4.pcd"))
+    assert is_stale(grown)
+    place = place_of(grown, grown.stations[0])
+    assert place is not None
+    assert np.allclose(place.matrix, np.eye(4))
+    with pytest.raises(OptionError, match=r"d\.pcd is in the project already"):
+        with_stations(grown, [msgspec.structs.replace(third, path="d.pcd", name="d.pcd")])
+    with pytest.raises(OptionError, match=r"b\.pcd is a station"):
+        edits.with_more_clouds(grown, ["b.pcd"])
+    assert edits.with_scan(grown, msgspec.structs.replace(third, more=("b.pcd",))).stations == ()
 
 
 def test_a_pose_of_an_older_version_counts_as_current() -> None:
     entry = pose_entry("robust", a_result())
     photo = edits.with_pose(a_document(2).photos[0], entry)
     assert solved_on(entry) is None
-    assert stale(edits.without_picks(photo, {"1"}), entry, solved_on(entry)) == ""
+    assert stale(edits.without_picks(photo, {"1"}), entry, solved_on(entry), 1) == ""
 
 
 def test_undo_steps_over_automatic_results_and_consecutive_ones_replace_each_other(tmp_path: Path) -> None:

@@ -7,7 +7,8 @@ import pytest
 
 from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.frames import Rigid, rotation_about, rotvec_from_rotation
-from ladarreg_core.range_alignment.mount_calibration import MountCalibration, calibrate_mount
+from ladarreg_core.range_alignment.mount_calibration import calibrate_mount
+from ladarreg_core.range_alignment.mount_result import MountCalibration
 from tests import box_room
 from tests.box_room import MOUNT, in_motion, stop_and_go
 

@@ -1,0 +1,216 @@
+"""The jobs on a project's stations: registering them, checking photographs at the others, and the export of all."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from ladarreg_core.errors import DependencyError, LadarregError, OptionError
+from ladarreg_core.frames import Rigid
+from ladarreg_core.progress import Progress
+from ladarreg_core.project.document import Document, PhotoCheck, PhotoEntry, Source, Survey
+from ladarreg_core.project.station_edits import is_stale, scans_of, surveyed_pose
+
+from .export import size_of
+from .inputs import Workspace
+from .runner import JobContext
+
+if TYPE_CHECKING:
+    from ladarreg_core.scan import Scan
+
+STATIONS = "station-scans"
+"""Name of the zip among the exports; ids of photographs have no hyphen."""
+
+
+class StationJobs:
+    """The work of the jobs; each returns a sentence on its result.
+
+    Args:
+        workspace: provides the project.
+    """
+
+    def __init__(self, workspace: Workspace) -> None:
+        self._workspace = workspace
+
+    @property
+    def zip_path(self) -> Path:
+        """Path of the zip of all stations."""
+        return self._workspace.session.folder.exports / f"{STATIONS}.zip"
+
+    def require_stations(self) -> Document:
+        """Return the document.
+
+        Raises:
+            OptionError: if it has no further station.
+        """
+        document = self._workspace.session.document
+        if not document.stations:
+            raise OptionError("there is one scan only; add scans of other stations")
+        return document
+
+    def require_survey(self) -> tuple[Document, Survey]:
+        """Return the document and where its stations stand.
+
+        Raises:
+            OptionError: if they have not been registered as they are now.
+        """
+        document = self.require_stations()
+        if document.survey is None or is_stale(document):
+            raise OptionError("the stations have not been registered as they are now; register them first")
+        return document, document.survey
+
+    def register(self, context: JobContext) -> str:
+        """Register the stations to each other; the scan that is shown is fixed."""
+        import ladarreg_core as lr
+
+        document = self.require_stations()
+        sources, scans = scans_of(document), []
+        for number, (source, name) in enumerate(zip(sources, _names(sources), strict=True)):
+            context.progress(Progress(number, len(sources), f"reading {source.name}"))
+            scans.append(replace(self._scan(document, source), name=name))
+        network = lr.register_scans(
+            _with_rough_poses(document, scans), seed=document.settings.seed, report=context.progress
+        )
+        for source, scan in zip(sources[1:], scans[1:], strict=True):
+            self._workspace.loader.station_points(source, scan)
+        survey = Survey(scans=sources, fields=json.loads(network.to_json()))
+        self._commit(context, f"Register {len(sources)} stations", document, survey)
+        out = [one.name for one in network.stations if one.state == "out"]
+        if not out:
+            return f"All {len(sources)} stations are registered."
+        return f"{len(sources) - len(out)} of {len(sources)} stations are registered; {', '.join(out)} is not."
+
+    def check_photos(self, context: JobContext) -> str:
+        """Verify the poses of the accepted photographs, carried over, by the scans of the other stations."""
+        document, survey = self.require_survey()
+        here = surveyed_pose(survey, document.scan)
+        entries = [entry for entry in document.photos if self._is_registered(entry)]
+        others = [(s.source, pose) for s in document.stations if (pose := surveyed_pose(survey, s.source)) is not None]
+        if not entries:
+            raise OptionError("no photograph is registered yet; register one at the scan that is shown")
+        if here is None or not others:
+            raise OptionError("no other station is registered to the scan that is shown; register the stations first")
+        checks = []
+        for number, (source, there) in enumerate(others):
+            scan = self._scan(document, source)
+            for k, entry in enumerate(entries):
+                done, total = number * len(entries) + k, len(others) * len(entries)
+                context.progress(Progress(done, total, f"comparing {entry.source.name} with {source.name}"))
+                checks.append(self._check(entry, source, scan, here.inverse @ there, document.settings.seed))
+        self._commit(
+            context, "Check photographs at the other stations", document,
+            msgspec.structs.replace(survey, checks=tuple(checks)),
+        )  # fmt: skip
+        good, bad = (sum(check.outcome == outcome for check in checks) for outcome in ("verified", "contradicted"))
+        rest = len(checks) - good - bad
+        return f"Poses at other stations: {good} verified, {bad} contradicted, {rest} undecidable."
+
+    def _is_registered(self, entry: PhotoEntry) -> bool:
+        pose = entry.pose
+        loader, document = self._workspace.loader, self._workspace.session.document
+        return pose is not None and pose.accepted and not loader.stale(document, entry, pose)
+
+    def _check(self, entry: PhotoEntry, source: Source, scan: Scan, between: Rigid, seed: int) -> PhotoCheck:
+        import ladarreg_core as lr
+
+        assert entry.pose is not None, "only photographs with a pose are checked"
+        registration = self._workspace.loader.registration(entry.pose)
+        photo = replace(self._workspace.loader.photo(entry), camera=registration.camera)
+        check = PhotoCheck(
+            photo=entry.id,
+            name=entry.source.name,
+            scan=source,
+            pose=entry.pose.arrays.name,
+            outcome="undecidable",
+            sentence="",
+        )
+        try:
+            found = lr.verify_pose(scan, photo, registration.camera_from_scanner @ between, seed=seed)
+        except LadarregError as error:
+            return msgspec.structs.replace(check, sentence=f"{error}.")
+        fraction = None if found.verification is None else float(found.verification.fraction)
+        return msgspec.structs.replace(check, outcome=found.outcome, sentence=found.sentence, fraction=fraction)
+
+    def export(self, context: JobContext) -> str:
+        """Write a zip of what `register-scans` writes, and all stations in one E57."""
+        from ladarreg_core.export.json import write_document
+        from ladarreg_core.export.replacement import STATIONS_FILE
+        from ladarreg_core.export.targets.e57_stations import write_stations_e57
+        from ladarreg_core.export.targets.e57_tree import library
+        from ladarreg_core.export.zip_file import write_zip
+        from ladarreg_core.formats.npz import write_npz_xyz
+        from ladarreg_core.station_folder import stations_document
+
+        document, survey = self.require_survey()
+        folder = self._workspace.session.folder
+        inputs = [(folder.source_path(source.path), source.index) for source in survey.scans]
+        fields = stations_document(survey.fields, inputs)
+        placed = [k for k, one in enumerate(fields["stations"]) if one["scan"] is not None]
+
+        def read(k: int) -> Scan:
+            context.check()
+            scan = self._scan(document, survey.scans[k])
+            pose = surveyed_pose(survey, survey.scans[k])
+            return replace(scan, name=fields["stations"][k]["name"], world_from_scanner=pose)
+
+        def writer(k: int) -> Callable[[Path], Any]:
+            return lambda path: write_npz_xyz(path, read(k))
+
+        files: list[tuple[str, Callable[[Path], Any]]] = [
+            (STATIONS_FILE, lambda path: write_document(path, fields)),
+            *((fields["stations"][k]["scan"], writer(k)) for k in placed),
+        ]
+        note = ""
+        try:
+            library()
+            files.append(("stations.e57", lambda path: write_stations_e57(path, [partial(read, k) for k in placed])))
+        except DependencyError as error:
+            note = f" There is no E57 among them: {error}."
+        write_zip(self.zip_path, lambda: files, report=context.progress)
+        return f"Wrote {len(placed)} stations, a zip of {size_of(self.zip_path)}.{note}"
+
+    def _scan(self, document: Document, source: Source) -> Scan:
+        loader = self._workspace.loader
+        found = loader.scan(document) if source == document.scan else None
+        return loader.read_scan(source) if found is None else found
+
+    def _commit(self, context: JobContext, label: str, before: Document, survey: Survey) -> None:
+        def apply(document: Document) -> Document:
+            if set(scans_of(document)) != set(scans_of(before)) or document.survey != before.survey:
+                raise OptionError("the stations changed while the job ran, so its result was discarded; run it again")
+            return msgspec.structs.replace(document, survey=survey)
+
+        self._workspace.session.commit(label, apply, author=context.job.author)
+
+
+def _with_rough_poses(document: Document, scans: list[Scan]) -> list[Scan]:
+    """Return the scans with the rough poses that the operator gave, in the world of the first one."""
+    if all(station.rough is None for station in document.stations):
+        return scans
+    world = scans[0].world_from_scanner or Rigid.identity()
+    found = [replace(scans[0], world_from_scanner=world)]
+    for station, scan in zip(document.stations, scans[1:], strict=True):
+        given = station.rough
+        found.append(
+            scan if given is None else replace(scan, world_from_scanner=world @ Rigid.from_matrix(given))
+        )  # fmt: skip
+    return found
+
+
+def _names(sources: tuple[Source, ...]) -> list[str]:
+    """Return the names of scans, each unlike the others."""
+    names: list[str] = []
+    for source in sources:
+        stem = Path(source.name).stem if source.index == 0 else f"{Path(source.name).stem}-{source.index + 1}"
+        name, number = stem, 1
+        while name in names:
+            number += 1
+            name = f"{stem} ({number})"
+        names.append(name)
+    return names

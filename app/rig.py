@@ -1,0 +1,103 @@
+"""`ladarreg register --rig CSV`: the pairs of a scanner and a camera that are mounted together."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+import tyro
+
+from .arguments import CameraArguments
+from .exit_codes import ExitCode
+from .messages import one_line
+from .progress_bar import progress_bar
+
+if TYPE_CHECKING:
+    from ladarreg_core.rig.results import RigResult
+
+EXAMPLES = (
+    "ladarreg register --rig pairs.csv --camera cam.json -o rig",
+    "# from a rough pose, within some 5 degrees and .3 m:",
+    "ladarreg register --rig pairs.csv --camera cam.json --initial pose.json -o rig",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigArguments(CameraArguments):
+    """Arguments of `register` with a rig."""
+
+    GROUP: ClassVar[tuple[int, str]] = (0, "options")
+    rig: Annotated[Path, tyro.conf.arg(metavar="CSV")]
+    """Table of the pairs: a header with scan and photo, and perhaps camera, more, name; paths from its folder."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
+    """Output folder; an existing one is refused, but see --force."""
+    initial: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """A rough pose of the camera relative to the scanner, to begin with: a pose JSON."""
+    seed: int = 0
+    """Random seed; equal seeds give equal results."""
+    force: bool = False
+    """Replace OUT if it contains an earlier rig and nothing else; any other folder is never touched."""
+    quiet: bool = False
+    """Print no progress, and the verdict in one line."""
+    json: bool = False
+    """Print rig.json, and nothing else, on stdout; errors, too."""
+    debug: bool = False
+    """Print a log, and a traceback on failure."""
+
+
+def run_rig(arguments: RigArguments) -> ExitCode:
+    """Read the pairs, register them together, write the results, and print the verdict."""
+    from ladarreg_core.export.folder import check_folder
+    from ladarreg_core.formats.pose_file import read_initial
+    from ladarreg_core.formats.rig_file import read_rig_table
+    from ladarreg_core.rig.options import RigOptions
+    from ladarreg_core.rig.registration import register_rig
+    from ladarreg_core.rig_folder import read_rig, write_rig
+
+    started = time.perf_counter()
+    rows = read_rig_table(arguments.rig)
+    common = [path for path in (arguments.camera, arguments.initial) if path is not None]
+    inputs = list(dict.fromkeys([arguments.rig, *common, *(path for row in rows for path in row.files)]))
+    check_folder(arguments.out, force=arguments.force, inputs=inputs)
+    initial = None if arguments.initial is None else read_initial(arguments.initial, None)
+    with progress_bar(quiet=arguments.quiet or arguments.json) as bar:
+        pairs = read_rig(
+            rows, scan_options=arguments.scan_options, photo_options=arguments.photo_options, report=bar.progress
+        )
+        result = register_rig(pairs, initial=initial, options=RigOptions(seed=arguments.seed), report=bar.step)
+        fields = write_rig(arguments.out, result, inputs=inputs, force=arguments.force, report=bar.progress)
+    files = sorted(path.name for path in arguments.out.iterdir())
+    if arguments.json:
+        from .json_output import print_json
+
+        notes = [f"{pair.name}: {note}" for pair in pairs for note in (*pair.scan.notes, *pair.photo.notes)]
+        print_json({**fields, "notes": notes, "output": {"folder": os.path.abspath(arguments.out), "files": files}})
+    elif arguments.quiet:
+        print(_verdict(result))
+    else:
+        print("\n".join(_lines(result)))
+        print(f"Wrote    {', '.join(files)} in {arguments.out}")
+        print(f"Took     {time.perf_counter() - started:.1f} s")
+    return ExitCode.ACCEPTED if result.accepted else ExitCode.NOT_ACCEPTED
+
+
+def _verdict(result: RigResult) -> str:
+    return "Accepted: verified by pairs that were held out." if result.accepted else "Not accepted."
+
+
+def _lines(result: RigResult) -> list[str]:
+    lines = [_verdict(result)]
+    pose, sigma = result.camera_from_scanner, result.sigmas
+    if result.accepted and pose is not None:
+        from ladarreg_core.frames import ThesisParameters
+
+        six = ThesisParameters.from_pose(pose)
+        lines += [
+            f"Camera   {six.describe_position()}; {six.describe_orientation()}",
+            f"Sigma    {sigma.angle_deg:.2g} deg, {sigma.position_mm:.2g} mm",
+        ]
+    lines += [f"Pair     {one_line(one.sentence)}" for one in result.pairs]
+    return [*lines, *(f"Why      {one_line(reason)}" for reason in result.reasons)]

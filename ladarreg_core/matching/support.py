@@ -1,0 +1,85 @@
+"""What a scan supports in comparison with a photo: its resolution, its intensity, and where nothing returned."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from ladarreg_core.arrays import BoolArray
+from ladarreg_core.camera import Camera
+from ladarreg_core.scan import Scan
+from ladarreg_core.surface.perspective import native_focal_px
+
+_COARSE = 0.6
+_LEAST_LEVELS, _LEAST_SHARE = 6, 0.005
+_SAMPLES = 200_000
+_HOLE_CELLS = (3, 5)  # rows, columns: of an accumulated cloud, so many cells do not stay empty by chance
+_BORDER_CELLS = 9
+_LEAST_OPEN_CELLS = 100  # smaller holes are gaps of the pattern of an accumulated cloud
+_FINER = 1.4
+
+
+def is_coarse(scan: Scan, camera: Camera) -> bool:
+    """Return whether a scan is so much coarser than a photo that little but its depth edges can be compared.
+
+    Args:
+        scan: the scan.
+        camera: the photo's camera.
+    """
+    return native_focal_px(scan) < _COARSE * camera.focal_px
+
+
+def comparison_focal_px(scan: Scan, camera: Camera) -> float:
+    """Return the focal length, px, that a scan supports in a comparison with a photo.
+
+    It has one pixel per cell in the scan's finer direction. The outlines of a coarse scan of which only the shape is
+    compared are known more finely than its cells, each of which has the mean ray of several returns.
+
+    Args:
+        scan: the scan.
+        camera: the photo's camera.
+    """
+    native = native_focal_px(scan)
+    return _FINER * native if is_coarse(scan, camera) and not carries_intensity(scan) else native
+
+
+def widest_cell_px(scan: Scan, camera: Camera) -> float:
+    """Return the width of a scan's cells in their wider direction, px of a view: the distance of its lines.
+
+    Args:
+        scan: the scan.
+        camera: the view's camera.
+    """
+    return float(max(scan.geometry.step_rad) * camera.fx)
+
+
+def carries_intensity(scan: Scan) -> bool:
+    """Return whether a scan's intensity shows anything: it is not constant, and has more than a few levels."""
+    if not scan.has_intensity:
+        return False
+    known = scan.intensity[scan.valid]
+    _, count = np.unique(known[:: max(1, len(known) // _SAMPLES)], return_counts=True)
+    common = count >= _LEAST_SHARE * count.sum()
+    few = np.count_nonzero(common) < _LEAST_LEVELS and count[common].sum() > 0.9 * count.sum()
+    return not few
+
+
+def open_cells(scan: Scan) -> BoolArray:
+    """Return the cells (H, W) that were looked at and returned nothing: the sky, or what is too far or too dark.
+
+    They are larger than gaps between beams and those of an accumulated cloud's pattern, and lie inside the region that
+    the scanner looks at, the convex hull of the returns: what lies outside was not looked at, so that the border of
+    that region is no edge of anything.
+    """
+    valid = scan.valid.astype(np.uint8)
+    holes = cv2.morphologyEx(1 - valid, cv2.MORPH_OPEN, np.ones(_HOLE_CELLS, np.uint8))
+    rows, columns = np.nonzero(valid)
+    hull = cv2.convexHull(np.stack([columns, rows], axis=-1).astype(np.int32))
+    inside = np.zeros_like(valid)
+    cv2.fillConvexPoly(inside, hull, 1)
+    # OpenCV takes what lies beyond the grid for inside: its first and last rows are no border of the hull.
+    inside = np.asarray(cv2.erode(inside, np.ones((_BORDER_CELLS, _BORDER_CELLS), np.uint8)))
+    _, label, figures, _ = cv2.connectedComponentsWithStats(((holes > 0) & (inside > 0)).astype(np.uint8))
+    large = figures[:, cv2.CC_STAT_AREA] >= _LEAST_OPEN_CELLS
+    large[0] = False
+    return np.asarray(large[label])

@@ -1,0 +1,53 @@
+/** The stations as this page sees them. No DOM here. */
+
+import { store } from "../net/store.js";
+import { counted, fixed } from "../ui/numbers.js";
+import { scanName } from "./scan_name.js";
+
+/** @typedef {{id: string | null, name: string, index: number, colour: string | null, state: string, sigma_mm: number | null,
+ *   sigma_deg: number | null, place: {x: number, y: number, z: number, yaw_deg: number} | null, rough: boolean}} Station */
+
+/** @returns {{stations: Station[], pairs: any[], loops: any[], reasons: string[], checks: any[], stale: boolean,
+ *   registered: boolean}} */
+export const stationsNow = () =>
+  store.get("stations") ?? { stations: [], pairs: [], loops: [], reasons: [], checks: [], stale: false, registered: false };
+
+/** @returns {boolean} whether the stations are registered as they are now */
+export const isRegistered = () => stationsNow().registered && !stationsNow().stale;
+
+/** @returns {string} a station's name; of a file with several scans with the scan's number */
+export const stationName = (station) =>
+  station.index ? `${scanName(station)}, scan ${station.index + 1}` : scanName(station);
+
+/** Rounded up: a bound of the standard deviation, and never 0. */
+const bound = (value, digits) => Math.max(Math.ceil(value * 10 ** digits) / 10 ** digits, 10 ** -digits).toFixed(digits);
+
+/** @returns {string} how well a place is known */
+export const sigmaText = ({ sigma_mm, sigma_deg }) =>
+  sigma_mm === null || sigma_deg === null ? "" : `σ ≤ ${bound(sigma_mm, 1)} mm, ${bound(sigma_deg, 3)}°`;
+
+/** @returns {string} what is known of a station */
+export const stateText = (station) => {
+  if (station.id === null) return "shown";
+  if (station.state === "fixed") return "fixed";
+  if (station.state === "registered") return sigmaText(station) || "registered";
+  if (station.rough) return "rough place";
+  return station.state === "out" ? "not registered" : "waiting";
+};
+
+/** @returns {string} where a station stands, from the one that is shown */
+export const placeText = ({ place }) => {
+  if (!place) return "";
+  const [x, y, z] = [place.x, place.y, place.z].map((value) => fixed(value, 3));
+  return `${x}, ${y}, ${z} m, ${fixed(place.yaw_deg, 2)}°`;
+};
+
+/** @returns {import("./progress.js").WorkStep} the tab's state */
+export const stationsStep = () => {
+  const { stations } = stationsNow();
+  const status = !stations.length
+    ? "Scans of the same place from elsewhere."
+    : isRegistered() ? `${counted(stations.length, "station")} registered.` : `${counted(stations.length, "station")}.`;
+  const missing = stations.length && !isRegistered() ? "Register them to each other." : "";
+  return { name: "stations", label: "Stations", done: stations.length > 0 && isRegistered(), missing, status };
+};

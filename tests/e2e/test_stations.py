@@ -1,0 +1,63 @@
+"""Stations in the page: a scan is added, registered, and shown in place of the first."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="the server is ended by a signal")]
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
+    """Address of a workbench on one station's scan, and the scan of the other."""
+    from tests.station_scans import write_station_scans
+
+    folder = tmp_path_factory.mktemp("stations")
+    (first, second), photo, camera = write_station_scans(folder)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "ladarreg", "serve", str(first), str(photo), "--camera", str(camera), "--project",
+         str(folder / "project"), "--port", "0", "--no-browser"],
+        stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stdout is not None
+    lines = iter(process.stdout.readline, "")
+    yield next(found.group(0) for line in lines if (found := re.search(r"http://\S+", line))), second
+    process.terminate()
+    process.wait(30)
+
+
+def test_a_station_is_added_registered_and_shown(browser: Browser, served: tuple[str, Path]) -> None:
+    address, second = served
+    page = browser.new_page(viewport={"width": 1000, "height": 620})
+    page.set_default_timeout(120_000)
+    page.goto(address)
+    page.get_by_role("tab", name="Stations").click()
+    part = page.get_by_role("region", name="Stations", exact=True)
+    part.get_by_text("Add scans of the same place").wait_for()
+    part.locator("input[type=file]").set_input_files(str(second))
+    part.get_by_role("button", name="Show window.npz").wait_for()
+    part.get_by_role("button", name="Register", exact=True).click()
+    page.get_by_text("hall – window: verified").wait_for()
+    part.get_by_text(re.compile(r"σ ≤ 0\.\d mm")).wait_for()
+    part.get_by_role("button", name="Place window.npz").click()
+    part.get_by_label("x, m of window.npz").wait_for()
+    part.get_by_role("checkbox", name="Show the points of window.npz").uncheck()
+    with page.expect_download() as download:
+        part.get_by_role("button", name="Export all stations").click()
+    assert download.value.suggested_filename == "hall-stations.zip"
+    part.get_by_role("button", name="Show window.npz").click()
+    part.get_by_role("button", name="Show hall.npz").wait_for()
+    page.get_by_role("button", name=re.compile("Undo")).first.click()
+    part.get_by_role("button", name="Show window.npz").wait_for()
+    page.close()
