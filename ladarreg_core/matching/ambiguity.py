@@ -18,7 +18,7 @@ from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.blocks import project_visible
 from ladarreg_core.matching.ecc import RefineOptions, RefineResult, refine_pose
 from ladarreg_core.matching.pyramid import LEVELS
-from ladarreg_core.matching.verification import GateOptions, Verification
+from ladarreg_core.matching.verification import GateOptions, Verification, unsure_gate
 from ladarreg_core.pose.ambiguity import mirrored
 from ladarreg_core.scan import Scan
 from ladarreg_core.side_by_side import side_by_side
@@ -27,7 +27,7 @@ _COARSEST = LEVELS[-1]
 _REFINEMENT = RefineOptions(tau_px=8, iterations=8)
 _MIN_SHIFT_PX = 3.0  # level pixels; smaller shifts lie in the same basin
 _MAX_PEAKS = 2
-_MAX_REFINED = 2
+_MAX_REFINED, _MAX_REFINED_UNSURE = 2, 4
 _MIN_POINTS = 30
 _SAMPLES = 10_000
 _SAME_START_PX = 40.0  # radius of the basin of refinement
@@ -92,7 +92,8 @@ def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, known: Know
     """Return another pose that the image verifies, or nearly verifies; None if none is found.
 
     A brick wall agrees with the image when shifted by one brick, nearly as well as at its own position. The second pose
-    therefore need not pass the thresholds that the first one has passed.
+    therefore need not pass the thresholds that the first one has passed. If few regions agree with the first pose, less
+    suffices: what agrees may be the one surface that the pictures of two rooms have in common.
 
     Args:
         aligner: the pair that the pose was verified with.
@@ -100,7 +101,8 @@ def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, known: Know
         own: its verdict.
         known: decides which poses are different.
     """
-    gate = aligner.gate
+    sure = own.fraction >= aligner.gate.sure_fraction
+    gate, most = (aligner.gate, _MAX_REFINED) if sure else (unsure_gate(aligner.gate), _MAX_REFINED_UNSURE)
     points, target, occluder = aligner.points[_COARSEST], aligner.targets[_COARSEST], aligner.occluder
 
     def refined(start: Rigid) -> RefineResult | None:
@@ -113,7 +115,7 @@ def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, known: Know
     others = [e for e in others if e.correlation >= gate.second_correlation * first.correlation]
     others.sort(key=lambda e: -e.correlation)
     elsewhere = [e for e in others if _differ(known, pose, e.camera_from_scanner, gate)]
-    for end in elsewhere[:_MAX_REFINED]:
+    for end in elsewhere[:most]:
         candidate = aligner.refine(end.camera_from_scanner)
         if candidate is None or not competes(candidate.coarse_verdict, own, gate):
             continue

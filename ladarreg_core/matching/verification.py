@@ -75,6 +75,8 @@ class GateOptions:
     """The same for a pose accepted on `few` regions or more, but fewer than `many`; smaller photos: less."""
     coarse_sigma_px: float = 3.0
     """The same for any other pose of a scan that is coarse, if only between its lines; smaller photos: less."""
+    any_sigma_px: float = 8.0
+    """The same for every other pose; larger photos: more. The matches of such a pose do not agree on it."""
     same_pose_px: float = 8.0
     """Maximum median displacement in the photo of two poses that count as the same, px."""
     same_angle_rad: float = float(np.deg2rad(3.0))
@@ -90,12 +92,25 @@ class GateOptions:
     second_overlap: float = 0.4
     """Minimum share of the compared points inside the photo after that shift."""
     sure_fraction: float = 0.6
-    """With an initial pose: with at least this fraction of agreeing regions no second pose is sought."""
+    """Minimum fraction of agreeing regions of a pose that is sure: given an initial pose, no second one is sought."""
+    unsure_fraction: float = 0.7
+    """`second_fraction` beside a pose that is not sure."""
+    unsure_correlation: float = 0.6
+    """`second_correlation` beside a pose that is not sure."""
 
 
 def small_regions_gate(gate: GateOptions) -> GateOptions:
     """Return the thresholds for smaller regions: `few` of them do not suffice without ruling out chance."""
     return replace(gate, few=gate.many)
+
+
+def unsure_gate(gate: GateOptions) -> GateOptions:
+    """Return the thresholds of a second pose beside one that is not sure: it competes more easily."""
+    return replace(
+        gate,
+        second_fraction=min(gate.second_fraction, gate.unsure_fraction),
+        second_correlation=min(gate.second_correlation, gate.unsure_correlation),
+    )
 
 
 def coarse_gate(gate: GateOptions) -> GateOptions:
@@ -219,10 +234,10 @@ def check_precision(
     *,
     coarse: bool = False,
 ) -> Verification:
-    """Return the verdict, refused if the pose is too uncertain and rests on few regions or on a coarse scan.
+    """Return the verdict, refused if the pose is too uncertain, above all if it rests on few regions or a coarse scan.
 
     Regions of a coarse scan may all agree and still determine the pose only to one scan cell, which can be many pixels
-    of the photo.
+    of the photo. With many regions of a dense scan, uncertainty means that other intrinsics lead to another pose.
 
     Args:
         verdict: of `verify`.
@@ -242,8 +257,8 @@ def check_precision(
     elif verdict.accepted and verdict.agreeing < gate.many:
         most = gate.few_sigma_px * size
     else:
-        return verdict
-    if not len(points):
+        most = gate.any_sigma_px * max(1.0, size)
+    if not (verdict.accepted and len(points)):
         return verdict
     some = points[:: max(1, len(points) // _SAMPLE)].astype(np.float64)
     sigma_px = float(np.nanmedian(pixel_sigma(pose @ some, camera, pose.rotation, covariance)))
@@ -252,8 +267,14 @@ def check_precision(
     known = f"is known to {sigma_px:.1f} px of the photo only, and {most:.1f} px are needed"
     if not sigma_px <= _MEANINGFUL * max(camera.size):
         known = "is not determined"
-    why = "the scan is coarse" if coarse and not verdict.by_few else "they are too few"
-    reason = f"The image regions agree, but {why}: the pose {known}. Scan at a higher resolution."
+    if coarse and not verdict.by_few:
+        why, remedy = "the scan is coarse", "Scan at a higher resolution."
+    elif verdict.by_few or verdict.agreeing < gate.many:
+        why, remedy = "they are too few", "Scan at a higher resolution."
+    else:
+        why = "not all over the photo, or not for the stated camera"
+        remedy = "Give a camera file, or draw a few matches."
+    reason = f"The image regions agree, but {why}: the pose {known}. {remedy}"
     return replace(verdict, accepted=False, reasons=(reason,))
 
 

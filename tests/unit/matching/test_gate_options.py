@@ -11,7 +11,14 @@ import ladarreg_core as lr
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.matching.ambiguity import KnownPoses, _differ, _peaks, competes
-from ladarreg_core.matching.verification import GateOptions, Verification, check_precision, region_markers, verify
+from ladarreg_core.matching.verification import (
+    GateOptions,
+    Verification,
+    check_precision,
+    region_markers,
+    unsure_gate,
+    verify,
+)
 from tests.scenes.painted_room import painted_room
 
 _RADIUS = 7
@@ -92,6 +99,9 @@ def test_the_precision_of_a_pose_on_few_regions() -> None:
     assert not refused.accepted
     assert "the scan is coarse: the pose is known to 0.5 px" in refused.reasons[0]
     assert check_precision(*asked, GateOptions(few_sigma_px=0.1), coarse=True).accepted
+    refused = check_precision(*asked, GateOptions(any_sigma_px=0.1))
+    assert not refused.accepted
+    assert "Give a camera file" in refused.reasons[0]
     strict = region_markers(maps(0, 20), camera, camera, GateOptions(fine_near_px=0.5))
     assert [agrees for *_, agrees in strict] == [False] * 20
 
@@ -118,6 +128,16 @@ def test_a_second_pose_competes_relative_to_the_first(stricter: dict[str, float]
     assert competes(other, own, GateOptions())
     assert not competes(other, own, GateOptions(**stricter))
     assert competes(replace(other, accepted=True), own, GateOptions(**stricter))
+
+
+def test_a_second_pose_competes_more_easily_beside_one_that_is_not_sure() -> None:
+    own = Verification(100, 55, 0.55, 3.0, 0.5, 1e-9, True, ())
+    other = replace(own, agreeing=40, fraction=0.41, accepted=False)
+    usual, unsure = GateOptions(), unsure_gate(GateOptions())
+    assert not competes(other, own, usual)
+    assert competes(other, own, unsure)
+    assert unsure.second_correlation < usual.second_correlation
+    assert unsure_gate(GateOptions(second_fraction=0.5)).second_fraction == 0.5
 
 
 @pytest.mark.parametrize("stricter", [{"second_peak": 1.5}, {"second_overlap": 0.9}])
