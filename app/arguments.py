@@ -159,6 +159,8 @@ class PhotoArguments(CameraArguments):
     """Scan: E57, PTX, LAS, LAZ, PLY, PTS, XYZ, CSV, PCD, bag, MCAP, PCAP, NPZ ..."""
     photo: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PHOTO")]
     """Photo: JPEG, PNG, TIFF, WebP, AVIF."""
+    more: Annotated[tyro.conf.Positional[OptionalPaths], tyro.conf.arg(metavar="[SCAN ...]")] = None
+    """Further scans of the same standpoint, to be accumulated; the photo may stand anywhere among the files."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
     """Output folder; an existing one is refused, but see --force."""
     seed: int = 0
@@ -173,9 +175,18 @@ class PhotoArguments(CameraArguments):
     """Print a log, and a traceback on failure."""
 
     @property
+    def scan_options(self) -> dict[str, Any]:
+        """The arguments of `read_scan`.
+
+        Raises:
+            OptionError: if the origin is not three numbers.
+        """
+        return {**ScanArguments.scan_options.__get__(self), "more": self.more or ()}
+
+    @property
     def input_files(self) -> list[Path]:
         """Every file that was given."""
-        return [path for path in (self.scan, self.photo, self.camera) if path is not None]
+        return [path for path in (self.scan, self.photo, self.camera, *(self.more or ())) if path is not None]
 
     @property
     def read_with(self) -> list[dict[str, Any]]:
@@ -192,7 +203,7 @@ class InputArguments(PhotoArguments):
     """Manual matches: JSON, or CSV of points; rays, cells, or points with their lengths."""
     initial: Annotated[OptionalPath, tyro.conf.arg(metavar="FILE")] = None
     """Initial pose: a pose JSON (scanner or world), an earlier registration.json, or transforms.json. A
-    registration.json of the same files also says with which options they are read."""
+    registration.json of the same files also says with which options and further scans they are read."""
 
     @property
     def input_files(self) -> list[Path]:

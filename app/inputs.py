@@ -25,12 +25,23 @@ _CAMERA = ("camera", "focal_px", "focal_mm", "sensor_mm", "camera_model")
 _LARGE_SCAN_CELLS = 4_000_000
 
 
-def read_inputs(arguments: PhotoArguments, bar: ProgressBar) -> tuple[Scan, Photo]:
-    """Read the scan and the photo, and report each as a step."""
+def read_inputs(arguments: PhotoArguments, bar: ProgressBar, *results: Path | None) -> tuple[Scan, Photo]:
+    """Read the scan and the photo, and report each as a step.
+
+    Args:
+        arguments: the arguments of a command, after `with_recorded_options`.
+        bar: receives the steps.
+        results: the files that were given to `with_recorded_options`; the scan's notes name the clouds that they were
+            registered on and that are not there.
+    """
     import ladarreg_core as lr
+    from ladarreg_core.saved_results import missing_scans
 
     scan = timed("Read scan", bar, lambda: lr.read_scan(arguments.scan, report=bar.loading, **arguments.scan_options))
     suit_heap(scan)
+    more = arguments.more or ()
+    missing = [said for path in results if path and (said := missing_scans(path, arguments.scan, more))]
+    scan = replace(scan, notes=(*scan.notes, *missing)) if missing else scan
     photo = timed(
         "Read photo",
         bar,
@@ -46,11 +57,13 @@ def with_recorded_options(arguments: A, *results: Path | None) -> A:
         arguments: the arguments of a command.
         results: files that may be results, such as an initial pose.
     """
-    from ladarreg_core.saved_results import recorded_options
+    from ladarreg_core.saved_results import recorded_options, recorded_scans
 
     found: dict[str, Any] = {}
     for path in filter(None, results):
         found = recorded_options(path, arguments.scan, arguments.photo) | found
+        if not arguments.more and (more := recorded_scans(path, arguments.scan)[0]):
+            arguments = replace(arguments, more=tuple(more))
     default = {field.name: field.default for field in fields(arguments)}
     if any(getattr(arguments, name) != default[name] for name in _CAMERA):
         found = {name: value for name, value in found.items() if name not in _CAMERA}
@@ -59,6 +72,29 @@ def with_recorded_options(arguments: A, *results: Path | None) -> A:
     }
     taken: dict[str, Any] = {n: value for n, value in words.items() if getattr(arguments, n) == default[n]}
     return replace(arguments, **taken)
+
+
+def with_photo_named(arguments: A) -> A:
+    """Return arguments with the one picture among several files as the photo, and all others as scans.
+
+    Raises:
+        OptionError: if several of them, or none, are photos.
+    """
+    from ladarreg_core.errors import OptionError
+    from ladarreg_core.formats.registry import recognise
+
+    if not arguments.more:
+        return arguments
+    files = [arguments.scan, arguments.photo, *arguments.more]
+    photos = [file for file in files if recognise(file, kinds=("photo", "scan")).kind == "photo"]
+    if len(photos) != 1:
+        found = ", ".join(photo.name for photo in photos) or "none"
+        raise OptionError(
+            f"of the {len(files)} files {len(photos)} are photos ({found}); give one photo and the scans of one "
+            "standpoint, or the pairs of a rig by ladarreg register --rig"
+        )
+    first, *more = (file for file in files if file != photos[0])
+    return replace(arguments, scan=first, photo=photos[0], more=tuple(more))
 
 
 def suit_heap(scan: Scan) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shlex
 import subprocess
-from collections.abc import Sequence
 from pathlib import Path
 
 from .arguments import CameraArguments, InputArguments, ScanArguments
@@ -16,8 +15,8 @@ def open_command(arguments: InputArguments) -> str:
 
     Paths are absolute, so that the command works in any folder; it is quoted for the system's shell.
     """
-    more: Sequence[Path] = getattr(arguments, "more", None) or ()  # only some commands accumulate
-    words = ["ladarreg", "serve", *(os.path.abspath(path) for path in (arguments.scan, *more, arguments.photo))]
+    files = (arguments.scan, *(arguments.more or ()), arguments.photo)
+    words = ["ladarreg", "serve", *(os.path.abspath(path) for path in files)]
     names = [*ScanArguments.__annotations__, *CameraArguments.__annotations__, "matches", "initial"]
     for name in names:
         value = getattr(arguments, name)

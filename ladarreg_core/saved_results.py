@@ -123,10 +123,36 @@ class SavedResult:
         """
         found = {**self.scan_options, **_changed(given)}
         if found.get("more"):
-            near = self._near([] if scan_file is None else [scan_file.parent])
-            records = [one for one in self.inputs[2:] if one.get("name") in found["more"]]
-            found["more"] = tuple(find_inputs(records, near))
+            found["more"] = tuple(find_inputs(self._further_scans, self._near_scan(scan_file)))
         return found
+
+    def further_scans(self, scan_file: Path) -> tuple[list[Path], list[str]]:
+        """Return the further files of the standpoint that were accumulated with the scan.
+
+        Args:
+            scan_file: the scan's file; they are looked for beside it and in the folders of the result.
+
+        Returns:
+            The files that are found, recognised by their SHA-256, and the names of those that are not.
+        """
+        found: list[Path] = []
+        missing: list[str] = []
+        for record in self._further_scans:
+            try:
+                found += find_inputs([record], self._near_scan(scan_file))
+            except ExportError:
+                missing.append(str(record.get("name")))
+        return found, missing
+
+    @property
+    def _further_scans(self) -> list[Mapping[str, Any]]:
+        names = self.scan_options.get("more", ())
+        recorded = [one for one in self.inputs[2:] if one.get("name") in names]
+        known = {one.get("name") for one in recorded}
+        return [*recorded, *({"name": name} for name in names if name not in known)]
+
+    def _near_scan(self, scan_file: Path | None) -> list[Path]:
+        return self._near([] if scan_file is None else [scan_file.parent])
 
     def read_photo(self, file: Path, *, temperature_unit: str | None = None) -> Photo:
         """Read the photograph as it was read for the result, with the camera of the result.
@@ -192,8 +218,8 @@ def recorded_options(result: Path, scan: Path, photo: Path) -> dict[str, Any]:
         photo: the photograph's file.
 
     Returns:
-        Arguments of `read_scan` and `read_photo` by their names, without the camera file; those of a file with another
-        content than the recorded one are left out.
+        Arguments of `read_scan` and `read_photo` by their names, without the camera file and further scans, see
+        `recorded_scans`; those of a file with another content than the recorded one are left out.
     """
     try:
         saved = read_saved_result(result)
@@ -203,6 +229,42 @@ def recorded_options(result: Path, scan: Path, photo: Path) -> dict[str, Any]:
     except (LadarregError, OSError):  # each file is read again, and refused, where it is needed
         return {}
     return {name: value for name, value in found.items() if name not in ("camera", "camera_name", "more")}
+
+
+def recorded_scans(result: Path, scan: Path) -> tuple[list[Path], list[str]]:
+    """Return the further files that a result records as accumulated with a scan, if it was made of that scan.
+
+    Args:
+        result: a `registration.json`; any other file, such as a pose, records none.
+        scan: the scan's file.
+
+    Returns:
+        See `SavedResult.further_scans`.
+    """
+    try:
+        saved = read_saved_result(result)
+        return saved.further_scans(scan) if is_recorded(scan, saved.inputs[0]) else ([], [])
+    except (LadarregError, OSError):  # as in `recorded_options`
+        return [], []
+
+
+def missing_scans(result: Path, scan: Path, more: Sequence[Path]) -> str:
+    """Return a sentence on the clouds that a result was made of and that are not found; empty: none is missing.
+
+    Args:
+        result: a file that may be a result.
+        scan: the scan's file.
+        more: the further clouds that are read with it.
+    """
+    found, missing = recorded_scans(result, scan)
+    if not missing or len(more) >= len(found) + len(missing):
+        return ""
+    clouds = "this cloud is" if not more else f"{1 + len(more)} clouds are"
+    return (
+        f"{result} was registered on {1 + len(found) + len(missing)} accumulated clouds; {', '.join(missing)} "
+        f"{'was' if len(missing) == 1 else 'were'} not found beside {scan.name} or the result, and only {clouds} "
+        "used; give all clouds with their folders"
+    )
 
 
 def registered_scan(

@@ -11,7 +11,7 @@ import tyro
 
 from ..arguments import PhotoArguments
 from ..exit_codes import ExitCode
-from ..inputs import print_notes, read_inputs, spare_heap, timed, with_recorded_options
+from ..inputs import print_notes, read_inputs, spare_heap, timed, with_photo_named, with_recorded_options
 from ..json_output import print_written
 from ..messages import report, verdict
 from ..progress_bar import progress_bar
@@ -29,7 +29,7 @@ class Arguments(PhotoArguments):
 
     pose: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     """The pose: a pose JSON (scanner or world), a registration.json, or transforms.json. A registration.json of the
-    same files also says with which options they are read."""
+    same files also says with which options and further scans they are read."""
     frame: Literal["scanner", "world"] = "scanner"
     """Coordinates of model.glb and cloud.ply; world: those of the survey, less the offset stated in offset.json."""
 
@@ -43,11 +43,12 @@ def run(arguments: Arguments) -> ExitCode:
     from ladarreg_core.quality.assessment import assess
 
     started = time.perf_counter()
-    inputs = [*arguments.input_files, arguments.pose]
-    check_folder(arguments.out, force=arguments.force, inputs=inputs)
+    arguments = with_photo_named(arguments)
+    check_folder(arguments.out, force=arguments.force, inputs=[*arguments.input_files, arguments.pose])
     arguments = with_recorded_options(arguments, arguments.pose)
+    inputs = [*arguments.input_files, arguments.pose]
     with progress_bar(quiet=arguments.quiet) as bar:
-        scan, photo = read_inputs(arguments, bar)
+        scan, photo = read_inputs(arguments, bar, arguments.pose)
         OutputFrame.of(scan, arguments.frame)  # refuse before the work
         pose = read_initial(arguments.pose, scan.world_from_scanner, picture=arguments.photo.name)
         result = given_pose(scan, photo, pose, seed=arguments.seed, report=bar.step)

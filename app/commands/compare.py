@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..arguments import RegisterArguments, register_options
 from ..exit_codes import ExitCode
-from ..inputs import print_notes, read_inputs, read_start, with_recorded_options
+from ..inputs import print_notes, read_inputs, read_start, with_photo_named, with_recorded_options
 from ..json_output import print_written
 from ..messages import comparison_report, comparison_verdict
 from ..progress_bar import ProgressBar, progress_bar
@@ -35,10 +35,11 @@ def run(arguments: Arguments) -> ExitCode:
     from ladarreg_core.export.folder import check_folder
 
     started = time.perf_counter()
+    arguments = with_photo_named(arguments)
     check_folder(arguments.out, force=arguments.force, inputs=arguments.input_files)
     arguments = with_recorded_options(arguments, arguments.initial)
     with progress_bar(quiet=arguments.quiet) as bar:
-        scan, photo = read_inputs(arguments, bar)
+        scan, photo = read_inputs(arguments, bar, arguments.initial)
         comparison = _compare(arguments, scan, photo, bar)
         names = _export(arguments, comparison, scan, photo, bar)
     if arguments.json:

@@ -6,13 +6,13 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from ..arguments import OptionalPath, OptionalPaths, RegisterArguments, check_method, register_options
+from ..arguments import OptionalPath, RegisterArguments, check_method, register_options
 from ..exit_codes import ExitCode
-from ..inputs import print_notes, read_inputs, read_start, spare_heap, timed, with_recorded_options
+from ..inputs import print_notes, read_inputs, read_start, spare_heap, timed, with_photo_named, with_recorded_options
 from ..json_output import print_written
 from ..messages import assessment_lines, length_lines, report, verdict
 from ..open_command import open_command
@@ -44,8 +44,6 @@ EXAMPLES = (
 class Arguments(RegisterArguments):
     """Arguments of `register`."""
 
-    more: Annotated[tyro.conf.Positional[OptionalPaths], tyro.conf.arg(metavar="[SCAN ...]")] = None
-    """Further scans of the same standpoint, to be accumulated; the photo may stand anywhere among the files."""
     method: Literal["auto", "thesis", "manual"] = "auto"
     """Registration method. With --matches, auto means manual, and thesis solves these matches."""
     smooth: bool = False
@@ -67,20 +65,6 @@ class Arguments(RegisterArguments):
 
         return RigArguments if any(word.split("=")[0] == "--rig" for word in words) else cls
 
-    @property
-    def scan_options(self) -> dict[str, Any]:
-        """The arguments of `read_scan`.
-
-        Raises:
-            OptionError: if the origin is not three numbers.
-        """
-        return {**super().scan_options, "more": self.more or ()}
-
-    @property
-    def input_files(self) -> list[Path]:
-        """Every file that was given."""
-        return [*super().input_files, *(self.more or ())]
-
 
 def run(arguments: Arguments | RigArguments) -> ExitCode:
     """Read, register, export, and print the verdict."""
@@ -94,13 +78,13 @@ def run(arguments: Arguments | RigArguments) -> ExitCode:
     from ladarreg_core.quality.assessment import assess
 
     started = time.perf_counter()
-    arguments = _with_photo_named(arguments)
+    arguments = with_photo_named(arguments)
     check_folder(arguments.out, force=arguments.force, inputs=_input_files(arguments))
     arguments = with_recorded_options(arguments, arguments.initial, arguments.carry)
     check_method(arguments, arguments.method)
     _check_carry(arguments)
     with progress_bar(quiet=arguments.quiet) as bar:
-        scan, photo = read_inputs(arguments, bar)
+        scan, photo = read_inputs(arguments, bar, arguments.initial, arguments.carry)
         if arguments.smooth:
             require_pinhole(photo.camera, "--smooth")  # before the work that would be lost
         OutputFrame.of(scan, arguments.frame)  # refuse before the work
@@ -125,25 +109,6 @@ def run(arguments: Arguments | RigArguments) -> ExitCode:
             print(f"Open     {open_command(arguments)}")
         print(f"Took     {time.perf_counter() - started:.1f} s")
     return ExitCode.ACCEPTED if result.accepted else ExitCode.NOT_ACCEPTED
-
-
-def _with_photo_named(arguments: Arguments) -> Arguments:
-    """Return arguments with the one picture among several files as the photo, and all others as scans."""
-    from ladarreg_core.errors import OptionError
-    from ladarreg_core.formats.registry import recognise
-
-    if not arguments.more:
-        return arguments
-    files = [arguments.scan, arguments.photo, *arguments.more]
-    photos = [file for file in files if recognise(file, kinds=("photo", "scan")).kind == "photo"]
-    if len(photos) != 1:
-        found = ", ".join(photo.name for photo in photos) or "none"
-        raise OptionError(
-            f"of the {len(files)} files {len(photos)} are photos ({found}); give one photo and the scans of one "
-            "standpoint, or the pairs of a rig by --rig"
-        )
-    first, *more = (file for file in files if file != photos[0])
-    return replace(arguments, scan=first, photo=photos[0], more=tuple(more))
 
 
 def _input_files(arguments: Arguments) -> list[Path]:

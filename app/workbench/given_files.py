@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +14,7 @@ from ladarreg_core.errors import LadarregError
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import CameraGiven, Source
 from ladarreg_core.project.history import NOBODY
+from ladarreg_core.saved_results import missing_scans, recorded_scans
 
 from ..session.isolated_readers import READERS
 from .files import HowScans
@@ -47,7 +49,7 @@ class Reading:
         return self == Reading()
 
 
-def add_files(workbench: Workbench, files: Sequence[Path], reading: Reading, check: Callable[[], None]) -> None:
+def add_files(workbench: Workbench, files: Sequence[Path], reading: Reading, check: Callable[[], None]) -> list[str]:
     """Open the files that are not in the project yet, as the command line says that they are to be read.
 
     What it says of a file that is in the project already, and differs, becomes an edit, which can be undone.
@@ -58,18 +60,32 @@ def add_files(workbench: Workbench, files: Sequence[Path], reading: Reading, che
         reading: what is said about them.
         check: called between files; may raise `Cancelled`.
 
+    Returns:
+        Sentences on what became of the project's scan, where that is more than was asked for.
+
     Raises:
         LadarregError: if a file cannot be opened.
     """
     if not files:
-        return
+        return []
     document, folder = workbench.session.document, workbench.session.folder
     clouds, photos = _sorted(files)
+    said: list[str] = []
+    if reading.initial is not None and len(clouds) == 1:
+        more, _ = recorded_scans(reading.initial, clouds[0])
+        clouds += [Path(os.path.abspath(path)) for path in more]
+        said = list(filter(None, [missing_scans(reading.initial, clouds[0], more)]))
     there = document.scan
     known = [] if there is None else folder.source_files(there)
     further = [path for path in clouds if path not in known]
     if there is None or set(known).isdisjoint(clouds):
         _open(workbench, clouds, "replace", reading)
+        if there is not None:
+            said.append(
+                f"The scan of this project, {there.name}, was replaced by {clouds[0].name}, as given: its matches and "
+                "poses are removed, and Undo in the page brings them back. A scan without --project opens a project of "
+                "its own"
+            )
     elif with_reading(there, reading.scan_options) != there:
         _open(workbench, [*known, *further], "replace", reading)
     elif further:
@@ -77,6 +93,7 @@ def add_files(workbench: Workbench, files: Sequence[Path], reading: Reading, che
     for photo in photos:
         check()
         _add_photo(workbench, photo, reading)
+    return said
 
 
 def _open(workbench: Workbench, clouds: Sequence[Path], how: HowScans, reading: Reading) -> None:

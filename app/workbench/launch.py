@@ -121,11 +121,11 @@ def open_workbench(
         raise
     try:
         check()
-        add_files(workbench, files, said, check)
+        workbench.opening_remarks = add_files(workbench, files, said, check)
     except BaseException:
         workbench.close()
         raise
-    workbench.opening_message = message
+    workbench.opening_message = " ".join([message, *(f"{one}." for one in workbench.opening_remarks)]).strip()
     return workbench
 
 
@@ -185,7 +185,7 @@ def serve_and_close(
     from ..gateway.server import serve_until_interrupted
     from .desk import Desk
 
-    for sentence in workbench.session.folder.remarks:
+    for sentence in (*workbench.session.folder.remarks, *workbench.opening_remarks):
         print(f"ladarreg: {sentence}", file=sys.stderr)
     scenes = _SceneServers()
     desk = Desk(

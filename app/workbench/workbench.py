@@ -98,6 +98,7 @@ class Workbench:
         self.loader = loader
         self.limits = Limits(upload_bytes)
         self.opening_message = ""
+        self.opening_remarks: list[str] = []
         self._reported_unsaved = False
         self.is_scratch = False
         self.clients = clients or Clients(self._publish)

@@ -133,12 +133,36 @@ def test_register_takes_several_scans_and_finds_them_again(tmp_path: Path, capsy
     assert main(["register", a, str(SAMPLE / "photo.png"), b, *camera]) == ExitCode.ACCEPTED
     document = json.loads(capsys.readouterr().out)
     assert [one["name"] for one in document["inputs"]] == [
-        "a.pcd", "photo.png", "camera.json", "matches.csv", "b.pcd"
+        "a.pcd", "photo.png", "camera.json", "b.pcd", "matches.csv"
     ]  # fmt: skip
     assert any("2 clouds of one standpoint" in note for note in document["notes"])
     saved = read_saved_result(out)
     again = saved.read_scan(saved.find([tmp_path, SAMPLE])[0])
     np.testing.assert_array_equal(again.ranges, lr.read_scan(a, more=[b]).ranges)
+
+    result = f"{out}/registration.json"
+    start = ["register", a, str(SAMPLE / "photo.png"), *options, "--initial", result, "--json"]
+    main([*start, "-o", str(tmp_path / "second")])
+    document = json.loads(capsys.readouterr().out)
+    assert "b.pcd" in [one["name"] for one in document["inputs"]]
+    assert any("2 clouds of one standpoint" in note for note in document["notes"])
+    apply = ["apply", a, str(SAMPLE / "photo.png"), *options[:2], "--pose", result, "--json", "-o"]
+    assert main([*apply, str(tmp_path / "applied")]) == ExitCode.ACCEPTED
+    document = json.loads(capsys.readouterr().out)
+    assert any("2 clouds of one standpoint" in note for note in document["notes"])
+    away = tmp_path / "away"
+    away.mkdir()
+    (tmp_path / "b.pcd").rename(away / "deeper.pcd")
+    (tmp_path / "b.pcd").write_bytes((tmp_path / "a.pcd").read_bytes())  # another content
+    main([*apply, str(tmp_path / "alone")])
+    notes = json.loads(capsys.readouterr().out)["notes"]
+    assert any("registered on 2 accumulated clouds; b.pcd was not found" in note for note in notes)
+    assert not any("clouds of one standpoint" in note for note in notes)
+    main([*apply, str(tmp_path / "given"), str(away / "deeper.pcd")])
+    notes = json.loads(capsys.readouterr().out)["notes"]
+    assert any("2 clouds of one standpoint" in note for note in notes)
+    assert not any("not found" in note for note in notes)
+    (away / "deeper.pcd").rename(tmp_path / "b.pcd")
 
     few = ["--camera", str(SAMPLE / "camera.json"), "--matches", str(tmp_path / "few.csv")]
     (tmp_path / "few.csv").write_text("\n".join(["x,y,z,u,v", *drawn.splitlines()[:4]]) + "\n")

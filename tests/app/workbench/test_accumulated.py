@@ -10,16 +10,18 @@ from typing import Any
 import msgspec
 import pytest
 from ladarreg.session.exported import exported_pose
+from ladarreg.workbench.given_files import Reading
 from ladarreg.workbench.launch import open_workbench
 
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.export.json import find_inputs
+from ladarreg_core.export.json import find_inputs, registration_document, write_document
 from ladarreg_core.formats import read_scan
 from ladarreg_core.project import edits
 from ladarreg_core.project.history import NOBODY
 from tests.app.workbench.test_batches import drop, kinds, waiting
 from tests.app.workbench_driver import WorkbenchDriver, open_bench
 from tests.room_frames import CAMERA, PHOTO, elsewhere, frame, room_matches, write_frames
+from tests.unit.export.samples import sample_registration
 
 
 @pytest.fixture
@@ -92,6 +94,50 @@ def test_clouds_that_are_added_later_leave_matches_and_photos_as_they_are(tmp_pa
         assert [p.picks for p in before.photos] == [(drawn,)]
     finally:
         reopened.close()
+
+
+def _result(folder: Path, scan: Path, *more: Path) -> Path:
+    """Write a result that is no more than its pose and what it was made of."""
+    document = registration_document(sample_registration(), inputs=[scan, PHOTO, *more], read_with=[{"more": more}, {}])
+    write_document(folder / "registration.json", document)
+    return folder / "registration.json"
+
+
+def test_an_earlier_result_says_which_clouds_belong_to_the_scan(tmp_path: Path) -> None:
+    first, second, third = write_frames(tmp_path, 3)
+    (tmp_path / "out").mkdir()
+    initial = _result(tmp_path / "out", first, second, third)
+    workbench = open_workbench([first, PHOTO], project=tmp_path / "project", reading=Reading(initial=initial))
+    try:
+        assert workbench.session.document.scan is not None
+        assert workbench.session.document.scan.more == (str(second), str(third))
+        assert not workbench.opening_remarks
+    finally:
+        workbench.close()
+    third.unlink()
+    workbench = open_workbench([first, PHOTO], project=tmp_path / "other", reading=Reading(initial=initial))
+    try:
+        assert workbench.session.document.scan is not None
+        assert workbench.session.document.scan.more == (str(second),)
+        assert "3 accumulated clouds; sweep2.npz was not found" in " ".join(workbench.opening_remarks)
+    finally:
+        workbench.close()
+
+
+def test_a_scan_that_replaces_another_is_said_and_comes_back(tmp_path: Path) -> None:
+    first, second, _ = write_frames(tmp_path, 3)
+    open_workbench([first, PHOTO], project=tmp_path / "project").close()
+    workbench = open_workbench([second, PHOTO], project=tmp_path / "project")
+    try:
+        (remark,) = workbench.opening_remarks
+        assert f"{first.name}, was replaced by {second.name}" in remark
+        assert "Undo" in remark
+        assert remark in workbench.opening_message
+        workbench.session.undo()
+        assert workbench.session.document.scan is not None
+        assert workbench.session.document.scan.name == first.name
+    finally:
+        workbench.close()
 
 
 def test_dropped_frames_are_one_step_and_named_as_they_were_dropped(bench: WorkbenchDriver, tmp_path: Path) -> None:
