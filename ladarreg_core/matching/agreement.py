@@ -233,11 +233,17 @@ def _correlations(channels: FloatArray, uv: FloatArray, starts: IntArray, target
         np.column_stack([np.zeros(CHANNELS, np.float32), _CHANNEL_IDENTITY]), (int(count.max(initial=0)), 1)
     )
     rho = np.empty((len(starts), side * side))
+    # Every pixel lies in the image: clipping changes none, and lets what is taken be written where it belongs.
+    most = len(offsets) * int(count.max(initial=0))
+    every_pixel, every_value = np.empty(most, np.intp), np.empty((most, CHANNELS), np.float32)
+    every_square = np.empty(most, np.float32)
     for k, (first, n) in enumerate(zip(starts, count, strict=True)):
-        pixels = offsets[:, None] + base[first : first + n]
-        B = image.take(pixels, axis=0).reshape(len(offsets), n * CHANNELS)
+        shape, size = (len(offsets), n), len(offsets) * n
+        pixels = np.add(offsets[:, None], base[first : first + n], out=every_pixel[:size].reshape(shape))
+        B = image.take(pixels, axis=0, out=every_value[:size].reshape(*shape, CHANNELS), mode="clip")
         right[: n * CHANNELS, 0] = A[first : first + n].reshape(-1)
-        products = B @ right[: n * CHANNELS]
-        length = squares.take(pixels).sum(axis=1) - (products[:, 1:] ** 2).sum(axis=1) / n
+        products = B.reshape(len(offsets), n * CHANNELS) @ right[: n * CHANNELS]
+        square = squares.take(pixels, out=every_square[:size].reshape(shape), mode="clip").sum(axis=1)
+        length = square - (products[:, 1:] ** 2).sum(axis=1) / n
         rho[k] = products[:, 0] / (norm_a[k] * np.sqrt(np.maximum(length, 0)) + _TINY)
     return rho.reshape(-1, side, side)

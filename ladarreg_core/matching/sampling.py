@@ -77,8 +77,7 @@ def edge_strength(
         usable &= scan.structured[_pixels_of_level(scan, scan.cameras[level])]
     usable[:_BORDER_PX] = usable[-_BORDER_PX:] = False
     usable[:, :_BORDER_PX] = usable[:, -_BORDER_PX:] = False
-    row, column = np.ogrid[: usable.shape[0], : usable.shape[1]]
-    usable &= (row + column) % 2 == 0
+    usable[::2, 1::2] = usable[1::2, ::2] = False
     return norm * usable if usable.any() else None
 
 
@@ -132,21 +131,32 @@ def _pixels_of_level(scan: ScanLevels, camera: Camera) -> tuple[NDArray[np.intp]
 
 
 def _strongest_in_strata(strength: FloatArray, side_px: int, count: int) -> NDArray[np.intp]:
-    """Return the flat indices (K,) of the strongest pixels of each stratum, about `count` in all, by stratum."""
+    """Return the flat indices (K,) of the strongest pixels of each stratum, about `count` in all, by stratum.
+
+    Only pixels with an even sum of row and column are looked at, as `edge_strength` leaves no others. The side is even.
+    """
     height, width = strength.shape
-    rows, columns, area = -(-height // side_px), -(-width // side_px), side_px**2
+    rows, columns = -(-height // side_px), -(-width // side_px)
+    half, area = side_px // 2, side_px**2 // 2
     whole = np.zeros((rows * side_px, columns * side_px), np.float32)
     whole[:height, :width] = strength
-    strata = whole.reshape(rows, side_px, columns, side_px).swapaxes(1, 2).reshape(rows, columns, area)
+    # (stratum's row, row pair, parity, stratum's column, column pair): within a stratum, the order of the image
+    checked = np.empty((rows, half, 2, columns, half), np.float32)
+    for k in range(2):
+        checked[:, :, k] = whole[k::2, k::2].reshape(rows, half, columns, half)
+    strata = checked.transpose(0, 3, 1, 2, 4).reshape(rows, columns, area)
     # Positive floats have the order of their bit patterns; of equally strong pixels the first is taken.
     rank = (strata.view(np.int32).astype(np.int64) + 1) * area - np.arange(1, area + 1)
     filled = int(np.count_nonzero(strata.any(axis=-1)))
     of_each = min(-(-count // max(filled, 1)), area)
     least = np.partition(rank, -of_each, axis=-1)[..., -of_each, None]
-    kept = ((rank >= least) & (strata > 0)).reshape(rows, columns, side_px, side_px).swapaxes(1, 2)
-    pixel = np.flatnonzero(kept.reshape(rows * side_px, columns * side_px)[:height, :width])
-    v, u = np.divmod(pixel, width)
-    return pixel[np.lexsort((-strength[v, u], v // side_px * columns + u // side_px))]
+    kept = np.flatnonzero((rank >= least) & (strata > 0))
+    stratum, within = np.divmod(kept, area)
+    pair, within = np.divmod(within, side_px)
+    parity, column = np.divmod(within, half)
+    row, left = np.divmod(stratum, columns)
+    pixel = (row * side_px + 2 * pair + parity) * width + left * side_px + 2 * column + parity
+    return np.asarray(pixel[np.lexsort((-strata.reshape(-1)[kept], stratum))])
 
 
 def runs(label: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 import cv2
 import numpy as np
 
@@ -17,6 +19,7 @@ _HOLE_CELLS = (3, 5)  # rows, columns: of an accumulated cloud, so many cells do
 _BORDER_CELLS = 9
 _LEAST_OPEN_CELLS = 100  # smaller holes are gaps of the pattern of an accumulated cloud
 _FINER = 1.4
+_carries_intensity: WeakKeyDictionary[Scan, bool] = WeakKeyDictionary()  # a scan is read-only
 
 
 def is_coarse(scan: Scan, camera: Camera) -> bool:
@@ -55,13 +58,17 @@ def widest_cell_px(scan: Scan, camera: Camera) -> float:
 
 def carries_intensity(scan: Scan) -> bool:
     """Return whether a scan's intensity shows anything: it is not constant, and has more than a few levels."""
-    if not scan.has_intensity:
-        return False
+    if scan not in _carries_intensity:
+        _carries_intensity[scan] = scan.has_intensity and not _has_few_levels(scan)
+    return _carries_intensity[scan]
+
+
+def _has_few_levels(scan: Scan) -> bool:
+    """Return whether nearly all of a scan's intensity has a few values."""
     known = scan.intensity[scan.valid]
     _, count = np.unique(known[:: max(1, len(known) // _SAMPLES)], return_counts=True)
     common = count >= _LEAST_SHARE * count.sum()
-    few = np.count_nonzero(common) < _LEAST_LEVELS and count[common].sum() > 0.9 * count.sum()
-    return not few
+    return bool(np.count_nonzero(common) < _LEAST_LEVELS and count[common].sum() > 0.9 * count.sum())
 
 
 def open_cells(scan: Scan) -> BoolArray:
