@@ -3,7 +3,7 @@
 import { request } from "../net/requests.js";
 import { store } from "../net/store.js";
 import { button } from "../ui/controls.js";
-import { element, setChildren } from "../ui/dom.js";
+import { element, scrollAcross, setChildren } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
 import { notice } from "../ui/notices.js";
 import { markChosen, navigateByArrows } from "../ui/tablist.js";
@@ -104,7 +104,7 @@ export const mountPhotoTabs = () => {
     setChildren(add, icon("plus"), photos.length ? null : element("span", {}, "Photograph"));
     add.classList.toggle("bare", photos.length > 0);
     add.classList.toggle("attention", photos.length === 0 && Boolean(store.get("scan")));
-    chosen?.scrollIntoView({ block: "nearest", inline: "nearest" }); // after everything beside it has its final width
+    if (chosen) scrollAcross(list, chosen); // after everything beside it has its final width
   };
   store.watch(["photos", "shown", "scan", "limits"], show);
   show();
