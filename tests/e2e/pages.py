@@ -15,7 +15,7 @@ from PIL import Image
 from tests.e2e.browser import FLAGS, find_chromium
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Browser, BrowserContext, Page, Route
 
 SIZE = (1280, 720)
 FAILED = pytest.StashKey[bool]()
@@ -54,6 +54,15 @@ def pytest_runtest_makereport(item: pytest.Item) -> Iterator[None]:
     outcome = yield
     if outcome.get_result().failed:  # type: ignore[attr-defined]
         item.stash[FAILED] = True
+
+
+def without_model(pages: Page | BrowserContext) -> None:
+    """Leave the 3-D page empty: software rendering takes all of a small machine, and it has tests of its own."""
+
+    def empty(route: Route) -> None:
+        route.fulfill(body="<!doctype html><title>left out</title>", content_type="text/html")
+
+    pages.route("**/viser/**", empty)
 
 
 def keep(page: Page, checkout: Path, name: str) -> None:

@@ -13,6 +13,7 @@ import pytest
 from ladarreg_core.simulate.sample import sample_folder
 from tests.app.workbench.test_batches import depth_scan
 from tests.e2e.audits import hard_to_read
+from tests.e2e.pages import without_model
 from tests.e2e.test_newcomer import SLICE, drop, opened, started
 from tests.formats.conftest import e57_fields, e57_file, make_scan
 from tests.formats.test_e57 import picture_e57
@@ -43,6 +44,7 @@ def test_a_dropped_batch(browser: Browser, tmp_path: Path) -> None:
     parts = depth_scan()
     depth = parts.pop("depth.png")
     context = browser.new_context(viewport={"width": 1024, "height": 720})
+    without_model(context)
     with started(tmp_path / "project") as server:
         page = opened(context, server)
         dialog = page.get_by_role("dialog", name="Open files")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from tests.e2e.audits import hard_to_read
+from tests.e2e.pages import without_model
 from tests.e2e.test_files import shot
 from tests.e2e.test_newcomer import SLICE, drop, opened, started
 from tests.room_frames import CAMERA, PHOTO, elsewhere, frame, room_matches
@@ -33,6 +34,7 @@ def files_of(page: Page) -> list[str]:
 
 def test_frames_are_added_and_matches_stay(browser: Browser, tmp_path: Path) -> None:
     context = browser.new_context(viewport={"width": 1280, "height": 720})
+    without_model(context)
     context.set_default_timeout(90_000)
     batch = {
         "sweep10.npz": frame(1), "sweep9.npz": frame(0), "photo.png": PHOTO.read_bytes(),

@@ -16,7 +16,8 @@ import pytest
 import ladarreg_core as lr
 from ladarreg_core.simulate.sample import sample_folder
 from tests.e2e.audits import hard_to_read
-from tests.e2e.test_workbench import Operator, no_model
+from tests.e2e.pages import without_model
+from tests.e2e.test_workbench import Operator
 from tests.served_workbench import Served, served
 from tests.true_matches import true_points
 
@@ -41,7 +42,7 @@ def operator(browser: Browser, server: Served, checkout: Path, request: pytest.F
     """An operator at the step Export of a photograph that was not solved yet."""
     context = browser.new_context(viewport=SIZE, bypass_csp=True, color_scheme="dark", accept_downloads=True)
     page = context.new_page()
-    page.route("**/viser/**", no_model)
+    without_model(page)
     faults: list[str] = []
     page.on("pageerror", lambda error: faults.append(str(error)))
     found = Operator(page, server, checkout / "artifacts" / request.node.name)

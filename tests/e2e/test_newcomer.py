@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from ladarreg_core.simulate.sample import sample_folder
-from tests.e2e.test_workbench import no_model
+from tests.e2e.pages import without_model
 from tests.served_workbench import Served
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def started(project: Path, port: int = 0) -> Iterator[Served]:
 def opened(context: BrowserContext, server: Served) -> Page:
     """A tab at the workbench."""
     page = context.new_page()
-    page.route("**/viser/**", no_model)
+    without_model(page)
     page.goto(f"{server.address}?token={server.token}")
     page.get_by_role("button", name="connected", exact=True).wait_for()
     return page

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from ladarreg_core.simulate.sample import sample_folder
-from tests.e2e.test_workbench import Operator, no_model
+from tests.e2e.pages import without_model
+from tests.e2e.test_workbench import Operator
 from tests.served_workbench import Served, served
 from tests.true_matches import true_points
 
@@ -36,7 +37,7 @@ def operator(browser: Browser, server: Served, checkout: Path, request: pytest.F
     """An operator whose photograph was solved from 16 right points."""
     context = browser.new_context(viewport=SIZE, bypass_csp=True, color_scheme="dark", accept_downloads=True)
     page = context.new_page()
-    page.route("**/viser/**", no_model)
+    without_model(page)
     faults: list[str] = []
     page.on("pageerror", lambda error: faults.append(str(error)))
     found = Operator(page, server, checkout / "artifacts" / request.node.name)

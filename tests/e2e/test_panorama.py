@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from tests.e2e.pages import without_model
+
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page
 
@@ -49,7 +51,7 @@ def operator(browser: Browser, address: str) -> Iterator[Page]:
     page = browser.new_context(viewport={"width": 1280, "height": 720}, bypass_csp=True).new_page()
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
-    page.route("**/viser/**", lambda route: route.fulfill(body="<!doctype html>", content_type="text/html"))
+    without_model(page)
     page.goto(address)
     page.get_by_role("slider", name=STRIP).wait_for()
     page.locator("#scan-pane .pane-zoom", has_text="%").wait_for()

@@ -15,7 +15,7 @@ import pytest
 
 from ladarreg_core.simulate.sample import sample_folder
 from tests.e2e.audits import hard_to_read
-from tests.e2e.pages import wait_for_store
+from tests.e2e.pages import wait_for_store, without_model
 from tests.e2e.test_files import shot
 from tests.e2e.test_newcomer import SLICE, TOKEN, draw, drop, opened
 from tests.served_workbench import Served
@@ -48,6 +48,7 @@ def test_from_the_start_page_to_a_second_project_and_back(browser: Browser, tmp_
     """Files on the start page begin a project; a colleague's page follows the change; the first project comes back."""
     photo, scan = next(sample_folder().glob("photo.*")).read_bytes(), (sample_folder() / "scan.npz").read_bytes()
     mine, others = (browser.new_context(viewport=SIZE, bypass_csp=True) for _ in range(2))
+    without_model(others)
     faults: list[str] = []
     with started_without_a_project(tmp_path / "home") as server:
         page = opened(mine, server)

@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from benchmarks.throttling_proxy import ThrottlingProxy
+from tests.e2e.pages import without_model
 from tests.served_workbench import Served, served
 
 if TYPE_CHECKING:
@@ -28,10 +29,6 @@ CANVAS = """
 """
 
 
-def no_model(route: Route) -> None:
-    route.fulfill(body="<!doctype html><title>left out</title>", content_type="text/html")
-
-
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     with served(tmp_path_factory.mktemp("workbench") / "project") as (found, _):
@@ -43,7 +40,7 @@ def tab(browser: Browser) -> Iterator[Page]:
     """A new browser profile, with an empty cache; an error in the console fails the test."""
     context = browser.new_context(viewport=SIZE, bypass_csp=True, color_scheme="dark", reduced_motion="reduce")
     page = context.new_page()
-    page.route("**/viser/**", no_model)
+    without_model(page)
     errors: list[str] = []
     page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
     page.on("pageerror", lambda error: errors.append(str(error)))

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.e2e.pages import without_model
+
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
@@ -41,6 +43,7 @@ def test_a_station_is_added_registered_and_shown(browser: Browser, served: tuple
     address, second = served
     page = browser.new_page(viewport={"width": 1000, "height": 620})
     page.set_default_timeout(120_000)
+    without_model(page)
     page.goto(address)
     page.get_by_role("tab", name="Stations").click()
     part = page.get_by_role("region", name="Stations", exact=True)

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from ladarreg_core.simulate.sample import sample_folder
-from tests.e2e.test_workbench import Operator, no_model
+from tests.e2e.pages import without_model
+from tests.e2e.test_workbench import Operator
 from tests.served_workbench import Served, served
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ class Person(Operator):
     def __init__(self, browser: Browser, server: Served, name: str, *, token: str = "") -> None:
         self.context = browser.new_context(viewport=SIZE, bypass_csp=True)
         self.page, self.server = self.context.new_page(), server
-        self.page.route("**/viser/**", no_model)
+        without_model(self.page)
         self.errors: list[str] = []
         self.pictures, self._shots = Path("artifacts") / "two-people" / name, 0
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))

@@ -18,11 +18,12 @@ import pytest
 
 from ladarreg_core.simulate.sample import sample_folder
 from tests.e2e.audits import hard_to_read, lost_without_a_mouse
+from tests.e2e.pages import without_model
 from tests.served_workbench import Page as Socket
 from tests.served_workbench import Served, served
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, ConsoleMessage, Locator, Page, Route
+    from playwright.sync_api import Browser, ConsoleMessage, Locator, Page
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="no kill -9 to send")]
 WRONG = re.compile("damaged|truncated|cut short|incomplete|cannot be read|not an image|no picture", re.IGNORECASE)
@@ -103,11 +104,6 @@ class Operator:
         mouse.up()
 
 
-def no_model(route: Route) -> None:
-    """Leave the 3-D page empty: software rendering takes all of a small machine, and it has a test of its own."""
-    route.fulfill(body="<!doctype html><title>left out</title>", content_type="text/html")
-
-
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """A running workbench on the sample, with its camera set."""
@@ -125,7 +121,7 @@ def operator(browser: Browser, server: Served, checkout: Path, request: pytest.F
     # The driver evaluates text in frames, which the policy of the 3-D page rightly forbids.
     context = browser.new_context(viewport=SIZE, bypass_csp=True, accept_downloads=True, color_scheme="dark")  # type: ignore[arg-type]
     page = context.new_page()
-    page.route("**/viser/**", no_model)
+    without_model(page)
     errors: list[str] = []
 
     def complained(message: ConsoleMessage) -> None:
@@ -203,7 +199,7 @@ def test_the_whole_workflow(operator: Operator, browser: Browser, tmp_path: Path
 
     other = browser.new_context(viewport=SIZE, bypass_csp=True)  # type: ignore[arg-type]
     second = other.new_page()
-    second.route("**/viser/**", no_model)
+    without_model(second)
     second.goto(f"{operator.server.address}?token={operator.server.token}")
     second.locator(".row-line[data-pick]").first.wait_for()
     first_row = page.locator(".row-line[data-pick]").first
@@ -418,7 +414,7 @@ def test_a_killed_server_loses_nothing(browser: Browser, tmp_path: Path) -> None
     with served(project) as (again, _):
         context = browser.new_context(viewport=SIZE, bypass_csp=True)  # type: ignore[arg-type]
         page = context.new_page()
-        page.route("**/viser/**", no_model)
+        without_model(page)
         page.goto(f"{again.address}?token={again.token}")
         page.locator(".row-line[data-pick]").nth(1).wait_for()
         assert page.locator(".row-line[data-pick]").count() == 2
