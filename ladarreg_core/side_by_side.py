@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from concurrent.futures import Future, ThreadPoolExecutor
+from threading import RLock
+from types import TracebackType
+from typing import Any, Generic, TypeVar
 
 _THREADS = 2  # NumPy and OpenCV let go of the interpreter for parts of the work only: more threads gain nothing
 _Item = TypeVar("_Item")
@@ -45,3 +47,65 @@ def side_by_side(
             for later in promised.values():
                 later.cancel()
     return done
+
+
+class Begun(Generic[_Result]):
+    """Work that `OtherCore` was asked to begin."""
+
+    def __init__(self, work: Callable[[], _Result], future: Future[_Result] | None) -> None:
+        self._work = work
+        self._future = future
+
+    def result(self) -> _Result:
+        """Return the result of the work, which is done here if it has not been begun; to be called once.
+
+        Raises:
+            Exception: what the work raised.
+        """
+        if self._future is None or self._future.cancel():
+            return self._work()
+        return self._future.result()
+
+
+class OtherCore:
+    """Begins, in a second thread, work whose result is needed soon, piece by piece in the order of the calls.
+
+    At the end of its `with` block, what has not been begun is dropped and the piece at work is waited for. With one
+    processor core nothing is begun ahead.
+    """
+
+    def __init__(self) -> None:
+        self._pool = ThreadPoolExecutor(1) if (os.cpu_count() or 1) > 1 else None
+
+    def __enter__(self) -> OtherCore:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+
+    def begin(self, work: Callable[[], _Result]) -> Begun[_Result]:
+        """Begin a piece of work, which changes nothing that other work reads; what it needs must have been begun.
+
+        An error is raised where the result is asked for, and nowhere if it is not.
+        """
+        return Begun(work, None if self._pool is None else self._pool.submit(work))
+
+
+class made_once(Generic[_Result]):  # noqa: N801 - used as a decorator, as `cached_property` is
+    """A cached property that two threads may ask for at once: one of them computes it, and the other one waits."""
+
+    def __init__(self, make: Callable[[Any], _Result]) -> None:
+        self._make = make
+        self.__doc__ = make.__doc__
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, instance: object, owner: type | None = None) -> _Result:
+        kept = vars(instance)
+        with kept.setdefault(f"_lock of {self._name}", RLock()):
+            if self._name not in kept:
+                kept[self._name] = self._make(instance)
+        made: _Result = kept[self._name]
+        return made

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 
@@ -38,7 +39,7 @@ from ladarreg_core.matching.zbuffer import Occluder
 from ladarreg_core.photo import Photo
 from ladarreg_core.pose.ransac import ransac_pose
 from ladarreg_core.scan import Scan
-from ladarreg_core.side_by_side import side_by_side
+from ladarreg_core.side_by_side import made_once, side_by_side
 from ladarreg_core.surface.perspective import perspective_view
 
 REFINEMENT = {2: RefineOptions(tau_px=8, iterations=8), 1: RefineOptions(tau_px=6, iterations=6)}
@@ -121,22 +122,22 @@ class Aligner:
         """Whether the view has points to compare on every level."""
         return len(self.points) == len(LEVELS)
 
-    @cached_property
+    @made_once
     def occluder(self) -> Occluder:
         """Occlusion test by the scan's surface, for the photo's camera."""
         return Occluder(self.scan, self.photo.cameras[0])
 
-    @cached_property
+    @made_once
     def targets(self) -> dict[int, Target]:
         """The photo's channels for sampling, by level."""
         return {L: Target(self.photo.cameras[L], self.photo.channels[L], self.photo.usable[L]) for L in LEVELS}
 
-    @cached_property
+    @made_once
     def fine_target(self) -> Target:
         """The photo's channels of the finish."""
         return Target(self.photo.cameras[0], self.photo.fine_channels, self.photo.usable[0])
 
-    @cached_property
+    @made_once
     def fine_points(self) -> ViewPoints | None:
         """Level-0 points of the finish, away from depth edges unless the scan is coarse; None if the view has none."""
         return self.scan.once(("fine points", self.seed, self._fine_count), self._draw_fine)
@@ -148,11 +149,20 @@ class Aligner:
             return None
         return draw_points(self.scan, channels, strength, level=0, seed=self.seed, count=self._fine_count)
 
-    @cached_property
+    @made_once
     def verification_points(self) -> ViewPoints:
         """Level-0 points of the verdict: more than refinement needs, so that each window's peak is well determined."""
         assert 0 in self._strength, "an aligner that is not usable cannot verify"
         return self._drawn(0, self._fine_count)
+
+    def needed_to_finish(self) -> tuple[Callable[[], object], ...]:
+        """Return pieces of work that finish and verdict need, for another thread to do before."""
+        return (
+            lambda: self.fine_points,
+            lambda: (self.fine_target, self.targets[1].squares),
+            lambda: self.verification_points,
+            lambda: self.targets[0].squares,
+        )
 
     def agreement_at(self, pose: Rigid, level: int) -> Agreement:
         """Return the agreement at a pose."""
@@ -243,9 +253,13 @@ class Aligner:
         known = np.isfinite(length)
         return float(np.median(length[known])) if known.any() else np.inf
 
+    def prepare_to_verify(self, pose: Rigid) -> None:
+        """Make what the agreement at both levels needs, before two threads ask for it."""
+        _ = self.verification_points, self.targets, self.occluder.depth_buffer(pose)
+
     def verify(self, pose: Rigid) -> tuple[Verification, Agreement, Agreement]:
         """Return the verdict on a finished pose, and its agreement at levels 1 and 0."""
-        _ = self.verification_points, self.targets, self.occluder.depth_buffer(pose)  # both levels use them
+        self.prepare_to_verify(pose)
         fine, coarse = side_by_side(lambda level: self.agreement_at(pose, level), (0, 1))
         return verify(coarse, fine, self.gate), coarse, fine
 

@@ -6,6 +6,7 @@ Source: Schweighofer and Pinz, Robust pose estimation from a planar target (2006
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -88,7 +89,35 @@ def ambiguity_sentence(first: Rigid, second: Rigid) -> str:
     )
 
 
-def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, known: KnownPoses) -> Rigid | None:
+@dataclass(frozen=True, slots=True, eq=False)
+class CoarseMinima:
+    """Ends of refinements on the coarsest level, from a verified pose and from where the image agrees again."""
+
+    own: RefineResult | None
+    """From the pose itself."""
+    others: tuple[RefineResult, ...]
+    """From elsewhere."""
+
+
+def coarse_minima(aligner: Aligner, pose: Rigid) -> CoarseMinima:
+    """Return the coarse minima beside a verified pose, using two threads.
+
+    Args:
+        aligner: the pair that the pose was verified with.
+        pose: `camera_from_scanner`, verified.
+    """
+    points, target, occluder = aligner.points[_COARSEST], aligner.targets[_COARSEST], aligner.occluder
+
+    def refined(start: Rigid) -> RefineResult | None:
+        return refine_pose(points, target, occluder, start, _REFINEMENT)
+
+    own, *others = side_by_side(refined, (pose, *_starts(aligner, pose)))
+    return CoarseMinima(own, tuple(end for end in others if end is not None))
+
+
+def second_minimum(
+    aligner: Aligner, pose: Rigid, own: Verification, known: KnownPoses, minima: CoarseMinima | None = None
+) -> Rigid | None:
     """Return another pose that the image verifies, or nearly verifies; None if none is found.
 
     A brick wall agrees with the image when shifted by one brick, nearly as well as at its own position. The second pose
@@ -100,19 +129,15 @@ def second_minimum(aligner: Aligner, pose: Rigid, own: Verification, known: Know
         pose: `camera_from_scanner`, verified.
         own: its verdict.
         known: decides which poses are different.
+        minima: the coarse minima beside the pose, if they have been computed already.
     """
     sure = own.fraction >= aligner.gate.sure_fraction
     gate, most = (aligner.gate, _MAX_REFINED) if sure else (unsure_gate(aligner.gate), _MAX_REFINED_UNSURE)
-    points, target, occluder = aligner.points[_COARSEST], aligner.targets[_COARSEST], aligner.occluder
-
-    def refined(start: Rigid) -> RefineResult | None:
-        return refine_pose(points, target, occluder, start, _REFINEMENT)
-
-    first, *ends = side_by_side(refined, (pose, *_starts(aligner, pose)))
+    minima = minima or coarse_minima(aligner, pose)
+    first = minima.own
     if first is None:
         return None
-    others = [end for end in ends if end is not None]
-    others = [e for e in others if e.correlation >= gate.second_correlation * first.correlation]
+    others = [e for e in minima.others if e.correlation >= gate.second_correlation * first.correlation]
     others.sort(key=lambda e: -e.correlation)
     elsewhere = [e for e in others if _differ(known, pose, e.camera_from_scanner, gate)]
     for end in elsewhere[:most]:

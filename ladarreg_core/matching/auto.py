@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -11,12 +12,19 @@ import numpy as np
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.aligner import Aligner, Candidate
-from ladarreg_core.matching.ambiguity import KnownPoses, ambiguity_sentence, second_minimum
+from ladarreg_core.matching.ambiguity import CoarseMinima, KnownPoses, ambiguity_sentence, coarse_minima, second_minimum
 from ladarreg_core.matching.blocks import BlockMatches
 from ladarreg_core.matching.covariance import WindowEvidence, window_evidence
 from ladarreg_core.matching.pyramid import ChannelSet, PairLevels
 from ladarreg_core.matching.roll import Roll
-from ladarreg_core.matching.self_calibration import FreeCamera, check_free_camera, estimate_camera, verify_finished
+from ladarreg_core.matching.self_calibration import (
+    FinishedPose,
+    FreeCamera,
+    check_free_camera,
+    estimate_camera,
+    may_estimate_camera,
+    verify_finished,
+)
 from ladarreg_core.matching.support import is_coarse, widest_cell_px
 from ladarreg_core.matching.verification import GateOptions, Verification, check_precision, region_markers
 from ladarreg_core.matching.view_search import ViewSearch
@@ -24,6 +32,7 @@ from ladarreg_core.matching.views import rolled_view, scan_density, viewing_dire
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import StepLog
 from ladarreg_core.scan import Scan
+from ladarreg_core.side_by_side import Begun, OtherCore
 from ladarreg_core.validation import require_choice
 
 Reach = Literal["everywhere", "near_start"]
@@ -123,21 +132,24 @@ def register_auto(
     if reason:
         return AutoResult(initial, None, None, (reason,))
 
-    search = ViewSearch(
-        pair,
-        steps,
-        gate=o.gate,
-        good_fraction=o.good_fraction,
-        seed=o.seed,
-        channel_set=o.channel_set,
-    )
-    found = CandidateSet(search, photo, KnownPoses(scan, photo.pinhole, o.gate), steps, o)
     directions = viewing_directions(scan, working, initial=initial)
-    if initial is not None and o.reach == "near_start":
-        _search_near(search, found, directions[0], initial)
-    else:
-        _search_everywhere(search, found, directions, initial)
-    return _explain_if_sparse(found.result(initial), scan, photo, [*directions, *([initial] if initial else [])])
+    with OtherCore() as other_core:
+        search = ViewSearch(
+            pair,
+            steps,
+            other_core,
+            gate=o.gate,
+            good_fraction=o.good_fraction,
+            seed=o.seed,
+            channel_set=o.channel_set,
+        )
+        found = CandidateSet(search, photo, KnownPoses(scan, photo.pinhole, o.gate), steps, other_core, o, initial)
+        if initial is not None and o.reach == "near_start":
+            _search_near(search, found, directions[0], initial)
+        else:
+            _search_everywhere(search, found, directions, initial)
+        result = found.result()
+    return _explain_if_sparse(result, scan, photo, [*directions, *([initial] if initial else [])])
 
 
 def reason_against_scan(scan: Scan) -> str:
@@ -156,13 +168,23 @@ class CandidateSet:
     """Candidates of all views: the verified poses, and the best of those that were not verified."""
 
     def __init__(
-        self, search: ViewSearch, photo: Photo, known: KnownPoses, steps: StepLog, options: AutoOptions
+        self,
+        search: ViewSearch,
+        photo: Photo,
+        known: KnownPoses,
+        steps: StepLog,
+        other_core: OtherCore,
+        options: AutoOptions,
+        initial: Rigid | None,
     ) -> None:
         self.known = known
         self._search = search
         self._photo = photo
         self._steps = steps
+        self._other_core = other_core
         self._options = options
+        self._initial = initial
+        self._minima: tuple[Rigid, Begun[CoarseMinima]] | None = None
         self._accepted: AutoResult | None = None
         self._accepted_by: Aligner | None = None
         self._ambiguous_poses: tuple[Rigid, Rigid] | None = None
@@ -183,7 +205,9 @@ class CandidateSet:
                 self._unfinished = candidate
             return
         aligner, candidate = self._search.with_full_overlap(aligner, candidate)
-        result, aligner = _finish(aligner, candidate, self._photo, self._steps, self._options.intrinsics)
+        result, aligner = _finish(
+            aligner, candidate, self._photo, self._steps, self._options.intrinsics, self._begin_second_minimum
+        )
         pose = result.camera_from_scanner
         if result.verification is None or not result.verification.accepted or pose is None:
             if self._refused is None or _fraction(result) > _fraction(self._refused):
@@ -196,12 +220,21 @@ class CandidateSet:
         if self._accepted is None or _fraction(result) > _fraction(self._accepted):
             self._accepted, self._accepted_by = result, aligner
 
-    def result(self, initial: Rigid | None) -> AutoResult:
+    def _begin_second_minimum(self, found: FinishedPose) -> None:
+        """Begin the search for a second minimum beside a finished pose that will be accepted, most likely."""
+        if found.verification.accepted and not self._is_sure(found.verification.fraction) and not self.known:
+            minima = self._other_core.begin(partial(coarse_minima, found.aligner, found.camera_from_scanner))
+            self._minima = found.camera_from_scanner, minima
+
+    def _is_sure(self, fraction: float) -> bool:
+        """Return whether a given pose decides which of several similar places is meant: if most regions agree there."""
+        return self._initial is not None and fraction >= self._options.gate.sure_fraction
+
+    def result(self) -> AutoResult:
         """Return the accepted result, else the best refused one."""
+        initial = self._initial
         if self._accepted is not None:
-            # A given pose decides which of several similar places is meant, but only if most regions agree there.
-            sure = initial is not None and _fraction(self._accepted) >= self._options.gate.sure_fraction
-            if self._ambiguous_poses is None and not sure:
+            if self._ambiguous_poses is None and not self._is_sure(_fraction(self._accepted)):
                 self._ambiguous_poses = self._second_minimum()
             if self._ambiguous_poses is not None:
                 return _refused_as_ambiguous(self._accepted, *self._ambiguous_poses)
@@ -223,7 +256,9 @@ class CandidateSet:
         pose = accepted.camera_from_scanner
         assert pose is not None, "an accepted result has a pose"
         with self._steps.step("second minimum") as note:
-            other = second_minimum(aligner, pose, accepted.verification, self.known)
+            begun = self._minima
+            minima = begun[1].result() if begun is not None and begun[0] is pose else None
+            other = second_minimum(aligner, pose, accepted.verification, self.known, minima)
             note.update(found=other is not None)
             self._steps.pose = pose
         return None if other is None else (pose, other)
@@ -274,7 +309,7 @@ def _search_everywhere(
     for number, direction in enumerate(directions):
         given = initial if number == 0 else None
         aligner = None  # lets go of the channels of the last view before those of the next are made
-        aligner = search.view(direction, name=number)
+        aligner = search.view(direction, name=number, for_corners=given is None)
         if aligner is None:
             continue
         found.add_candidate(aligner, search.from_corners(aligner, found.known, given=given))
@@ -292,7 +327,7 @@ def _search_everywhere(
     rolls.sort(key=lambda item: -item[0].matches)
     likely = [rolled_view(direction, roll.angle_rad) for roll, direction in rolls[:_MAX_ROLLED_VIEWS]]
     others = [rolled_view(direction, rolls[0][0].angle_rad) for direction in upright if several and likely]
-    _search_views(search, found, "rolled", likely, others, search.from_corners)
+    _search_views(search, found, "rolled", likely, others, search.from_corners, for_corners=True)
     if not found.known:
         likely, others = list(upright[:_MAX_GRID_VIEWS]), list(upright[_MAX_GRID_VIEWS:])
         _search_views(search, found, "again", likely, others, search.from_grid)
@@ -305,6 +340,8 @@ def _search_views(
     likely: Sequence[Rigid],
     others: Sequence[Rigid],
     find: Callable[[Aligner, KnownPoses], Candidate | None],
+    *,
+    for_corners: bool = False,
 ) -> None:
     """Search the likely views, and after a verified pose all others for a second one."""
     aligner: Aligner | None
@@ -312,7 +349,7 @@ def _search_views(
         if found.is_ambiguous or (number >= len(likely) and not found.known):
             return
         aligner = None
-        aligner = search.view(direction, name=f"{name} {number}")
+        aligner = search.view(direction, name=f"{name} {number}", for_corners=for_corners)
         if aligner is not None:
             found.add_candidate(aligner, find(aligner, found.known))
 
@@ -329,15 +366,28 @@ def _fraction(result: AutoResult) -> float:
 
 
 def _finish(
-    aligner: Aligner, candidate: Candidate, photo: Photo, steps: StepLog, intrinsics: FreeCamera
+    aligner: Aligner,
+    candidate: Candidate,
+    photo: Photo,
+    steps: StepLog,
+    intrinsics: FreeCamera,
+    verified: Callable[[FinishedPose], None],
 ) -> tuple[AutoResult, Aligner]:
-    """Return the finished and verified result, and the aligner of its camera."""
+    """Return the finished and verified result, and the aligner of its camera.
+
+    `verified` is told of the pose before its evidence is computed.
+    """
     start = candidate.camera_from_scanner
     with steps.step("finish"):
         pose = aligner.finish(start)
         steps.pose = pose
     with steps.step("verify") as note:
-        found = verify_finished(aligner, photo.pinhole, pose)
+        found = verify_finished(
+            aligner,
+            photo.pinhole,
+            pose,
+            try_camera=intrinsics == "auto" and may_estimate_camera(photo, intrinsics),
+        )
         note.update(found.verification.as_dict())
     if intrinsics != "fixed":
         with steps.step("camera") as note:
@@ -345,6 +395,7 @@ def _finish(
             note.update(estimated=bool(found.free), focal_px=round(found.camera.focal_px, 3))
             note.update(found.verification.as_dict())
             steps.pose = found.camera_from_scanner
+    verified(found)
     with steps.step("evidence"):
         aligner, camera, pose = found.aligner, found.camera, found.camera_from_scanner
         evidence = window_evidence(found.fine, aligner.verification_points, aligner.photo.cameras[0], camera, pose)

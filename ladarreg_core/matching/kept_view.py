@@ -13,7 +13,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import View
 
 _LARGEST_SCAN = 4_000_000  # cells; of larger scans the memory matters more than the time
-_SHARED = ("channels", "fine_channels", "_near_returns", "made")
+_SHARED = ("channels", "_near_returns", "made")
 
 
 class _KeptView:

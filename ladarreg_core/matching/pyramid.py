@@ -247,9 +247,9 @@ class ScanLevels:
         return cast(_Made, made[name])
 
     @property
-    def is_complete(self) -> bool:
-        """Whether all channels have been computed."""
-        return {"channels", "fine_channels"} <= vars(self).keys()
+    def has_channels(self) -> bool:
+        """Whether the channels have been computed."""
+        return "channels" in vars(self)
 
     def with_channels(self, channel_set: ChannelSet) -> ScanLevels:
         """Return the same levels with another channel set; channels already computed are shared."""
@@ -324,12 +324,15 @@ class ScanLevels:
             return self.geometry_channels if self.channel_set == "geometry" else self.intensity_channels
         return tuple(map(add_channels, self.intensity_channels, self.geometry_channels))
 
-    @cached_property
+    @property
     def fine_channels(self) -> FloatArray:
         """(h, w, 8), level 0, sharper, for the final sub-pixel refinement.
 
         Of intensity, if the set includes it; of a coarse scan, of the whole set.
         """
+        return self.once("fine channels", self._made_fine)
+
+    def _made_fine(self) -> FloatArray:
         if self.channel_set == "both" and self.coarse:
             return add_channels(self._fine_intensity, self._fine_geometry)
         return self._fine_geometry if self.channel_set == "geometry" else self._fine_intensity

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from ladarreg_core.matching.ecc import NO_CHANGE, CameraChange
 from ladarreg_core.matching.pyramid import pair_levels, photo_levels, working_camera
 from ladarreg_core.matching.verification import Verification, verify
 from ladarreg_core.photo import Photo
+from ladarreg_core.side_by_side import side_by_side
 from ladarreg_core.surface.perspective import perspective_view
 from ladarreg_core.validation import require_choice
 
@@ -71,6 +72,8 @@ class FinishedPose:
     """Covariance of pose and intrinsics."""
     free: int = 0
     """Number of (log f, k1) estimated."""
+    camera_fits: bool | None = None
+    """Whether two further steps with a free camera confirm the stated one; None: not tried."""
 
     @property
     def camera_sigmas(self) -> dict[str, float]:
@@ -98,17 +101,32 @@ class FinishedPose:
         return tuple(sentences)
 
 
-def verify_finished(aligner: Aligner, camera: Camera, pose: Rigid, *, free: int = 0) -> FinishedPose:
-    """Verify a finished pose.
+def verify_finished(
+    aligner: Aligner, camera: Camera, pose: Rigid, *, free: int = 0, try_camera: bool = False
+) -> FinishedPose:
+    """Verify a finished pose, using two threads.
 
     Args:
         aligner: the pair, with the photo undistorted with the camera.
         camera: the photo's camera.
         pose: `camera_from_scanner`.
         free: number of (log f, k1) estimated with it.
+        try_camera: whether to try the stated camera, too.
     """
-    verification, _, fine = aligner.verify(pose)
-    return FinishedPose(aligner, camera, pose, verification, fine, aligner.regions(pose, free=free), free)
+    aligner.prepare_to_verify(pose)
+    parts: tuple[Callable[[], Any], ...] = (
+        lambda: aligner.agreement_at(pose, 0),
+        lambda: _camera_fits(aligner, camera, pose, free=_FREE["auto"]) if try_camera else None,
+        lambda: aligner.agreement_at(pose, 1),
+        lambda: aligner.regions(pose, free=free),
+    )
+    fine, fits, coarse, regions = side_by_side(lambda part: part(), parts)
+    return FinishedPose(aligner, camera, pose, verify(coarse, fine, aligner.gate), fine, regions, free, fits)
+
+
+def may_estimate_camera(photo: Photo, intrinsics: FreeCamera) -> bool:
+    """Return whether a photo's intrinsics may be estimated; a thermal image has too little structure for it."""
+    return intrinsics != "fixed" and not (intrinsics == "auto" and photo.temperature_k is not None)
 
 
 def estimate_camera(fixed: FinishedPose, photo: Photo, start: Rigid, intrinsics: FreeCamera) -> FinishedPose:
@@ -123,15 +141,17 @@ def estimate_camera(fixed: FinishedPose, photo: Photo, start: Rigid, intrinsics:
         start: the candidate pose before the finish.
         intrinsics: the intrinsics that may be estimated.
     """
-    if intrinsics == "fixed" or (intrinsics == "auto" and photo.temperature_k is not None):
-        return fixed  # a thermal image has too little structure to determine them
-    free = _FREE[intrinsics]
-    if intrinsics == "auto" and _camera_fits(
-        fixed, *fixed.aligner.preview_free_camera(fixed.camera_from_scanner, free=free)
-    ):
+    if not may_estimate_camera(photo, intrinsics):
         return fixed
+    free = _FREE[intrinsics]
+    if intrinsics == "auto":
+        fits = fixed.camera_fits
+        if fits is None:
+            fits = _camera_fits(fixed.aligner, fixed.camera, fixed.camera_from_scanner, free=free)
+        if fits:
+            return fixed
     pose, change = fixed.aligner.finish_with_free_camera(fixed.camera_from_scanner, free=free)
-    doubt = _camera_deviate(fixed, pose, change)
+    doubt = _camera_deviate(fixed.aligner, pose, change)
     if intrinsics == "auto" and doubt <= _SUSPECT_SIGMA:
         return fixed
     best: FinishedPose | None = None
@@ -170,17 +190,18 @@ def _inflated(fixed: FinishedPose, other: Rigid) -> FinishedPose:
     return replace(fixed, regions=fixed.regions.inflated_by(moved))
 
 
-def _camera_deviate(fixed: FinishedPose, pose: Rigid, change: CameraChange) -> float:
+def _camera_deviate(aligner: Aligner, pose: Rigid, change: CameraChange) -> float:
     """Return the significance of a change of the camera, as a normal deviate; 0 if it cannot be computed."""
     moved = np.array([change.log_focal, change.k1])[: _FREE["auto"]]
-    evidence = fixed.aligner.regions(pose, free=len(moved), change=change)
+    evidence = aligner.regions(pose, free=len(moved), change=change)
     return 0.0 if evidence is None else evidence.normal_deviate(moved)
 
 
-def _camera_fits(fixed: FinishedPose, pose: Rigid, change: CameraChange) -> bool:
+def _camera_fits(aligner: Aligner, camera: Camera, finished: Rigid, *, free: int) -> bool:
     """Return whether a preliminary free camera confirms the stated one: its change is small and not significant."""
-    shift = _largest_shift(fixed.camera, change.applied_to(fixed.camera))
-    return shift <= _FITS_SHIFT and _camera_deviate(fixed, pose, change) <= _FITS_SIGMA
+    pose, change = aligner.preview_free_camera(finished, free=free)
+    shift = _largest_shift(camera, change.applied_to(camera))
+    return shift <= _FITS_SHIFT and _camera_deviate(aligner, pose, change) <= _FITS_SIGMA
 
 
 def _rank(found: FinishedPose) -> tuple[bool, float]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
@@ -23,8 +22,9 @@ from ladarreg_core.matching.roll import Roll, roll_between
 from ladarreg_core.matching.verification import GateOptions
 from ladarreg_core.matching.views import direction_towards_overlap
 from ladarreg_core.progress import StepLog
-from ladarreg_core.side_by_side import side_by_side
+from ladarreg_core.side_by_side import Begun, OtherCore, side_by_side
 
+_Attempt = Hypothesis | str
 _COARSEST = LEVELS[-1]
 _COARSE_REFINEMENT = RefineOptions(tau_px=8, iterations=8)
 _MAX_GRID_POSES = 2
@@ -36,6 +36,7 @@ class ViewSearch:
     Args:
         pair: the levels of the pair.
         steps: receives every step.
+        other_core: begins what the search will need.
         gate: thresholds of verification.
         good_fraction: fraction of agreeing regions that ends the search.
         seed: random seed.
@@ -46,6 +47,7 @@ class ViewSearch:
         self,
         pair: PairLevels,
         steps: StepLog,
+        other_core: OtherCore,
         *,
         gate: GateOptions,
         good_fraction: float,
@@ -56,22 +58,45 @@ class ViewSearch:
         self._scan = pair.scan
         self._photo = pair.photo
         self._steps = steps
+        self._other_core = other_core
         self._gate = gate
         self._good_fraction = good_fraction
         self._seed = seed
         self._channel_set = channel_set
         self._kept: deque[tuple[Rigid, Aligner]] = deque()
+        self._begun: tuple[Aligner, Iterator[_Attempt], Begun[_Attempt | None]] | None = None
+        self._prepared: Aligner | None = None
 
-    def view(self, direction: Rigid, *, name: int | str) -> Aligner | None:
-        """Return the aligner of one view, or None if the view has too little to compare."""
+    def view(self, direction: Rigid, *, name: int | str, for_corners: bool = False) -> Aligner | None:
+        """Return the aligner of one view, or None if the view has too little to compare.
+
+        Args:
+            direction: the rotation (view from scanner).
+            name: of the view, for the log.
+            for_corners: whether `from_corners` follows: its first hypothesis is then begun.
+        """
+        self._begun = self._prepared = None
         for kept, aligner in self._kept:
             if kept is direction:
                 return aligner if aligner.usable else None
         if len(self._kept) == self._pair.kept_views:
             self._kept.popleft()  # before the next one takes as much memory
         with self._steps.step("channels") as note:
-            levels = _with_channels(self._pair, direction, self._channel_set)
+            of_photo = self._other_core.begin(lambda: (self._photo.channels, self._photo.fine_channels))
+            levels = _view_levels(self._pair, direction, self._channel_set)
+            of_intensity = None
+            if not levels.has_channels:
+                of_intensity = self._other_core.begin(lambda: levels.intensity_channels)
+            attempts = hypotheses(levels, self._photo, seed=self._seed)
+            first = self._other_core.begin(partial(next, attempts, None)) if for_corners else None
+            if of_intensity is not None:
+                _ = levels.geometry_channels
+                of_intensity.result()
+                _ = levels.channels
+                keep(self._pair.scan, self._pair.working, direction, levels)
             aligner = Aligner(levels, self._photo, gate=self._gate, seed=self._seed)
+            of_photo.result()
+            self._begun = None if first is None else (aligner, attempts, first)
             note.update(view=name, points={level: len(p) for level, p in aligner.points.items()})
         self._kept.append((direction, aligner))
         return aligner if aligner.usable else None
@@ -149,6 +174,10 @@ class ViewSearch:
         return best
 
     def _refined(self, aligner: Aligner, source: str, start: Rigid) -> Candidate | None:
+        if self._prepared is not aligner and self._pair.kept_views > 1:  # of a large scan, memory matters more
+            self._prepared = aligner
+            for piece in aligner.needed_to_finish():
+                self._other_core.begin(piece)
         with self._steps.step("climb") as note:
             candidate = aligner.refine(start)
             note["start"] = source
@@ -160,10 +189,13 @@ class ViewSearch:
     def _starts(self, aligner: Aligner, given: Rigid | None) -> Iterator[tuple[str, Rigid]]:
         if given is not None:
             yield "the given pose", given
-        found = hypotheses(aligner.scan, aligner.photo, seed=self._seed)
+        begun, self._begun = self._begun, None
+        ahead = begun is not None and begun[0] is aligner
+        found = begun[1] if begun is not None and ahead else hypotheses(aligner.scan, aligner.photo, seed=self._seed)
         while True:
             with self._steps.step("hypothesis") as note:
-                item = next(found, None)
+                item = begun[2].result() if begun is not None and ahead else next(found, None)
+                ahead = False
                 if isinstance(item, Hypothesis):
                     note.update(source=item.source, matches=len(item.points), inliers=item.inliers)
                     self._steps.matches = _as_matches(item.points, item.uv, aligner)
@@ -187,23 +219,14 @@ def _coarse_refinements(aligner: Aligner, poses: Sequence[ScoredPose]) -> list[R
     return [end for end in side_by_side(refined, poses) if end is not None]
 
 
-def _with_channels(pair: PairLevels, direction: Rigid, channel_set: ChannelSet) -> ScanLevels:
-    """Return the scan's levels with the channels of both images computed, using two threads."""
-    photo_side = pair.photo
-    with ThreadPoolExecutor(1) as other_core:
-        of_photo = other_core.submit(lambda: (photo_side.channels, photo_side.fine_channels))
-        if not pair.has_view(direction):
-            kept = recall(pair.scan, pair.working, direction, channel_set, coarse=pair.coarse)
-            if kept is not None:
-                pair.add_view(direction, kept)
-        levels = pair.view(direction, channel_set)
-        if not levels.is_complete:
-            of_geometry = other_core.submit(lambda: levels.geometry_channels)
-            _ = levels.intensity_channels, levels.fine_channels
-            of_geometry.result()
-            _ = levels.channels
-            keep(pair.scan, pair.working, direction, levels)
-        of_photo.result()
+def _view_levels(pair: PairLevels, direction: Rigid, channel_set: ChannelSet) -> ScanLevels:
+    """Return the scan's levels, those kept of another photo if there are any."""
+    if not pair.has_view(direction):
+        kept = recall(pair.scan, pair.working, direction, channel_set, coarse=pair.coarse)
+        if kept is not None:
+            pair.add_view(direction, kept)
+    levels = pair.view(direction, channel_set)
+    _ = levels.made  # before two threads ask for it
     return levels
 
 

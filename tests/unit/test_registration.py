@@ -6,6 +6,8 @@ import os
 import re
 import subprocess
 import sys
+import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -67,6 +69,29 @@ def test_the_result_is_complete(registration: lr.Registration) -> None:
     assert names[:2] == ["photo", "channels"]
     assert names[-6:] == ["finish", "verify", "camera", "evidence", "second minimum", "result"]
     assert registration.options["auto"]["gate"]["fraction"] == 0.5
+
+
+def test_one_processor_core_gives_the_same_answer(
+    room: PaintedRoom, registration: lr.Registration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
+    alone = register(replace(room.scan), room.photo)  # a copy, of which nothing was kept
+    np.testing.assert_array_equal(alone.camera_from_scanner.matrix, registration.camera_from_scanner.matrix)
+    np.testing.assert_array_equal(alone.covariance, registration.covariance)
+    np.testing.assert_array_equal(alone.matches.uv, registration.matches.uv)
+    assert [(step.name, step.detail) for step in alone.steps] == [(s.name, s.detail) for s in registration.steps]
+
+
+@pytest.mark.parametrize("after", ["channels", "climb", "verify", "evidence"])
+def test_a_cancelled_registration_leaves_no_thread_behind(room: PaintedRoom, after: str) -> None:
+    def report(step: lr.Step) -> None:
+        if step.name == after:
+            raise lr.Cancelled
+
+    before = threading.active_count()
+    with pytest.raises(lr.Cancelled):
+        register(replace(room.scan), room.photo, report=report)
+    assert threading.active_count() == before
 
 
 def test_every_step_is_reported_as_it_ends(room: PaintedRoom) -> None:

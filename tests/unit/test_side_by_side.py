@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+import os
 import threading
 import time
+import weakref
+from functools import partial
 
 import pytest
 
-from ladarreg_core.side_by_side import side_by_side
+from ladarreg_core.side_by_side import OtherCore, made_once, side_by_side
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 20])
@@ -53,3 +56,83 @@ def test_it_tells_before_every_item_in_order_and_begins_none_after_a_refusal() -
     with pytest.raises(KeyError):
         side_by_side(work, range(30), before=refuse)
     assert len(begun) < 30
+
+
+def test_work_begun_gives_its_result_whether_it_was_begun_or_not() -> None:
+    with OtherCore() as other_core:
+        begun = [other_core.begin(partial(pow, k, 2)) for k in range(50)]
+        assert [piece.result() for piece in reversed(begun)] == [k * k for k in reversed(range(50))]
+
+
+def test_with_one_core_work_is_done_when_its_result_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
+    done: list[int] = []
+    with OtherCore() as other_core:
+        first, _ = (other_core.begin(partial(done.append, k)) for k in range(2))
+        assert not done
+        first.result()
+    assert done == [0]
+
+
+def test_an_error_of_begun_work_is_raised_where_its_result_is_asked_for() -> None:
+    with OtherCore() as other_core:
+        wrong = other_core.begin(partial(divmod, 1, 0))
+        other_core.begin(partial(divmod, 1, 0))
+        with pytest.raises(ZeroDivisionError):
+            wrong.result()
+
+
+def test_at_the_end_what_is_at_work_is_waited_for_and_the_rest_is_dropped() -> None:
+    before, started, ended = threading.active_count(), threading.Event(), threading.Event()
+    later: list[int] = []
+
+    def work() -> None:
+        started.set()
+        time.sleep(0.2)
+        ended.set()
+
+    def stop() -> None:
+        with OtherCore() as other_core:
+            other_core.begin(work)
+            other_core.begin(partial(later.append, 1))
+            assert started.wait(10)
+            raise KeyError("stop")
+
+    with pytest.raises(KeyError):
+        stop()
+    assert ended.is_set()
+    assert not later
+    assert threading.active_count() == before
+
+
+class Slow:
+    """Counts how often its value is made."""
+
+    made = 0
+
+    @made_once
+    def value(self) -> int:
+        """The value."""
+        self.made += 1
+        time.sleep(0.1)
+        return self.made
+
+
+def test_what_two_threads_ask_for_is_made_once() -> None:
+    slow, found = Slow(), list[int]()
+    threads = [threading.Thread(target=lambda: found.append(slow.value)) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert found == [1] * 4
+    assert slow.made == 1
+    assert Slow().value == 1
+
+
+def test_what_is_made_once_lives_no_longer_than_its_owner() -> None:
+    slow = Slow()
+    assert slow.value == 1
+    alive = weakref.ref(slow)
+    del slow
+    assert alive() is None
