@@ -9,7 +9,10 @@ the right place, no point lies behind a surface that other points show.
 
 from __future__ import annotations
 
+import hashlib
+import threading
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -38,6 +41,9 @@ _LEAST_GAIN = 0.8
 _LEAST_DIFFERENCE = 0.06
 _FARTHEST = 12  # in units of the cloud's size: a field of view of ten degrees
 _FARTHEST_CENTRE = 30
+_MOST_KNOWN = 64
+_known: dict[bytes, OriginEstimate] = {}
+_known_lock = threading.Lock()
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,13 +68,27 @@ def estimate_origin(points: FloatArray) -> OriginEstimate:
 
     Returns:
         The origin; (0, 0, 0) itself where nothing contradicts it. None where the points do not determine it: fewer than
-        200, no flat surfaces, thinned to equal distances, or taken from several places.
+        200, no flat surfaces, thinned to equal distances, or taken from several places. The answers on the last clouds
+        are kept: clouds to which further ones are added are read again.
     """
     picked = points[_sample(len(points), 4 * _POOL)]
     with np.errstate(over="ignore", invalid="ignore"):
         picked = picked[np.isfinite(picked).all(axis=1) & (np.abs(picked) < 1e9).all(axis=1)]
     if len(picked) < _LEAST_POINTS:
         return OriginEstimate((0.0, 0.0, 0.0), 0.0, 0.0)
+    key = hashlib.blake2b(picked.tobytes(), digest_size=16).digest()
+    found = _known.get(key)
+    if found is None:
+        found = _estimate(picked)
+        with _known_lock:
+            _known[key] = found
+            if len(_known) > _MOST_KNOWN:
+                _known.pop(next(iter(_known)))
+    return found
+
+
+def _estimate(picked: FloatArray) -> OriginEstimate:
+    """Return where the scanner stood that met the points (N, 3), at least 200 and all finite."""
     middle = np.median(picked, axis=0)
     cloud = _Cloud.of(picked - middle)
     centre = OriginEstimate((0.0, 0.0, 0.0), 1.0, 1.0)
@@ -126,31 +146,42 @@ class _Cloud:
             np.maximum(reach / 1.6, 1e-6 * size), witnesses[:: max(1, len(witnesses) // _ELEVATIONS)], size,
         )  # fmt: skip
 
-    def residuals(self, origins: FloatArray, *, vertical: bool) -> FloatArray:
-        """Return the residuals (K, M) of the log density for origins (K, 3)."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            square = ((self.centres**2).sum(1) - 2 * origins @ self.centres.T + (origins**2).sum(1)[:, None]).clip(
-                1e-12
-            )
-            towards = np.abs((self.normals * self.centres).sum(1) - origins @ self.normals.T)
-            model = np.log(towards + 0.02 * np.sqrt(square)) - 1.5 * np.log(square)
-            if vertical:
-                level = (self.centres[:, 0] - origins[:, :1]) ** 2 + (self.centres[:, 1] - origins[:, 1:2]) ** 2
-                model -= 0.5 * np.log((level / square).clip(1e-3))
-        return np.asarray(self.log_density - model)
+    @cached_property
+    def _squares(self) -> FloatArray:
+        return np.asarray((self.centres**2).sum(1))
 
-    def misfits(self, origins: FloatArray, *, vertical: bool) -> FloatArray:
-        """Return the robust misfit (K,) for origins (K, 3)."""
-        residual = self.residuals(origins, vertical=vertical)
-        residual -= np.median(residual, axis=1, keepdims=True)
-        square = (residual / _TAU) ** 2
-        return np.asarray((square / (1 + square)).mean(axis=1))
+    @cached_property
+    def _heights(self) -> FloatArray:
+        return np.asarray((self.normals * self.centres).sum(1))
+
+    def misfits(self, origins: FloatArray, *models: bool) -> list[FloatArray]:
+        """Return the robust misfits (K,) of the log density for origins (K, 3).
+
+        Args:
+            origins: (K, 3) m.
+            models: whether the scanner turns about the vertical axis; one answer for each.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            square = (self._squares - 2 * origins @ self.centres.T + (origins**2).sum(1)[:, None]).clip(1e-12)
+            towards = np.abs(self._heights - origins @ self.normals.T)
+            model = np.log(towards + 0.02 * np.sqrt(square)) - 1.5 * np.log(square)
+            found = []
+            for vertical in models:
+                expected = model
+                if vertical:
+                    level = (self.centres[:, 0] - origins[:, :1]) ** 2 + (self.centres[:, 1] - origins[:, 1:2]) ** 2
+                    expected = model - 0.5 * np.log((level / square).clip(1e-3))
+                residual = self.log_density - expected
+                residual -= _medians(residual)[:, None]
+                of_tau = (residual / _TAU) ** 2
+                found.append(np.asarray((of_tau / (1 + of_tau)).mean(axis=1)))
+        return found
 
     def misfit(self, origin: FloatArray) -> float:
         """Return the misfit of an origin (3,) under the better of the two models."""
         if len(self.centres) < _LEAST_PATCHES:
             return 1.0
-        return min(float(self.misfits(origin[None], vertical=vertical)[0]) for vertical in (False, True))
+        return min(float(each[0]) for each in self.misfits(origin[None], False, True))
 
     def misfit_without_origin(self) -> float:
         """Return the misfit of a constant density."""
@@ -167,10 +198,9 @@ class _Cloud:
         if len(self.centres) < _LEAST_PATCHES:
             return np.zeros(3), 1.0, 1.0
         starts = self._starts()
-        for vertical in (False, True):
-            misfits = np.concatenate(
-                [self.misfits(part, vertical=vertical) for part in np.array_split(starts, len(starts) // 128 + 1)]
-            )
+        parts = [self.misfits(part, False, True) for part in np.array_split(starts, len(starts) // 128 + 1)]
+        for vertical, of_parts in zip((False, True), zip(*parts, strict=True), strict=True):
+            misfits = np.concatenate(of_parts)
             taken: list[FloatArray] = []
             for k in np.argsort(misfits, kind="stable"):
                 if all(np.linalg.norm(starts[k] - other) > 0.15 * self.size for other in taken):
@@ -180,7 +210,7 @@ class _Cloud:
             for start in taken:
                 simplex = start + 0.08 * self.size * np.vstack([np.zeros(3), np.eye(3)])
                 answer = minimize(
-                    lambda o, vertical=vertical: float(self.misfits(o[None], vertical=vertical)[0]),
+                    lambda o, vertical=vertical: float(self.misfits(o[None], vertical)[0][0]),
                     start, method="Nelder-Mead",
                     options={"initial_simplex": simplex, "xatol": 1e-4 * self.size, "fatol": 1e-6, "maxfev": 250},
                 )  # fmt: skip
@@ -265,6 +295,15 @@ class _Cloud:
             slack = 2 * (self.spacing[front] + np.minimum(self.spacing, self.spacing[front]))
             hidden |= (cells[at] == cell) & (behind > slack) & (depth > slack)
         return float(hidden.mean())
+
+
+def _medians(values: FloatArray) -> FloatArray:
+    """Return the median (K,) of rows (K, M) of numbers, without what `np.median` takes for short rows."""
+    middle = values.shape[1] // 2
+    if values.shape[1] % 2:
+        return np.asarray(np.partition(values, middle, axis=1)[:, middle])
+    parted = np.partition(values, (middle - 1, middle), axis=1)
+    return np.asarray((parted[:, middle - 1] + parted[:, middle]) / 2)
 
 
 def _planes(

@@ -11,6 +11,7 @@ from ladarreg_core.errors import UnderspecifiedError
 from ladarreg_core.formats.cloud import scan_of_cloud
 from ladarreg_core.formats.registry import read_scan
 from ladarreg_core.scan import Scan
+from ladarreg_core.scanner import origin
 from ladarreg_core.scanner.origin import estimate_origin
 from tests.formats.simulated_clouds import brightness, dome, in_room, in_street, rosette, spinning
 
@@ -58,6 +59,19 @@ def test_a_cloud_from_two_places_has_no_origin_and_asks_for_one() -> None:
         scan_of_cloud(two, brightness(two - UTM), name="two", coordinates="any")
     given = scan_of_cloud(two, brightness(two - UTM), name="two", coordinates="any", origin=UTM + IN_ROOM)
     assert any("as given" in note for note in given.notes)
+
+
+def test_points_that_are_read_again_are_not_estimated_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    points = cloud("room, spinning") + np.array([2, 1, 0.5])
+    found = estimate_origin(points)
+
+    def measured_again(*_: object) -> None:
+        raise AssertionError("the points were estimated before")
+
+    monkeypatch.setattr(origin, "_estimate", measured_again)
+    assert estimate_origin(points.copy()) == found
+    with pytest.raises(AssertionError, match="before"):
+        estimate_origin(points + 1e-6)
 
 
 def test_points_without_the_pattern_of_a_scanner_have_no_origin() -> None:
