@@ -180,6 +180,10 @@ class RayTableInverse:
         columns = np.unique(np.append(np.arange(0, rays.shape[1], stride), rays.shape[1] - 1))
         self._cells = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2).astype(np.float64)
         self._tree = cKDTree(rays[np.ix_(rows, columns)].reshape(-1, 3))
+        # No node is farther from a direction that has a cell; without the limit, the search for directions on the far
+        # side of the sphere, from which all nodes are about equally far, takes a hundred times as long.
+        widest = max(float(np.linalg.norm(np.diff(rays, axis=axis), axis=-1).max(initial=0.0)) for axis in (0, 1))
+        self._reach = (_EXTRAPOLATED_CELLS + 2 * stride) * widest
 
     def cell_of(self, directions: ArrayLike) -> NDArray[np.float64]:
         """Return the fractional cells (..., 2) of directions (..., 3); NaN more than 16 cells outside the table."""
@@ -191,7 +195,9 @@ class RayTableInverse:
         result = np.full((len(d), 2), np.nan)
         finite = np.flatnonzero(np.isfinite(d).all(axis=-1))
         d = d[finite]
-        cells = self._cells[self._tree.query(d)[1]]
+        distance, nearest = self._tree.query(d, distance_upper_bound=self._reach)
+        near = np.isfinite(distance)
+        finite, d, cells = finite[near], d[near], self._cells[nearest[near]]
         # Two tangent vectors of each direction: at the cell sought the table's ray has no component along them.
         helper = np.where(np.abs(d[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
         e1 = np.cross(helper, d)
