@@ -16,6 +16,7 @@ _FIT_CELLS = 20_000
 _TREE_NODES = 100_000
 _NEWTON_STEPS = 12
 _EXTRAPOLATED_CELLS = 16.0
+_SETTLED_CELLS = 1e-9
 MOST_FITTED_CELLS = 1_000_000
 """Largest number of cells that holes are fitted from; of larger tables every n-th row and column is taken."""
 _HOLES_AT_ONCE = 500_000
@@ -203,24 +204,26 @@ class RayTableInverse:
         e1 = np.cross(helper, d)
         e1 /= np.linalg.norm(e1, axis=-1, keepdims=True)
         e2 = np.cross(d, e1)
-        error = np.full((len(d), 2), np.inf)
+        moved = np.full(len(d), np.inf)
+        active = np.arange(len(d))
         for _ in range(_NEWTON_STEPS):
-            value, by_row, by_column = _bilinear(self._rays, cells, _EXTRAPOLATED_CELLS)
-            error = np.stack([(value * e1).sum(-1), (value * e2).sum(-1)], axis=-1)
-            J = np.stack([np.stack([(g * e).sum(-1) for g in (by_row, by_column)], axis=-1) for e in (e1, e2)], axis=-2)
-            det = J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0]
+            value, *gradient = _bilinear(self._rays, cells[active], _EXTRAPOLATED_CELLS)
+            along = (e1[active], e2[active])
+            off1, off2 = ((value * e).sum(-1) for e in along)
+            (r1, c1), (r2, c2) = ([(by * e).sum(-1) for by in gradient] for e in along)  # by row and by column
+            det = r1 * c2 - c1 * r2
             with np.errstate(divide="ignore", invalid="ignore"):
-                step_row = (J[:, 1, 1] * error[:, 0] - J[:, 0, 1] * error[:, 1]) / det
-                step_column = (J[:, 0, 0] * error[:, 1] - J[:, 1, 0] * error[:, 0]) / det
-            step = np.clip(np.stack([step_row, step_column], axis=-1), -64, 64)
-            cells = cells - step
-            if not (np.abs(step) >= 1e-6).any():
+                step = np.stack([(c2 * off1 - c1 * off2) / det, (r1 * off2 - r2 * off1) / det], axis=-1)
+            step = np.clip(step, -64, 64)
+            cells[active] -= step
+            moved[active] = np.abs(step).max(axis=-1)
+            active = active[moved[active] >= _SETTLED_CELLS]  # NaN, outside the table, stays so
+            if not len(active):
                 break
         # With jitter in the table the iteration may oscillate within a cell, which is then still the right one.
-        oscillation = np.abs(step).max(axis=-1) if len(d) else np.zeros(0)
         # The opposite direction has no component along the tangents, either.
         facing = (_bilinear(self._rays, cells, _EXTRAPOLATED_CELLS)[0] * d).sum(-1) > 0
         with np.errstate(invalid="ignore"):
-            cells[~((oscillation < 1.0) & facing)] = np.nan
+            cells[~((moved < 1.0) & facing)] = np.nan
         result[finite] = cells
         return result.reshape(*shape, 2)
