@@ -22,7 +22,7 @@ from ladarreg_core.matching.views import viewing_directions
 from ladarreg_core.palette import ACCENT
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import View, check_viewable, most_view_pixels, native_focal_px, perspective_view
-from ladarreg_core.surface.render import LARGEST_DRAWN_SCAN, render_scan_colors
+from ladarreg_core.surface.render import LARGEST_DRAWN_SCAN, render_scan_picture
 from ladarreg_core.surface.texture import RegisteredTexture, intensity_picture
 from ladarreg_core.validation import require_choice
 
@@ -278,7 +278,7 @@ def scan_over_photo(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid,
     picture = _range_picture(scan) if show == "range" else intensity_picture(scan)
     if show == "edges":  # one rendering for both grays, of which every channel is a copy
         picture = np.stack([picture[..., 0], _range_picture(scan)[..., 0], picture[..., 0]], axis=-1)
-    colour, covered = render_scan_colors(scan, camera, camera_from_scanner, picture=picture, supersample=1)
+    colour, covered = render_scan_picture(scan, camera, camera_from_scanner, picture)
     if show != "edges":
         return _with_alpha(colour, np.where(covered, 255, 0))
     strength = np.maximum(_magnitude(colour[..., 0]), _magnitude(colour[..., 1]))

@@ -11,11 +11,15 @@ from ladarreg_core.camera import Camera, CameraModel, cube_faces
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.mesh import scan_mesh
+from ladarreg_core.surface.mesh import grid_edges, scan_mesh
 from ladarreg_core.surface.rasterise import covering_pinhole, rasterise_values
+from ladarreg_core.surface.remap import look_up
+from ladarreg_core.surface.visibility import coarse_mesh, without_cracks
 from ladarreg_core.validation import require_int
 
 _MAP_BLOCK_PX = 4
+_BACKGROUND = (128, 128, 128)
+_SAME_SURFACE = 0.02  # relative change of the depth within one pixel
 LARGEST_DRAWN_SCAN = 2_000_000
 """Cells; larger scans are thinned."""
 _LARGEST_SUPERSAMPLE = 8
@@ -28,7 +32,7 @@ def render_scan_colors(
     *,
     picture: ByteArray | None = None,
     supersample: int = 3,
-    background: tuple[int, int, int] = (128, 128, 128),
+    background: tuple[int, int, int] = _BACKGROUND,
 ) -> tuple[ByteArray, BoolArray]:
     """Render a scan's own colours, on its surface, as seen by another camera.
 
@@ -73,6 +77,74 @@ def render_scan_colors(
     share = cv2.resize(covered, camera.size, interpolation=cv2.INTER_AREA)
     colour = colour * 255 + (1 - share[..., None]) * np.array(background, dtype=np.float32)
     return np.clip(np.rint(colour), 0, 255).astype(np.uint8), np.asarray(share >= 0.5)
+
+
+def render_scan_picture(
+    scan: Scan, camera: CameraModel, camera_from_scanner: Rigid, picture: ByteArray
+) -> tuple[ByteArray, BoolArray]:
+    """Render a picture of the scan, to be looked at, as seen by another camera, one sample a pixel.
+
+    For a pinhole camera, the cell that each pixel shows is drawn on a mesh that is coarse where the scan is flat, and
+    looked up in the picture: a third of the time of `render_scan_colors`, which is exact.
+
+    Args:
+        scan: the scan.
+        camera: the camera, with or without distortion.
+        camera_from_scanner: its pose.
+        picture: (H, W, 3) uint8 on the scan's grid.
+
+    Returns:
+        rgb (height, width, 3) uint8, gray where the scan has no surface, and the pixels that it covers, bool.
+    """
+    if not isinstance(camera, Camera) or scan.ranges.size > LARGEST_DRAWN_SCAN:
+        return render_scan_colors(scan, camera, camera_from_scanner, picture=picture, supersample=1)
+    vertices, faces, cells = coarse_mesh(scan)
+    size = np.array([max(n - 1, 1) for n in scan.shape], np.float32)
+    values = np.zeros((len(vertices), 3), np.float32)
+    values[:, :2] = np.stack(np.divmod(cells, scan.shape[1]), axis=-1) / size
+    ideal = covering_pinhole(camera)
+    depth, drawn = rasterise_values(camera_from_scanner @ vertices.astype(np.float64), faces, values, ideal)
+    row, column = (np.ascontiguousarray(drawn[..., k]) for k in range(2))
+    inverse = np.float32(1) / depth
+    seen = inverse > 0
+    # Between blocks of two sizes there are gaps, through which one sees what is behind, or nothing.
+    gap = without_cracks(inverse) > np.float32(1 + _SAME_SURFACE) * inverse
+    for plane, most in ((row, size[0]), (column, size[1])):
+        plane[gap] = 0
+        plane[gap] = without_cracks(plane)[gap]
+        plane *= most
+    on_surface = _cells_with_neighbours(scan)
+    seen[gap] = on_surface[np.rint(row[gap]).astype(np.intp), np.rint(column[gap]).astype(np.intp)]
+    colour = look_up(_continued(picture, on_surface), column, row)
+    colour[~seen] = _BACKGROUND
+    if camera.distortion:
+        at = _ideal_positions(camera, ideal, 1)
+        u, v = np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])
+        colour = look_up(colour, u, v, outside=_BACKGROUND)
+        seen = _resampled(seen.astype(np.float32), at) >= 0.5
+        colour[~seen] = _BACKGROUND
+    return colour, seen
+
+
+def _cells_with_neighbours(scan: Scan) -> BoolArray:
+    """Return the cells (H, W) with two neighbours on the same surface: all but those without return and spikes."""
+    edges, count = grid_edges(scan), np.zeros(scan.shape, np.uint8)
+    count[:, 1:] += edges.right
+    count[:, :-1] += edges.right
+    count[1:] += edges.down
+    count[:-1] += edges.down
+    return np.asarray(count >= 2)
+
+
+def _continued(picture: ByteArray, known: BoolArray) -> ByteArray:
+    """Return a picture (H, W, 3) with unknown cells as their known neighbours are on average, for interpolation."""
+    square = (3, 3)
+    count = cv2.boxFilter(known.astype(np.float32), cv2.CV_32F, square, normalize=False)
+    beside = ~known & (count > 0)
+    total = cv2.boxFilter(picture * known[..., None], cv2.CV_32F, square, normalize=False)
+    result = picture.copy()
+    result[beside] = np.rint(total[beside] / count[beside][:, None])
+    return result
 
 
 def _render_wide(

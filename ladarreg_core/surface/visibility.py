@@ -89,6 +89,10 @@ class _Surface:
 
     vertices: FloatArray
     faces: IntArray
+    cells: IntArray
+    """(N,) flat index of the cell of each of the first vertices; the others are corners of cells at depth edges."""
+    faces_of_cells: int
+    """Number of the first faces, those between cells."""
     points: FloatArray
     normals: FloatArray
     distance: FloatArray
@@ -260,7 +264,7 @@ def _depth_buffers(
             turned = vertices @ faces[k].face_from_camera.T if faces else vertices
             np.minimum(depths[k], rasterise_depth(turned, surface.faces, picture), out=depths[k])
     return tuple(
-        _DepthBuffer(picture, _without_cracks(np.float32(1) / depth), faces[k] if faces else None)
+        _DepthBuffer(picture, without_cracks(np.float32(1) / depth), faces[k] if faces else None)
         for k, (picture, depth) in enumerate(zip(pictures, depths, strict=True))
     )
 
@@ -430,11 +434,11 @@ def _within(u: FloatArray, v: FloatArray, camera: Camera) -> BoolArray:
     return np.asarray((u >= -0.5) & (u <= camera.width - 0.5) & (v >= -0.5) & (v <= camera.height - 0.5))
 
 
-def _without_cracks(inverse_depth: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Close gaps of one pixel: borders between blocks of two sizes agree only to the tolerance."""
+def without_cracks(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Close gaps (0) of one pixel: borders between blocks of two sizes agree only to the tolerance."""
     kernel = np.ones((2, 2), dtype=np.uint8)
     # Opposite anchors: with the same one twice, an even kernel would shift the image by a pixel.
-    wider = cv2.dilate(inverse_depth, kernel, anchor=(0, 0), borderType=cv2.BORDER_REPLICATE)
+    wider = cv2.dilate(picture, kernel, anchor=(0, 0), borderType=cv2.BORDER_REPLICATE)
     return np.asarray(cv2.erode(wider, kernel, anchor=(1, 1), borderType=cv2.BORDER_REPLICATE), dtype=np.float32)
 
 
@@ -447,6 +451,16 @@ def occluding_surface(scan: Scan) -> tuple[FloatArray, IntArray]:
     return surface.vertices, surface.faces
 
 
+def coarse_mesh(scan: Scan) -> tuple[FloatArray, IntArray, IntArray]:
+    """Return the scan's mesh, flat parts of it coarsely: vertices (N, 3), faces (F, 3), and the cell of each vertex.
+
+    Cells are flat indices (N,). It is part of the occluding surface, so that it costs nothing beside that one. Between
+    blocks of two sizes there may be gaps of a pixel.
+    """
+    surface = _surface(scan)
+    return surface.vertices[: len(surface.cells)], surface.faces[: surface.faces_of_cells], surface.cells
+
+
 def _surface(scan: Scan) -> _Surface:
     surface = _surface_of_scan.get(scan)
     if surface is None:
@@ -454,11 +468,13 @@ def _surface(scan: Scan) -> _Surface:
         slopes = range_slopes(scan, edges)
         rays = np.ascontiguousarray(np.moveaxis(scan.rays, -1, 0), dtype=np.float32)
         gradients = ray_gradients(rays)
-        vertices, faces = _occluder(scan, edges, slopes, rays, gradients)
+        vertices, faces, cells, faces_of_cells = _occluder(scan, edges, slopes, rays, gradients)
         points = rays * scan.ranges
         normals = normals_of(rays, gradients, slopes)
         distance = normals[0] * points[0] + normals[1] * points[1] + normals[2] * points[2]
-        surface = _surface_of_scan[scan] = _Surface(vertices, faces, points, normals, distance, edges)
+        surface = _surface_of_scan[scan] = _Surface(
+            vertices, faces, cells, faces_of_cells, points, normals, distance, edges
+        )
     return surface
 
 
@@ -468,8 +484,11 @@ def _occluder(
     slopes: tuple[FloatArray, FloatArray],
     rays: FloatArray,
     gradients: tuple[FloatArray, FloatArray],
-) -> tuple[FloatArray, IntArray]:
-    """Return the occluding triangles: the scan's mesh, flat blocks drawn coarsely, and whole cells at depth edges."""
+) -> tuple[FloatArray, IntArray, IntArray, int]:
+    """Return the occluding triangles: the scan's mesh, flat blocks drawn coarsely, and whole cells at depth edges.
+
+    They are followed by the cells of the mesh's vertices and the number of its faces, as in `_Surface`.
+    """
     points = scan.points.reshape(-1, 3)
     height, width = scan.shape
     undrawn = np.ones((height - 1, width - 1), dtype=np.bool_)
@@ -506,7 +525,7 @@ def _occluder(
     first = len(kept) + np.arange(n, dtype=np.int32)
     whole = [np.stack([first, first + k * n, first + (k + 1) * n], axis=-1) for k in (1, 2)]
     vertices = np.concatenate([points[kept], *corners]).astype(np.float32)
-    return vertices, np.concatenate([index[faces], *whole]).astype(np.int32)
+    return vertices, np.concatenate([index[faces], *whole]).astype(np.int32), kept, len(faces)
 
 
 def _flat_blocks(ranges: FloatArray, edges: GridEdges, wanted: BoolArray, size: int) -> BoolArray:

@@ -1,14 +1,18 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import Camera, FisheyeCamera
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.surface.render import render_scan_colors
+from ladarreg_core.simulate import simulate_case
+from ladarreg_core.surface.render import render_scan_colors, render_scan_picture
+from ladarreg_core.surface.texture import intensity_picture
 
 LENSES = [(), (0.12, -0.04, 0.002, -0.001), (-0.25, 0.08, 0.001, 0.0005, -0.01)]
 
@@ -92,3 +96,28 @@ def test_hostile_input_is_named():
         render_scan_colors(bare, camera, Rigid.identity(), picture=np.zeros((3, 3, 3), np.uint8))
     with pytest.raises(OptionError, match="supersample"):
         render_scan_colors(scan, camera, Rigid.identity(), supersample=0)
+
+
+@pytest.mark.parametrize("distortion", [(), (-0.2, 0.05, 0.0, 0.0)])
+def test_a_picture_to_be_looked_at_is_nearly_the_exact_one(distortion: tuple[float, ...]) -> None:
+    case = simulate_case("office", seed=3)
+    camera = replace(case.true_camera, distortion=distortion)
+    gray = intensity_picture(case.scan)
+    inverse = np.nan_to_num(255 / (1 + case.scan.ranges)).astype(np.uint8)
+    picture = np.stack([gray[..., 0], inverse, gray[..., 0]], axis=-1)
+    exact, covered = render_scan_colors(case.scan, camera, case.camera_from_scanner, picture=picture, supersample=1)
+    drawn, seen = render_scan_picture(case.scan, camera, case.camera_from_scanner, picture)
+    assert (seen != covered).mean() < 0.03
+    off = np.abs(drawn.astype(int) - exact)[seen & covered]
+    assert np.median(off) <= 2  # interpolated between four cells instead of three
+    assert np.percentile(off[:, 1], 98) <= 2  # no view through gaps of the mesh, no spikes
+    assert (drawn[~seen] == 128).all()
+
+
+def test_a_wide_camera_is_drawn_exactly() -> None:
+    scan, camera = wall_scan(lambda y, z: 90 + 0 * y), FisheyeCamera(60, 60, 20, 20, 29.5, 29.5)
+    pose = Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, (0.1, 0, 0))
+    exact = render_scan_colors(scan, camera, pose, supersample=1)
+    drawn = render_scan_picture(scan, camera, pose, np.full((*scan.shape, 3), 90, np.uint8))
+    for mine, theirs in zip(drawn, exact, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
