@@ -20,7 +20,7 @@ test: $(VENV)/.installed-dev browser
 	echo "ruff check"; $(BIN)/ruff check . || status=1; \
 	echo "ruff format --check"; $(BIN)/ruff format --check --quiet . || status=1; \
 	echo "mypy"; $(BIN)/mypy || status=1; \
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile || status=1; \
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder || status=1; \
 	exit $$status
 
 $(VENV)/.created:

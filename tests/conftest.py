@@ -20,6 +20,18 @@ settings.register_profile("ladarreg", deadline=None, derandomize=True, max_examp
 settings.load_profile("ladarreg")
 
 
+LONGEST_FIRST = ("tests/e2e/", "tests/abuse/", "tests/registration/", "tests/unit/acquisition/", "tests/app/")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that take longest, so that no core is left with one of them when the others have ended."""
+
+    def rank(item: pytest.Item) -> int:
+        return next((k for k, start in enumerate(LONGEST_FIRST) if item.nodeid.startswith(start)), len(LONGEST_FIRST))
+
+    items.sort(key=rank)
+
+
 @pytest.fixture(scope="session")
 def real_data() -> Path:
     """The folder of real scans and photographs, which are not part of the project."""

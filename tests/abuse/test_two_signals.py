@@ -12,7 +12,7 @@ import pytest
 
 from tests.app.serve_process import ask, name_of, serving
 
-TRIES = 10
+TRIES = 6
 TOGETHER = 2
 
 
