@@ -137,7 +137,9 @@ def unique_matches(
     best = score.argmax(axis=1)
     rows = np.arange(len(score))
     first = score[rows, best]
-    second = np.partition(score, -2, axis=1)[:, -2] if score.shape[1] > 1 else np.full(len(score), -np.inf)
+    others = np.array(score)
+    others[rows, best] = -np.inf
+    second = others.max(axis=1)
     if c2_floor is not None:
         second = np.maximum(second, c2_floor)
     keep = np.isfinite(first) & np.isfinite(second)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -82,7 +82,7 @@ class ViewSearch:
         if len(self._kept) == self._pair.kept_views:
             self._kept.popleft()  # before the next one takes as much memory
         with self._steps.step("channels") as note:
-            of_photo = self._other_core.begin(lambda: (self._photo.channels, self._photo.fine_channels))
+            of_photo = self._other_core.begin(lambda: self._photo.channels)
             levels = _view_levels(self._pair, direction, self._channel_set)
             of_intensity = None
             if not levels.has_channels:
@@ -107,6 +107,7 @@ class ViewSearch:
 
     def from_start(self, aligner: Aligner, known: KnownPoses, start: Rigid) -> Candidate | None:
         """Refine the given pose only."""
+        self._prepare_to_finish(aligner)
         return self._best(aligner, [("the given pose", start)], known)
 
     def from_corners(self, aligner: Aligner, known: KnownPoses, *, given: Rigid | None = None) -> Candidate | None:
@@ -123,8 +124,9 @@ class ViewSearch:
             note["correlations"] = [round(end.correlation, 3) for end in ends]
             if ends:
                 self._steps.pose = ends[0].camera_from_scanner
-        starts = ((f"place {k + 1}", end.camera_from_scanner) for k, end in enumerate(ends[:_MAX_GRID_POSES]))
-        return self._best(aligner, starts, known)
+        starts = [(f"place {k + 1}", end.camera_from_scanner) for k, end in enumerate(ends[:_MAX_GRID_POSES])]
+        begun = {source: self._other_core.begin(partial(aligner.refine, start)) for source, start in starts[1:]}
+        return self._best(aligner, starts, known, begun)
 
     def detect_roll(self, aligner: Aligner) -> Roll | None:
         """Return the roll of the camera relative to the view, if corners indicate one."""
@@ -154,17 +156,25 @@ class ViewSearch:
         whole = None if direction is None else self.view(direction, name="what the photo sees")
         if whole is None:
             return aligner, candidate
+        self._prepare_to_finish(whole)
         again = self._refined(whole, "the pose found in another view", pose)
         if again is None or again.coarse_verdict.agreeing <= candidate.coarse_verdict.agreeing:
             return aligner, candidate
         return whole, again
 
-    def _best(self, aligner: Aligner, starts: Iterable[tuple[str, Rigid]], known: KnownPoses) -> Candidate | None:
+    def _best(
+        self,
+        aligner: Aligner,
+        starts: Iterable[tuple[str, Rigid]],
+        known: KnownPoses,
+        begun: Mapping[str, Begun[Candidate | None]] | None = None,
+    ) -> Candidate | None:
+        """Return the best candidate of starts, of which some may have been begun, by name."""
         best: Candidate | None = None
         for source, start in starts:
             if known.covers_start(start):
                 continue
-            candidate = self._refined(aligner, source, start)
+            candidate = self._refined(aligner, source, start, (begun or {}).get(source))
             if candidate is None:
                 continue
             if best is None or candidate.fraction > best.fraction:
@@ -173,21 +183,27 @@ class ViewSearch:
                 break
         return best
 
-    def _refined(self, aligner: Aligner, source: str, start: Rigid) -> Candidate | None:
-        if self._prepared is not aligner and self._pair.kept_views > 1:  # of a large scan, memory matters more
-            self._prepared = aligner
-            for piece in aligner.needed_to_finish():
-                self._other_core.begin(piece)
+    def _refined(
+        self, aligner: Aligner, source: str, start: Rigid, begun: Begun[Candidate | None] | None = None
+    ) -> Candidate | None:
         with self._steps.step("climb") as note:
-            candidate = aligner.refine(start)
+            candidate = aligner.refine(start) if begun is None else begun.result()
             note["start"] = source
             if candidate is not None:
                 note.update(candidate.coarse_verdict.as_dict())
                 self._steps.pose = candidate.camera_from_scanner
         return candidate
 
+    def _prepare_to_finish(self, aligner: Aligner) -> None:
+        """Begin what the finish needs, once for each aligner; of a large scan, memory matters more."""
+        if self._prepared is not aligner and self._pair.kept_views > 1:
+            self._prepared = aligner
+            for piece in aligner.needed_to_finish():
+                self._other_core.begin(piece)
+
     def _starts(self, aligner: Aligner, given: Rigid | None) -> Iterator[tuple[str, Rigid]]:
         if given is not None:
+            self._prepare_to_finish(aligner)
             yield "the given pose", given
         begun, self._begun = self._begun, None
         ahead = begun is not None and begun[0] is aligner
@@ -205,6 +221,7 @@ class ViewSearch:
             if item is None:
                 return
             if isinstance(item, Hypothesis):
+                self._prepare_to_finish(aligner)
                 yield item.source, item.camera_from_scanner
 
 
