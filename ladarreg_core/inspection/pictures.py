@@ -73,9 +73,9 @@ class NamedView:
 def inspection_views(scan: Scan) -> tuple[NamedView, ...]:
     """Return one view of the whole scan, or several side by side where one would be too wide.
 
-    Several go from left to right; all around they begin with a well filled one, as nearly ahead as can be. Behind them
-    are the views in between, without a label: of the directions in which the scan has cells, none is far from the
-    middle of a view.
+    Several go from left to right and on at the left again; they begin with a well filled one, as nearly ahead as can
+    be, or in the middle of the scan. Behind them are the views in between, without a label: of the directions in which
+    the scan has cells, none is far from the middle of a view.
 
     Each has about one pixel per cell, but no more than 8 Mpixel, 16 pixels per cell of the scan, or 32,000 pixels a
     side; beyond these limits the views are coarser. Source: thesis 2.2.2.
@@ -96,10 +96,11 @@ def inspection_views(scan: Scan) -> tuple[NamedView, ...]:
     camera = Camera.from_focal(max(2, round(side * share)), max(2, round(side * share)), focal * share)
     directions = sorted(viewing_directions(scan, camera), key=lambda d: -_azimuth(d.rotation[2]))
     views = [NamedView(scan, camera, d, _direction_name(_azimuth(d.rotation[2]))) for d in directions]
-    if is_all_around(scan):
+    if len(views) > 1:
         filled = [_returns_in(view.view) for view in views]
         good = [k for k in range(len(views)) if filled[k] >= _WELL_FILLED * max(filled)]
-        first = min(good, key=lambda k: abs(_azimuth(directions[k].rotation[2])))
+        ahead = np.array([1.0, 0.0, 0.0]) if is_all_around(scan) else scan.mean_direction
+        first = max(good, key=lambda k: float(directions[k].rotation[2] @ ahead))
         views = views[first:] + views[:first]
     return (*views, *_views_between(scan, camera, directions)) if len(views) > 1 else tuple(views)
 

@@ -148,6 +148,18 @@ def test_views_all_around_begin_where_most_is_to_be_seen_and_go_on_to_the_right(
     assert all(0 < (a - b) % 360 < 120 for a, b in itertools.pairwise(ahead))
 
 
+@pytest.mark.parametrize("turned_deg", [0, 70])
+def test_views_of_a_sector_begin_in_its_middle(turned_deg: float) -> None:
+    step = np.deg2rad(1.0)
+    geometry = SphericalGrid(40, 150, step, step, np.deg2rad(turned_deg + 75), 20 * step)
+    scan = Scan(geometry, np.full((40, 150), 3.0), np.ones((40, 150)))
+    views = inspection_views(scan)
+    assert len(views) > 1
+    away = [np.degrees(np.arccos(view.view_from_scanner.rotation[2] @ scan.mean_direction)) for view in views]
+    assert away[0] < 35
+    assert away[0] == pytest.approx(min(deg for deg, view in zip(away, views, strict=True) if view.label))
+
+
 def test_views_have_no_more_pixels_than_the_scan_resolves() -> None:
     usual = wall()
     assert resolution_note(usual, inspection_views(usual)) is None
