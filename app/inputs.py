@@ -25,28 +25,33 @@ _CAMERA = ("camera", "focal_px", "focal_mm", "sensor_mm", "camera_model")
 _LARGE_SCAN_CELLS = 4_000_000
 
 
-def read_inputs(arguments: PhotoArguments, bar: ProgressBar, *results: Path | None) -> tuple[Scan, Photo]:
-    """Read the scan and the photo, and report each as a step.
+def read_inputs(
+    arguments: PhotoArguments, bar: ProgressBar, *results: Path | None, soon: Callable[[], object] = lambda: None
+) -> tuple[Scan, Photo]:
+    """Read the scan and the photo side by side, and report each as a step.
 
     Args:
         arguments: the arguments of a command, after `with_recorded_options`.
         bar: receives the steps.
         results: the files that were given to `with_recorded_options`; the scan's notes name the clouds that they were
             registered on and that are not there.
+        soon: loads, meanwhile, the modules that the command needs next.
     """
     import ladarreg_core as lr
     from ladarreg_core.saved_results import missing_scans
+    from ladarreg_core.side_by_side import OtherCore
 
-    scan = timed("Read scan", bar, lambda: lr.read_scan(arguments.scan, report=bar.loading, **arguments.scan_options))
-    suit_heap(scan)
-    more = arguments.more or ()
-    missing = [said for path in results if path and (said := missing_scans(path, arguments.scan, more))]
-    scan = replace(scan, notes=(*scan.notes, *missing)) if missing else scan
-    photo = timed(
-        "Read photo",
-        bar,
-        lambda: lr.read_photo(arguments.photo, **arguments.photo_options),
-    )
+    with OtherCore() as other_core:
+        of_photo = other_core.begin(lambda: lr.read_photo(arguments.photo, **arguments.photo_options))
+        other_core.begin(soon)
+        scan = timed(
+            "Read scan", bar, lambda: lr.read_scan(arguments.scan, report=bar.loading, **arguments.scan_options)
+        )
+        suit_heap(scan)
+        more = arguments.more or ()
+        missing = [said for path in results if path and (said := missing_scans(path, arguments.scan, more))]
+        scan = replace(scan, notes=(*scan.notes, *missing)) if missing else scan
+        photo = timed("Read photo", bar, of_photo.result)
     return scan, photo
 
 

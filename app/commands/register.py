@@ -72,6 +72,7 @@ def run(arguments: Arguments | RigArguments) -> ExitCode:
         from ..rig import run_rig
 
         return run_rig(arguments)
+    import ladarreg_core as lr
     from ladarreg_core.camera import require_pinhole
     from ladarreg_core.export.folder import check_folder
     from ladarreg_core.export.output_frame import OutputFrame
@@ -84,7 +85,7 @@ def run(arguments: Arguments | RigArguments) -> ExitCode:
     check_method(arguments, arguments.method)
     _check_carry(arguments)
     with progress_bar(quiet=arguments.quiet) as bar:
-        scan, photo = read_inputs(arguments, bar, arguments.initial, arguments.carry)
+        scan, photo = read_inputs(arguments, bar, arguments.initial, arguments.carry, soon=lambda: lr.register)
         if arguments.smooth:
             require_pinhole(photo.camera, "--smooth")  # before the work that would be lost
         OutputFrame.of(scan, arguments.frame)  # refuse before the work
