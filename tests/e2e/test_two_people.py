@@ -126,14 +126,16 @@ def test_undo_takes_back_ones_own_edit_and_a_conflict_says_whose(ann: Person, be
         person.draw("photo", [(300, v), (410, v + 20)])
         return person.wait(lambda: {pick["number"] for pick in person.slice("picks:p1")} - there, "a line").pop()
 
-    mine, theirs = drawn(ann, 200), drawn(ben, 300)
+    mine = drawn(ann, 200)
+    ben.wait(lambda: mine in {pick["number"] for pick in ben.slice("picks:p1")}, "the colleague sees it")
+    theirs = drawn(ben, 300)
     ann.wait(lambda: theirs in {pick["number"] for pick in ann.slice("picks:p1")}, "the colleague's line")
     ann.page.keyboard.press("Control+z")
     ann.wait(lambda: {pick["number"] for pick in ann.slice("picks:p1")} == before | {theirs}, "one's own is undone")
     ann.page.keyboard.press("Control+Shift+z")
     ann.wait(lambda: {pick["number"] for pick in ann.slice("picks:p1")} == before | {mine, theirs}, "and redone")
 
-    ben.wait(lambda: mine in {pick["number"] for pick in ben.slice("picks:p1")}, "the colleague sees it, too")
+    ben.wait(lambda: mine in {pick["number"] for pick in ben.slice("picks:p1")}, "the colleague sees it again")
     # By its number, not by its place: a slice is known a frame before the table shows it.
     ben.page.get_by_role("checkbox", name=f"Match {mine} enabled", exact=True).click()
     ann.wait(lambda: [p["number"] for p in ann.slice("picks:p1") if not p["on"]] == [mine], "it is disabled")
