@@ -3,8 +3,8 @@
 Simulated sets as `ladarreg simulate` makes them; `intrinsics`: the stated focal length 5 % off or k1 .15 off; `wrong`:
 the scan of one room and the photograph of another; `near`: climbs forced to start from a wrong place; `blank`: pictures
 of nothing; `real`: the captures beside the checkout, or where LADARREG_DATA says; `petals`, `narrow`, `64 lines`, `128
-lines`: sparse lidars outdoors, from a rough guess and from none, with `sparse shuffled` and `sparse real`; `rigs`: five
-pairs of them with one pose.
+lines`: sparse lidars outdoors, from a rough guess and from none, with `sparse shuffled` and `sparse real`; `sparse
+peers`: the same and two other methods from the same rough guesses; `rigs`: five pairs of them with one pose.
 """
 
 from __future__ import annotations

@@ -11,12 +11,14 @@ from benchmarks.matching_sets import WITH_PEERS
 from benchmarks.pose_report import NOTHING, Bar, Section, as_markdown, number, table
 from benchmarks.register import METHODS, Row
 from benchmarks.rig_sets import rig_section
+from benchmarks.sparse_peers import PEERS_SET
 from benchmarks.sparse_report import sparse_sections
 
 RIGHT_PX = 2.0
 """Error beyond which an accepted pose counts as wrong."""
 _MARKERS = ("<!-- matching: begin -->", "<!-- matching: end -->")
 _SPARSE_MARKERS = ("<!-- sparse: begin -->", "<!-- sparse: end -->")
+_PEERS_MARKERS = ("<!-- sparse peers: begin -->", "<!-- sparse peers: end -->")
 _RIG_MARKERS = ("<!-- rigs: begin -->", "<!-- rigs: end -->")
 _NO_RIGHT_ANSWER = ("wrong", "near", "blank", "thermal wrong")
 
@@ -41,8 +43,15 @@ def write_page(path: Path, rows: Sequence[Row]) -> None:
     text = path.read_text(encoding="utf-8")
     sparse, rigs = sparse_sections(rows), _rig_sections(rows)
     elsewhere = {section.key for section in (*sparse, *rigs)}
+    peers = [section for section in sparse if section.key == PEERS_SET]
+    sparse = [section for section in sparse if section.key != PEERS_SET]
     rooms = [section for section in sections(rows) if section.key not in elsewhere]
-    for (first, last), mine in ((_MARKERS, rooms), (_SPARSE_MARKERS, sparse), (_RIG_MARKERS, rigs)):
+    for (first, last), mine in (
+        (_MARKERS, rooms),
+        (_SPARSE_MARKERS, sparse),
+        (_PEERS_MARKERS, peers),
+        (_RIG_MARKERS, rigs),
+    ):
         if not mine:
             continue
         before, begin, rest = text.partition(first)

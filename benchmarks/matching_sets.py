@@ -13,6 +13,7 @@ import numpy as np
 import ladarreg_core as lr
 from benchmarks.register import Row, by_default, by_peers, timed
 from benchmarks.rig_sets import rig_rows
+from benchmarks.sparse_peers import PEERS_SET, peer_rows
 from benchmarks.sparse_sets import SPARSE_SETS
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.auto import AutoOptions
@@ -157,6 +158,7 @@ SETS: dict[str, tuple[Callable[[range], Iterator[Row]], int]] = {
     "thermal wrong": (thermal_wrong_rows, 8),
     "real": (real_rows, 1),
     **SPARSE_SETS,
+    PEERS_SET: (peer_rows, 3),
     "rigs": (rig_rows, 6),
 }
 """Sets by name, with the number of seeds for each of the scenes."""

@@ -36,7 +36,8 @@ _REAL_GUESSES = 6
 
 
 @lru_cache(maxsize=2)
-def _case(scene: str, lidar: LidarName, seed: int) -> OutdoorCase:
+def outdoor_case(scene: str, lidar: LidarName, seed: int) -> OutdoorCase:
+    """Return a case; the last ones are kept."""
     return simulate_outdoors(scene, lidar=lidar, seed=seed)
 
 
@@ -54,7 +55,7 @@ def rows_of(lidar: LidarName) -> Callable[[range], Iterator[Row]]:
     def rows(seeds: range) -> Iterator[Row]:
         for seed in seeds:
             for scene in OUTDOORS:
-                case = _case(scene, lidar, seed)
+                case = outdoor_case(scene, lidar, seed)
                 for how in (ROUGH, NONE):
                     guess = off_by(case.camera_from_scanner, seed) if how == ROUGH else None
                     result, seconds, steps = timed(case.scan, case.photo, initial=guess)
@@ -69,7 +70,7 @@ def shuffled_rows(seeds: range) -> Iterator[Row]:
     for seed in seeds:
         for lidar in get_args(LidarName):
             for number, scene in enumerate(OUTDOORS):
-                case, other = _case(scene, lidar, seed), _case(scene, lidar, seed + 1)
+                case, other = outdoor_case(scene, lidar, seed), outdoor_case(scene, lidar, seed + 1)
                 guess = off_by(case.camera_from_scanner, seed) if (seed + number) % 2 else None
                 result, seconds, steps = timed(case.scan, other.photo, initial=guess)
                 how = ROUGH if guess is not None else NONE
@@ -102,22 +103,29 @@ def real_rows(seeds: range) -> Iterator[Row]:
                        photo.camera, truth)  # fmt: skip
 
 
-def _row(
-    set_name: str, what: str, seed: int, result: lr.Registration, seconds: float, steps: dict[str, float],
-    scan: lr.Scan, camera: CameraModel, truth: Rigid,
-) -> Row:  # fmt: skip
+def error_px(
+    scan: lr.Scan, pose: Rigid, camera: CameraModel, truth: Rigid, *, found: CameraModel | None = None
+) -> float:
+    """Return the median displacement of what the photo sees of a scan, px, by a pose and a camera that was found."""
     points = scan.points[scan.valid].astype(float)
     points = points[:: max(1, len(points) // 5000)]
     true = camera.project(truth @ points)
     seen = camera.contains(true)
-    pose = result.camera_from_scanner
-    off = np.linalg.norm(true[seen] - result.camera.project(pose @ points[seen]), axis=1)
+    off = np.linalg.norm(true[seen] - (found or camera).project(pose @ points[seen]), axis=1)
     off[~np.isfinite(off)] = np.inf  # behind the camera that was found
+    return float(np.median(off))
+
+
+def _row(
+    set_name: str, what: str, seed: int, result: lr.Registration, seconds: float, steps: dict[str, float],
+    scan: lr.Scan, camera: CameraModel, truth: Rigid,
+) -> Row:  # fmt: skip
+    pose = result.camera_from_scanner
     turn = cv2.Rodrigues(truth.rotation @ pose.rotation.T)[0][:, 0]
     apart = np.concatenate([turn, truth.centre - pose.centre])
     return Row(
-        "auto", set_name, what, seed, result.accepted, float(np.median(off)), float(np.degrees(pose.angle_to(truth))),
-        1e3 * pose.distance_to(truth), seconds,
+        "auto", set_name, what, seed, result.accepted, error_px(scan, pose, camera, truth, found=result.camera),
+        float(np.degrees(pose.angle_to(truth))), 1e3 * pose.distance_to(truth), seconds,
         sigmas=float(np.sqrt(apart @ np.linalg.solve(result.covariance, apart) / 6)), steps=steps,
     )  # fmt: skip
 

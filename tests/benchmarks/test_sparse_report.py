@@ -45,3 +45,14 @@ def test_a_page_takes_either_kind_of_sets_and_keeps_the_other(tmp_path: Path) ->
     assert "old matching" in text
     assert "old sparse" not in text
     assert "petals, no guess" in text
+
+
+def test_the_peers_have_a_place_of_their_own_on_a_page(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    names = ("sparse", "sparse peers")
+    page.write_text("".join(f"<!-- {n}: begin -->\nold {n}\n<!-- {n}: end -->\n" for n in names), encoding="utf-8")
+    write_page(page, [row("sparse peers", "petals, street", True, 1.0)])
+    text = page.read_text(encoding="utf-8")
+    assert "old sparse\n" in text
+    assert "old sparse peers" not in text
+    assert "1 of 1" in text
