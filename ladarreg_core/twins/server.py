@@ -19,7 +19,7 @@ from ladarreg_core.twins.twin import Twin
 
 _TICK_S = 0.002
 _PIECE = 4096
-_MOST_UNSENT = 1 << 17  # more is lost, as by a device whose host does not listen
+_MOST_UNSENT = 1 << 20  # bytes; a busy host takes them seconds later, and more is lost, as if nobody listened
 
 
 class TwinServer:
