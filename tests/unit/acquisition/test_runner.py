@@ -207,8 +207,12 @@ def test_a_stopped_run_is_at_rest_at_once_and_goes_on_at_the_missing_piece(devic
     events: list[RunEvent] = []
     plan = devices.plan(pan=Axis(0, 60, 20))
     folder = RunWriter.begin(tmp_path / "run", plan)
-    run = devices.run(folder, events)
-    threading.Timer(1.0, run.stop).start()
+
+    def stop_soon(event: RunEvent) -> None:
+        if isinstance(event, PieceKept):
+            threading.Timer(0.2, run.stop).start()  # on the way to the next piece
+
+    run = devices.run(folder, events, stop_soon)
     assert not run.go()
     folder.close()
     assert devices.at_rest()
