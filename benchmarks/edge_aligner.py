@@ -32,7 +32,7 @@ _LEAST_POINTS, _MOST_POINTS = 25, 800
 _PLANES, _TRIPLES = 4, 40
 _LEAST_SHARE = 0.15  # of a voxel's points: trees have thin slices, too
 _THICK_M = 0.03
-_LEAST_COS, _MOST_COS = 0.0, np.cos(np.radians(30))
+_MOST_COS = np.cos(np.radians(30))
 _SIZES, _SHIFTS = (1.0, 2.0, 4.0), (0.0, 0.5)  # of voxels: far away, points are sparse
 _STEPS = 40  # a voxel
 _SPACINGS = 3.0
@@ -145,7 +145,7 @@ def _intersection(
 ) -> tuple[FloatArray, FloatArray]:
     """Return points on the intersection of two planes that both reach, (N, 3) m, and its direction."""
     nothing = np.zeros((0, 3)), np.zeros(3)
-    if not _LEAST_COS <= abs(float(one[0] @ two[0])) < _MOST_COS:
+    if abs(float(one[0] @ two[0])) >= _MOST_COS:
         return nothing
     way = np.cross(one[0], two[0])
     way /= np.linalg.norm(way)
