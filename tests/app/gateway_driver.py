@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import http.client
 import json
 import ssl
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +20,7 @@ from ladarreg.gateway.protocol import Message, Picture, Visitor
 from ladarreg.gateway.routes import build_site
 from ladarreg.gateway.server import Gateway
 from ladarreg.gateway.viser_backend import ViserAddress
+from websockets.asyncio.client import connect as asyncio_connect
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
@@ -175,16 +178,36 @@ class Running:
         self, path: str = "/document", headers: Mapping[str, str] | None = None, **more: Any
     ) -> ClientConnection:
         """Open a websocket as our own page would."""
+        assert self.tls is None, (
+            "this client reads and writes in two threads, which Python's TLS sockets do not survive"
+        )
         sent = {"Origin": self.origin, "Cookie": self.cookie} | dict(headers or {})
-        scheme = "wss" if self.tls else "ws"
         return connect(
-            f"{scheme}://127.0.0.1:{self.port}{path}",
+            f"ws://127.0.0.1:{self.port}{path}",
             additional_headers={name: value for name, value in sent.items() if value},
-            ssl=self.tls,
             proxy=None,
             open_timeout=60,  # a crowded machine may take its time; whatever hangs is still found
             **({"max_size": None, "compression": None} | more),
         )
+
+    def first_message(self, path: str, **more: Any) -> str | bytes:
+        """Open a websocket, over TLS if the gateway has it, and return the first message."""
+
+        async def receive() -> str | bytes:
+            async with (
+                asyncio.timeout(60),
+                asyncio_connect(
+                    f"{self.origin.replace('http', 'ws', 1)}{path}",
+                    additional_headers={"Origin": self.origin, "Cookie": self.cookie},
+                    ssl=self.tls,
+                    proxy=None,
+                    **({"max_size": None, "compression": None} | more),
+                ) as page,
+            ):
+                return await page.recv()
+
+        with ThreadPoolExecutor(1) as thread:  # a browser's test may have left an event loop in this one
+            return thread.submit(asyncio.run, receive()).result()
 
 
 @contextmanager

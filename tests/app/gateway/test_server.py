@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -115,10 +116,8 @@ def test_with_a_certificate_everything_is_tls(tmp_path: Path, certificate: tuple
             assert headers["strict-transport-security"].startswith("max-age=")
             assert "strict-transport-security" not in run.ask("GET", "/", {"Host": "localhost"})[1]
             assert run.gateway.address.startswith("https://")
-            with run.socket() as page:
-                assert "slices" in hear(page)
-            with run.socket("/viser", subprotocols=["viser-v1.1.1"]) as page:
-                assert page.recv(timeout=10)
+            assert "slices" in json.loads(run.first_message("/document"))
+            assert run.first_message("/viser", subprotocols=["viser-v1.1.1"])
             with socket.create_connection(("127.0.0.1", run.port), timeout=10) as plain:
                 plain.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
                 assert not plain.recv(100).startswith(b"HTTP/1.1 200")
