@@ -18,7 +18,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 from ladarreg_core.errors import LadarregError
 
 from ..process_resources import return_memory_soon
-from .encoding import InvalidMessageError, SharedEncoder, decode_object, encode
+from .encoding import InvalidMessageError, SharedEncoder, decode_object, encode, joined
 from .protocol import URGENT, Client, Message, Visitor, Workbench
 
 log = logging.getLogger(__name__)
@@ -34,8 +34,8 @@ _MAX_EVENTS = 200
 _MAX_WAITING = 32
 """Commands of a page that wait for their turn; it is not read any further then."""
 _MAX_URGENT_CHARACTERS = 1000
-_TOGETHER_S = 0.01
-"""How long the changes by a page's command wait for its reply: a page that gets both at once paints once."""
+_TOGETHER_S = 0.02
+"""How long the changes by a page's command wait for its reply, to be sent with it."""
 _URGENT_THREADS = 4
 _SECRET = re.compile(r"[A-Za-z0-9_-]{16,64}")
 _MAX_FIELD = 100
@@ -172,6 +172,19 @@ class ClientState:
     def encode(self, message: Message) -> str:
         """Return the JSON text of a message for this client, and assume that it is sent."""
         return self._encode_slices(message["slices"]) if "slices" in message else encode(message)
+
+    def encode_all(self, messages: list[Message], reply: str | None) -> list[str]:
+        """Return what is to be sent for messages and the encoded reply that follows them, and assume that it is sent.
+
+        The reply and the changes that it follows, if nothing else waits, are one message: a page that gets both at once
+        handles the reply before it paints the changes.
+        """
+        texts = [self.encode(message) for message in messages]
+        if reply is None:
+            return texts
+        if len(messages) == 1 and "slices" in messages[0]:
+            return [joined(reply, texts[0])]
+        return [*texts, reply]
 
     def _encode_slices(self, slices: dict[str, Any]) -> str:
         self._version += 1
@@ -314,10 +327,9 @@ async def _send_pending(
     while await pending.wait():
         pending.clear()
         messages, reply = outbox.take()
-        for message in messages:
-            await websocket.send_text(state.encode(message))
+        for text in state.encode_all(messages, reply):
+            await websocket.send_text(text)
         if reply is not None:
-            await websocket.send_text(reply)
             replied.set()
         if any(message.get("event") == _PROJECT_CHANGED for message in messages):
             await websocket.close(_RESTART)  # everything that this page knows belongs to the former project

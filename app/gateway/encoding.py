@@ -68,6 +68,11 @@ def encode_part(value: Any) -> msgspec.Raw:
     return msgspec.Raw(msgspec.json.encode(value, enc_hook=_as_list))
 
 
+def joined(first: str, second: str) -> str:
+    """Return one object with the fields of two, given and returned as JSON texts; neither is empty."""
+    return f"{first[:-1]},{second[1:]}"
+
+
 def decode_object(text: str) -> dict[str, Any]:
     """Return the JSON object that a text represents.
 

@@ -31,6 +31,9 @@ class WorkbenchDriver:
         message = json.loads(json.dumps({"id": 1, "do": do, **fields}))
         reply = self.workbench.answer(self.client, message)
         assert reply["reply"] == 1
+        assert not {"slices", "changes", "version", "event"} & set(reply), (
+            "fields of the messages that a reply may share"
+        )
         return json.loads(json.dumps(reply, allow_nan=False))
 
     def do(self, do: str, **fields: Any) -> dict[str, Any]:

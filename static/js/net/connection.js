@@ -92,8 +92,13 @@ const receive = (text) => {
   } catch {
     return; // if it was one of the workbench's, the next version number does not follow, and the page reconnects
   }
-  if (message.reply !== undefined) settle(message);
-  else if (!store.take(message)) reconnect();
+  let continues = true;
+  try {
+    continues = store.take(message);
+  } finally {
+    if (message.reply !== undefined) settle(message);
+  }
+  if (!continues) reconnect();
 };
 
 /** Reconnect after a gap in the messages: a new connection receives all slices. */
