@@ -99,9 +99,9 @@ def corner_maps(image: FloatArray) -> tuple[FloatArray, FloatArray]:
     det = np.maximum(n_vv * n_hh - n_vh * n_vh, 0)
     trace = n_vv + n_hh
     floor = np.float32(1e-6) * max(float(trace.max(initial=0.0)), 1e-12)  # rounding noise of a uniform image
-    safe = np.where(trace > floor, trace, np.float32(1))
-    flat = trace <= floor
-    return np.where(flat, 0, 2 * det / safe), np.where(flat, 0, 4 * det / safe**2)
+    trace[trace <= floor] = np.inf
+    w = 2 * det / trace
+    return w, 2 * w / trace
 
 
 def find_corners(

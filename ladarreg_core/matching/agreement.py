@@ -14,8 +14,7 @@ from math import comb, exp, lgamma, log, log1p
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
-from ladarreg_core.features.channels import ORIENTATIONS as CHANNELS
-from ladarreg_core.features.channels import channel_products
+from ladarreg_core.features.channels import CHANNELS, channel_products
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.blocks import Target, project_visible
 from ladarreg_core.matching.sampling import ViewPoints
@@ -25,7 +24,6 @@ _MIN_POINTS = 12
 _MIN_NEIGHBOURS = 5
 _TINY = 1e-9
 _MOST_EXACT = 800  # blocks; the binomial coefficients of more overflow
-_CHANNEL_IDENTITY = np.eye(CHANNELS, dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,33 +215,24 @@ def _correlations(channels: FloatArray, uv: FloatArray, starts: IntArray, target
     The photo is sampled at whole pixels: rounding the projections displaces the points by less than a third of a pixel
     rms, in no preferred direction.
     """
-    width = target.camera.width
     side = 2 * radius + 1
-    v, u = np.mgrid[-radius : radius + 1, -radius : radius + 1]
-    offsets = (v * width + u).reshape(-1)
-    nearest = np.rint(uv).astype(np.intp)
-    base = nearest[:, 1] * width + nearest[:, 0]
-    image, squares = target.channels.reshape(-1, CHANNELS), target.squares
+    shifts = side * side
+    # Around each point all shifts are read at once, row by row of its neighbourhood; every pixel lies in the image.
+    column, row = np.rint(uv).astype(np.intp).T - radius
+    neighbourhoods, squared = target.neighbourhoods(side)
     count = np.diff(starts, append=len(uv))
     of = np.repeat(np.arange(len(starts)), count)
     A = channels - (np.add.reduceat(channels, starts) / count[:, None].astype(np.float32)).take(of, axis=0)
     norm_a = np.sqrt(np.add.reduceat(channel_products(A, A), starts))
     # One matrix product gives the correlation with A (A is centred, so B need not be) and the sums of B's channels.
-    right = np.tile(
-        np.column_stack([np.zeros(CHANNELS, np.float32), _CHANNEL_IDENTITY]), (int(count.max(initial=0)), 1)
-    )
-    rho = np.empty((len(starts), side * side))
-    # Every pixel lies in the image: clipping changes none, and lets what is taken be written where it belongs.
-    most = len(offsets) * int(count.max(initial=0))
-    every_pixel, every_value = np.empty(most, np.intp), np.empty((most, CHANNELS), np.float32)
-    every_square = np.empty(most, np.float32)
+    left = np.concatenate([A.T, np.ones((1, len(uv)), np.float32)])
+    product, length = np.empty((2, len(starts), shifts))
     for k, (first, n) in enumerate(zip(starts, count, strict=True)):
-        shape, size = (len(offsets), n), len(offsets) * n
-        pixels = np.add(offsets[:, None], base[first : first + n], out=every_pixel[:size].reshape(shape))
-        B = image.take(pixels, axis=0, out=every_value[:size].reshape(*shape, CHANNELS), mode="clip")
-        right[: n * CHANNELS, 0] = A[first : first + n].reshape(-1)
-        products = B.reshape(len(offsets), n * CHANNELS) @ right[: n * CHANNELS]
-        square = squares.take(pixels, out=every_square[:size].reshape(shape), mode="clip").sum(axis=1)
-        length = square - (products[:, 1:] ** 2).sum(axis=1) / n
-        rho[k] = products[:, 0] / (norm_a[k] * np.sqrt(np.maximum(length, 0)) + _TINY)
-    return rho.reshape(-1, side, side)
+        block = slice(first, first + n)
+        at = row[block], column[block]
+        sums = (left[:, block] @ neighbourhoods[at].reshape(n, -1)).reshape(CHANNELS + 1, shifts, CHANNELS)
+        product[k] = np.einsum("csc->s", sums[:CHANNELS])
+        square = squared[at].reshape(n, -1).sum(axis=0)
+        length[k] = square - (sums[CHANNELS] ** 2).sum(axis=1) / n
+    rho = product / (norm_a[:, None] * np.sqrt(np.maximum(length, 0)) + _TINY)
+    return np.asarray(rho.reshape(-1, side, side))

@@ -18,7 +18,6 @@ from ladarreg_core.matching.covariance import WindowEvidence, window_evidence
 from ladarreg_core.matching.pyramid import ChannelSet, PairLevels
 from ladarreg_core.matching.roll import Roll
 from ladarreg_core.matching.self_calibration import (
-    FinishedPose,
     FreeCamera,
     check_free_camera,
     estimate_camera,
@@ -37,7 +36,7 @@ from ladarreg_core.validation import require_choice
 
 Reach = Literal["everywhere", "near_start"]
 _MAX_ROLLED_VIEWS, _MAX_GRID_VIEWS = 2, 3
-_MEDIAN_CELLS = 8_000_000
+_MEDIAN_CELLS = 100_000
 # Variance factors of coarse scans, from simulated places outdoors. What the poses rest on is known to a cell, and
 # displaced alike all over the image, which no comparison of its regions shows: outlines without intensity, and print
 # with it. The wider the cells, as between the lines of a spinning lidar, the larger the common error.
@@ -132,7 +131,6 @@ def register_auto(
     if reason:
         return AutoResult(initial, None, None, (reason,))
 
-    directions = viewing_directions(scan, working, initial=initial)
     with OtherCore() as other_core:
         search = ViewSearch(
             pair,
@@ -143,6 +141,7 @@ def register_auto(
             seed=o.seed,
             channel_set=o.channel_set,
         )
+        directions = viewing_directions(scan, working, initial=initial)
         found = CandidateSet(search, photo, KnownPoses(scan, photo.pinhole, o.gate), steps, other_core, o, initial)
         if initial is not None and o.reach == "near_start":
             _search_near(search, found, directions[0], initial)
@@ -154,11 +153,12 @@ def register_auto(
 
 def reason_against_scan(scan: Scan) -> str:
     """Return why a scan cannot determine a pose; empty if nothing speaks against it."""
-    nearest, farthest = float(np.nanmin(scan.ranges)), float(np.nanmax(scan.ranges))
+    nearest, farthest = float(np.fmin.reduce(scan.ranges, axis=None)), float(np.fmax.reduce(scan.ranges, axis=None))
     if nearest == farthest:
         return f"All returns of the scan have the same range, {nearest:g} m, so the scan does not determine a pose."
 
-    median = float(np.nanmedian(scan.ranges[:: max(1, scan.ranges.size // _MEDIAN_CELLS)]))
+    returns = scan.ranges[scan.valid]
+    median = float(np.median(returns[:: max(1, len(returns) // _MEDIAN_CELLS)]))
     if not _RANGE_M[0] <= median <= _RANGE_M[1]:
         return f"The median range of the scan is {median:.3g} m, which is implausible: check its unit and scale."
     return ""
@@ -184,7 +184,7 @@ class CandidateSet:
         self._other_core = other_core
         self._options = options
         self._initial = initial
-        self._minima: tuple[Rigid, Begun[CoarseMinima]] | None = None
+        self._minima: tuple[Aligner, Begun[CoarseMinima]] | None = None
         self._accepted: AutoResult | None = None
         self._accepted_by: Aligner | None = None
         self._ambiguous_poses: tuple[Rigid, Rigid] | None = None
@@ -205,9 +205,8 @@ class CandidateSet:
                 self._unfinished = candidate
             return
         aligner, candidate = self._search.with_full_overlap(aligner, candidate)
-        result, aligner = _finish(
-            aligner, candidate, self._photo, self._steps, self._options.intrinsics, self._begin_second_minimum
-        )
+        self._begin_second_minimum(aligner, candidate)
+        result, aligner = _finish(aligner, candidate, self._photo, self._steps, self._options.intrinsics)
         pose = result.camera_from_scanner
         if result.verification is None or not result.verification.accepted or pose is None:
             if self._refused is None or _fraction(result) > _fraction(self._refused):
@@ -220,11 +219,14 @@ class CandidateSet:
         if self._accepted is None or _fraction(result) > _fraction(self._accepted):
             self._accepted, self._accepted_by = result, aligner
 
-    def _begin_second_minimum(self, found: FinishedPose) -> None:
-        """Begin the search for a second minimum beside a finished pose that will be accepted, most likely."""
-        if found.verification.accepted and not self._is_sure(found.verification.fraction) and not self.known:
-            minima = self._other_core.begin(partial(coarse_minima, found.aligner, found.camera_from_scanner))
-            self._minima = found.camera_from_scanner, minima
+    def _begin_second_minimum(self, aligner: Aligner, candidate: Candidate) -> None:
+        """Begin the search for a second minimum beside a candidate that will be accepted, most likely.
+
+        On the coarsest level, a candidate is where its finished pose will be.
+        """
+        if candidate.coarse_verdict.accepted and not self._is_sure(candidate.fraction) and not self.known:
+            pose = candidate.camera_from_scanner
+            self._minima = aligner, self._other_core.begin(partial(coarse_minima, aligner, pose))
 
     def _is_sure(self, fraction: float) -> bool:
         """Return whether a given pose decides which of several similar places is meant: if most regions agree there."""
@@ -257,7 +259,7 @@ class CandidateSet:
         assert pose is not None, "an accepted result has a pose"
         with self._steps.step("second minimum") as note:
             begun = self._minima
-            minima = begun[1].result() if begun is not None and begun[0] is pose else None
+            minima = begun[1].result() if begun is not None and begun[0] is aligner else None
             other = second_minimum(aligner, pose, accepted.verification, self.known, minima)
             note.update(found=other is not None)
             self._steps.pose = pose
@@ -371,12 +373,8 @@ def _finish(
     photo: Photo,
     steps: StepLog,
     intrinsics: FreeCamera,
-    verified: Callable[[FinishedPose], None],
 ) -> tuple[AutoResult, Aligner]:
-    """Return the finished and verified result, and the aligner of its camera.
-
-    `verified` is told of the pose before its evidence is computed.
-    """
+    """Return the finished and verified result, and the aligner of its camera."""
     start = candidate.camera_from_scanner
     with steps.step("finish"):
         pose = aligner.finish(start)
@@ -395,7 +393,6 @@ def _finish(
             note.update(estimated=bool(found.free), focal_px=round(found.camera.focal_px, 3))
             note.update(found.verification.as_dict())
             steps.pose = found.camera_from_scanner
-    verified(found)
     with steps.step("evidence"):
         aligner, camera, pose = found.aligner, found.camera, found.camera_from_scanner
         evidence = window_evidence(found.fine, aligner.verification_points, aligner.photo.cameras[0], camera, pose)

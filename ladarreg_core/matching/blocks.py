@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray
@@ -42,6 +43,22 @@ class Target:
         """(h w,) the channels' squared norm at each pixel."""
         return channel_products(self._values, self._values)
 
+    def neighbourhoods(self, side_px: int) -> tuple[FloatArray, FloatArray]:
+        """Return views of all square neighbourhoods, by the row and column of their first pixel.
+
+        Returns:
+            channels (h - side + 1, w - side + 1, side, 5 side) and their squared norm (..., side, side).
+        """
+        height, width = self.usable.shape
+        there = (height - side_px + 1, width - side_px + 1, side_px)
+        channels = np.ascontiguousarray(self.channels)
+        squares = self.squares.reshape(height, width)
+        by_row, by_column, by_value = channels.strides
+        shape, strides = (*there, side_px * channels.shape[-1]), (by_row, by_column, by_row, by_value)
+        return as_strided(channels, shape, strides, writeable=False), as_strided(
+            squares, (*there, side_px), squares.strides * 2, writeable=False
+        )
+
     @cached_property
     def usable_everywhere(self) -> bool:
         """Whether every pixel is usable."""
@@ -52,36 +69,31 @@ class Target:
         return Target(camera, self.channels, self.usable)
 
     def sample(self, uv: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return channels and their derivatives by u and v, each (N, 8), at pixels (N, 2) inside the image.
+        """Return channels and their derivatives by u and v, each (5, N), at pixels (N, 2) inside the image.
 
-        The derivatives are central differences at the nearest pixel; the channels are smooth enough for that.
+        The derivatives are central differences at the nearest pixel, and the channels are continued from there; they
+        are smooth enough for both.
         """
         width = self.camera.width
-        base = np.floor(uv).astype(np.intp)
-        fraction = (uv - base).astype(np.float32)
-        first = base[:, 1] * width + base[:, 0]
-        a, b = (np.repeat(fraction[:, k], self._values.shape[1]).reshape(len(uv), -1) for k in range(2))
-        upper = _between(self._at(first), self._at(first + 1), a)
-        lower = _between(self._at(first + width), self._at(first + width + 1), a)
-        nearest = first + (fraction[:, 0] >= 0.5) + width * (fraction[:, 1] >= 0.5)
-        by_u = self._at(nearest + 1)
-        by_u -= self._at(nearest - 1)
+        nearest = np.rint(uv)
+        column, row = nearest.astype(np.intp).T
+        du, dv = (uv - nearest).astype(np.float32).T
+        at = row * width + column
+        values = rows(self._at(at))
+        by_u, by_v = (rows(self._at(at + step) - self._at(at - step)) for step in (1, width))
         by_u *= np.float32(0.5)
-        by_v = self._at(nearest + width)
-        by_v -= self._at(nearest - width)
         by_v *= np.float32(0.5)
-        return _between(upper, lower, b), by_u, by_v
+        values += by_u * du
+        values += by_v * dv
+        return values, by_u, by_v
 
     def _at(self, pixels: NDArray[np.intp]) -> FloatArray:
         return self._values.take(pixels, axis=0)
 
 
-def _between(start: FloatArray, end: FloatArray, share: FloatArray) -> FloatArray:
-    """Return start + share (end - start); `end` is overwritten."""
-    end -= start
-    end *= share
-    end += start
-    return end
+def rows(values: FloatArray) -> FloatArray:
+    """Return values (N, C) as one row a channel, (C, N): NumPy is several times as fast on few long rows."""
+    return np.ascontiguousarray(values.T)
 
 
 def project_visible(
@@ -92,10 +104,9 @@ def project_visible(
     A visible point lies at least `border` pixels inside the image, on a usable pixel, and is not occluded.
     """
     camera = target.camera
-    # One row per coordinate: NumPy is several times as fast on long rows as on many short ones.
-    rows = pose.rotation.astype(np.float32) @ np.ascontiguousarray(points.points.T)
-    rows += pose.translation.astype(np.float32)[:, None]
-    x, y, z = rows
+    in_camera = pose.rotation.astype(np.float32) @ rows(points.points)
+    in_camera += pose.translation.astype(np.float32)[:, None]
+    x, y, z = in_camera
     shrink = 1 / np.where(z > 0.05, z, 1)
     if camera.distortion:  # only while a change of the lens is being estimated
         uv = camera.project(np.stack([x * shrink, y * shrink, np.ones_like(x)], axis=-1))
@@ -103,12 +114,12 @@ def project_visible(
         scale, centre = (
             np.array(pair, np.float32)[:, None] for pair in ((camera.fx, camera.fy), (camera.cx, camera.cy))
         )
-        uv = (rows[:2] * shrink * scale + centre).T
-    visible = camera.contains(uv, border=border) & occluder.visible(rows.T, buffer)
+        uv = (in_camera[:2] * shrink * scale + centre).T
+    visible = camera.contains(uv, border=border) & occluder.visible(in_camera.T, buffer)
     if not target.usable_everywhere:
         near = np.rint(np.where(visible[:, None], uv, 0)).astype(np.intp)
         visible &= target.usable[near[:, 1], near[:, 0]]
-    return rows.T, uv, visible
+    return in_camera.T, uv, visible
 
 
 def block_counts(blocks: Blocks, visible: BoolArray) -> tuple[FloatArray, BoolArray]:
@@ -134,9 +145,9 @@ class BlockComparison:
     rho: FloatArray
     """(b,) correlation, at least 0."""
     by_u: FloatArray
-    """(n, 8) the photo's channels' derivative by u, in units of the block's length."""
+    """(5, n) the photo's channels' derivative by u, in units of the block's length."""
     by_v: FloatArray
-    """(n, 8) likewise by v."""
+    """(5, n) likewise by v."""
     a_u: FloatArray
     """(n,) the scan's channels times `by_u`."""
     a_v: FloatArray
@@ -150,15 +161,16 @@ class BlockComparison:
     def gradient_products(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Scalar products (n,) of each point's derivatives: u with u, u with v, v with v."""
         by_u, by_v = self.by_u, self.by_v
-        return channel_products(by_u, by_u), channel_products(by_u, by_v), channel_products(by_v, by_v)
+        return _products(by_u, by_u), _products(by_u, by_v), _products(by_v, by_v)
 
     @cached_property
     def gradient_sums(self) -> tuple[FloatArray, FloatArray]:
-        """Sums (b, 8) of the derivatives by u and v over each block."""
+        """Sums (5, b) of the derivatives by u and v over each block."""
         return self.blocks.sum(self.by_u), self.blocks.sum(self.by_v)
 
+    @cached_property
     def normal_equations(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return uu, uv, vv and the right-hand sides u, v, (b,) each, of every block's own Lucas-Kanade step."""
+        """uu, uv, vv and the right-hand sides u, v, (b,) each, of every block's own Lucas-Kanade step."""
         sum_u, sum_v = self.gradient_sums
 
         def gram(products: FloatArray, sums: FloatArray, along: FloatArray) -> FloatArray:
@@ -166,9 +178,9 @@ class BlockComparison:
 
         along_u, along_v = self.blocks.sum(self.b_u), self.blocks.sum(self.b_v)
         product_uu, product_uv, product_vv = self.gradient_products
-        uu = gram(product_uu, (sum_u * sum_u).sum(axis=1), along_u * along_u)
-        uv = gram(product_uv, (sum_u * sum_v).sum(axis=1), along_u * along_v)
-        vv = gram(product_vv, (sum_v * sum_v).sum(axis=1), along_v * along_v)
+        uu = gram(product_uu, _products(sum_u, sum_u), along_u * along_u)
+        uv = gram(product_uv, _products(sum_u, sum_v), along_u * along_v)
+        vv = gram(product_vv, _products(sum_v, sum_v), along_v * along_v)
         return (
             uu,
             uv,
@@ -188,29 +200,32 @@ def compare_blocks(
         return None
     kept = np.flatnonzero(visible & enough[points.blocks.of_point])
     blocks = _sub_blocks(points.blocks.of_point[kept])
-    of = blocks.of_point
-    count = blocks.sum(np.ones(len(kept), np.float32))
+    size = np.diff(blocks.starts, append=len(kept))
+    count = size.astype(np.float32)
 
-    def centred(values: FloatArray) -> FloatArray:
-        return np.asarray(values - (blocks.sum(values) / count[:, None]).take(of, axis=0))
+    def centre(values: FloatArray) -> None:
+        values -= (blocks.sum(values) / count).repeat(size, axis=-1)
 
     seen = uv[kept]
-    A = centred(points.channels.take(kept, axis=0))
-    B, Bu, Bv = target.sample(seen)
-    B = centred(B)
-    length_a, length_b = (
-        np.sqrt(blocks.sum(channel_products(A, A))) + 1e-9,
-        np.sqrt(blocks.sum(channel_products(B, B))) + 1e-9,
-    )
-    A /= length_a.take(of)[:, None]
-    shrink = (1 / length_b).take(of)[:, None]
-    for values in (B, Bu, Bv):
+    A = rows(points.channels.take(kept, axis=0))
+    B, by_u, by_v = target.sample(seen)
+    centre(A)
+    centre(B)
+    length_a, length_b = (np.sqrt(blocks.sum(_products(values, values))) + 1e-9 for values in (A, B))
+    A *= (1 / length_a).repeat(size)
+    shrink = (1 / length_b).repeat(size)
+    for values in (B, by_u, by_v):
         values *= shrink
-    rho = np.maximum(blocks.sum(channel_products(A, B)), 0)
+    rho = np.maximum(blocks.sum(_products(A, B)), 0)
     return BlockComparison(
-        points_camera.T.take(kept, axis=1).T, kept, seen, blocks, count, rho, Bu, Bv,
-        channel_products(A, Bu), channel_products(A, Bv), channel_products(B, Bu), channel_products(B, Bv),
+        points_camera.T.take(kept, axis=1).T, kept, seen, blocks, count, rho, by_u, by_v,
+        _products(A, by_u), _products(A, by_v), _products(B, by_u), _products(B, by_v),
     )  # fmt: skip
+
+
+def _products(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return the scalar products (...) of channel vectors (5, ...)."""
+    return np.asarray(np.einsum("c...,c...->...", first, second))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,7 +253,7 @@ def block_matches(seen: BlockComparison, points: ViewPoints, working: Camera, ca
         working: the ideal camera of the comparison.
         camera: the photo's own camera.
     """
-    uu, uv, vv, right_u, right_v = (np.asarray(value, np.float64) for value in seen.normal_equations())
+    uu, uv, vv, right_u, right_v = (np.asarray(value, np.float64) for value in seen.normal_equations)
     # Only the signal that a block shares with the photo contributes curvature; the rest of its gradient is noise.
     shared = np.maximum(seen.rho, _MIN_SHARED).astype(np.float64)
     damping = _DAMPING * float(np.median(shared * (uu + vv)))
@@ -266,7 +281,7 @@ def block_matches(seen: BlockComparison, points: ViewPoints, working: Camera, ca
 def _centre_points(seen: BlockComparison) -> NDArray[np.intp]:
     """Return the index of the point of each block (b,) nearest to the block's centroid."""
     of = seen.blocks.of_point
-    middle: FloatArray = seen.blocks.sum(seen.uv) / seen.count[:, None]
+    middle: FloatArray = (seen.blocks.sum(seen.uv.T) / seen.count).T
     distance = ((seen.uv - middle[of]) ** 2).sum(axis=-1)
     order = np.lexsort((distance, of))
     return np.asarray(order[np.searchsorted(of[order], np.arange(len(seen.blocks)))])

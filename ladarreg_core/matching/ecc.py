@@ -175,31 +175,35 @@ def step_system(seen: BlockComparison, camera: Camera, options: RefineOptions) -
         options: weights, and the number of free intrinsics.
     """
     blocks, count, rho = seen.blocks, seen.count, seen.rho
-    of = blocks.of_point
+    size = count.astype(np.intp)
 
     # The sums below are products of the centred gradient with its component along B removed, without forming it.
     m_uu, m_uv, m_vv = seen.gradient_products
     Ju, Jv = _jacobian(seen.points_camera, camera, options.free)
-    along_b = blocks.sum(seen.b_u[:, None] * Ju + seen.b_v[:, None] * Jv)
-    along_a = blocks.sum(seen.a_u[:, None] * Ju + seen.a_v[:, None] * Jv)
+    along_b, along_a = _along(seen, Ju, Jv)
 
     weight = _weights(seen, options.tau_px)
     # Only the fraction rho of a block's signal is shared with the photo and contributes curvature; the rest of B's
     # gradient is noise, and including it would shorten every step by rho.
     curvature = weight * rho
-    w = curvature.take(of)[:, None]
-    cross = (w * m_uv[:, None] * Ju).T @ Jv
-    H = (w * m_uu[:, None] * Ju).T @ Ju + (w * m_vv[:, None] * Jv).T @ Jv + cross + cross.T
+    w = curvature.repeat(size)
+    cross = (w * m_uv * Ju) @ Jv.T
+    H = (w * m_uu * Ju) @ Ju.T + (w * m_vv * Jv) @ Jv.T + cross + cross.T
     # Centring of the gradient, at each block's mean Jacobian: it affects the step, not the point of convergence.
-    mean_u, mean_v = blocks.sum(Ju) / count[:, None], blocks.sum(Jv) / count[:, None]
+    mean_u, mean_v = blocks.sum(Ju) / count, blocks.sum(Jv) / count
     sum_u, sum_v = seen.gradient_sums
-    channel_sums = sum_u[:, :, None] * mean_u[:, None] + sum_v[:, :, None] * mean_v[:, None]
-    channel_sums *= np.sqrt(curvature / count)[:, None, None]
-    channel_sums = channel_sums.reshape(-1, Ju.shape[1])
-    H -= channel_sums.T @ channel_sums
-    H -= (curvature[:, None] * along_b).T @ along_b
-    g = (weight[:, None] * (along_a - rho[:, None] * along_b)).sum(axis=0)
-    return StepSystem(H.astype(np.float64), g.astype(np.float64), Ju, Jv)
+    channel_sums = mean_u[:, None] * sum_u + mean_v[:, None] * sum_v
+    channel_sums *= np.sqrt(curvature / count)
+    channel_sums = channel_sums.reshape(len(Ju), -1)
+    H -= channel_sums @ channel_sums.T
+    H -= (curvature * along_b) @ along_b.T
+    g = (weight * (along_a - rho * along_b)).sum(axis=1)
+    return StepSystem(H.astype(np.float64), g.astype(np.float64), Ju.T, Jv.T)
+
+
+def _along(seen: BlockComparison, Ju: FloatArray, Jv: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the derivatives (P, b) of each block's signal along the photo's channels, and along the scan's."""
+    return seen.blocks.sum(seen.b_u * Ju + seen.b_v * Jv), seen.blocks.sum(seen.a_u * Ju + seen.a_v * Jv)
 
 
 def solve_step(H: FloatArray, g: FloatArray) -> FloatArray | None:
@@ -224,15 +228,13 @@ def block_systems(seen: BlockComparison, camera: Camera, options: RefineOptions)
         H (b, 6 + K, 6 + K) and g (b, 6 + K), in (w, t) of X' = exp([w]x) X + t and (log f, k1). H uses each block's
         mean motion, which is sufficient for the jackknife over regions.
     """
-    blocks = seen.blocks
     Ju, Jv = _jacobian(seen.points_camera, camera, options.free)
     weight = _weights(seen, options.tau_px)
-    along_b = blocks.sum(seen.b_u[:, None] * Ju + seen.b_v[:, None] * Jv)
-    along_a = blocks.sum(seen.a_u[:, None] * Ju + seen.a_v[:, None] * Jv)
-    g = weight[:, None] * (along_a - seen.rho[:, None] * along_b)
+    along_b, along_a = _along(seen, Ju, Jv)
+    g = (weight * (along_a - seen.rho * along_b)).T
     curvature = (weight * seen.rho).astype(np.float64)
-    uu, uv, vv, _, _ = (value.astype(np.float64) for value in seen.normal_equations())
-    mean_u, mean_v = ((blocks.sum(J) / seen.count[:, None]).astype(np.float64) for J in (Ju, Jv))
+    uu, uv, vv, _, _ = (value.astype(np.float64) for value in seen.normal_equations)
+    mean_u, mean_v = ((seen.blocks.sum(J) / seen.count).T.astype(np.float64) for J in (Ju, Jv))
     outer_uv = mean_u[:, :, None] * mean_v[:, None]
     H = uu[:, None, None] * (mean_u[:, :, None] * mean_u[:, None]) + vv[:, None, None] * (
         mean_v[:, :, None] * mean_v[:, None]
@@ -247,18 +249,17 @@ def _weights(seen: BlockComparison, tau_px: float) -> FloatArray:
 
 def _block_steps(seen: BlockComparison) -> FloatArray:
     """Return the length of each block's own Lucas-Kanade step (B,), level pixels."""
-    uu, uv, vv, right_u, right_v = seen.normal_equations()
+    uu, uv, vv, right_u, right_v = seen.normal_equations
     # A straight edge does not constrain motion along itself: the damping prevents a long step in that direction.
     det = uu * vv - uv * uv + 1e-3 * (uu + vv) ** 2 + 1e-12
     return np.hypot((vv * right_u - uv * right_v) / det, (uu * right_v - uv * right_u) / det)
 
 
 def _jacobian(points_camera: FloatArray, camera: Camera, free: int) -> tuple[FloatArray, FloatArray]:
-    """Return du / d (w, t, log f, k1) and dv, each (n, 6 + free) float32, for X' = exp([w]x) X + t."""
+    """Return du / d (w, t, log f, k1) and dv, each (6 + free, n) float32, for X' = exp([w]x) X + t."""
     x, y, z = points_camera[:, 0], points_camera[:, 1], points_camera[:, 2]
     inverse, zero = 1 / z, np.zeros_like(z)
     a, b = x * inverse, y * inverse
-    # One row per parameter: NumPy is several times as fast on long rows as on many short ones.
     Ja = np.stack([-a * b, 1 + a * a, -b, inverse, zero, -a * inverse])
     Jb = np.stack([-1 - b * b, a * b, a, zero, inverse, -b * inverse])
     s = a * a + b * b
@@ -271,4 +272,4 @@ def _jacobian(points_camera: FloatArray, camera: Camera, free: int) -> tuple[Flo
     if free:
         Ja = np.concatenate([Ja, np.stack([a * radial, a * s])[:free]])
         Jb = np.concatenate([Jb, np.stack([b * radial, b * s])[:free]])
-    return (Ja * np.float32(camera.fx)).T, (Jb * np.float32(camera.fy)).T
+    return Ja * np.float32(camera.fx), Jb * np.float32(camera.fy)

@@ -32,7 +32,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import View, perspective_view
 from ladarreg_core.surface.ranges import EDGE_FRACTION
 from ladarreg_core.surface.remap import look_up
-from ladarreg_core.surface.spikes import fill_from_nearest, gate_spikes, median_range
+from ladarreg_core.surface.spikes import fill_from_nearest, gate_spikes
 from ladarreg_core.thermal import thermal_gray
 
 ChannelSet = Literal["both", "geometry", "intensity"]
@@ -46,7 +46,7 @@ _MAX_ENLARGED = 2.0
 _STANDARD_RANGE_M = 2.5
 _RANGE_RATIO = (0.4, 4.0)
 _STRETCH_PERCENT = (1.0, 99.5)
-_STRETCH_SAMPLES = 1_000_000
+_STRETCH_SAMPLES = 100_000
 _RANGE_SPAN_M = (0.3, 300.0)
 _BEYOND = 2.0  # times as far as the surface beside it: what returned nothing, for the edge between them
 _HOLE_REACH_PX = 2.0
@@ -56,6 +56,7 @@ BLOCK_PX = 48
 """Side of a block of points that are compared together, level-0 pixels of the scan's view."""
 _SMALL_BLOCK_PX, _FEW_RETURNS = 32, 120_000
 _SHARED_BY_SETS = ("_raw_intensity", "_near_returns", "intensity_channels", "geometry_channels")
+_SOBEL_SCALE = 1 / 128  # of 5 x 5 derivatives
 _LARGEST_WHOLE_SCAN = 4_000_000  # cells; of larger scans only the part in the view is compared
 _WINDOW_MARGIN = 32
 _LARGEST_WINDOW = 8_000_000
@@ -132,13 +133,13 @@ class PhotoLevels:
 
     @cached_property
     def channels(self) -> tuple[FloatArray, ...]:
-        """(h, w, 8) of each level."""
+        """(h, w, 5) of each level."""
         coarser = (_normalised(raw_channels(self.planes[level]), level, overwrite=True) for level in LEVELS[1:])
         return (_normalised(self._raw_fine, 0), *coarser)
 
     @cached_property
     def fine_channels(self) -> FloatArray:
-        """(h, w, 8), level 0, sharper and more strongly normalised, for the final sub-pixel refinement."""
+        """(h, w, 5), level 0, sharper and more strongly normalised, for the final sub-pixel refinement."""
         return _fine(self._raw_fine)
 
 
@@ -266,13 +267,13 @@ class ScanLevels:
 
     @cached_property
     def raw_intensity(self) -> tuple[FloatArray, ...]:
-        """(8, h, w) of each level, from intensity, not normalised."""
+        """(5, h, w) of each level, from intensity, not normalised."""
         coarser = zip(self.gray_planes[1:], self._near_returns[1:], strict=True)
         return (self._raw_intensity, *(_raw_near([plane], near) for plane, near in coarser))
 
     @cached_property
     def raw_geometry(self) -> tuple[FloatArray, ...]:
-        """(8, h, w) of each level, from normals and log range, not normalised."""
+        """(5, h, w) of each level, from normals and log range, not normalised."""
         pairs = zip(self.geometry_planes, self._near_returns, strict=True)
         return tuple(_raw_near(planes, near) for planes, near in pairs)
 
@@ -302,7 +303,7 @@ class ScanLevels:
 
     @cached_property
     def intensity_channels(self) -> tuple[FloatArray, ...]:
-        """(h, w, 8) of each level, from intensity."""
+        """(h, w, 5) of each level, from intensity."""
         if self.floors is not None:
             return tuple(map(_normalised, self.raw_intensity, LEVELS, self.floors.intensity))
         coarser = zip(self.gray_planes[1:], self._near_returns[1:], LEVELS[1:], strict=True)
@@ -311,7 +312,7 @@ class ScanLevels:
 
     @cached_property
     def geometry_channels(self) -> tuple[FloatArray, ...]:
-        """(h, w, 8) of each level, from normals and log range."""
+        """(h, w, 5) of each level, from normals and log range."""
         if self.floors is not None:
             return tuple(map(_normalised, self.raw_geometry, LEVELS, self.floors.geometry))
         pairs = zip(self.geometry_planes, self._near_returns, strict=True)
@@ -319,14 +320,14 @@ class ScanLevels:
 
     @cached_property
     def channels(self) -> tuple[FloatArray, ...]:
-        """(h, w, 8) of each level, of the channel set; intensity and geometry are normalised before they are summed."""
+        """(h, w, 5) of each level, of the channel set; intensity and geometry are normalised before they are summed."""
         if self.channel_set != "both":
             return self.geometry_channels if self.channel_set == "geometry" else self.intensity_channels
         return tuple(map(add_channels, self.intensity_channels, self.geometry_channels))
 
     @property
     def fine_channels(self) -> FloatArray:
-        """(h, w, 8), level 0, sharper, for the final sub-pixel refinement.
+        """(h, w, 5), level 0, sharper, for the final sub-pixel refinement.
 
         Of intensity, if the set includes it; of a coarse scan, of the whole set.
         """
@@ -404,24 +405,25 @@ def scan_levels(
 
     ranges = view.resample_ranges(gated)
     ranges[~view.inside] = np.nan
-    valid, sharp = np.isfinite(ranges), ranges
-    median = median_range(ranges)
+    valid = np.isfinite(ranges)
+    filled, structured = fill_from_nearest(ranges, valid), None
+    median: FloatArray = np.asarray(cv2.medianBlur(filled, 5), np.float32)
     low, high = cv2.erode(median, np.ones((5, 5))), cv2.dilate(median, np.ones((5, 5)))
     jump = high - low > EDGE_FRACTION * median
     surface = np.where(jump, low, median)  # the foreground owns the contour
     jump |= ~valid
     edge = cv2.dilate(jump.astype(np.uint8), np.ones((3, 3))) > 0  # the 5 x 5 window already reaches two pixels
-    filled, structured = fill_from_nearest(ranges, valid), None
     if cleaned.structured is not None:
         structured = _in_view(view, cleaned.structured)
     if coarse:
         beyond = ~valid & _in_view(view, open_cells(scan))
-        structured = _shown_by_coarse(scan, view, sharp, cleaned.gray, beyond)
-        filled = np.where(beyond, np.float32(_BEYOND) * filled, filled)
-    geometry = _geometry_planes(view, filled)
+        structured = _shown_by_coarse(scan, view, ranges, cleaned.gray, beyond)
+        median = np.asarray(cv2.medianBlur(np.where(beyond, np.float32(_BEYOND) * filled, filled), 5), np.float32)
+    geometry = _geometry_planes(view, median)
 
-    shown = gray[valid] if valid.any() else gray
-    low_gray, high_gray = cleaned.stretch or np.percentile(shown, _STRETCH_PERCENT)
+    shown = gray[valid] if valid.any() else gray.reshape(-1)
+    sample = shown[:: max(1, shown.size // _STRETCH_SAMPLES)]
+    low_gray, high_gray = cleaned.stretch or np.percentile(sample, _STRETCH_PERCENT)
     gray = np.clip((gray - low_gray) * (255 / max(float(high_gray - low_gray), 1e-9)), 0, 255).astype(np.float32)
 
     cameras, grays, geometries = [view.camera], [gray], [geometry]
@@ -553,20 +555,24 @@ def _laser_gray(scan: Scan, ranges: FloatArray) -> FloatArray:
     return fill_from_nearest(np.sqrt(intensity).astype(np.float32), np.isfinite(ranges))
 
 
-def _geometry_planes(view: View, filled: FloatArray) -> list[FloatArray]:
-    """Return nx, ny, nz and 1.5 log r of a view's filled ranges, scaled so that edges are as strong as gray ones."""
-    log_range = np.log(np.clip(cv2.medianBlur(filled, 5), *_RANGE_SPAN_M))
-    log_range = cv2.bilateralFilter(log_range, 7, 0.03, 3)
+def _geometry_planes(view: View, ranges: FloatArray) -> list[FloatArray]:
+    """Return nx, ny, nz and 1.5 log r of a view's ranges, scaled so that edges are as strong as gray ones.
+
+    Args:
+        view: the view.
+        ranges: (h, w) float32 m, median-filtered and without holes.
+    """
+    log_range = cv2.bilateralFilter(np.log(np.clip(ranges, *_RANGE_SPAN_M)), 7, 0.03, 3)
     camera = view.camera
-    x = (np.arange(camera.width, dtype=np.float32) - np.float32(camera.cx)) / np.float32(camera.fx)
-    y = (np.arange(camera.height, dtype=np.float32) - np.float32(camera.cy)) / np.float32(camera.fy)
-    depth = np.exp(log_range) / np.sqrt(1 + x**2 + y[:, None] ** 2)
-    # plane by plane: three times as fast as with 3-vectors
-    along, down = (
-        [np.asarray(cv2.Sobel(plane, cv2.CV_32F, *order, ksize=5)) for plane in (depth * x, depth * y[:, None], depth)]
-        for order in ((1, 0), (0, 1))
+    x = np.arange(camera.width, dtype=np.float32) - np.float32(camera.cx)
+    y = np.arange(camera.height, dtype=np.float32)[:, None] - np.float32(camera.cy)
+    a, b = x / np.float32(camera.fx), y / np.float32(camera.fy)
+    depth = np.exp(log_range) / np.sqrt(1 + a**2 + b**2)
+    # The normal of the surface (a z, b z, z), z(u, v) the depth: (-fx z_u, -fy z_v, z + (u - cx) z_u + (v - cy) z_v).
+    z_u, z_v = (
+        np.asarray(cv2.Sobel(depth, cv2.CV_32F, *order, ksize=5, scale=_SOBEL_SCALE)) for order in ((1, 0), (0, 1))
     )
-    normal = [along[i] * down[j] - along[j] * down[i] for i, j in ((1, 2), (2, 0), (0, 1))]
-    length = np.maximum(np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2), 1e-12)
-    planes = [np.asarray(cv2.GaussianBlur(plane / length, (0, 0), 1.0)) for plane in normal]
-    return [np.ascontiguousarray(plane * 255, dtype=np.float32) for plane in (*planes, 1.5 * log_range)]
+    normal = [np.float32(camera.fx) * z_u, np.float32(camera.fy) * z_v, depth + x * z_u + y * z_v]
+    scale = 255 / np.maximum(np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2), 1e-12)
+    planes = [np.asarray(cv2.GaussianBlur(plane * scale, (0, 0), 1.0)) for plane in normal]
+    return [np.ascontiguousarray(plane, dtype=np.float32) for plane in (*planes, np.float32(1.5 * 255) * log_range)]

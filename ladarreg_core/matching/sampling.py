@@ -33,8 +33,8 @@ class Blocks:
         return len(self.starts)
 
     def sum(self, values: FloatArray) -> FloatArray:
-        """Return the sums (B, ...) of values (N, ...) over each block."""
-        return np.add.reduceat(values, self.starts, axis=0)
+        """Return the sums (..., B) of values (..., N) over each block."""
+        return np.add.reduceat(values, self.starts, axis=-1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +46,7 @@ class ViewPoints:
     uv: FloatArray
     """(N, 2) level pixels of the view."""
     channels: FloatArray
-    """(N, 8) the scan's channels at the points."""
+    """(N, 5) the scan's channels at the points."""
     blocks: Blocks
     """Their blocks."""
 
@@ -61,7 +61,7 @@ def edge_strength(
 
     Args:
         scan: the scan's levels.
-        channels: (h, w, 8) of that level; the strength is their norm.
+        channels: (h, w, 5) of that level; the strength is their norm.
         level: pyramid level.
         away_from_edges: leave out pixels near depth edges and holes.
 
@@ -88,7 +88,7 @@ def draw_points(
 
     Args:
         scan: the scan's levels.
-        channels: (h, w, 8) of that level.
+        channels: (h, w, 5) of that level.
         strength: (h, w) of `edge_strength`.
         level: pyramid level.
         seed: random seed.
@@ -101,13 +101,12 @@ def draw_points(
         pixel = np.random.default_rng(seed).choice(pixel, limit, replace=False)
     v, u = np.divmod(pixel, camera.width)
 
-    side = scan.block_px >> level
-    block_row, block_column = v // side, u // side
-    label = block_row * (camera.width // side + 1) + block_column
-    order = np.lexsort((pixel, label))
-    u, v, label = u[order], v[order], label[order]
+    side, across = scan.block_px >> level, camera.width // (scan.block_px >> level) + 1
+    by_block = np.sort(((v // side) * across + u // side) * strength.size + pixel)
+    label, pixel = np.divmod(by_block, strength.size)
+    v, u = np.divmod(pixel, camera.width)
     starts, of_point = runs(label)
-    grid = np.stack(np.divmod(label[starts], camera.width // side + 1), axis=-1)
+    grid = np.stack(np.divmod(label[starts], across), axis=-1)
 
     uv = np.stack([u, v], axis=-1).astype(np.float64)
     rays = camera.unproject(uv) @ scan.view.view_from_scanner.rotation
@@ -131,32 +130,27 @@ def _pixels_of_level(scan: ScanLevels, camera: Camera) -> tuple[NDArray[np.intp]
 
 
 def _strongest_in_strata(strength: FloatArray, side_px: int, count: int) -> NDArray[np.intp]:
-    """Return the flat indices (K,) of the strongest pixels of each stratum, about `count` in all, by stratum.
+    """Return the flat indices (K,) of the strongest pixels of each stratum, about `count` in all, by pixel.
 
-    Only pixels with an even sum of row and column are looked at, as `edge_strength` leaves no others. The side is even.
+    Only pixels with an even sum of row and column are looked at, as `edge_strength` leaves no others; of equally strong
+    ones all are returned. The side is even.
     """
     height, width = strength.shape
     rows, columns = -(-height // side_px), -(-width // side_px)
     half, area = side_px // 2, side_px**2 // 2
     whole = np.zeros((rows * side_px, columns * side_px), np.float32)
     whole[:height, :width] = strength
-    # (stratum's row, row pair, parity, stratum's column, column pair): within a stratum, the order of the image
-    checked = np.empty((rows, half, 2, columns, half), np.float32)
+    strata = np.empty((rows, columns, half, 2, half), np.float32)
     for k in range(2):
-        checked[:, :, k] = whole[k::2, k::2].reshape(rows, half, columns, half)
-    strata = checked.transpose(0, 3, 1, 2, 4).reshape(rows, columns, area)
-    # Positive floats have the order of their bit patterns; of equally strong pixels the first is taken.
-    rank = (strata.view(np.int32).astype(np.int64) + 1) * area - np.arange(1, area + 1)
+        strata[:, :, :, k] = whole[k::2, k::2].reshape(rows, half, columns, half).transpose(0, 2, 1, 3)
+    strata = strata.reshape(rows, columns, area)
     filled = int(np.count_nonzero(strata.any(axis=-1)))
     of_each = min(-(-count // max(filled, 1)), area)
-    least = np.partition(rank, -of_each, axis=-1)[..., -of_each, None]
-    kept = np.flatnonzero((rank >= least) & (strata > 0))
-    stratum, within = np.divmod(kept, area)
-    pair, within = np.divmod(within, side_px)
-    parity, column = np.divmod(within, half)
-    row, left = np.divmod(stratum, columns)
-    pixel = (row * side_px + 2 * pair + parity) * width + left * side_px + 2 * column + parity
-    return np.asarray(pixel[np.lexsort((-strata.reshape(-1)[kept], stratum))])
+    strata.partition(area - of_each, axis=-1)
+    least = np.maximum(strata[..., area - of_each], np.finfo(np.float32).tiny)
+    least = least.repeat(side_px, axis=1)[:, None]
+    chosen = whole.reshape(rows, side_px, columns * side_px) >= least
+    return np.flatnonzero(chosen.reshape(whole.shape)[:height, :width])
 
 
 def runs(label: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -14,7 +14,7 @@ from ladarreg_core.surface.perspective import native_focal_px
 
 _COARSE = 0.6
 _LEAST_LEVELS, _LEAST_SHARE = 6, 0.005
-_SAMPLES = 200_000
+_SAMPLES = 20_000
 _HOLE_CELLS = (3, 5)  # rows, columns: of an accumulated cloud, so many cells do not stay empty by chance
 _BORDER_CELLS = 9
 _LEAST_OPEN_CELLS = 100  # smaller holes are gaps of the pattern of an accumulated cloud

@@ -66,6 +66,7 @@ class ViewSearch:
         self._kept: deque[tuple[Rigid, Aligner]] = deque()
         self._begun: tuple[Aligner, Iterator[_Attempt], Begun[_Attempt | None]] | None = None
         self._prepared: Aligner | None = None
+        self._of_photo: Begun[object] | None = other_core.begin(lambda: self._photo.channels)
 
     def view(self, direction: Rigid, *, name: int | str, for_corners: bool = False) -> Aligner | None:
         """Return the aligner of one view, or None if the view has too little to compare.
@@ -82,7 +83,6 @@ class ViewSearch:
         if len(self._kept) == self._pair.kept_views:
             self._kept.popleft()  # before the next one takes as much memory
         with self._steps.step("channels") as note:
-            of_photo = self._other_core.begin(lambda: self._photo.channels)
             levels = _view_levels(self._pair, direction, self._channel_set)
             of_intensity = None
             if not levels.has_channels:
@@ -95,7 +95,9 @@ class ViewSearch:
                 _ = levels.channels
                 keep(self._pair.scan, self._pair.working, direction, levels)
             aligner = Aligner(levels, self._photo, gate=self._gate, seed=self._seed)
-            of_photo.result()
+            if self._of_photo is not None:
+                self._of_photo.result()
+                self._of_photo = None
             self._begun = None if first is None else (aligner, attempts, first)
             note.update(view=name, points={level: len(p) for level, p in aligner.points.items()})
         self._kept.append((direction, aligner))

@@ -10,7 +10,9 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.frames import look_along, rotation_from_rotvec
+from ladarreg_core.matching.auto import AutoOptions
 from ladarreg_core.quality.assessment import assess
+from ladarreg_core.registration import RegisterOptions
 from ladarreg_core.surface.render import render_scan_colors
 
 
@@ -37,8 +39,13 @@ def test_kinect_agrees_with_its_factory_calibration(kinect: tuple[lr.Scan, lr.Ph
     truth = truth_of(real_data / "kinect")
     assert result.accepted, result.reasons
     assert result.evidence == "image"
-    assert np.degrees(result.camera_from_scanner.angle_to(truth)) <= 0.25
+    # The images contradict the calibrated focal length by 1.5 %, which turns the pose by a fifth of a degree.
+    assert np.degrees(result.camera_from_scanner.angle_to(truth)) <= 0.3
     assert result.camera_from_scanner.distance_to(truth) <= 0.006
+    free = lr.register(*kinect, options=RegisterOptions(auto=AutoOptions(intrinsics="focal")))
+    assert free.accepted, free.reasons
+    assert np.degrees(free.camera_from_scanner.angle_to(truth)) <= 0.15
+    assert free.camera_from_scanner.distance_to(truth) <= 0.002
 
 
 def test_kinect_with_nothing_but_a_focal_length_states_what_is_not_known(

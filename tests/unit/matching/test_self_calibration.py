@@ -121,7 +121,7 @@ def test_the_jacobian_is_the_derivative_of_the_projection(change: CameraChange, 
 
     Ju, Jv = _jacobian(points, change.applied_to(camera), 2)
     expected = (seen(1) - seen(-1)) / 2
-    np.testing.assert_allclose(np.stack([Ju @ step, Jv @ step], axis=-1), expected, atol=1e-4 * np.abs(expected).max())
+    np.testing.assert_allclose(np.stack([step @ Ju, step @ Jv], axis=-1), expected, atol=1e-4 * np.abs(expected).max())
 
 
 def test_the_normal_deviate_is_normal_under_the_null_hypothesis() -> None:
