@@ -51,7 +51,7 @@ _RADIUS = {0: 6, 1: 6, 2: 8}
 _DAMPING = 3.0
 _SUFFICIENT_FRACTION = 0.8
 FINISH_ROUNDS = 5
-_FREE_CAMERA_STEPS = 2
+_FREE_CAMERA_STEPS = 6
 _FREE_CAMERA_ROUNDS = 3
 STILL_PX = 0.05
 _MIN_HEIGHT_SD = 2.2
@@ -238,7 +238,7 @@ class Aligner:
         return pose, change
 
     def preview_free_camera(self, pose: Rigid, *, free: int) -> tuple[Rigid, CameraChange]:
-        """Make two further steps from a finished pose, with the first `free` of (log f, k1) free."""
+        """Make a few further steps from a finished pose, with the first `free` of (log f, k1) free."""
         if self.fine_points is None:
             return pose, NO_CHANGE
         options = replace(FINE, free=free, iterations=_FREE_CAMERA_STEPS)
@@ -246,12 +246,19 @@ class Aligner:
         return (pose, NO_CHANGE) if result is None else (result.camera_from_scanner, result.change)
 
     def _median_shift_px(self, first: Rigid, before: CameraChange, second: Rigid, after: CameraChange) -> float:
-        """Return the median displacement of the level-0 points between two poses and cameras, working pixels."""
+        """Return the median displacement of the level-0 points between two poses and cameras, working pixels.
+
+        If it is more, that between the cameras alone: the pose compensates most of it.
+        """
         camera, points = self.photo.cameras[0], self.points[0].points
-        shift = before.applied_to(camera).project(first @ points) - after.applied_to(camera).project(second @ points)
-        length = np.hypot(shift[:, 0], shift[:, 1])
-        known = np.isfinite(length)
-        return float(np.median(length[known])) if known.any() else np.inf
+        there = second @ points
+        by_camera = after.applied_to(camera).project(there)
+        most = 0.0
+        for begin in (first @ points,) if before == after else (first @ points, there):
+            length = np.hypot(*(before.applied_to(camera).project(begin) - by_camera).T)
+            known = np.isfinite(length)
+            most = max(most, float(np.median(length[known])) if known.any() else np.inf)
+        return most
 
     def prepare_to_verify(self, pose: Rigid) -> None:
         """Make what the agreement at both levels needs, before two threads ask for it."""

@@ -88,7 +88,7 @@ class RefineResult:
     blocks: int
     """Number of blocks used."""
     motion_px: float
-    """Median motion of the last step."""
+    """Median motion of the last step, level pixels; if it is more, that by the change of the camera alone."""
 
 
 def refine_pose(
@@ -145,11 +145,17 @@ def _gauss_newton_step(
     delta = solve_step(H, g)
     if delta is None:
         return None
-    small = delta.astype(system.Ju.dtype)
-    motion = float(np.median(np.hypot(system.Ju @ small, system.Jv @ small)))
+    motion = _median_motion_px(system.Ju, system.Jv, delta)
     if motion > MAX_MOTION_PX:
         delta *= MAX_MOTION_PX / motion
+    if options.free:  # the pose compensates most of a change of the camera, and both creep along this valley
+        motion = max(motion, _median_motion_px(system.Ju[:, 6:], system.Jv[:, 6:], delta[6:]))
     return delta, motion, float(np.average(seen.rho)), len(seen.blocks)
+
+
+def _median_motion_px(Ju: FloatArray, Jv: FloatArray, delta: FloatArray) -> float:
+    small = delta.astype(Ju.dtype)
+    return float(np.median(np.hypot(Ju @ small, Jv @ small)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -27,7 +27,7 @@ FreeCamera = Literal["auto", "fixed", "focal", "focal_k1"]
 
 _FREE: Mapping[FreeCamera, int] = {"auto": 2, "fixed": 0, "focal": 1, "focal_k1": 2}
 _SUSPECT_SIGMA = 3.0
-_FITS_SIGMA, _FITS_SHIFT = 2.0, 0.01  # two steps show most of the change that a whole finish makes
+_FITS_SIGMA, _FITS_SHIFT = 2.0, 0.01  # a few steps show whether a whole finish changes the camera
 _KEEP_SIGMA = 3.0
 _REFUSE_SIGMA = 5.0
 _WRONG_CAMERA = (
@@ -73,7 +73,7 @@ class FinishedPose:
     free: int = 0
     """Number of (log f, k1) estimated."""
     camera_fits: bool | None = None
-    """Whether two further steps with a free camera confirm the stated one; None: not tried."""
+    """Whether a few further steps with a free camera confirm the stated one; None: not tried."""
 
     @property
     def camera_sigmas(self) -> dict[str, float]:

@@ -9,6 +9,7 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.frames import rotation_from_rotvec
+from ladarreg_core.registration import RegisterOptions
 from ladarreg_core.simulate import SimulatedCase, simulate_case
 
 SCENES = ("boxes", "desk", "office", "people")
@@ -54,6 +55,18 @@ def test_a_photo_rotated_by_quarter_turns_gives_the_same_camera_position(quarter
     result = lr.register(made.scan, lr.Photo(pixels, camera))
     assert result.accepted, result.reasons
     assert result.camera_from_scanner.distance_to(made.camera_from_scanner) < 0.012
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.parametrize(("scene", "case_seed"), [("people", 1001), ("people", 1013)])
+def test_a_wrong_focal_length_is_found_where_the_distance_nearly_compensates(
+    scene: str, case_seed: int, seed: int
+) -> None:
+    made = simulate_case(scene, seed=case_seed, focal_error=-0.05)
+    result = lr.register(made.scan, made.photo, options=RegisterOptions(seed=seed))
+    assert result.accepted, result.reasons
+    assert abs(result.camera.focal_px / made.true_camera.focal_px - 1) < 0.005
+    assert result.camera_from_scanner.distance_to(made.camera_from_scanner) < 0.025
 
 
 @pytest.mark.parametrize("scene", ["boxes", "desk"])
