@@ -30,6 +30,13 @@ def distinct(values: IntArray) -> NDArray[np.int64]:
     return np.asarray(ordered[first], dtype=np.int64)
 
 
+def vertices_of(faces: IntArray, vertices: int) -> IntArray:
+    """Return the vertices that triangles (F, 3) have, ascending."""
+    used = np.zeros(vertices, np.bool_)
+    used[faces] = True
+    return np.flatnonzero(used)
+
+
 def edge_ends(keys: IntArray, vertices: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the two vertices of edges (E,), the smaller one first."""
     return np.asarray(keys // vertices), np.asarray(keys % vertices)

@@ -18,6 +18,7 @@ from ladarreg_core.surface.subdivision import (
     distinct,
     edge_ends,
     edge_keys,
+    vertices_of,
     with_edge_of,
 )
 
@@ -30,6 +31,7 @@ _CELL_ERROR = 0.5  # of a texel of the laser intensity
 _LONGEST_EDGE_PX = 2048.0
 _AT_ONCE = 500_000
 _POINTLESS = 1e-6
+_SURELY = 1.001  # more than what rounding may take away from a bound
 
 
 @dataclass(slots=True, eq=False)
@@ -202,11 +204,37 @@ class TexturedTriangles:
         for owner in range(LASER, len(self._photos)):
             faces = self.faces[self._changed & (self.owner == owner)]
             for first in range(0, len(faces), _AT_ONCE):
-                keys = distinct(edge_keys(faces[first : first + _AT_ONCE], n))
-                a, b = edge_ends(keys, n)
-                errs = self._errs_on_grid(a, b) if owner == LASER else self._errs_in(self._photos[owner], a, b, most_px)
+                some = faces[first : first + _AT_ONCE]
+                if owner == LASER:
+                    keys = distinct(edge_keys(some[self._may_err_on_grid(some)], n))
+                    errs = self._errs_on_grid(*edge_ends(keys, n))
+                else:
+                    photo = self._photos[owner]
+                    keys = distinct(edge_keys(some[self._may_err_in(photo, some, most_px)], n))
+                    errs = self._errs_in(photo, *edge_ends(keys, n), most_px)
                 found.append(keys[errs])
         return distinct(np.concatenate(found))
+
+    def _may_err_on_grid(self, faces: IntArray) -> BoolArray:
+        """Return which triangles (F, 3) may have an edge of `_errs_on_grid`; nearly all have not, by a cheap bound."""
+        corners = np.ascontiguousarray(faces.T)
+        distance = _length(self.vertices)[corners]
+        low, high = distance.min(axis=0), distance.max(axis=0)
+        extent = _length(_extent(self.cells, corners))
+        return np.asarray(_SURELY * extent * (high - low) > 4 * _CELL_ERROR * low)
+
+    def _may_err_in(self, photo: SeenBy, faces: IntArray, most_px: float) -> BoolArray:
+        """Return which triangles (F, 3) may have an edge of `_errs_in` that is not short, by the boxes around them."""
+        if isinstance(photo.camera, EquirectangularCamera):
+            return np.ones(len(faces), np.bool_)
+        corners = np.ascontiguousarray(faces.T)
+        used = vertices_of(faces, len(self.vertices))
+        uv = np.empty((len(self.vertices), 2))
+        uv[used] = photo.project(self.vertices[used])
+        length = _SURELY * _length(_extent(uv, corners))
+        nearest = _length(self.vertices - photo.camera_from_scanner.centre.astype(np.float32))[corners].min(axis=0)
+        short = length * _length(_extent(self.vertices, corners)) < most_px * nearest
+        return np.asarray(~(short & (length <= _LONGEST_EDGE_PX)))
 
     def _errs_on_grid(self, a: IntArray, b: IntArray) -> BoolArray:
         near, far = (np.linalg.norm(self.vertices[at], axis=1) for at in (a, b))
@@ -238,7 +266,7 @@ class TexturedTriangles:
         """Give triangles to the laser that have a corner without a place in their photograph."""
         for k, photo in enumerate(self._photos):
             rows = np.flatnonzero(self.owner == k)
-            used = distinct(self.faces[rows])
+            used = vertices_of(self.faces[rows], len(self.vertices))
             lost = used[~np.isfinite(photo.project(self.vertices[used])).all(axis=1)]
             if len(lost):
                 self.owner[rows[np.isin(self.faces[rows], lost).any(axis=1)]] = LASER
@@ -251,10 +279,10 @@ class TexturedTriangles:
             faces (F, 3) int32, indices of these. Triangles across the seam of a panorama have pixels beyond its border.
         """
         faces = self.faces[self.owner == owner]
-        used = np.zeros(len(self.vertices), np.bool_)
-        used[faces] = True
-        vertex = np.flatnonzero(used)
-        faces = (np.cumsum(used, dtype=np.int32) - np.int32(1))[faces]
+        vertex = vertices_of(faces, len(self.vertices))
+        index = np.empty(len(self.vertices), np.int32)
+        index[vertex] = np.arange(len(vertex), dtype=np.int32)
+        faces = index[faces]
         if owner == LASER:
             return vertex, self.cells[vertex, ::-1].astype(np.float64), faces
         photo = self._photos[owner]
@@ -270,3 +298,14 @@ class TexturedTriangles:
         at, turn = unique // 3, unique % 3 - 1
         pixels = uv[at] + np.stack([turn * photo.turn_px, np.zeros(len(at))], axis=-1)
         return vertex[at], pixels, inverse.reshape(faces.shape).astype(np.int32)
+
+
+def _extent(values: FloatArray, corners: IntArray) -> FloatArray:
+    """Return the sides (F, K) of the boxes around the values (N, K) at the corners (3, F) of triangles."""
+    taken = values[corners]
+    return np.asarray(taken.max(axis=0) - taken.min(axis=0))
+
+
+def _length(vectors: FloatArray) -> FloatArray:
+    """Return the lengths (N,) of vectors (N, K)."""
+    return np.asarray(np.sqrt(np.einsum("nk,nk->n", vectors, vectors)))
