@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import ByteArray
+from ladarreg_core.arrays import BoolArray, ByteArray
 
 Colour = tuple[int, int, int]
 """RGB, 0 to 255."""
@@ -19,6 +19,7 @@ _DIVERGING_KNOTS: tuple[Colour, ...] = (
     (5, 48, 97), (33, 102, 172), (67, 147, 195), (146, 197, 222), (209, 229, 240), (247, 247, 247),
     (253, 219, 199), (244, 165, 130), (214, 96, 77), (178, 24, 43), (103, 0, 31),
 )  # fmt: skip
+_DIVERGING_STEPS = 1000
 _LEAST_END, _MOST_END = 1e-6, 1e8
 _GOLDEN = 0.6180339887498949
 _TONES = ((0.6, 0.92), (0.85, 0.7), (0.35, 0.98), (0.75, 0.5))
@@ -90,9 +91,18 @@ def diverging_colours(levels: NDArray[np.floating]) -> ByteArray:
     Blue is negative, red positive, and the middle nearly white: both ends differ from it by lightness, and from each
     other for the colour-blind too.
     """
-    at = np.linspace(-1, 1, len(_DIVERGING_KNOTS))
-    planes = [np.interp(np.clip(levels, -1, 1), at, plane) for plane in zip(*_DIVERGING_KNOTS, strict=True)]
-    return np.asarray(np.rint(np.stack(planes, axis=-1)), dtype=np.uint8)
+    at = np.linspace(0, _DIVERGING_STEPS, len(_DIVERGING_KNOTS))
+    steps = np.arange(_DIVERGING_STEPS + 1)
+    table = np.stack([np.interp(steps, at, plane) for plane in zip(*_DIVERGING_KNOTS, strict=True)], axis=-1)
+    found = np.rint((np.clip(levels, -1, 1) + 1) * (_DIVERGING_STEPS / 2)).astype(np.intp)
+    return np.asarray(np.rint(table).astype(np.uint8).take(found, axis=0))
+
+
+def paint(picture: NDArray[np.uint8], cells: BoolArray, colour: Colour) -> None:
+    """Give cells (H, W) of a picture (H, W, 3) a colour, in a fraction of the time of an assignment by a mask."""
+    if cells.any():
+        plain = cv2.merge([np.full(cells.shape, value, np.uint8) for value in colour])
+        cv2.copyTo(plain, cells.view(np.uint8), picture)
 
 
 def scale_end(values: NDArray[np.floating]) -> float:

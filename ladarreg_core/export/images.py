@@ -6,17 +6,28 @@ import io
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import ByteArray, FloatArray, read_only
 from ladarreg_core.atomic_write import write_bytes
 from ladarreg_core.errors import ShapeError
+from ladarreg_core.export.encoded_image import encoded_image
 from ladarreg_core.export.layout import beside, padded, stacked, text_block
 from ladarreg_core.export.watermark import watermarked
 from ladarreg_core.inspection.model_textures import Legend, visibility_texture
-from ladarreg_core.palette import BACKGROUND, DIM, INK, UNKNOWN, VISIBILITY, WARN, Colour, ramp_colours, scale_end
+from ladarreg_core.palette import (
+    BACKGROUND,
+    DIM,
+    INK,
+    UNKNOWN,
+    VISIBILITY,
+    WARN,
+    Colour,
+    paint,
+    ramp_colours,
+    scale_end,
+)
 from ladarreg_core.surface.texture import Label, RegisteredTexture
 from ladarreg_core.validation import require_positive
 
@@ -41,9 +52,7 @@ def write_png(path: str | Path, picture: ByteArray) -> None:
     Raises:
         ExportError: if the file cannot be written.
     """
-    done, encoded = cv2.imencode(".png", picture[..., ::-1])
-    assert done, "an 8-bit image can always be encoded"
-    write_bytes(path, encoded.tobytes())
+    write_bytes(path, encoded_image(picture, ".png"))
 
 
 def write_labels_png(path: str | Path, texture: RegisteredTexture, *, mark: str = "") -> None:
@@ -169,9 +178,10 @@ def uncertainty_picture(sigma_px: FloatArray, *, most_px: float | None = None) -
         level = np.clip(np.nan_to_num(sigma / np.float32(most), nan=0.0, posinf=1.0, neginf=0.0), 0, 1)
         exceeded = bool((sigma > most).any())
     picture = np.array(ramp_colours(level))
-    picture[np.isnan(sigma)] = UNKNOWN
+    unknown = np.isnan(sigma)
+    paint(picture, unknown, UNKNOWN)
     parts = [picture, _scale(most, exceeded="+" if exceeded else "", room=picture.shape[1])]
-    if np.isnan(sigma).any():
+    if unknown.any():
         key = Legend("", ((UNKNOWN, "no data: no return, or outside the photograph"),))
         parts.append(legend_strip(key, room=picture.shape[1]))
     return stacked(parts)

@@ -19,10 +19,10 @@ from ladarreg_core.inspection.model_textures import (
     model_texture,
     registered_texture,
     texture_choices,
-    visibility_texture,
+    visibility_legend,
 )
 from ladarreg_core.inspection.pictures import scan_over_photo
-from ladarreg_core.palette import ACCENT, BACKGROUND, DIM, LINE, as_css
+from ladarreg_core.palette import ACCENT, BACKGROUND, DIM, LINE, as_css, paint
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
@@ -126,17 +126,17 @@ class ReportPictures:
         shown = tuple(slice(part.start // stride, -(-part.stop // stride)) for part in self._tile.cells)
         size = window_size(self._scan, self._tile, max(_MAP_WIDTH, shown[1].stop - shown[1].start), _TALLEST)
         whole = bool(self._scan.valid[self._tile.cells].all())
-        found = []
+        found: list[tuple[str, Legend, dict[str, str], str]] = []
         for kind in _MAPS:
             if kind not in usable:
                 continue
             texture = model_texture(scan, kind, photo=self._photo, result=self._result, registered=coarse)
             legend, shares = texture.legend, {}
             if kind == "label":  # few cells of a class may all be left out
-                legend = visibility_texture(self._texture.labels).legend
+                legend = visibility_legend(self._texture.labels)
                 shares = self._shares(legend)
             picture = np.array(texture.image[shown])
-            picture[~scan.valid[shown]] = BACKGROUND
+            paint(picture, ~scan.valid[shown], BACKGROUND)
             if not whole:
                 legend = replace(legend, entries=(*legend.entries, (BACKGROUND, "no return")))
             words = usable[kind].description

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import cv2
-import numpy as np
 
 from ladarreg_core.arrays import ByteArray
+from ladarreg_core.export.encoded_image import encoded_image
 from ladarreg_core.surface.model_part import TextureTile
 
 JPEG_QUALITY = 92
@@ -34,7 +34,9 @@ def extension_of(tile: TextureTile) -> str:
 
 def image_of(tile: TextureTile) -> TextureImage:
     """Return a tile as an image of the format of `extension_of`."""
-    return texture_image(tile.pixels(), lossless=extension_of(tile) == "png")
+    if extension_of(tile) == "png":  # a small part of a model's file: time matters more than bytes
+        return TextureImage(encoded_image(tile.pixels(), ".png"), "image/png", "png")
+    return texture_image(tile.pixels(), lossless=False)
 
 
 def texture_image(pixels: ByteArray, *, lossless: bool) -> TextureImage:
@@ -45,7 +47,4 @@ def texture_image(pixels: ByteArray, *, lossless: bool) -> TextureImage:
         extension, media_type = "jpg", "image/jpeg"
         sampling = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
         settings = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, *sampling]
-    swapped = np.ascontiguousarray(pixels[..., ::-1])
-    done, encoded = cv2.imencode(f".{extension}", swapped, settings)
-    assert done, "an 8-bit image can always be encoded"
-    return TextureImage(encoded.tobytes(), media_type, extension)
+    return TextureImage(encoded_image(pixels, f".{extension}", settings), media_type, extension)

@@ -18,7 +18,7 @@ from ladarreg_core.inspection.surface_fields import (
     resolution_field,
     without_pepper,
 )
-from ladarreg_core.palette import UNKNOWN, VISIBILITY, Colour, as_css, diverging_colours, ramp_colours, scale_end
+from ladarreg_core.palette import UNKNOWN, VISIBILITY, Colour, as_css, diverging_colours, paint, ramp_colours, scale_end
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
@@ -353,7 +353,7 @@ def _of_pixels(values: FloatArray, title: str) -> ModelTexture:
     known = np.isfinite(values)
     most = max(scale_end(np.where(known, values, np.float32(np.nan))), _LEAST_COLOUR_PX)
     picture = np.array(ramp_colours(np.where(known, values, 0).astype(np.float32) / np.float32(most)))
-    picture[~known] = UNKNOWN
+    paint(picture, ~known, UNKNOWN)
     legend = Legend(title, ((UNKNOWN, "no data"),), _VIRIDIS, least="0", most=f"{most:.3g} and above")
     return ModelTexture(picture, legend)
 
@@ -382,7 +382,7 @@ def _of_resolution(values: FloatArray) -> ModelTexture:
     low, high = (float(v) for v in np.percentile(shown, _SHARE_SHOWN)) if shown.size else (0.0, 1.0)
     level = (np.where(known, values, low) - np.float32(low)) / np.float32(max(high - low, 1e-6 * high, 1e-9))
     picture = np.array(ramp_colours(level))
-    picture[~known] = UNKNOWN
+    paint(picture, ~known, UNKNOWN)
     legend = Legend(
         "Resolution on the surface, mm per pixel of the photograph",
         ((UNKNOWN, "not seen by the camera"),),
@@ -401,9 +401,15 @@ def visibility_texture(labels: ByteArray) -> ModelTexture:
     """Return the visibility classes (H, W) in their colours; the legend lists those that occur."""
     table = np.zeros((256, 3), dtype=np.uint8)
     table[: len(VISIBILITY)] = VISIBILITY
-    present = set(np.unique(labels).tolist())
-    entries = tuple((VISIBILITY[label], words) for label, words in _LABEL_MEANINGS.items() if int(label) in present)
-    return ModelTexture(table[labels], Legend("Visibility class", entries))
+    picture = np.asarray(cv2.LUT(cv2.merge([np.asarray(labels)] * 3), table[None]), dtype=np.uint8)
+    return ModelTexture(picture, visibility_legend(labels))
+
+
+def visibility_legend(labels: ByteArray) -> Legend:
+    """Return the legend of the visibility classes that occur among labels (H, W)."""
+    count = np.bincount(labels.reshape(-1), minlength=len(VISIBILITY))
+    entries = tuple((VISIBILITY[label], words) for label, words in _LABEL_MEANINGS.items() if count[label])
+    return Legend("Visibility class", entries)
 
 
 def _ramp(colours: Callable[[FloatArray], ByteArray]) -> tuple[Colour, ...]:

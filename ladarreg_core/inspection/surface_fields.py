@@ -153,7 +153,7 @@ def _interpolated(
         angle = _angles(directions[part], rays)
         nearest[part] = angle.min(axis=1)
         # Relative to the nearest one, so that the weights of a cell far from all do not underflow.
-        weight = np.exp((nearest[part, None] ** 2 - angle**2) / (2 * width**2))
+        weight = np.exp((np.square(angle.min(axis=1, keepdims=True)) - np.square(angle)) / np.float32(2 * width**2))
         mean[part] = of_mean(weight @ values / weight.sum(axis=1))
     shape = (len(rows), len(columns))
     field, distance = (_interpolate_nodes(a.reshape(shape), rows, columns, scan.shape) for a in (mean, nearest))
@@ -162,9 +162,10 @@ def _interpolated(
 
 
 def _angles(directions: FloatArray, rays: FloatArray) -> FloatArray:
-    """Return the angles (N, M), rad, between unit rays (N, 3) and (M, 3), computed from chords, which is accurate for
-    small ones."""
-    return np.asarray(2 * np.arcsin(np.sqrt(np.clip((1 - directions @ rays.T) / 2, 0, 1))))
+    """Return the angles (N, M), rad, float32, between unit rays (N, 3) and (M, 3), computed from chords, which is
+    accurate for small ones."""
+    chord = np.clip((1 - directions @ rays.T) / 2, 0, 1).astype(np.float32)
+    return np.asarray(2 * np.arcsin(np.sqrt(chord, out=chord)))
 
 
 def _typical_spacing(rays: FloatArray) -> float:

@@ -126,8 +126,7 @@ def texture_scan(
     if colour.shape != (3,) or colour.dtype.kind not in "iu" or colour.min() < 0 or colour.max() > 255:
         raise OptionError(f"the background is {background!r}; it must be three whole numbers from 0 to 255")
     beyond = tuple(int(value) for value in colour)
-    image = np.empty((*scan.shape, 3), np.uint8)
-    image[:] = np.array(beyond, np.uint8)
+    image = np.asarray(cv2.merge([np.full(scan.shape, value, np.uint8) for value in beyond]), np.uint8)
     labels = np.full(scan.shape, Label.OUT_OF_FRAME, np.uint8)
     for part in textured_parts(
         scan, photo, camera_from_scanner, camera=camera, covariance=covariance, background=beyond
@@ -216,7 +215,9 @@ def dimmed_levels(scan: Scan) -> tuple[float, float]:
 def model_rows(scan: Scan, texture: RegisteredTexture, rows: slice, levels: tuple[float, float]) -> NDArray[np.uint8]:
     """Return some rows of `model_picture`, given `dimmed_levels` of the scan."""
     gray = dimmed_gray(scan.intensity[rows], levels)
-    return np.where(texture.coloured_rows(rows)[..., None], texture.image[rows], gray[..., None])
+    picture = cv2.cvtColor(gray, cv2.COLOR_GRAY2RGB)
+    cv2.copyTo(texture.image[rows], texture.coloured_rows(rows).view(np.uint8), picture)
+    return np.asarray(picture, dtype=np.uint8)
 
 
 def dimmed_picture(scan: Scan) -> NDArray[np.uint8]:
@@ -280,7 +281,7 @@ def _intensity_picture(scan: Scan) -> NDArray[np.uint8]:
         rows = slice(first, first + _ROWS_AT_ONCE)
         gray[rows] = intensity_rows(scan.intensity[rows], levels)
     gray[~scan.valid] = 0
-    return np.repeat(gray[..., None], 3, axis=-1)
+    return np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
 
 
 def blended_picture(scan: Scan, texture: RegisteredTexture, *, share: float) -> ByteArray:
