@@ -74,9 +74,10 @@ def run(arguments: Arguments | RigArguments) -> ExitCode:
         return run_rig(arguments)
     import ladarreg_core as lr
     from ladarreg_core.camera import require_pinhole
-    from ladarreg_core.export.folder import check_folder
+    from ladarreg_core.export.folder import check_folder, prepare_export
     from ladarreg_core.export.output_frame import OutputFrame
     from ladarreg_core.quality.assessment import assess
+    from ladarreg_core.side_by_side import OtherCore
 
     started = time.perf_counter()
     arguments = with_photo_named(arguments)
@@ -89,7 +90,9 @@ def run(arguments: Arguments | RigArguments) -> ExitCode:
         if arguments.smooth:
             require_pinhole(photo.camera, "--smooth")  # before the work that would be lost
         OutputFrame.of(scan, arguments.frame)  # refuse before the work
-        result = _register(arguments, scan, photo, bar)
+        with OtherCore() as other_core:
+            other_core.begin(lambda: prepare_export(scan))
+            result = _register(arguments, scan, photo, bar)
         spare_heap(scan)
         assessment = timed("Assess", bar, lambda: assess(scan, result))
         smoothed = _smooth(arguments, result, scan, bar)

@@ -39,9 +39,10 @@ from ladarreg_core.quality.assessment import Assessment, assess
 from ladarreg_core.quality.smoothing import SmoothedScan
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
-from ladarreg_core.side_by_side import side_by_side
+from ladarreg_core.side_by_side import OtherCore, side_by_side
 from ladarreg_core.surface.photo_model import ModelPhoto, photo_model
-from ladarreg_core.surface.texture import RegisteredTexture, texture_scan
+from ladarreg_core.surface.texture import RegisteredTexture, intensity_picture, texture_scan
+from ladarreg_core.surface.visibility import LARGEST_WHOLE_SCAN, occluding_surface
 
 FILE_NAMES = REGISTRATION_FILES
 """Files of a results folder; all but the first two are only written for accepted registrations."""
@@ -118,6 +119,16 @@ def export_registration(
         together=scan.ranges.size <= _MOST_CELLS_TOGETHER,
         report=report,
     )
+
+
+def prepare_export(scan: Scan) -> None:
+    """Compute what the assessment and the files of any pose of a scan need, to be called while the pose is sought.
+
+    Of a large scan, nothing is computed, since its memory matters more.
+    """
+    if scan.ranges.size <= LARGEST_WHOLE_SCAN:
+        occluding_surface(scan)
+        intensity_picture(scan)
 
 
 def write_folder(
@@ -301,7 +312,12 @@ def registration_files(
             described["open_in_workbench"] = open_command
         return described if rests_on is None else {**described, "rests_on": rests_on}
 
-    texture = _textured(registration, scan, photo) if registration.is_shown else None
+    if registration.is_shown:
+        with OtherCore() as other_core:  # the document beside the texture
+            other_core.begin(document)
+            texture = _textured(registration, scan, photo)
+    else:
+        texture = None
     mark = registration.mark
     jobs: list[FileJob] = [
         ("registration.json", lambda path: write_document(path, document())),
