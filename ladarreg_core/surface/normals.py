@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from weakref import WeakKeyDictionary
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ _SLOPE_NOISE = 0.05
 _WIDEST_SLOPE_WINDOW = 5
 _MARGIN = _WIDEST_SLOPE_WINDOW + 2
 _CELLS_AT_ONCE = 1_500_000
+_normals_of_scan: WeakKeyDictionary[Scan, NDArray[np.float32]] = WeakKeyDictionary()
 
 
 def cell_normals(scan: Scan, cells: IntArray) -> NDArray[np.float32]:
@@ -29,10 +31,14 @@ def cell_normals(scan: Scan, cells: IntArray) -> NDArray[np.float32]:
     Returns:
         normals (N, 3) float32, scanner frame.
     """
-    height, width = scan.shape
+    kept = _normals_of_scan.get(scan)
+    if kept is not None:
+        flat = cells[:, 0].astype(np.intp) * scan.shape[1] + cells[:, 1]
+        return np.stack([plane.take(flat) for plane in kept], axis=-1)
+    height = scan.shape[0]
     edges = grid_edges(scan)
     result = np.zeros((len(cells), 3), np.float32)
-    rows = max(64, _CELLS_AT_ONCE // width)
+    rows = _rows_at_once(scan)
     band_of = cells[:, 0] // rows
     order = np.argsort(band_of, kind="stable")
     starts = np.searchsorted(band_of[order], np.arange(0, height // rows + 2))
@@ -51,6 +57,20 @@ def cell_normals(scan: Scan, cells: IntArray) -> NDArray[np.float32]:
         some = order[first:last]
         result[some] = normals[:, cells[some, 0] - outer.start, cells[some, 1]].T
     return result
+
+
+def grid_normals(
+    scan: Scan, rays: FloatArray, gradients: tuple[FloatArray, FloatArray], slopes: tuple[FloatArray, FloatArray]
+) -> NDArray[np.float32]:
+    """Return `normals_of` a whole scan, kept for `cell_normals` as long as the scan, unless that divides it."""
+    normals = normals_of(rays, gradients, slopes)
+    if scan.shape[0] <= _rows_at_once(scan):
+        _normals_of_scan[scan] = normals
+    return normals
+
+
+def _rows_at_once(scan: Scan) -> int:
+    return max(64, _CELLS_AT_ONCE // scan.shape[1])
 
 
 def range_slopes(scan: Scan, edges: GridEdges) -> tuple[FloatArray, FloatArray]:

@@ -16,7 +16,7 @@ from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh import GridEdges, grid_edges, grid_faces
-from ladarreg_core.surface.normals import length_of, normals_of, range_slopes, ray_gradients
+from ladarreg_core.surface.normals import grid_normals, length_of, range_slopes, ray_gradients
 from ladarreg_core.surface.rasterise import covering_pinhole, rasterise_depth
 from ladarreg_core.surface.remap import look_up
 
@@ -470,7 +470,7 @@ def _surface(scan: Scan) -> _Surface:
         gradients = ray_gradients(rays)
         vertices, faces, cells, faces_of_cells = _occluder(scan, edges, slopes, rays, gradients)
         points = rays * scan.ranges
-        normals = normals_of(rays, gradients, slopes)
+        normals = grid_normals(scan, rays, gradients, slopes)
         distance = normals[0] * points[0] + normals[1] * points[1] + normals[2] * points[2]
         surface = _surface_of_scan[scan] = _Surface(
             vertices, faces, cells, faces_of_cells, points, normals, distance, edges
@@ -524,8 +524,8 @@ def _occluder(
     n = len(row)
     first = len(kept) + np.arange(n, dtype=np.int32)
     whole = [np.stack([first, first + k * n, first + (k + 1) * n], axis=-1) for k in (1, 2)]
-    vertices = np.concatenate([points[kept], *corners]).astype(np.float32)
-    return vertices, np.concatenate([index[faces], *whole]).astype(np.int32), kept, len(faces)
+    vertices = np.concatenate([points.take(kept, axis=0), *corners]).astype(np.float32, copy=False)
+    return vertices, np.concatenate([index.take(faces), *whole]).astype(np.int32, copy=False), kept, len(faces)
 
 
 def _flat_blocks(ranges: FloatArray, edges: GridEdges, wanted: BoolArray, size: int) -> BoolArray:
