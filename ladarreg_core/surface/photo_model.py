@@ -184,7 +184,7 @@ def _without_specks(triangles: TexturedTriangles) -> BoolArray:
     faces = triangles.faces
     edges = np.concatenate([faces[:, :2], faces[:, 1:]])
     component = connected_components(edges, len(triangles.vertices))[faces[:, 0]]
-    a, b, c = (triangles.cells[faces[:, k]] for k in range(3))
+    a, b, c = (triangles.cells.take(faces[:, k], axis=0) for k in range(3))
     areas = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
     size = np.bincount(component, areas)
     kept: BoolArray = size[component] >= _SPECK_CELLS
@@ -198,6 +198,7 @@ def _parts(
     vertex, pixels, faces = triangles.textured(owner)
     if not len(faces):
         return []
-    vertices: FloatArray = triangles.vertices[vertex]
-    whole = model_part(vertices, triangles.normals[vertex], pixels, faces, picture=picture, photo=photo)
+    vertices: FloatArray = triangles.vertices.take(vertex, axis=0)
+    normals: FloatArray = triangles.normals.take(vertex, axis=0)
+    whole = model_part(vertices, normals, pixels, faces, picture=picture, photo=photo)
     return whole.divided(largest_px)

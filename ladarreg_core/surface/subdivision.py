@@ -75,7 +75,7 @@ def cut_edges(faces: IntArray, cut: IntArray, vertices: int) -> tuple[IntArray, 
     if not len(cut):
         return faces, np.arange(len(faces)), np.zeros(len(faces), np.bool_)
     near = with_edge_of(faces, cut, vertices)
-    keys = edge_keys(faces[near], vertices)
+    keys = edge_keys(faces.take(near, axis=0), vertices)
     place = np.minimum(np.searchsorted(cut, keys), len(cut) - 1)
     is_cut = cut[place] == keys
     middle = (place + vertices).astype(np.int32)
@@ -83,7 +83,7 @@ def cut_edges(faces: IntArray, cut: IntArray, vertices: int) -> tuple[IntArray, 
     count = np.zeros(len(faces), np.int8)
     count[near] = cuts
     whole = np.flatnonzero(count == 0)
-    parts: list[IntArray] = [faces[whole]]
+    parts: list[IntArray] = [faces.take(whole, axis=0)]
     parents: list[IntArray] = [whole]
 
     def turned(rows: IntArray, first: IntArray) -> list[IntArray]:
@@ -107,4 +107,4 @@ def cut_edges(faces: IntArray, cut: IntArray, vertices: int) -> tuple[IntArray, 
     a, b, c, ab, bc, ca = turned(rows, np.zeros(len(rows), np.int64))
     add(rows, (a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
     parent = np.concatenate(parents)
-    return np.concatenate(parts).astype(np.int32), parent, count[parent] > 0
+    return np.concatenate(parts).astype(np.int32, copy=False), parent, count.take(parent) > 0

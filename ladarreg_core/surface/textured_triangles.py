@@ -98,7 +98,7 @@ class TexturedTriangles:
 
     def keep(self, wanted: BoolArray) -> None:
         """Leave out the other triangles."""
-        self.faces, self.owner = self.faces[wanted], self.owner[wanted]
+        self.faces, self.owner = self.faces.compress(wanted, axis=0), self.owner[wanted]
 
     def cut_at_frames(self) -> None:
         """Cut edges that leave the frame of a photograph at its border."""
@@ -107,7 +107,7 @@ class TexturedTriangles:
             rows = np.flatnonzero(touched)
             if not len(rows):
                 continue
-            keys = distinct(edge_keys(self.faces[rows], len(self.vertices)))
+            keys = distinct(edge_keys(self.faces.take(rows, axis=0), len(self.vertices)))
             a, b = edge_ends(keys, len(self.vertices))
             leaves = (photo.seen[a] & photo.beside[b]) | (photo.seen[b] & photo.beside[a])
             keys, a, b = keys[leaves], a[leaves], b[leaves]
@@ -123,7 +123,8 @@ class TexturedTriangles:
 
     def _share_inside(self, photo: SeenBy, inside: IntArray, outside: IntArray) -> NDArray[np.float64]:
         """Return how far edges (E,) run within the frame, 0 to 1."""
-        start, along = self.vertices[inside], self.vertices[outside] - self.vertices[inside]
+        start = self.vertices.take(inside, axis=0)
+        along = self.vertices.take(outside, axis=0) - start
         low, high = np.zeros(len(inside)), np.ones(len(inside))
         for _ in range(_BISECTIONS):
             middle = (low + high) / 2
@@ -135,12 +136,12 @@ class TexturedTriangles:
     def assign(self) -> None:
         """Give each triangle the photograph that is best at most of its corners, if that sees all of them."""
         self.owner = np.full(len(self.faces), LASER, np.int16)
-        best = self._best[self.faces]
+        best = self._best.take(self.faces)
         order = np.where((best[:, 1] == best[:, 2])[:, None], best[:, [1, 0, 2]], best)  # the majority first
         for choice in range(2, -1, -1):
             for k, photo in enumerate(self._photos):
                 rows = np.flatnonzero(order[:, choice] == k)
-                self.owner[rows[at_all_corners(photo.seen, self.faces[rows])]] = k
+                self.owner[rows[at_all_corners(photo.seen, self.faces.take(rows, axis=0))]] = k
 
     def refine(self, largest_error_px: float, *, most_faces: int | None) -> float:
         """Divide triangles until the texture errs by at most so much within them.
@@ -201,8 +202,9 @@ class TexturedTriangles:
     def _edges_that_err(self, most_px: float) -> NDArray[np.int64]:
         """Return the keys of the edges of changed triangles whose midpoint errs by more than `most_px`, ascending."""
         n, found = len(self.vertices), [np.zeros(0, np.int64)]
+        changed = np.flatnonzero(self._changed)
         for owner in range(LASER, len(self._photos)):
-            faces = self.faces[self._changed & (self.owner == owner)]
+            faces = self.faces.take(changed[self.owner[changed] == owner], axis=0)
             for first in range(0, len(faces), _AT_ONCE):
                 some = faces[first : first + _AT_ONCE]
                 if owner == LASER:
@@ -217,8 +219,10 @@ class TexturedTriangles:
 
     def _may_err_on_grid(self, faces: IntArray) -> BoolArray:
         """Return which triangles (F, 3) may have an edge of `_errs_on_grid`; nearly all have not, by a cheap bound."""
-        corners = np.ascontiguousarray(faces.T)
-        distance = _length(self.vertices)[corners]
+        corners, used = faces.T.astype(np.intp), vertices_of(faces, len(self.vertices))
+        distance = np.empty(len(self.vertices), np.float32)
+        distance[used] = _length(self.vertices.take(used, axis=0))
+        distance = distance.take(corners)
         low, high = distance.min(axis=0), distance.max(axis=0)
         extent = _length(_extent(self.cells, corners))
         return np.asarray(_SURELY * extent * (high - low) > 4 * _CELL_ERROR * low)
@@ -227,12 +231,13 @@ class TexturedTriangles:
         """Return which triangles (F, 3) may have an edge of `_errs_in` that is not short, by the boxes around them."""
         if isinstance(photo.camera, EquirectangularCamera):
             return np.ones(len(faces), np.bool_)
-        corners = np.ascontiguousarray(faces.T)
-        used = vertices_of(faces, len(self.vertices))
-        uv = np.empty((len(self.vertices), 2))
-        uv[used] = photo.project(self.vertices[used])
+        corners, used = faces.T.astype(np.intp), vertices_of(faces, len(self.vertices))
+        points = self.vertices.take(used, axis=0)
+        uv, distance = np.empty((len(self.vertices), 2)), np.empty(len(self.vertices), np.float32)
+        uv[used] = photo.project(points)
+        distance[used] = _length(points - photo.camera_from_scanner.centre.astype(np.float32))
         length = _SURELY * _length(_extent(uv, corners))
-        nearest = _length(self.vertices - photo.camera_from_scanner.centre.astype(np.float32))[corners].min(axis=0)
+        nearest = distance.take(corners).min(axis=0)
         short = length * _length(_extent(self.vertices, corners)) < most_px * nearest
         return np.asarray(~(short & (length <= _LONGEST_EDGE_PX)))
 
@@ -266,8 +271,8 @@ class TexturedTriangles:
         """Give triangles to the laser that have a corner without a place in their photograph."""
         for k, photo in enumerate(self._photos):
             rows = np.flatnonzero(self.owner == k)
-            used = vertices_of(self.faces[rows], len(self.vertices))
-            lost = used[~np.isfinite(photo.project(self.vertices[used])).all(axis=1)]
+            used = vertices_of(self.faces.take(rows, axis=0), len(self.vertices))
+            lost = used[~np.isfinite(photo.project(self.vertices.take(used, axis=0))).all(axis=1)]
             if len(lost):
                 self.owner[rows[np.isin(self.faces[rows], lost).any(axis=1)]] = LASER
 
@@ -278,15 +283,15 @@ class TexturedTriangles:
             vertex (M,), indices of `vertices`; pixels (M, 2) in the photograph, or on the scan's grid for `LASER`; and
             faces (F, 3) int32, indices of these. Triangles across the seam of a panorama have pixels beyond its border.
         """
-        faces = self.faces[self.owner == owner]
+        faces = self.faces.compress(self.owner == owner, axis=0)
         vertex = vertices_of(faces, len(self.vertices))
         index = np.empty(len(self.vertices), np.int32)
         index[vertex] = np.arange(len(vertex), dtype=np.int32)
-        faces = index[faces]
+        faces = index.take(faces)
         if owner == LASER:
-            return vertex, self.cells[vertex, ::-1].astype(np.float64), faces
+            return vertex, self.cells.take(vertex, axis=0)[:, ::-1].astype(np.float64), faces
         photo = self._photos[owner]
-        uv = photo.project(self.vertices[vertex])
+        uv = photo.project(self.vertices.take(vertex, axis=0))
         if not photo.turn_px or not len(faces):
             width, height = photo.camera.size
             # The midpoint of an edge along a curved border of the picture may lie beyond it by a fraction of a pixel.
@@ -302,7 +307,7 @@ class TexturedTriangles:
 
 def _extent(values: FloatArray, corners: IntArray) -> FloatArray:
     """Return the sides (F, K) of the boxes around the values (N, K) at the corners (3, F) of triangles."""
-    taken = values[corners]
+    taken = values.take(corners, axis=0)
     return np.asarray(taken.max(axis=0) - taken.min(axis=0))
 
 
