@@ -83,6 +83,7 @@ def entry_point() -> NoReturn:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = ExitCode.ACCEPTED
     forget_interrupt()
+    gc.freeze()  # the interpreter would look through all objects once more before it gives up their memory
     sys.exit(code)
 
 

@@ -95,11 +95,11 @@ def report(result: PoseResult) -> str:
 
 def length_lines(result: PoseResult) -> list[str]:
     """Return the lengths that came with matches beside the scan's ranges as a table; empty without lengths."""
-    from ladarreg_core.export.comparison_table import Table
-
     listed = (result.diagnostics.get("lengths") or {}).get("matches") or []
     if not listed:
         return []
+    from ladarreg_core.export.comparison_table import Table
+
     rows = [
         (
             one_line(one["name"]) + (" (end)" if one["end"] else ""),

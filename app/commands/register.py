@@ -61,9 +61,11 @@ class Arguments(RegisterArguments):
     @classmethod
     def chosen_by(cls, words: Sequence[str]) -> type:
         """Return the arguments that words are of: those of a rig, if there is one."""
+        if not any(word.split("=")[0] == "--rig" for word in words):
+            return cls
         from ..rig import RigArguments
 
-        return RigArguments if any(word.split("=")[0] == "--rig" for word in words) else cls
+        return RigArguments
 
 
 def run(arguments: Arguments | RigArguments) -> ExitCode:

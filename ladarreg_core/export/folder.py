@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.atomic_write import cannot_write, sync_folder
 from ladarreg_core.errors import ExportError
@@ -36,13 +36,15 @@ from ladarreg_core.export.staging import clear_leftovers, put_in_place, staging_
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.quality.assessment import Assessment, assess
-from ladarreg_core.quality.smoothing import SmoothedScan
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
 from ladarreg_core.side_by_side import OtherCore, side_by_side
 from ladarreg_core.surface.photo_model import ModelPhoto, photo_model
 from ladarreg_core.surface.texture import RegisteredTexture, intensity_picture, texture_scan
 from ladarreg_core.surface.visibility import LARGEST_WHOLE_SCAN, occluding_surface
+
+if TYPE_CHECKING:
+    from ladarreg_core.quality.smoothing import SmoothedScan
 
 FILE_NAMES = REGISTRATION_FILES
 """Files of a results folder; all but the first two are only written for accepted registrations."""
