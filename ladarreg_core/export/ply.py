@@ -96,18 +96,18 @@ def _chunks(
     done = 0
     for first in range(0, scan.shape[0], _ROWS_AT_ONCE):
         rows = slice(first, first + _ROWS_AT_ONCE)
-        valid = scan.valid[rows]
-        vertices = np.zeros(int(np.count_nonzero(valid)), dtype=layout)
-        points = frame.place(scan.points_at(rows, slice(None))[valid])
-        rgb = model_rows(scan, drawn, rows, levels)[valid]
+        valid = np.flatnonzero(scan.valid[rows])
+        vertices = np.zeros(len(valid), dtype=layout)
+        points = frame.place(scan.points_at(rows, slice(None)).reshape(-1, 3).take(valid, axis=0))
+        rgb = model_rows(scan, drawn, rows, levels).reshape(-1, 3).take(valid, axis=0)
         for k in range(3):
             vertices["xyz"[k]] = points[:, k]
             vertices[("red", "green", "blue")[k]] = rgb[:, k]
-        vertices["intensity"] = scan.intensity[rows][valid]
-        vertices["label"] = texture.labels[rows][valid]
+        vertices["intensity"] = scan.intensity[rows].take(valid)
+        vertices["label"] = texture.labels[rows].take(valid)
         if isinstance(texture, CellColours):
-            vertices["photo_id"] = texture.photo[rows][valid] + np.uint16(1)  # that of none becomes 0
-            vertices["sigma_px"] = texture.sigma_px[rows][valid]
+            vertices["photo_id"] = texture.photo[rows].take(valid) + np.uint16(1)  # that of none becomes 0
+            vertices["sigma_px"] = texture.sigma_px[rows].take(valid)
         yield vertices.tobytes()
         done += len(vertices)
         if report is not None:

@@ -19,16 +19,16 @@ def connected_components(edges: IntArray, count: int) -> IntArray:
     Source: hooking and pointer jumping; Shiloach and Vishkin, An O(log n) parallel connectivity algorithm (1982).
     """
     root = np.arange(count)
-    first, second = np.asarray(edges).reshape(-1, 2).T
+    first, second = np.asarray(edges).reshape(-1, 2).T.astype(np.intp)
     while True:
-        a, b = root[first], root[second]
+        a, b = root.take(first), root.take(second)
         apart = np.flatnonzero(a != b)
         if not len(apart):
             return root
         first, second, a, b = first[apart], second[apart], a[apart], b[apart]
         np.minimum.at(root, np.maximum(a, b), np.minimum(a, b))
         while True:
-            above = root[root]
+            above = root.take(root)
             if (above == root).all():
                 break
             root = above

@@ -253,14 +253,15 @@ def grid_faces(ranges: FloatArray, edges: GridEdges, *, wanted: BoolArray | None
     if wanted is not None:
         use_a, use_b = use_a & wanted, use_b & wanted
     corner = np.arange(height * width, dtype=np.int32).reshape(height, width)[:-1, :-1]
-    triangles = []
+    corner, triangles = corner.ravel(), []
     for present, offsets in (
         (at_00 & use_a, (0, width, 1)),
         (at_11 & use_a, (width + 1, 1, width)),
         (at_01 & use_b, (1, 0, width + 1)),
         (at_10 & use_b, (width, width + 1, 0)),
     ):
-        triangles.append(corner[present][:, None] + np.array(offsets, dtype=np.int32))
+        at = corner.take(np.flatnonzero(present))
+        triangles.append(np.stack([at + np.int32(offset) for offset in offsets], axis=-1))
     return np.concatenate(triangles)
 
 
@@ -272,6 +273,18 @@ def _faces_toward_scanner(faces: IntArray, points: FloatArray) -> IntArray:
     a, b, c = (points.reshape(-1, 3)[sample[:, k]].astype(np.float64) for k in range(3))
     outward = (np.cross(b - a, c - a) * a).sum(axis=-1)
     return faces[:, ::-1] if np.count_nonzero(outward > 0) * 2 > len(sample) else faces
+
+
+def whole_blocks(flags: BoolArray, size: int) -> BoolArray:
+    """Return in which blocks of `size` x `size` cells all flags (H, W) hold; an incomplete last one is left out."""
+    height, width = (n // size * size for n in flags.shape)
+    rows = np.ones((height // size, width), np.bool_)
+    for k in range(size):
+        rows &= flags[k:height:size, :width]
+    whole = np.ones((height // size, width // size), np.bool_)
+    for k in range(size):
+        whole &= rows[:, k::size]
+    return whole
 
 
 def typical_range(ranges: FloatArray) -> float:

@@ -23,6 +23,7 @@ from ladarreg_core.surface.mesh import (
     grid_edges,
     grid_faces,
     typical_range,
+    whole_blocks,
 )
 from ladarreg_core.validation import require_int
 
@@ -94,15 +95,16 @@ def _mesh_of(scan: Scan, faces: IntArray, stride: int, shape: tuple[int, int], *
     kept = np.flatnonzero(used)
     index = np.zeros(len(used), np.int32)
     index[kept] = np.arange(len(kept), dtype=np.int32)
-    faces = index[faces]
+    faces = index.take(faces)
     del used, index
     row, column = np.divmod(kept, columns)
     vertices = np.empty((len(kept), 3), np.float32)
     starts = np.searchsorted(row, np.arange(0, scan.shape[0] + _ROWS_AT_ONCE, _ROWS_AT_ONCE))
     for k, (first, last) in enumerate(pairwise(starts)):
         top = k * _ROWS_AT_ONCE
-        points = scan.points_at(slice(top, top + _ROWS_AT_ONCE), slice(None))
-        vertices[first:last] = points[row[first:last] - top, column[first:last] % scan.shape[1]]
+        points = scan.points_at(slice(top, top + _ROWS_AT_ONCE), slice(None)).reshape(-1, 3)
+        cells = (row[first:last] - top) * scan.shape[1] + column[first:last] % scan.shape[1]
+        vertices[first:last] = points.take(cells, axis=0)
     faces = _toward_scanner(faces, vertices)
     cells = np.stack([row, column], axis=-1).astype(np.int32) * np.int32(stride)
     if columns > scan.shape[1]:
@@ -175,8 +177,7 @@ class _Blocks:
             height, width = (n // size for n in whole.shape)
             if not (height and width):
                 continue
-            tiled = whole[: height * size, : width * size].reshape(height, size, width, size)
-            row, column = (axis * size for axis in np.nonzero(tiled.all(axis=(1, 3))))
+            row, column = (axis * size for axis in np.nonzero(whole_blocks(whole, size)))
             flat = self._is_flat(q, row, column, size, tolerance_m)
             row, column = row[flat], column[flat]
             found[size] = ((row + top) * self._width + column).astype(np.int32)
@@ -198,8 +199,8 @@ class _Blocks:
             at_once = max(1, _BLOCKS_AT_ONCE // len(checked) ** 2)
             for first in range(0, len(left), at_once):
                 some = left[first : first + at_once]
-                r, c = row[some], column[some]
-                values = q[r[:, None, None] + checked[:, None], c[:, None, None] + checked]
+                corner = row[some] * q.shape[1] + column[some]
+                values = q.take(corner[:, None, None] + (checked[:, None] * q.shape[1] + checked))
                 upper = values[:, :1, :1] + (values[:, :1, -1:] - values[:, :1, :1]) * weight
                 lower = values[:, -1:, :1] + (values[:, -1:, -1:] - values[:, -1:, :1]) * weight
                 linear = upper + (lower - upper) * weight[:, None]
@@ -216,7 +217,7 @@ class _Blocks:
         for first in range(0, len(corners), at_once):
             some = corners[first : first + at_once]
             border = some[:, None] + ring
-            present = vertex[border]
+            present = vertex.take(border)
             plain = present.sum(axis=1) == 4
             a, b, c, d = (some[plain] + np.int32(offset) for offset in _corner_offsets(size, self._width))
             parts += [np.stack([a, c, b], axis=-1), np.stack([d, b, c], axis=-1)]

@@ -136,11 +136,12 @@ class TexturedTriangles:
     def assign(self) -> None:
         """Give each triangle the photograph that is best at most of its corners, if that sees all of them."""
         self.owner = np.full(len(self.faces), LASER, np.int16)
-        best = self._best.take(self.faces)
-        order = np.where((best[:, 1] == best[:, 2])[:, None], best[:, [1, 0, 2]], best)  # the majority first
-        for choice in range(2, -1, -1):
+        a, b, c = (self._best.take(self.faces[:, k]) for k in range(3))
+        agree = b == c
+        majority_first = np.where(agree, b, a), np.where(agree, a, b), c
+        for choice in reversed(majority_first):
             for k, photo in enumerate(self._photos):
-                rows = np.flatnonzero(order[:, choice] == k)
+                rows = np.flatnonzero(choice == k)
                 self.owner[rows[at_all_corners(photo.seen, self.faces.take(rows, axis=0))]] = k
 
     def refine(self, largest_error_px: float, *, most_faces: int | None) -> float:

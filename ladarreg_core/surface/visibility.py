@@ -15,7 +15,7 @@ from ladarreg_core.camera import Camera, CameraModel, Face, cube_faces
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.mesh import GridEdges, grid_edges, grid_faces
+from ladarreg_core.surface.mesh import GridEdges, grid_edges, grid_faces, whole_blocks
 from ladarreg_core.surface.normals import grid_normals, length_of, range_slopes, ray_gradients
 from ladarreg_core.surface.rasterise import covering_pinhole, rasterise_depth
 from ladarreg_core.surface.remap import look_up
@@ -535,7 +535,7 @@ def _flat_blocks(ranges: FloatArray, edges: GridEdges, wanted: BoolArray, size: 
     if height == 0 or width == 0:
         return np.zeros((height, width), dtype=np.bool_)
     whole = wanted & edges.right[:-1] & edges.right[1:] & edges.down[:, :-1] & edges.down[:, 1:]
-    flat: BoolArray = np.all(whole[: height * n, : width * n].reshape(height, n, width, n), axis=(1, 3))
+    flat = whole_blocks(whole, n)
     with np.errstate(over="ignore", invalid="ignore"):
         q = 1 / ranges[: height * n + 1, : width * n + 1]
         corners = np.ascontiguousarray(q[::n, ::n])
