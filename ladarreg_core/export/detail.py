@@ -98,9 +98,9 @@ def detail_window(scan: Scan, reference: RegisteredTexture, textures: Sequence[R
     if not seen.any():
         return None
     share = np.mean([texture.coloured[::step, ::step] for texture in textures], axis=0, dtype=np.float32)
-    contrast = _local_contrast(reference.image[::step, ::step], seen)
-    intensity = intensity_picture(scan)[::step, ::step, 0]
-    edges = _depth_edges(scan, step) + 0.3 * _local_contrast(np.repeat(intensity[..., None], 3, axis=-1), seen)
+    brightness = cv2.cvtColor(np.ascontiguousarray(reference.image[::step, ::step]), cv2.COLOR_RGB2GRAY)
+    contrast = _local_contrast(np.asarray(brightness, np.uint8), seen)
+    edges = _depth_edges(scan, step) + 0.3 * _local_contrast(intensity_picture(scan)[::step, ::step, 0], seen)
     score = edges * (0.05 + contrast) * share * seen
 
     height, width = _detail_size(scan, reference)
@@ -176,9 +176,8 @@ def _depth_edges(scan: Scan, step: int) -> NDArray[np.float32]:
     return found[::step, ::step].astype(np.float32)
 
 
-def _local_contrast(picture: ByteArray, seen: BoolArray) -> NDArray[np.float32]:
-    """Return the range of brightness around each cell, 0 to 1, among the coloured cells."""
-    gray = np.ascontiguousarray(cv2.cvtColor(np.ascontiguousarray(picture), cv2.COLOR_RGB2GRAY))
+def _local_contrast(gray: ByteArray, seen: BoolArray) -> NDArray[np.float32]:
+    """Return the range of brightness (H, W) around each cell, 0 to 1, among the coloured cells."""
     kernel = np.ones((5, 5), np.uint8)
     brightest = np.asarray(cv2.dilate(np.where(seen, gray, 0).astype(np.uint8), kernel), dtype=np.float32)
     darkest = np.asarray(cv2.erode(np.where(seen, gray, 255).astype(np.uint8), kernel), dtype=np.float32)

@@ -186,6 +186,6 @@ def legend_html(legend: Legend, shares: dict[str, str]) -> Html:
 
 def _nearest(picture: ByteArray, size: tuple[int, int]) -> ByteArray:
     """Return an image resized without mixing its colours, which are codes."""
-    rows = (np.arange(size[1]) * picture.shape[0] // size[1]).astype(np.intp)
-    columns = (np.arange(size[0]) * picture.shape[1] // size[0]).astype(np.intp)
-    return np.ascontiguousarray(picture[rows][:, columns])
+    rows = np.arange(size[1]) * picture.shape[0] // size[1]
+    columns = np.arange(size[0]) * picture.shape[1] // size[0]
+    return np.asarray(picture.take(rows, axis=0).take(columns, axis=1))

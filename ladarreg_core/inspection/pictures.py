@@ -19,7 +19,7 @@ from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.inspection.drawn_surface import drawn_surface
 from ladarreg_core.inspection.viewpoints import is_all_around
 from ladarreg_core.matching.views import viewing_directions
-from ladarreg_core.palette import ACCENT
+from ladarreg_core.palette import ACCENT, uniform
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import View, check_viewable, most_view_pixels, native_focal_px, perspective_view
 from ladarreg_core.surface.render import LARGEST_DRAWN_SCAN, render_scan_picture
@@ -40,6 +40,7 @@ _LIGHT = np.array((-0.58, 0.79, 0.21), np.float32)  # from above and the left: f
 _CREASE = 0.04  # step of the range between neighbouring pixels, as a share of it, at which one surface hides another
 _CREASE_GRAY = 0.25
 _BINS = 4096
+_RANGE_SAMPLES = 100_000  # for the limits of the gray levels
 _MOST_GAMMA = 10.0
 _BETWEEN_RAD = float(np.deg2rad(30.0))
 _SAME_DIRECTION_RAD = float(np.deg2rad(10.0))
@@ -283,8 +284,7 @@ def scan_over_photo(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid,
     if show != "edges":
         return _with_alpha(colour, np.where(covered, 255, 0))
     strength = np.maximum(_magnitude(colour[..., 0]), _magnitude(colour[..., 1]))
-    edge = np.zeros_like(colour)
-    edge[:] = ACCENT
+    edge = uniform(covered.shape, ACCENT)
     inside = cv2.erode(covered.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     return _with_alpha(edge, np.where(inside, np.clip(255 * strength / _STRONG, 0, 255), 0))
 
@@ -367,9 +367,10 @@ def _normals(camera: Camera, ranges: FloatArray) -> FloatArray:
 
 def _range_picture(scan: Scan) -> NDArray[np.uint8]:
     inverse = np.where(scan.valid, 1 / np.where(scan.valid, scan.ranges, 1), 0)
-    low, high = np.percentile(inverse[scan.valid], (1, 99))
+    seen = inverse[scan.valid]
+    low, high = np.percentile(seen[:: max(1, len(seen) // _RANGE_SAMPLES)], (1, 99))
     level = np.rint(255 * np.clip((inverse - low) / max(high - low, 1e-12), 0, 1)).astype(np.uint8)
-    return np.repeat(level[..., None], 3, axis=-1)
+    return np.asarray(cv2.cvtColor(level, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
 
 
 def _with_alpha(colour: NDArray[np.uint8], alpha: NDArray[np.generic]) -> NDArray[np.uint8]:

@@ -66,11 +66,11 @@ def resolution_field(scan: Scan, result: PoseResult, seen: BoolArray) -> NDArray
     box = _box_around(seen, margin=_NORMAL_CELLS)
     points = np.where(scan.valid[box][..., None], scan.points[box], np.float32(np.nan)).astype(np.float32)
     to_camera = result.camera_from_scanner.centre.astype(np.float32) - points
-    distance = np.linalg.norm(to_camera, axis=-1)
+    distance = _length(to_camera)
     forward = result.camera_from_scanner.rotation[2].astype(np.float32)
     with np.errstate(invalid="ignore", divide="ignore"):
         depth = -(to_camera @ forward)
-        facing = np.abs((_normals(points) * to_camera).sum(axis=-1)) / distance
+        facing = np.abs(np.einsum("hwk,hwk->hw", _normals(points), to_camera)) / distance
         # A pixel off the axis covers less than one on it: its solid angle falls with the cube of the cosine.
         across = depth * np.sqrt(depth / distance) / np.float32(result.camera.focal_px)
         found = 1000 * across / np.sqrt(np.clip(facing, _MOST_OBLIQUE, 1))
@@ -102,8 +102,9 @@ def without_pepper(picture: NDArray[np.uint8], known: BoolArray, fillable: BoolA
     if not gaps.any():
         return picture
     reach = (_GAP_REACH, _GAP_REACH)
-    weight = cv2.blur(known.astype(np.float32), reach, borderType=cv2.BORDER_CONSTANT)
-    mean = cv2.blur(picture.astype(np.float32) * known[..., None], reach, borderType=cv2.BORDER_CONSTANT)
+    flags = known.view(np.uint8)
+    weight = cv2.boxFilter(flags, cv2.CV_32F, reach, borderType=cv2.BORDER_CONSTANT)
+    mean = cv2.boxFilter(cv2.copyTo(picture, flags), cv2.CV_32F, reach, borderType=cv2.BORDER_CONSTANT)
     result = np.array(picture)
     fill = gaps & (weight > 0.3)  # most of the cells around are known
     result[fill] = np.rint(mean[fill] / weight[fill][:, None])
@@ -133,8 +134,12 @@ def _normals(points: FloatArray) -> FloatArray:
         return np.asarray(ahead - behind)
 
     normal = np.cross(difference(0), difference(1))
-    length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    return np.asarray(normal / np.maximum(length, np.float32(1e-20)))
+    return np.asarray(normal / np.maximum(_length(normal)[..., None], np.float32(1e-20)))
+
+
+def _length(vectors: FloatArray) -> FloatArray:
+    """Return the lengths (H, W) of vectors (H, W, 3)."""
+    return np.asarray(np.sqrt(np.einsum("hwk,hwk->hw", vectors, vectors)))
 
 
 def _interpolated(

@@ -10,6 +10,7 @@ from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, IntArray, rea
 from ladarreg_core.camera import Camera, CameraModel, cube_faces
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid
+from ladarreg_core.palette import paint
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh import grid_edges, scan_mesh
 from ladarreg_core.surface.rasterise import covering_pinhole, rasterise_values
@@ -101,7 +102,7 @@ def render_scan_picture(
     vertices, faces, cells = coarse_mesh(scan)
     size = np.array([max(n - 1, 1) for n in scan.shape], np.float32)
     values = np.zeros((len(vertices), 3), np.float32)
-    values[:, :2] = np.stack(np.divmod(cells, scan.shape[1]), axis=-1) / size
+    values[:, :2] = np.stack(np.divmod(cells.astype(np.int32), np.int32(scan.shape[1])), axis=-1) / size
     ideal = covering_pinhole(camera)
     depth, drawn = rasterise_values(camera_from_scanner @ vertices.astype(np.float64), faces, values, ideal)
     row, column = (np.ascontiguousarray(drawn[..., k]) for k in range(2))
@@ -116,13 +117,13 @@ def render_scan_picture(
     on_surface = _cells_with_neighbours(scan)
     seen[gap] = on_surface[np.rint(row[gap]).astype(np.intp), np.rint(column[gap]).astype(np.intp)]
     colour = look_up(_continued(picture, on_surface), column, row)
-    colour[~seen] = _BACKGROUND
+    paint(colour, ~seen, _BACKGROUND)
     if camera.distortion:
         at = _ideal_positions(camera, ideal, 1)
         u, v = np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])
         colour = look_up(colour, u, v, outside=_BACKGROUND)
         seen = _resampled(seen.astype(np.float32), at) >= 0.5
-        colour[~seen] = _BACKGROUND
+        paint(colour, ~seen, _BACKGROUND)
     return colour, seen
 
 
@@ -141,7 +142,7 @@ def _continued(picture: ByteArray, known: BoolArray) -> ByteArray:
     square = (3, 3)
     count = cv2.boxFilter(known.astype(np.float32), cv2.CV_32F, square, normalize=False)
     beside = ~known & (count > 0)
-    total = cv2.boxFilter(picture * known[..., None], cv2.CV_32F, square, normalize=False)
+    total = cv2.boxFilter(cv2.copyTo(picture, known.view(np.uint8)), cv2.CV_32F, square, normalize=False)
     result = picture.copy()
     result[beside] = np.rint(total[beside] / count[beside][:, None])
     return result

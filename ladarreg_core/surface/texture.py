@@ -16,7 +16,7 @@ from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import Rigid
-from ladarreg_core.palette import UNSEEN
+from ladarreg_core.palette import UNSEEN, uniform
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh import grid_edges
@@ -125,8 +125,8 @@ def texture_scan(
     colour = np.asarray(background)
     if colour.shape != (3,) or colour.dtype.kind not in "iu" or colour.min() < 0 or colour.max() > 255:
         raise OptionError(f"the background is {background!r}; it must be three whole numbers from 0 to 255")
-    beyond = tuple(int(value) for value in colour)
-    image = np.asarray(cv2.merge([np.full(scan.shape, value, np.uint8) for value in beyond]), np.uint8)
+    beyond = (int(colour[0]), int(colour[1]), int(colour[2]))
+    image = uniform(scan.shape, beyond)
     labels = np.full(scan.shape, Label.OUT_OF_FRAME, np.uint8)
     for part in textured_parts(
         scan, photo, camera_from_scanner, camera=camera, covariance=covariance, background=beyond
