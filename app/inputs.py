@@ -38,7 +38,6 @@ def read_inputs(
         soon: loads, meanwhile, the modules that the command needs next.
     """
     import ladarreg_core as lr
-    from ladarreg_core.saved_results import missing_scans
     from ladarreg_core.side_by_side import OtherCore
 
     with OtherCore() as other_core:
@@ -48,11 +47,19 @@ def read_inputs(
             "Read scan", bar, lambda: lr.read_scan(arguments.scan, report=bar.loading, **arguments.scan_options)
         )
         suit_heap(scan)
-        more = arguments.more or ()
-        missing = [said for path in results if path and (said := missing_scans(path, arguments.scan, more))]
+        missing = _missing_scans(arguments, *filter(None, results))
         scan = replace(scan, notes=(*scan.notes, *missing)) if missing else scan
         photo = timed("Read photo", bar, of_photo.result)
     return scan, photo
+
+
+def _missing_scans(arguments: PhotoArguments, *results: Path) -> list[str]:
+    """Return notes on the clouds that results were registered on and that are not there."""
+    if not results:
+        return []
+    from ladarreg_core.saved_results import missing_scans
+
+    return [said for path in results if (said := missing_scans(path, arguments.scan, arguments.more or ()))]
 
 
 def with_recorded_options(arguments: A, *results: Path | None) -> A:
@@ -62,10 +69,13 @@ def with_recorded_options(arguments: A, *results: Path | None) -> A:
         arguments: the arguments of a command.
         results: files that may be results, such as an initial pose.
     """
+    given = list(filter(None, results))
+    if not given:
+        return arguments
     from ladarreg_core.saved_results import recorded_options, recorded_scans
 
     found: dict[str, Any] = {}
-    for path in filter(None, results):
+    for path in given:
         found = recorded_options(path, arguments.scan, arguments.photo) | found
         if not arguments.more and (more := recorded_scans(path, arguments.scan)[0]):
             arguments = replace(arguments, more=tuple(more))

@@ -154,11 +154,10 @@ def _register(arguments: Arguments, scan: Scan, photo: Photo, bar: ProgressBar) 
 
 
 def _smooth(arguments: Arguments, result: Registration, scan: Scan, bar: ProgressBar) -> SmoothedScan | None:
-
-    from ladarreg_core.quality.smoothing import smooth_with_report
-
     if not arguments.smooth or not result.accepted:
         return None
+    from ladarreg_core.quality.smoothing import smooth_with_report
+
     return timed("Smooth", bar, lambda: smooth_with_report(scan, result))
 
 

@@ -123,7 +123,8 @@ def test_a_registration_imports_what_it_uses_alone(tmp_path: Path) -> None:
         "rich",
     }
     rooms = {"acquisition", "twins", "project", "stations", "rig", "self_test", "simulate"}
-    unused = others | {f"ladarreg_core.{room}" for room in rooms}
+    files = {"comparison", "export.comparison_table", "quality.smoothing", "saved_results"}
+    unused = others | {f"ladarreg_core.{name}" for name in rooms | files}
     code = (
         f"import sys; from ladarreg.cli import main; code = main({sample('-o', str(tmp_path / 'out'), '--quiet')!r})\n"
         f"found = {unused!r} & set(sys.modules)\n"
