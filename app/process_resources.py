@@ -28,6 +28,8 @@ _OWN_MAPPING_BYTES = 4 << 20
 _LARGEST_MAPPING_THRESHOLD = 32 << 20
 """Of what glibc accepts; larger arrays always have a mapping of their own."""
 _KEPT_BYTES = 1 << 30
+_COLLECTED_AFTER = (2000, 10, 10)
+"""Of `gc.set_threshold`, about Python's own."""
 _trim_pending = threading.Lock()
 _resident_after_trim = 0
 
@@ -56,9 +58,13 @@ def limit_arenas() -> None:
 
 
 def freeze_loaded_objects() -> None:
-    """Exempt all present objects from garbage collection: they are modules, and stay until the end."""
+    """Exempt all present objects from garbage collection, since they are modules and stay; look for others more often.
+
+    A command is over before its garbage matters; a server is not.
+    """
     gc.collect()
     gc.freeze()
+    gc.set_threshold(*_COLLECTED_AFTER)
 
 
 def return_memory_soon(*, force: bool = False) -> None:

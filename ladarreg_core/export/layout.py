@@ -28,8 +28,11 @@ _REPLACEMENTS = {"\u2013": "-", "\u2014": "-", "\u2212": "-", "\u00d7": "x", "\u
 
 def legible(text: str) -> str:
     """Return the text in characters of the font: accents are dropped, other unknown characters become '?'."""
+    text = " ".join(text.split())
+    if text.isascii() and text.isprintable():
+        return text
     shown: list[str] = []
-    for letter in unicodedata.normalize("NFC", " ".join(text.split())):
+    for letter in unicodedata.normalize("NFC", text):
         letter = _REPLACEMENTS.get(letter, letter)
         if letter in "\u00b0\u00b7\u00b1\u2026" or letter.isascii():
             shown.append(letter if letter.isprintable() else "?")
