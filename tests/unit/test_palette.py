@@ -68,3 +68,15 @@ def test_the_ramp_gets_lighter() -> None:
     assert np.all(np.diff(light) >= 0)
     assert light[-1] > 20 * light[0]
     np.testing.assert_array_equal(palette.ramp_colours(np.ones((2, 3)))[1, 2], ramp[-1])
+
+
+def test_cells_are_painted_and_the_others_stay() -> None:
+    picture = np.random.default_rng(0).integers(0, 256, (9, 7, 3), dtype=np.uint8)
+    cells = np.random.default_rng(1).random((9, 7)) < 0.5
+    wanted = picture.copy()
+    wanted[cells] = palette.ACCENT
+    palette.paint(picture, cells, palette.ACCENT)
+    np.testing.assert_array_equal(picture, wanted)
+    palette.paint(picture, np.zeros((9, 7), np.bool_), palette.BAD)
+    np.testing.assert_array_equal(picture, wanted)
+    np.testing.assert_array_equal(palette.uniform((2, 3), palette.WARN), np.full((2, 3, 3), palette.WARN))

@@ -6,7 +6,9 @@ from hypothesis import strategies as st
 from ladarreg_core.errors import OptionError
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid, TabulatedGrid
-from ladarreg_core.surface.mesh import grid_edges, scan_mesh
+from ladarreg_core.surface.mesh import grid_edges, scan_mesh, whole_blocks
+from ladarreg_core.surface.normals import cell_normals
+from ladarreg_core.surface.visibility import occluding_surface
 
 
 def plane_ranges(rays, normal, distance):
@@ -158,3 +160,21 @@ def test_bad_options_are_named(options, word):
     geometry = AzimuthElevation(4, 4, 0.01, 0.01)
     with pytest.raises(OptionError, match=word):
         scan_mesh(scan_of(geometry, np.ones((4, 4))), **options)
+
+
+@given(height=st.integers(0, 9), width=st.integers(0, 9), size=st.integers(1, 4), seed=st.integers(0, 9))
+def test_whole_blocks_are_those_in_which_every_flag_holds(height, width, size, seed):
+    flags = np.random.default_rng(seed).random((height, width)) < 0.8
+    rows, columns = height // size, width // size
+    tiles = flags[: rows * size, : columns * size].reshape(rows, size, columns, size)
+    np.testing.assert_array_equal(whole_blocks(flags, size), tiles.all(axis=(1, 3)))
+
+
+def test_normals_are_the_same_whether_or_not_the_occluding_surface_is_known():
+    geometry = AzimuthElevation(60, 80, 0.01, 0.01)
+    ranges = plane_ranges(geometry.rays, (0.9, 0.3, 0.3), 2.0)
+    scan = scan_of(geometry, ranges, noise_m=0.002)
+    cells = np.argwhere(scan.valid)[::7]
+    alone = cell_normals(scan, cells)
+    occluding_surface(scan)
+    np.testing.assert_array_equal(cell_normals(scan, cells), alone)

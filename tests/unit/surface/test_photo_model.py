@@ -10,6 +10,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.photo_model import UV_ERROR_PX, ModelPhoto, photo_model
 from ladarreg_core.surface.texture import Label, texture_scan
+from ladarreg_core.surface.textured_triangles import TexturedTriangles
 from tests.scenes.painted_room import painted_room
 from tests.scenes.panorama import panorama
 
@@ -55,6 +56,20 @@ def texture_errors(model, photos, *, shift=0.0, flip=False):
             at = at * (part.tile.width, part.tile.height) - 0.5 + (part.tile.left, part.tile.top) + shift
             errors.append(np.linalg.norm(camera.difference(camera.project(pose @ points), at), axis=1))
     return np.concatenate(errors)
+
+
+@pytest.mark.parametrize("lens", ["pinhole", "5 terms", "fisheye"])
+def test_no_edge_that_errs_is_passed_over_by_the_bound_on_its_triangles(lens, monkeypatch):
+    scan, camera = room().scan, LENSES[lens]
+    photo = photo_of(scan, camera, Rigid.from_centre(look_along([1.0, 0.1, 0.05]), [0.1, 0.4, 0.1]))
+    quick = photo_model(scan, [photo])
+    monkeypatch.setattr(TexturedTriangles, "_may_err_in", lambda _, photo, faces, most_px: np.ones(len(faces), bool))
+    monkeypatch.setattr(TexturedTriangles, "_may_err_on_grid", lambda _, faces: np.ones(len(faces), bool))
+    exact = photo_model(scan, [photo])
+    assert len(quick.parts) == len(exact.parts) > 1
+    for one, other in zip(quick.parts, exact.parts, strict=True):
+        np.testing.assert_array_equal(one.faces, other.faces)
+        np.testing.assert_array_equal(one.uv, other.uv)
 
 
 @pytest.mark.parametrize("lens", LENSES)
