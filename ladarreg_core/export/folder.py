@@ -41,7 +41,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.side_by_side import OtherCore, side_by_side
 from ladarreg_core.surface.photo_model import ModelPhoto, photo_model
 from ladarreg_core.surface.texture import RegisteredTexture, intensity_picture, texture_scan
-from ladarreg_core.surface.visibility import LARGEST_WHOLE_SCAN, occluding_surface
+from ladarreg_core.surface.visibility import occluding_surface
 
 if TYPE_CHECKING:
     from ladarreg_core.quality.smoothing import SmoothedScan
@@ -49,6 +49,7 @@ if TYPE_CHECKING:
 FILE_NAMES = REGISTRATION_FILES
 """Files of a results folder; all but the first two are only written for accepted registrations."""
 _MOST_CELLS_TOGETHER = 4_000_000  # of larger scans, the memory matters more than the time
+_MOST_CELLS_AHEAD = 2_000_000
 FileJob = tuple[str, Callable[[Path], None]]
 """File name, with `/` between folders, and the function that writes the file to a path."""
 
@@ -126,9 +127,9 @@ def export_registration(
 def prepare_export(scan: Scan) -> None:
     """Compute what the assessment and the files of any pose of a scan need, to be called while the pose is sought.
 
-    Of a large scan, nothing is computed, since its memory matters more.
+    Of a large scan, nothing is computed, since the memory for both at once matters more.
     """
-    if scan.ranges.size <= LARGEST_WHOLE_SCAN:
+    if scan.ranges.size <= _MOST_CELLS_AHEAD:
         occluding_surface(scan)
         intensity_picture(scan)
 
