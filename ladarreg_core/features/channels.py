@@ -177,10 +177,11 @@ def channel_products(first: FloatArray, second: FloatArray) -> FloatArray:
 
 def add_channels(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the sum of two normalised channel images (H, W, 5), with its norm limited to 1."""
-    total = first + second
+    total = np.empty_like(first)
     for top in range(0, len(total), _STRIP_ROWS):
-        strip = total[top : top + _STRIP_ROWS]
-        square = channel_products(strip, strip)
-        longer = square > 1
-        strip[longer] /= np.sqrt(square[longer])[:, None]
+        rows = slice(top, top + _STRIP_ROWS)
+        strip = total[rows]
+        np.add(first[rows], second[rows], out=strip)
+        length = np.sqrt(np.maximum(channel_products(strip, strip), 1))
+        strip *= np.repeat(1 / length, CHANNELS).reshape(strip.shape)  # several times as fast as by broadcasting
     return total

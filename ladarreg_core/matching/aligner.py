@@ -105,6 +105,7 @@ class Aligner:
         self.seed = seed
         self.points: dict[int, ViewPoints] = {}
         self._strength: dict[int, FloatArray] = {}
+        self._last_blocks: tuple[Rigid, CameraChange, BlockComparison | None] | None = None
         for level in LEVELS:
             strength = scan.once(("strength", level), partial(edge_strength, scan, scan.channels[level], level=level))
             if strength is not None:
@@ -286,11 +287,16 @@ class Aligner:
         return block_matches(seen, self.fine_points, self.photo.cameras[0], self.photo.source)
 
     def _fine_blocks(self, pose: Rigid, change: CameraChange) -> BlockComparison | None:
+        last = self._last_blocks  # read once: another thread may be working on another pose
+        if last is not None and last[0] is pose and last[1] == change:
+            return last[2]  # the finished pose is asked for twice
         if self.fine_points is None:
             return None
         buffer = self.occluder.depth_buffer(pose)
         target = self.fine_target.seen_by(change.applied_to(self.photo.cameras[0]))
-        return compare_blocks(self.fine_points, target, self.occluder, buffer, pose)
+        seen = compare_blocks(self.fine_points, target, self.occluder, buffer, pose)
+        self._last_blocks = pose, change, seen
+        return seen
 
 
 def verify_pose(

@@ -5,8 +5,7 @@ Source: Schweighofer and Pinz, Robust pose estimation from a planar target (2006
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -17,12 +16,11 @@ from ladarreg_core.features.channels import CHANNELS
 from ladarreg_core.frames import Rigid, rotation_about
 from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.blocks import project_visible
-from ladarreg_core.matching.ecc import RefineOptions, RefineResult, refine_pose
+from ladarreg_core.matching.ecc import RefineOptions, refine_pose
 from ladarreg_core.matching.pyramid import LEVELS
 from ladarreg_core.matching.verification import GateOptions, Verification, unsure_gate
 from ladarreg_core.pose.ambiguity import mirrored
 from ladarreg_core.scan import Scan
-from ladarreg_core.side_by_side import side_by_side
 
 _COARSEST = LEVELS[-1]
 _REFINEMENT = RefineOptions(tau_px=8, iterations=8)
@@ -89,34 +87,8 @@ def ambiguity_sentence(first: Rigid, second: Rigid) -> str:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CoarseMinima:
-    """Ends of refinements on the coarsest level, from a verified pose and from where the image agrees again."""
-
-    own: RefineResult | None
-    """From the pose itself."""
-    others: tuple[RefineResult, ...]
-    """From elsewhere."""
-
-
-def coarse_minima(aligner: Aligner, pose: Rigid) -> CoarseMinima:
-    """Return the coarse minima beside a verified pose, using two threads.
-
-    Args:
-        aligner: the pair that the pose was verified with.
-        pose: `camera_from_scanner`, verified.
-    """
-    points, target, occluder = aligner.points[_COARSEST], aligner.targets[_COARSEST], aligner.occluder
-
-    def refined(start: Rigid) -> RefineResult | None:
-        return refine_pose(points, target, occluder, start, _REFINEMENT)
-
-    own, *others = side_by_side(refined, (pose, *_starts(aligner, pose)))
-    return CoarseMinima(own, tuple(end for end in others if end is not None))
-
-
 def second_minimum(
-    aligner: Aligner, pose: Rigid, own: Verification, known: KnownPoses, minima: CoarseMinima | None = None
+    aligner: Aligner, pose: Rigid, own: Verification, known: KnownPoses, starts: Sequence[Rigid] | None = None
 ) -> Rigid | None:
     """Return another pose that the image verifies, or nearly verifies; None if none is found.
 
@@ -129,15 +101,18 @@ def second_minimum(
         pose: `camera_from_scanner`, verified.
         own: its verdict.
         known: decides which poses are different.
-        minima: the coarse minima beside the pose, if they have been computed already.
+        starts: `second_starts` of a pose that was refined to this one, if they are known.
     """
     sure = own.fraction >= aligner.gate.sure_fraction
     gate, most = (aligner.gate, _MAX_REFINED) if sure else (unsure_gate(aligner.gate), _MAX_REFINED_UNSURE)
-    minima = minima or coarse_minima(aligner, pose)
-    first = minima.own
+    if starts is None:
+        starts = second_starts(aligner, pose)
+    points, target, occluder = aligner.points[_COARSEST], aligner.targets[_COARSEST], aligner.occluder
+    # One after the other: steps so short wait for each other in two threads.
+    first, *ends = (refine_pose(points, target, occluder, start, _REFINEMENT) for start in (pose, *starts))
     if first is None:
         return None
-    others = [e for e in minima.others if e.correlation >= gate.second_correlation * first.correlation]
+    others = [e for e in ends if e is not None and e.correlation >= gate.second_correlation * first.correlation]
     others.sort(key=lambda e: -e.correlation)
     elsewhere = [e for e in others if _differ(known, pose, e.camera_from_scanner, gate)]
     for end in elsewhere[:most]:
@@ -165,22 +140,28 @@ def _differ(known: KnownPoses, first: Rigid, second: Rigid, gate: GateOptions) -
     return known.differ(first, second) or first.angle_to(second) > gate.same_angle_rad
 
 
-def _starts(aligner: Aligner, pose: Rigid) -> Iterator[Rigid]:
-    """Yield the mirrored pose, and the poses at which the coarse image, shifted as a whole, agrees again."""
+def second_starts(aligner: Aligner, pose: Rigid) -> list[Rigid]:
+    """Return the mirrored pose, and the poses at which the coarse image, shifted as a whole, agrees again.
+
+    Args:
+        aligner: the pair.
+        pose: `camera_from_scanner`, refined on the coarser levels at least.
+    """
     points, target = aligner.points[_COARSEST], aligner.targets[_COARSEST]
     buffer = aligner.occluder.depth_buffer(pose)
     in_camera, uv, visible = project_visible(points, target, aligner.occluder, buffer, pose, border=1)
     if np.count_nonzero(visible) < _MIN_POINTS:
-        return
+        return []
     seen = points.points[visible].astype(np.float64)
-    yield mirrored(pose, seen)
+    found = [mirrored(pose, seen)]
     depth, camera = float(np.median(in_camera[visible, 2])), target.camera
     for du, dv in _peaks(points.channels[visible], uv[visible], target.channels, aligner.gate):
         # An image shift is either a translation, at the median depth, or a rotation, which does not depend on depth.
         shift = np.array([du / camera.fx, dv / camera.fy, 0.0]) * depth
-        yield Rigid(pose.rotation, pose.translation + shift)
+        found.append(Rigid(pose.rotation, pose.translation + shift))
         turn = rotation_about("y", np.arctan2(du, camera.fx)) @ rotation_about("x", -np.arctan2(dv, camera.fy))
-        yield Rigid(turn, np.zeros(3)) @ pose
+        found.append(Rigid(turn, np.zeros(3)) @ pose)
+    return found
 
 
 def _peaks(channels: FloatArray, uv: FloatArray, image: FloatArray, gate: GateOptions) -> list[tuple[int, int]]:

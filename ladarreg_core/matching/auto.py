@@ -12,7 +12,7 @@ import numpy as np
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.aligner import Aligner, Candidate
-from ladarreg_core.matching.ambiguity import CoarseMinima, KnownPoses, ambiguity_sentence, coarse_minima, second_minimum
+from ladarreg_core.matching.ambiguity import KnownPoses, ambiguity_sentence, second_minimum, second_starts
 from ladarreg_core.matching.blocks import BlockMatches
 from ladarreg_core.matching.covariance import WindowEvidence, window_evidence
 from ladarreg_core.matching.pyramid import ChannelSet, PairLevels
@@ -184,7 +184,7 @@ class CandidateSet:
         self._other_core = other_core
         self._options = options
         self._initial = initial
-        self._minima: tuple[Aligner, Begun[CoarseMinima]] | None = None
+        self._starts: tuple[Aligner, Begun[list[Rigid]]] | None = None
         self._accepted: AutoResult | None = None
         self._accepted_by: Aligner | None = None
         self._ambiguous_poses: tuple[Rigid, Rigid] | None = None
@@ -226,7 +226,7 @@ class CandidateSet:
         """
         if candidate.coarse_verdict.accepted and not self._is_sure(candidate.fraction) and not self.known:
             pose = candidate.camera_from_scanner
-            self._minima = aligner, self._other_core.begin(partial(coarse_minima, aligner, pose))
+            self._starts = aligner, self._other_core.begin(partial(second_starts, aligner, pose))
 
     def _is_sure(self, fraction: float) -> bool:
         """Return whether a given pose decides which of several similar places is meant: if most regions agree there."""
@@ -258,9 +258,9 @@ class CandidateSet:
         pose = accepted.camera_from_scanner
         assert pose is not None, "an accepted result has a pose"
         with self._steps.step("second minimum") as note:
-            begun = self._minima
-            minima = begun[1].result() if begun is not None and begun[0] is aligner else None
-            other = second_minimum(aligner, pose, accepted.verification, self.known, minima)
+            begun = self._starts
+            starts = begun[1].result() if begun is not None and begun[0] is aligner else None
+            other = second_minimum(aligner, pose, accepted.verification, self.known, starts)
             note.update(found=other is not None)
             self._steps.pose = pose
         return None if other is None else (pose, other)

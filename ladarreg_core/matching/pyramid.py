@@ -32,7 +32,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import View, perspective_view
 from ladarreg_core.surface.ranges import EDGE_FRACTION
 from ladarreg_core.surface.remap import look_up
-from ladarreg_core.surface.spikes import fill_from_nearest, gate_spikes
+from ladarreg_core.surface.spikes import NearestValid, fill_from_nearest, gate_spikes, median_range
 from ladarreg_core.thermal import thermal_gray
 
 ChannelSet = Literal["both", "geometry", "intensity"]
@@ -55,7 +55,7 @@ _FINE_BLUR_PX, _FINE_FACTOR = 1.2, 2.0
 BLOCK_PX = 48
 """Side of a block of points that are compared together, level-0 pixels of the scan's view."""
 _SMALL_BLOCK_PX, _FEW_RETURNS = 32, 120_000
-_SHARED_BY_SETS = ("_raw_intensity", "_near_returns", "intensity_channels", "geometry_channels")
+_SHARED_BY_SETS = ("_raw_intensity", "_near_returns", "geometry_planes", "intensity_channels", "geometry_channels")
 _SOBEL_SCALE = 1 / 128  # of 5 x 5 derivatives
 _LARGEST_WHOLE_SCAN = 4_000_000  # cells; of larger scans only the part in the view is compared
 _WINDOW_MARGIN = 32
@@ -215,8 +215,8 @@ class ScanLevels:
     """The view's ideal camera at each level."""
     gray_planes: tuple[FloatArray, ...]
     """Laser intensity of each level, range-compensated and stretched, 0 to 255."""
-    geometry_planes: tuple[list[FloatArray], ...]
-    """Normals and log range of each level, about 0 to 255."""
+    smooth_ranges: FloatArray
+    """(h, w) float32 m, level 0: median-filtered and without holes, for the geometry."""
     ranges: FloatArray
     """(h, w) float32 m, level 0: without spikes, median-filtered, the foreground at depth edges; NaN: no return."""
     edge: BoolArray
@@ -262,6 +262,14 @@ class ScanLevels:
         return other
 
     @cached_property
+    def geometry_planes(self) -> tuple[list[FloatArray], ...]:
+        """Normals and log range of each level, about 0 to 255."""
+        planes = [_geometry_planes(self.view, self.smooth_ranges)]
+        for camera in self.cameras[1:]:
+            planes.append(_halved(planes[-1], camera))
+        return tuple(planes)
+
+    @cached_property
     def _raw_intensity(self) -> FloatArray:
         return _raw_near([self.gray_planes[0]], self._near_returns[0])
 
@@ -280,7 +288,7 @@ class ScanLevels:
     def with_floors(self, floors: ChannelFloors) -> ScanLevels:
         """Return the same levels with floors common to several views; raw channels already computed are shared."""
         other = replace(self, floors=floors)
-        shared = ("_raw_intensity", "_near_returns", "raw_intensity", "raw_geometry")
+        shared = ("_raw_intensity", "_near_returns", "geometry_planes", "raw_intensity", "raw_geometry")
         vars(other).update({name: made for name, made in vars(self).items() if name in shared})
         return other
 
@@ -372,8 +380,10 @@ class CleanedScan:
             for_many_views: its views are compared together, and some are nearly empty: their gray levels are stretched
                 alike, and only structured cells are compared.
         """
-        gated = gate_spikes(scan.ranges)
-        gray = _laser_gray(scan, gated)
+        nearest = NearestValid(scan.valid)
+        median = median_range(scan.ranges, nearest)
+        gated = gate_spikes(scan.ranges, median)
+        gray = nearest.fill(_laser_gray(scan, median))
         if not for_many_views:
             return CleanedScan(gated, gray)
         stride = max(1, int(np.sqrt(gray.size / _STRETCH_SAMPLES)))
@@ -419,23 +429,21 @@ def scan_levels(
         beyond = ~valid & _in_view(view, open_cells(scan))
         structured = _shown_by_coarse(scan, view, ranges, cleaned.gray, beyond)
         median = np.asarray(cv2.medianBlur(np.where(beyond, np.float32(_BEYOND) * filled, filled), 5), np.float32)
-    geometry = _geometry_planes(view, median)
 
     shown = gray[valid] if valid.any() else gray.reshape(-1)
     sample = shown[:: max(1, shown.size // _STRETCH_SAMPLES)]
     low_gray, high_gray = cleaned.stretch or np.percentile(sample, _STRETCH_PERCENT)
     gray = np.clip((gray - low_gray) * (255 / max(float(high_gray - low_gray), 1e-9)), 0, 255).astype(np.float32)
 
-    cameras, grays, geometries = [view.camera], [gray], [geometry]
+    cameras, grays = [view.camera], [gray]
     for level in LEVELS[1:]:
         cameras.append(view.camera.scaled(0.5**level))
         grays.append(_halved([grays[-1]], cameras[-1])[0])
-        geometries.append(_halved(geometries[-1], cameras[-1]))
     return ScanLevels(
         view,
         tuple(cameras),
         tuple(grays),
-        tuple(geometries),
+        median,
         np.where(valid, surface, np.nan).astype(np.float32),
         edge,
         channel_set,
@@ -544,15 +552,15 @@ class PairLevels:
 
 
 def _laser_gray(scan: Scan, ranges: FloatArray) -> FloatArray:
-    """Return the square root of range-compensated intensity, (H, W); holes are filled from the nearest return."""
+    """Return the square root of intensity, (H, W) float32, compensated for ranges without spikes and holes."""
     intensity = np.maximum(scan.intensity, 0)
     if scan.intensity.min(initial=0.0, where=scan.valid) < 0:  # logarithmic, as in dB: only differences count
         low = float(np.percentile(scan.intensity[scan.valid], _STRETCH_PERCENT[0]))
         intensity = np.maximum(scan.intensity - low, 0)
+    root = np.sqrt(intensity).astype(np.float32, copy=False)
     if scan.intensity_is == "raw":
-        ratio = np.clip(np.nan_to_num(ranges) / _STANDARD_RANGE_M, *_RANGE_RATIO)
-        intensity = intensity * ratio**2
-    return fill_from_nearest(np.sqrt(intensity).astype(np.float32), np.isfinite(ranges))
+        root *= np.clip(ranges / np.float32(_STANDARD_RANGE_M), *_RANGE_RATIO)
+    return root
 
 
 def _geometry_planes(view: View, ranges: FloatArray) -> list[FloatArray]:

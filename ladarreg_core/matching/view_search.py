@@ -89,6 +89,8 @@ class ViewSearch:
                 of_intensity = self._other_core.begin(lambda: levels.intensity_channels)
             attempts = hypotheses(levels, self._photo, seed=self._seed)
             first = self._other_core.begin(partial(next, attempts, None)) if for_corners else None
+            if self._pair.kept_views > 1:  # of a large scan, memory matters more
+                self._other_core.begin(lambda: self._photo.fine_channels)
             if of_intensity is not None:
                 _ = levels.geometry_channels
                 of_intensity.result()
