@@ -160,9 +160,12 @@ def roll_between(
         found = {k: matches_at(angles[k], 0.0) for k in likely}
         explained = {k: inliers(*found[k]) for k in likely}
         best = max(likely, key=lambda k: explained[k])
-        agreeing, pairs, between = explained[best], found[best], 0.0
+        agreeing, pairs = explained[best], found[best]
         if agreeing < _MIN_INLIERS:
             return None
+        # A roll between two steps has poses at both, of which chance decides the better.
+        before, _, after = (n if (n := explained.get(k, 0)) >= _MIN_INLIERS else 0 for k in _within_a_step(best))
+        between = (after - before) / (before + agreeing + after)
     if best == 0:
         return None
     # The photo's descriptors were rotated clockwise onto the scan's: the camera was rolled the other way.
