@@ -26,6 +26,7 @@ _MILESTONES = {
     "verify": 0.58,
     "second minimum": 0.595,
     "camera": 0.585,
+    "wrong poses": 0.587,
     "evidence": 0.59,
     "matches": 0.3,
     "corners": 0.2,

@@ -28,6 +28,7 @@ from ladarreg_core.matching.support import is_coarse, widest_cell_px
 from ladarreg_core.matching.verification import GateOptions, Verification, check_precision, region_markers
 from ladarreg_core.matching.view_search import ViewSearch
 from ladarreg_core.matching.views import rolled_view, scan_density, viewing_directions
+from ladarreg_core.matching.wrong_poses import verdict_beside_wrong_poses, wrong_poses_decide
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import StepLog
 from ladarreg_core.scan import Scan
@@ -224,19 +225,24 @@ class CandidateSet:
 
         On the coarsest level, a candidate is where its finished pose will be.
         """
-        if candidate.coarse_verdict.accepted and not self._is_sure(candidate.fraction) and not self.known:
-            pose = candidate.camera_from_scanner
-            self._starts = aligner, self._other_core.begin(partial(second_starts, aligner, pose))
+        verdict = candidate.coarse_verdict
+        if verdict.accepted and not self._is_sure(verdict) and not self.known:
+            self._starts = aligner, self._other_core.begin(partial(second_starts, aligner, candidate.camera_from_scanner))
 
-    def _is_sure(self, fraction: float) -> bool:
-        """Return whether a given pose decides which of several similar places is meant: if most regions agree there."""
-        return self._initial is not None and fraction >= self._options.gate.sure_fraction
+    def _is_sure(self, verdict: Verification | None) -> bool:
+        """Return whether a given pose decides which of several similar places is meant: if most regions agree there.
+
+        Few regions of a coarse scan are never sure.
+        """
+        if verdict is None or verdict.wrong_poses:
+            return False
+        return self._initial is not None and verdict.fraction >= self._options.gate.sure_fraction
 
     def result(self) -> AutoResult:
         """Return the accepted result, else the best refused one."""
         initial = self._initial
         if self._accepted is not None:
-            if self._ambiguous_poses is None and not self._is_sure(_fraction(self._accepted)):
+            if self._ambiguous_poses is None and not self._is_sure(self._accepted.verification):
                 self._ambiguous_poses = self._second_minimum()
             if self._ambiguous_poses is not None:
                 return _refused_as_ambiguous(self._accepted, *self._ambiguous_poses)
@@ -387,12 +393,22 @@ def _finish(
             try_camera=intrinsics == "auto" and may_estimate_camera(photo, intrinsics),
         )
         note.update(found.verification.as_dict())
+    of_images = found.verification
     if intrinsics != "fixed":
         with steps.step("camera") as note:
             found = estimate_camera(found, photo, start, intrinsics)
             note.update(estimated=bool(found.free), focal_px=round(found.camera.focal_px, 3))
             note.update(found.verification.as_dict())
             steps.pose = found.camera_from_scanner
+    # Another camera is one more thing that was fitted, and a contradicted one a reason of its own to refuse.
+    if found.verification is of_images and wrong_poses_decide(of_images, found.aligner):
+        with steps.step("wrong poses") as note:
+            tried = sum(step.name == "climb" for step in steps.steps)
+            verdict = verdict_beside_wrong_poses(
+                found.verification, found.fine, found.aligner, found.camera_from_scanner, tried=tried
+            )
+            found = replace(found, verification=verdict)
+            note.update(found.verification.as_dict())
     with steps.step("evidence"):
         aligner, camera, pose = found.aligner, found.camera, found.camera_from_scanner
         evidence = window_evidence(found.fine, aligner.verification_points, aligner.photo.cameras[0], camera, pose)

@@ -16,6 +16,7 @@ STEP_LABELS: Mapping[str, str] = {
     "finish": "Final refinement",
     "verify": "Image verification",
     "camera": "Self-calibration",
+    "wrong poses": "Compare with wrong poses",
     "evidence": "Uncertainty",
     "second minimum": "Ambiguity check",
     "modality": "Select channels",

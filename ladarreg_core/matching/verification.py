@@ -20,6 +20,7 @@ from ladarreg_core.surface.uncertainty import pixel_sigma
 _STANDARD_PIXELS = 1_000_000
 _MAX_REGIONS = 250
 _SAMPLE = 500
+_NO_NUMBER = 10**6
 _MEANINGFUL = 0.1  # of the longer side: the most uncertainty that is stated as a number
 
 
@@ -68,6 +69,15 @@ class GateOptions:
     """`contrast` for such a scan."""
     shape_fine_fraction: float = 0.45
     """`fine_fraction` for such a scan: outlines may agree at level 1 beside the pose."""
+    own_false_alarm: float = 1e-3
+    """Of a coarse scan with fewer than `few` or `many` agreeing regions: maximum probability of a false agreement, as
+    measured at wrong poses of the pair itself."""
+    own_margin: float = 1.6
+    """Minimum correlation of such a pose at full resolution, relative to the highest at a wrong pose."""
+    own_fraction: float = 0.8
+    """`fraction` for such a pose."""
+    own_fine_fraction: float = 0.55
+    """`fine_fraction` for such a pose."""
     most_sigma_px: float = 1.0
     """Maximum median uncertainty of a pose accepted on fewer than `few` regions, px of a 1-megapixel photo; larger
     photos: more."""
@@ -129,9 +139,18 @@ def shape_alone_gate(gate: GateOptions) -> GateOptions:
     )
 
 
+def interpolated_gate(gate: GateOptions) -> GateOptions:
+    """Return the thresholds for a coarse scan that is interpolated: wrong poses of the pair decide, and no number.
+
+    Its regions are many, and what was not measured in them is alike.
+    """
+    return replace(gate, few=_NO_NUMBER, many=_NO_NUMBER, false_alarm=0.0)
+
+
 COARSE_GATE = GateOptions(
-    contrast=2.1, many=35, few=35, few_contrast=2.1, few_fraction=0.5, fine_fraction=0.30, false_alarm=0.0
-)
+    contrast=2.1, many=35, few=35, few_contrast=2.1, few_fraction=0.5, fine_fraction=0.30, false_alarm=0.0,
+    own_false_alarm=0.0,
+)  # fmt: skip
 """Thresholds for thermal images: fewer regions than for colour, since the images are small; poses are called coarse."""
 
 
@@ -150,18 +169,22 @@ class Verification:
     fine_fraction: float | None
     """f at level 0; None: not evaluated."""
     false_alarm: float
-    """Bound on the probability of such agreement by chance, over all levels evaluated."""
+    """Bound on the probability of such agreement by chance, over all levels evaluated; with `wrong_poses`, measured at
+    these."""
     accepted: bool
     """Whether all thresholds are met."""
     reasons: tuple[str, ...]
     """Reasons, in sentences."""
     by_few: bool = False
     """Whether it is accepted on few regions, by their low false-alarm probability only."""
+    wrong_poses: int = 0
+    """Number of wrong poses of the pair that it was compared with; 0: none, since enough regions agree, or too few."""
     regions: tuple[tuple[float, float, bool], ...] = ()
     """(u, v, agrees) of regions of a finished pose, photo pixels, spread over the photo; for display."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return the statistics, JSON-ready."""
+        measured = {"wrong_poses": self.wrong_poses} if self.wrong_poses else {}
         return {
             "windows": self.windows,
             "agreeing": self.agreeing,
@@ -170,6 +193,7 @@ class Verification:
             "fine_fraction": None if self.fine_fraction is None else round(self.fine_fraction, 4),
             "false_alarm": float(f"{self.false_alarm:.3g}"),
             "by_few": self.by_few,
+            **measured,
         }
 
 
@@ -222,6 +246,54 @@ def verify(coarse: Agreement, fine: Agreement | None, options: GateOptions | Non
     if accepted:
         reasons.append(f"{a} of {n} image regions agree with the scan ({f:.0%}).")
     return Verification(n, a, f, zb, f0, alarm, accepted, tuple(reasons), by_few=accepted and not enough)
+
+
+def rests_on_number(verdict: Verification, options: GateOptions) -> bool:
+    """Return whether a finished pose lacks nothing but agreeing regions, so that wrong poses of its pair decide.
+
+    Args:
+        verdict: of `verify` itself; what was refused for another reason since would be accepted.
+        options: the thresholds.
+    """
+    if verdict.accepted:
+        return verdict.by_few
+    return (
+        verdict.windows >= options.least_regions
+        and verdict.fraction >= max(options.fraction, options.own_fraction)
+        and verdict.contrast >= options.contrast
+        and verdict.fine_fraction is not None
+        and verdict.fine_fraction >= max(options.fine_fraction, options.own_fine_fraction)
+    )
+
+
+def beside_wrong_poses(
+    verdict: Verification, *, false_alarm: float, highest: float, count: int, options: GateOptions
+) -> Verification:
+    """Return the verdict on a pose that lacks nothing but agreeing regions: accepted if it stands out from wrong ones.
+
+    Args:
+        verdict: of `verify`.
+        false_alarm: bound on the probability that a wrong pose agrees as well.
+        highest: correlation of the best wrong pose, relative to this one.
+        count: number of wrong poses.
+        options: the thresholds.
+    """
+    what = f"{count} wrong poses of this pair, refined alike"
+    if not count:
+        return verdict
+    if false_alarm > options.own_false_alarm or highest * options.own_margin > 1:
+        reason = (
+            f"It does not stand out from {what}: they correlate up to {highest:.0%} as well, and one as good has a "
+            f"probability of {false_alarm:.1g}; at most {1 / options.own_margin:.0%} and "
+            f"{options.own_false_alarm:.1g} are allowed."
+        )
+        reasons = verdict.reasons if verdict.accepted else (*verdict.reasons, reason)
+        return replace(verdict, reasons=reasons, wrong_poses=count)
+    reasons = (
+        f"{verdict.agreeing} of {verdict.windows} image regions agree with the scan ({verdict.fraction:.0%}), and "
+        f"{what}, correlate at most {highest:.0%} as well: probability of a false agreement {false_alarm:.1g}.",
+    )
+    return replace(verdict, accepted=True, by_few=False, false_alarm=false_alarm, reasons=reasons, wrong_poses=count)
 
 
 def check_precision(

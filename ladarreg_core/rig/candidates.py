@@ -11,6 +11,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.ambiguity import KnownPoses
 from ladarreg_core.matching.auto import AutoOptions
 from ladarreg_core.matching.modality import register_by_modality
+from ladarreg_core.matching.verification import GateOptions
 from ladarreg_core.progress import Step, StepLog
 from ladarreg_core.rig.joint import JointPairs, PairViews
 from ladarreg_core.rig.options import NEAR_PX, RigOptions
@@ -47,7 +48,12 @@ def proposed_poses(pair: RigPair, initial: Rigid | None, options: RigOptions) ->
         if step.name in _STEPS and step.pose is not None:
             found.append((float(step.detail.get("fraction", 0.0)), step.pose))
 
-    how = AutoOptions(seed=options.seed, intrinsics="fixed", reach="everywhere" if initial is None else "near_start")
+    how = AutoOptions(
+        seed=options.seed,
+        gate=GateOptions(own_false_alarm=0.0),  # what comes of the pair alone is a candidate, accepted or not
+        intrinsics="fixed",
+        reach="everywhere" if initial is None else "near_start",
+    )
     result = register_by_modality(pair.scan, pair.photo, StepLog(heard), initial=initial, options=how)
     accepted = result.verification is not None and result.verification.accepted
     if result.camera_from_scanner is not None and result.verification is not None:

@@ -12,10 +12,13 @@ from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.matching.ambiguity import KnownPoses, _differ, _peaks, competes
 from ladarreg_core.matching.verification import (
+    COARSE_GATE,
     GateOptions,
     Verification,
     check_precision,
+    interpolated_gate,
     region_markers,
+    rests_on_number,
     unsure_gate,
     verify,
 )
@@ -80,6 +83,15 @@ def test_regions_where_chance_is_not_ruled_out(
 ) -> None:
     assert accepted(agreeing, false_alarm=0.0, **accepting)
     assert not accepted(agreeing, false_alarm=0.0, **refusing)
+
+
+def test_no_number_of_regions_of_an_interpolated_scan_suffices() -> None:
+    gate = interpolated_gate(GateOptions())
+    for agreeing in (20, 60, 200):
+        verdict = verify(maps(1, agreeing), maps(0, agreeing), gate)
+        assert not verdict.accepted
+        assert rests_on_number(verdict, gate)
+    assert interpolated_gate(COARSE_GATE).own_false_alarm == 0, "of a thermal image nothing decides instead"
 
 
 def test_the_precision_of_a_pose_on_few_regions() -> None:
