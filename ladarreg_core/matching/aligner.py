@@ -25,11 +25,12 @@ from ladarreg_core.matching.pyramid import (
     working_camera,
 )
 from ladarreg_core.matching.sampling import ViewPoints, draw_points, edge_strength
-from ladarreg_core.matching.support import carries_intensity, is_coarse
+from ladarreg_core.matching.support import carries_intensity, is_coarse, is_interpolated
 from ladarreg_core.matching.verification import (
     GateOptions,
     Verification,
     coarse_gate,
+    interpolated_gate,
     shape_alone_gate,
     small_regions_gate,
     verify,
@@ -320,6 +321,7 @@ def verify_pose(
     chosen = gate or GateOptions()
     if coarse:
         chosen = shape_alone_gate(chosen) if channel_set == "geometry" else coarse_gate(chosen)
+        chosen = interpolated_gate(chosen) if is_interpolated(scan, photo.pinhole) else chosen
     aligner = Aligner(levels, photo_levels(photo, working), gate=chosen, seed=seed)
     return aligner.verify(camera_from_scanner)[0] if aligner.usable else None
 

@@ -16,8 +16,14 @@ from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.auto import AutoOptions, AutoResult, Reach, register_auto
 from ladarreg_core.matching.face_registration import is_wide, register_faces
 from ladarreg_core.matching.pyramid import ChannelSet, PairLevels
-from ladarreg_core.matching.support import carries_intensity, is_coarse
-from ladarreg_core.matching.verification import COARSE_GATE, Verification, coarse_gate, shape_alone_gate
+from ladarreg_core.matching.support import carries_intensity, is_coarse, is_interpolated
+from ladarreg_core.matching.verification import (
+    COARSE_GATE,
+    Verification,
+    coarse_gate,
+    interpolated_gate,
+    shape_alone_gate,
+)
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import StepLog
 from ladarreg_core.scan import Scan
@@ -79,6 +85,7 @@ def register_by_modality(
     o = options or AutoOptions()
     shape_alone = not carries_intensity(scan)
     coarse = not is_wide(photo) and is_coarse(scan, photo.pinhole)
+    interpolated = coarse and is_interpolated(scan, photo.pinhole)
     if shape_alone:
         o = replace(o, channel_set="geometry")
     if shape_alone and coarse and o.intrinsics == "auto":
@@ -89,8 +96,11 @@ def register_by_modality(
         if not coarse:
             return register_auto(scan, photo, steps, initial=initial, options=o)
         levels = PairLevels(scan, photo)
-        result = register_auto(scan, photo, steps, initial=initial, options=_gated(o, coarse=True), pair=levels)
-        return result if shape_alone else _more_precise(result, levels.as_dense(), scan, photo, steps, o)
+        tried = _gated(o, coarse=True, interpolated=interpolated)
+        result = register_auto(scan, photo, steps, initial=initial, options=tried, pair=levels)
+        return (
+            result if shape_alone or interpolated else _more_precise(result, levels.as_dense(), scan, photo, steps, o)
+        )
     thermal = photo.temperature_k is not None
     if thermal:
         # A few blurred regions determine a pose, but not the lens as well.
@@ -103,7 +113,8 @@ def register_by_modality(
             break  # in no test did intensity alone find a pose when neither the sum nor geometry came near one
         # a pose found with one channel set need only be refined with the others
         reach: Reach = o.reach if start is initial else "near_start"
-        tried = _gated(replace(o, channel_set=channel_set, reach=reach), coarse=coarse and not thermal)
+        tried = replace(o, channel_set=channel_set, reach=reach)
+        tried = _gated(tried, coarse=coarse and not thermal, interpolated=interpolated)
         found[channel_set] = (
             register_faces(scan, photo, steps, initial=start, options=tried)
             if pair is None
@@ -130,12 +141,12 @@ def register_by_modality(
     return _labelled(answer, best, thermal=thermal)
 
 
-def _gated(options: AutoOptions, *, coarse: bool) -> AutoOptions:
-    """Return the options with the thresholds for a coarse scan, if it is."""
-    if not coarse:
-        return options
-    gate = shape_alone_gate if options.channel_set == "geometry" else coarse_gate
-    return replace(options, gate=gate(options.gate))
+def _gated(options: AutoOptions, *, coarse: bool, interpolated: bool) -> AutoOptions:
+    """Return the options with the thresholds for a coarse or an interpolated scan, if it is."""
+    gate = options.gate
+    if coarse:
+        gate = shape_alone_gate(gate) if options.channel_set == "geometry" else coarse_gate(gate)
+    return replace(options, gate=interpolated_gate(gate) if interpolated else gate)
 
 
 def _more_precise(

@@ -19,6 +19,8 @@ _HOLE_CELLS = (3, 5)  # rows, columns: of an accumulated cloud, so many cells do
 _BORDER_CELLS = 9
 _LEAST_OPEN_CELLS = 100  # smaller holes are gaps of the pattern of an accumulated cloud
 _FINER = 1.4
+_TINY_PIXELS = 12_000  # of a photo at the scan's resolution, in which too few blocks fit to refine a pose
+_INTERPOLATED = 2.5
 _carries_intensity: WeakKeyDictionary[Scan, bool] = WeakKeyDictionary()  # a scan is read-only
 
 
@@ -32,17 +34,31 @@ def is_coarse(scan: Scan, camera: Camera) -> bool:
     return native_focal_px(scan) < _COARSE * camera.focal_px
 
 
+def is_interpolated(scan: Scan, camera: Camera) -> bool:
+    """Return whether a coarse scan is compared between its cells: at its own resolution the photo would be tiny.
+
+    Args:
+        scan: the scan.
+        camera: the photo's camera.
+    """
+    shrink = native_focal_px(scan) / camera.focal_px
+    return is_coarse(scan, camera) and camera.width * camera.height * shrink**2 < _TINY_PIXELS
+
+
 def comparison_focal_px(scan: Scan, camera: Camera) -> float:
     """Return the focal length, px, that a scan supports in a comparison with a photo.
 
     It has one pixel per cell in the scan's finer direction. The outlines of a coarse scan of which only the shape is
-    compared are known more finely than its cells, each of which has the mean ray of several returns.
+    compared are known more finely than its cells, each of which has the mean ray of several returns. A scan that is
+    interpolated has more pixels than cells: enough for a pose, not for a verdict by the number of regions.
 
     Args:
         scan: the scan.
         camera: the photo's camera.
     """
     native = native_focal_px(scan)
+    if is_interpolated(scan, camera):
+        return _INTERPOLATED * native
     return _FINER * native if is_coarse(scan, camera) and not carries_intensity(scan) else native
 
 

@@ -13,7 +13,13 @@ from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matching.grid_search import likely_poses
 from ladarreg_core.matching.pyramid import pair_levels, photo_levels, scan_levels, working_camera
 from ladarreg_core.matching.structure import painted_cells, shaped_pixels, structured_cells
-from ladarreg_core.matching.support import carries_intensity, is_coarse, open_cells
+from ladarreg_core.matching.support import (
+    carries_intensity,
+    comparison_focal_px,
+    is_coarse,
+    is_interpolated,
+    open_cells,
+)
 from ladarreg_core.matching.verification import GateOptions, coarse_gate, shape_alone_gate
 from ladarreg_core.matching.views import scan_density
 from ladarreg_core.scan import Scan
@@ -44,6 +50,16 @@ def test_a_scan_is_coarse_beside_a_finer_photo_only() -> None:
     scan = scan_of(np.full((40, 40), 5.0))  # .2 deg a cell: 286 px
     assert is_coarse(scan, Camera.from_focal(960, 640, 649.0))
     assert not is_coarse(scan, Camera.from_focal(480, 320, 320.0))
+
+
+def test_a_scan_is_interpolated_where_the_photo_would_be_tiny() -> None:
+    scan = scan_of(np.full((40, 40), 5.0), np.random.default_rng(0).random((40, 40)))  # 286 px
+    tele, usual = Camera.from_focal(1920, 1200, 5000.0), Camera.from_focal(1920, 1200, 2800.0)  # 110 x 69, 196 x 123
+    dense = Camera.from_focal(120, 75, 290.0)
+    assert [is_interpolated(scan, camera) for camera in (tele, usual, dense)] == [True, False, False]
+    native = 1 / STEP_RAD
+    focal = [comparison_focal_px(scan, camera) / native for camera in (tele, usual, dense)]
+    np.testing.assert_allclose(focal, [2.5, 1, 1], rtol=1e-3)
 
 
 @pytest.mark.parametrize("levels", [1, 2, 4])
