@@ -19,7 +19,7 @@ _HOLE_CELLS = (3, 5)  # rows, columns: of an accumulated cloud, so many cells do
 _BORDER_CELLS = 9
 _LEAST_OPEN_CELLS = 100  # smaller holes are gaps of the pattern of an accumulated cloud
 _FINER = 1.4
-_TINY_PIXELS = 12_000  # of a photo at the scan's resolution, in which too few blocks fit to refine a pose
+_TINY_PIXELS = 8 * 32**2  # of a photo at the scan's resolution: refinement needs eight blocks, of 32 px a side
 _INTERPOLATED = 2.5
 _carries_intensity: WeakKeyDictionary[Scan, bool] = WeakKeyDictionary()  # a scan is read-only
 
