@@ -227,7 +227,8 @@ class CandidateSet:
         """
         verdict = candidate.coarse_verdict
         if verdict.accepted and not self._is_sure(verdict) and not self.known:
-            self._starts = aligner, self._other_core.begin(partial(second_starts, aligner, candidate.camera_from_scanner))
+            starts = self._other_core.begin(partial(second_starts, aligner, candidate.camera_from_scanner))
+            self._starts = aligner, starts
 
     def _is_sure(self, verdict: Verification | None) -> bool:
         """Return whether a given pose decides which of several similar places is meant: if most regions agree there.
