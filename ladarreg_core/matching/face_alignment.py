@@ -31,7 +31,8 @@ from ladarreg_core.matching.ecc import (
 )
 from ladarreg_core.matching.ecc import STILL_PX as STILL_STEP_PX
 from ladarreg_core.matching.faces import Face, FaceSet
-from ladarreg_core.matching.pyramid import ChannelFloors, ChannelSet, CleanedScan, ScanLevels, scan_levels
+from ladarreg_core.matching.laser_images import CleanedScan
+from ladarreg_core.matching.pyramid import ChannelFloors, ChannelSet, ScanLevels, scan_levels
 from ladarreg_core.matching.sampling import ViewPoints
 from ladarreg_core.matching.verification import GateOptions, Verification, region_markers, verify
 from ladarreg_core.matching.views import direction_towards_overlap

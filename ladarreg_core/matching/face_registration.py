@@ -19,7 +19,8 @@ from ladarreg_core.matching.auto import ADVICE, AutoOptions, AutoResult, reason_
 from ladarreg_core.matching.face_alignment import JointAligner, face_view, joint_aligner
 from ladarreg_core.matching.face_search import FaceHypothesis, FaceSearch
 from ladarreg_core.matching.faces import Face, FaceSet
-from ladarreg_core.matching.pyramid import CleanedScan, working_camera
+from ladarreg_core.matching.laser_images import CleanedScan
+from ladarreg_core.matching.pyramid import working_camera
 from ladarreg_core.matching.verification import GateOptions, Verification, check_precision
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import StepLog

@@ -18,7 +18,8 @@ from ladarreg_core.features.correlation import unique_matches
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matching.faces import Face, FaceSet, icosahedron
 from ladarreg_core.matching.hypotheses import photo_corners, points_at, view_corners
-from ladarreg_core.matching.pyramid import ChannelSet, CleanedScan, PhotoLevels, ScanLevels, scan_levels
+from ladarreg_core.matching.laser_images import CleanedScan
+from ladarreg_core.matching.pyramid import ChannelSet, PhotoLevels, ScanLevels, scan_levels
 from ladarreg_core.matching.roll import describe_rotated, rotate_pixels
 from ladarreg_core.matching.views import viewing_directions
 from ladarreg_core.pose.ransac import ransac_pose

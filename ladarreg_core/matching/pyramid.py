@@ -25,14 +25,15 @@ from ladarreg_core.features.channels import (
     raw_channels,
 )
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.structure import painted_cells, shaped_pixels, structured_cells
+from ladarreg_core.matching.laser_images import CleanedScan, geometry_planes
+from ladarreg_core.matching.structure import painted_cells, shaped_pixels
 from ladarreg_core.matching.support import carries_intensity, comparison_focal_px, is_coarse, open_cells
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import View, perspective_view
 from ladarreg_core.surface.ranges import EDGE_FRACTION
 from ladarreg_core.surface.remap import look_up
-from ladarreg_core.surface.spikes import NearestValid, fill_from_nearest, gate_spikes, median_range
+from ladarreg_core.surface.spikes import fill_from_nearest
 from ladarreg_core.thermal import thermal_gray
 
 ChannelSet = Literal["both", "geometry", "intensity"]
@@ -43,11 +44,6 @@ LEVELS = (0, 1, 2)
 _MAX_PIXELS = 1_000_000
 _FEW_PIXELS = 160_000
 _MAX_ENLARGED = 2.0
-_STANDARD_RANGE_M = 2.5
-_RANGE_RATIO = (0.4, 4.0)
-_STRETCH_PERCENT = (1.0, 99.5)
-_STRETCH_SAMPLES = 100_000
-_RANGE_SPAN_M = (0.3, 300.0)
 _BEYOND = 2.0  # times as far as the surface beside it: what returned nothing, for the edge between them
 _HOLE_REACH_PX = 2.0
 _OUTLINE_PX, _HOLE_PX, _BORDER_PX = 7, 5, 5
@@ -56,7 +52,6 @@ BLOCK_PX = 48
 """Side of a block of points that are compared together, level-0 pixels of the scan's view."""
 _SMALL_BLOCK_PX, _FEW_RETURNS = 32, 120_000
 _SHARED_BY_SETS = ("_raw_intensity", "_near_returns", "geometry_planes", "intensity_channels", "geometry_channels")
-_SOBEL_SCALE = 1 / 128  # of 5 x 5 derivatives
 _LARGEST_WHOLE_SCAN = 4_000_000  # cells; of larger scans only the part in the view is compared
 _WINDOW_MARGIN = 32
 _LARGEST_WINDOW = 8_000_000
@@ -264,7 +259,7 @@ class ScanLevels:
     @cached_property
     def geometry_planes(self) -> tuple[list[FloatArray], ...]:
         """Normals and log range of each level, about 0 to 255."""
-        planes = [_geometry_planes(self.view, self.smooth_ranges)]
+        planes = [geometry_planes(self.view, self.smooth_ranges)]
         for camera in self.cameras[1:]:
             planes.append(_halved(planes[-1], camera))
         return tuple(planes)
@@ -358,39 +353,6 @@ class ScanLevels:
         return _fine(raw, least, overwrite=True)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CleanedScan:
-    """A scan's images on its own grid, which all views of it share."""
-
-    ranges: FloatArray
-    """(H, W) m, without spikes."""
-    gray: FloatArray
-    """(H, W) square root of range-compensated intensity, without holes."""
-    structured: BoolArray | None = None
-    """(H, W) bool: cells with structure to compare; None: all."""
-    stretch: tuple[float, float] | None = None
-    """Gray levels that become 0 and 255 in every view; None: each view is stretched by its own."""
-
-    @staticmethod
-    def of(scan: Scan, *, for_many_views: bool = False) -> CleanedScan:
-        """Return the images of a scan.
-
-        Args:
-            scan: the scan.
-            for_many_views: its views are compared together, and some are nearly empty: their gray levels are stretched
-                alike, and only structured cells are compared.
-        """
-        nearest = NearestValid(scan.valid)
-        median = median_range(scan.ranges, nearest)
-        gated = gate_spikes(scan.ranges, median)
-        gray = nearest.fill(_laser_gray(scan, median))
-        if not for_many_views:
-            return CleanedScan(gated, gray)
-        stride = max(1, int(np.sqrt(gray.size / _STRETCH_SAMPLES)))
-        low, high = np.percentile(gray[::stride, ::stride][scan.valid[::stride, ::stride]], _STRETCH_PERCENT)
-        return CleanedScan(gated, gray, structured_cells(gated, gray), (float(low), float(high)))
-
-
 def scan_levels(
     scan: Scan,
     view: View,
@@ -410,10 +372,7 @@ def scan_levels(
             edges, too.
     """
     cleaned = cleaned or CleanedScan.of(scan)
-    gated, gray = cleaned.ranges, cleaned.gray
-    gray = look_up(gray, view.cells[..., 0], view.cells[..., 1])  # the border is replicated beyond the grid
-
-    ranges = view.resample_ranges(gated)
+    ranges = view.resample_ranges(cleaned.ranges)
     ranges[~view.inside] = np.nan
     valid = np.isfinite(ranges)
     filled, structured = fill_from_nearest(ranges, valid), None
@@ -430,11 +389,8 @@ def scan_levels(
         structured = _shown_by_coarse(scan, view, ranges, cleaned.gray, beyond)
         median = np.asarray(cv2.medianBlur(np.where(beyond, np.float32(_BEYOND) * filled, filled), 5), np.float32)
 
-    shown = gray[valid] if valid.any() else gray.reshape(-1)
-    sample = shown[:: max(1, shown.size // _STRETCH_SAMPLES)]
-    low_gray, high_gray = cleaned.stretch or np.percentile(sample, _STRETCH_PERCENT)
-    gray = np.clip((gray - low_gray) * (255 / max(float(high_gray - low_gray), 1e-9)), 0, 255).astype(np.float32)
-
+    gray = look_up(cleaned.gray, view.cells[..., 0], view.cells[..., 1])  # the border is replicated beyond the grid
+    gray = cleaned.stretched(gray, valid)
     cameras, grays = [view.camera], [gray]
     for level in LEVELS[1:]:
         cameras.append(view.camera.scaled(0.5**level))
@@ -549,38 +505,3 @@ class PairLevels:
     def _make_room(self) -> None:
         while len(self._views) >= self.kept_views:
             self._views.popleft()
-
-
-def _laser_gray(scan: Scan, ranges: FloatArray) -> FloatArray:
-    """Return the square root of intensity, (H, W) float32, compensated for ranges without spikes and holes."""
-    intensity = np.maximum(scan.intensity, 0)
-    if scan.intensity.min(initial=0.0, where=scan.valid) < 0:  # logarithmic, as in dB: only differences count
-        low = float(np.percentile(scan.intensity[scan.valid], _STRETCH_PERCENT[0]))
-        intensity = np.maximum(scan.intensity - low, 0)
-    root = np.sqrt(intensity).astype(np.float32, copy=False)
-    if scan.intensity_is == "raw":
-        root *= np.clip(ranges / np.float32(_STANDARD_RANGE_M), *_RANGE_RATIO)
-    return root
-
-
-def _geometry_planes(view: View, ranges: FloatArray) -> list[FloatArray]:
-    """Return nx, ny, nz and 1.5 log r of a view's ranges, scaled so that edges are as strong as gray ones.
-
-    Args:
-        view: the view.
-        ranges: (h, w) float32 m, median-filtered and without holes.
-    """
-    log_range = cv2.bilateralFilter(np.log(np.clip(ranges, *_RANGE_SPAN_M)), 7, 0.03, 3)
-    camera = view.camera
-    x = np.arange(camera.width, dtype=np.float32) - np.float32(camera.cx)
-    y = np.arange(camera.height, dtype=np.float32)[:, None] - np.float32(camera.cy)
-    a, b = x / np.float32(camera.fx), y / np.float32(camera.fy)
-    depth = np.exp(log_range) / np.sqrt(1 + a**2 + b**2)
-    # The normal of the surface (a z, b z, z), z(u, v) the depth: (-fx z_u, -fy z_v, z + (u - cx) z_u + (v - cy) z_v).
-    z_u, z_v = (
-        np.asarray(cv2.Sobel(depth, cv2.CV_32F, *order, ksize=5, scale=_SOBEL_SCALE)) for order in ((1, 0), (0, 1))
-    )
-    normal = [np.float32(camera.fx) * z_u, np.float32(camera.fy) * z_v, depth + x * z_u + y * z_v]
-    scale = 255 / np.maximum(np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2), 1e-12)
-    planes = [np.asarray(cv2.GaussianBlur(plane * scale, (0, 0), 1.0)) for plane in normal]
-    return [np.ascontiguousarray(plane, dtype=np.float32) for plane in (*planes, np.float32(1.5 * 255) * log_range)]
