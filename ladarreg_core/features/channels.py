@@ -171,8 +171,15 @@ def _broad_blur(image: FloatArray, sigma_px: float) -> FloatArray:
 
 
 def channel_products(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the scalar products (...) of channel vectors (..., 5), by a matrix product for speed."""
-    return np.asarray((first * second) @ np.ones(CHANNELS, first.dtype))
+    """Return the scalar products (...) of channel vectors (..., 5).
+
+    They are summed in a stated order: that of a matrix product depends on the processor, and points are drawn by them.
+    """
+    products = first * second
+    total: FloatArray = products[..., 0] + products[..., 1]
+    for k in range(2, CHANNELS):
+        total += products[..., k]
+    return total
 
 
 def add_channels(first: FloatArray, second: FloatArray) -> FloatArray:

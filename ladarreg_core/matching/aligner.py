@@ -25,7 +25,7 @@ from ladarreg_core.matching.pyramid import (
     working_camera,
 )
 from ladarreg_core.matching.sampling import ViewPoints, draw_points, edge_strength
-from ladarreg_core.matching.support import carries_intensity, is_coarse, is_interpolated
+from ladarreg_core.matching.support import carries_intensity, common_variance, is_coarse, is_interpolated
 from ladarreg_core.matching.verification import (
     GateOptions,
     Verification,
@@ -123,6 +123,14 @@ class Aligner:
     def usable(self) -> bool:
         """Whether the view has points to compare on every level."""
         return len(self.points) == len(LEVELS)
+
+    @property
+    def common_variance(self) -> float:
+        """Factor of a variance from the scatter of regions, for errors that the whole image of a coarse scan shares."""
+        scan = self.scan
+        return common_variance(
+            scan.view.scan, scan.view.camera, coarse=scan.coarse, shape_alone=scan.channel_set == "geometry"
+        )
 
     @made_once
     def occluder(self) -> Occluder:

@@ -24,7 +24,7 @@ from ladarreg_core.matching.self_calibration import (
     may_estimate_camera,
     verify_finished,
 )
-from ladarreg_core.matching.support import is_coarse, widest_cell_px
+from ladarreg_core.matching.support import is_coarse
 from ladarreg_core.matching.verification import GateOptions, Verification, check_precision, region_markers
 from ladarreg_core.matching.view_search import ViewSearch
 from ladarreg_core.matching.views import rolled_view, scan_density, viewing_directions
@@ -38,12 +38,6 @@ from ladarreg_core.validation import require_choice
 Reach = Literal["everywhere", "near_start"]
 _MAX_ROLLED_VIEWS, _MAX_GRID_VIEWS = 2, 3
 _MEDIAN_CELLS = 100_000
-# Variance factors of coarse scans, from simulated places outdoors. What the poses rest on is known to a cell, and
-# displaced alike all over the image, which no comparison of its regions shows: outlines without intensity, and print
-# with it. The wider the cells, as between the lines of a spinning lidar, the larger the common error.
-_OUTLINES_VARIANCE, _OUTLINES_VARIANCE_PER_PX = 10.0, 4.5
-_PRINT_VARIANCE, _PRINT_VARIANCE_PER_PX = 1.0, 1.5
-_WIDE_CELL_PX = 1.25
 _RANGE_M = (1e-6, 1e7)  # generous, to allow for wrong units; the limits of the estimator of matches
 ADVICE = "Draw a few matches by hand, or give an initial pose."
 """What to do about a photograph that is not accepted."""
@@ -415,16 +409,14 @@ def _finish(
         evidence = window_evidence(found.fine, aligner.verification_points, aligner.photo.cameras[0], camera, pose)
         if found.regions is not None:
             evidence = replace(evidence, covariance=found.regions.pose_covariance)
-        cell_px = widest_cell_px(aligner.scan.view.scan, aligner.scan.view.camera)
-        coarse = aligner.scan.coarse or cell_px > _WIDE_CELL_PX
-        if coarse:
-            factor = _common_variance(cell_px, shape_alone=aligner.scan.channel_set == "geometry")
+        factor = aligner.common_variance
+        if factor > 1:
             evidence = replace(evidence, covariance=factor * evidence.covariance)
         blocks = aligner.block_matches(pose)
         steps.pose, steps.matches = pose, blocks.matches if blocks else None
     points = aligner.verification_points.points[found.fine.visible]
     verification = check_precision(
-        found.verification, points, camera, pose, evidence.covariance, aligner.gate, coarse=coarse
+        found.verification, points, camera, pose, evidence.covariance, aligner.gate, coarse=factor > 1
     )
     verification = replace(
         verification, regions=region_markers(found.fine, aligner.photo.cameras[0], camera, aligner.gate)
@@ -435,10 +427,3 @@ def _finish(
         pose, verification, evidence, (*reasons, *found.summary(photo.pinhole), *advice), blocks,
         camera if found.free else None, found.camera_sigmas,
     ), aligner  # fmt: skip
-
-
-def _common_variance(cell_px: float, *, shape_alone: bool) -> float:
-    """Return the variance factor of a coarse scan whose cells are so wide in the coarser direction."""
-    if shape_alone:
-        return max(_OUTLINES_VARIANCE, _OUTLINES_VARIANCE_PER_PX * cell_px)
-    return _PRINT_VARIANCE + _PRINT_VARIANCE_PER_PX * cell_px

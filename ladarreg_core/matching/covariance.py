@@ -71,15 +71,19 @@ class RegionEvidence:
         squared = float(moved @ np.linalg.solve(covariance, moved)) / len(moved)
         return RegionEvidence((1 + squared) * covariance + np.outer(moved, moved), self.regions)
 
-    def normal_deviate(self, moved: FloatArray) -> float:
+    def normal_deviate(self, moved: FloatArray, *, variance_factor: float = 1.0) -> float:
         """Return the significance of a change (K,) of (log f, k1), as a normal deviate.
+
+        Args:
+            moved: the change.
+            variance_factor: of the covariance.
 
         Source: Hotelling, The generalization of Student's ratio (1931); the deviate of F is Paulson's (1942).
         """
         count = len(moved)
         dof = self.regions - count
         covariance = self.covariance[6 : 6 + count, 6 : 6 + count]
-        squared = float(moved @ np.linalg.lstsq(covariance, moved, rcond=None)[0])
+        squared = float(moved @ np.linalg.lstsq(covariance, moved, rcond=None)[0]) / variance_factor
         F = max(squared, 0.0) * dof / (count * (self.regions - 1))
         a, b, root = 2 / (9 * count), 2 / (9 * dof), np.cbrt(F)
         return float(((1 - b) * root - (1 - a)) / np.sqrt(b * root * root + a))

@@ -194,7 +194,9 @@ def _camera_deviate(aligner: Aligner, pose: Rigid, change: CameraChange) -> floa
     """Return the significance of a change of the camera, as a normal deviate; 0 if it cannot be computed."""
     moved = np.array([change.log_focal, change.k1])[: _FREE["auto"]]
     evidence = aligner.regions(pose, free=len(moved), change=change)
-    return 0.0 if evidence is None else evidence.normal_deviate(moved)
+    if evidence is None:
+        return 0.0
+    return evidence.normal_deviate(moved, variance_factor=aligner.common_variance)
 
 
 def _camera_fits(aligner: Aligner, camera: Camera, finished: Rigid, *, free: int) -> bool:
@@ -223,7 +225,7 @@ def _is_better(found: FinishedPose, stated: FinishedPose, *, calibrated: bool) -
         return False  # with more free parameters more regions agree by chance
     before, after = stated.camera, found.camera
     moved = np.array([np.log(after.focal_px / before.focal_px), _k1(after) - _k1(before)])[: found.free]
-    if found.regions.normal_deviate(moved) < _KEEP_SIGMA:
+    if found.regions.normal_deviate(moved, variance_factor=found.aligner.common_variance) < _KEEP_SIGMA:
         return False
     return (found.verification.fine_fraction or 0.0) >= (stated.verification.fine_fraction or 0.0)
 

@@ -21,6 +21,12 @@ _LEAST_OPEN_CELLS = 100  # smaller holes are gaps of the pattern of an accumulat
 _FINER = 1.4
 _TINY_PIXELS = 8 * 32**2  # of a photo at the scan's resolution: refinement needs eight blocks, of 32 px a side
 _INTERPOLATED = 2.5
+# Variance factors of coarse scans, from simulated places outdoors. What the poses rest on is known to a cell, and
+# displaced alike all over the image, which no comparison of its regions shows: outlines without intensity, and print
+# with it. The wider the cells, as between the lines of a spinning lidar, the larger the common error.
+_OUTLINES_VARIANCE, _OUTLINES_VARIANCE_PER_PX = 10.0, 4.5
+_PRINT_VARIANCE, _PRINT_VARIANCE_PER_PX = 1.0, 1.5
+_WIDE_CELL_PX = 1.25
 _carries_intensity: WeakKeyDictionary[Scan, bool] = WeakKeyDictionary()  # a scan is read-only
 
 
@@ -70,6 +76,23 @@ def widest_cell_px(scan: Scan, camera: Camera) -> float:
         camera: the view's camera.
     """
     return float(max(scan.geometry.step_rad) * camera.fx)
+
+
+def common_variance(scan: Scan, camera: Camera, *, coarse: bool, shape_alone: bool) -> float:
+    """Return the factor by which a variance from the scatter of image regions is too small; 1 for dense scans.
+
+    Args:
+        scan: the scan.
+        camera: the view's camera.
+        coarse: whether the scan is compared as a coarse one.
+        shape_alone: whether only its shape is compared.
+    """
+    cell_px = widest_cell_px(scan, camera)
+    if not coarse and cell_px <= _WIDE_CELL_PX:
+        return 1.0
+    if shape_alone:
+        return max(_OUTLINES_VARIANCE, _OUTLINES_VARIANCE_PER_PX * cell_px)
+    return _PRINT_VARIANCE + _PRINT_VARIANCE_PER_PX * cell_px
 
 
 def carries_intensity(scan: Scan) -> bool:
