@@ -2,9 +2,10 @@
 
 The channels of a pixel say how strongly an edge of each direction t responds: max(|gx cos t + gy sin t| - .83 m, 0)
 with the gradient (gx, gy) and its magnitude m. This is a function of t modulo pi, so that it does not depend on the
-sign of the contrast, and smooth: its mean and first two harmonics hold 97 % of its energy. These five numbers are kept,
-weighted so that their scalar products are those of the responses at all t. They are computed from the gradient without
-trigonometry, and summed, blurred and divided like the responses themselves, of which they are linear functions.
+sign of the contrast, and smooth: its mean and first two harmonics hold 97 % of its energy, a third one all but .7 % of
+the rest. These five or seven numbers are kept, weighted so that their scalar products are those of the responses at all
+t. They are computed from the gradient without trigonometry, and summed, blurred and divided like the responses
+themselves, of which they are linear functions.
 """
 
 from __future__ import annotations
@@ -14,34 +15,36 @@ import numpy as np
 
 from ladarreg_core.arrays import FloatArray
 
-HARMONICS = (0, 1, 1, 2, 2)
-"""Harmonic of each channel: the mean, then cosine and sine of 2 t, and of 4 t."""
-CHANNELS = len(HARMONICS)
-"""Number of channels."""
+FEW_HARMONICS, ALL_HARMONICS = 2, 3
+"""Harmonics beside the mean: enough where images are full of edges, and where few edges must be told apart."""
 _PRE_BLUR_PX = 0.8
-# Root energies of the mean and of both harmonics of max(|cos t| - .83, 0), relative to the mean's.
-_FIRST, _SECOND = 1.2270, 0.7690
+# Root energies of the three harmonics of max(|cos t| - .83, 0), relative to the mean's.
+_FIRST, _SECOND, _THIRD = 1.2270, 0.7690, 0.2769
 _STRIP_ROWS = 16
 _MEDIAN_SAMPLES = 50_000  # the median of an image is known to half a per cent from so many
 _MIN_FACTOR, _NOISE_FACTOR = 0.02, 1.0
 _LEAST_MAGNITUDE = 1e-6
 
 
-def raw_channels(planes: list[FloatArray], *, pre_blur_px: float = _PRE_BLUR_PX) -> FloatArray:
+def raw_channels(
+    planes: list[FloatArray], *, harmonics: int = FEW_HARMONICS, pre_blur_px: float = _PRE_BLUR_PX
+) -> FloatArray:
     """Return the summed channels of several gray planes.
 
     The channels of the planes are summed, not their gradients: that would be equivalent to a single gray image.
 
     Args:
         planes: images (H, W) of one size, in gray levels.
+        harmonics: 2 or 3.
         pre_blur_px: Gaussian sigma before the gradients.
 
     Returns:
-        (5, H, W) float32: m, 1.23 m (cos 2 a, sin 2 a) and .77 m (cos 4 a, sin 4 a), with the magnitude m and the
-        direction a of the gradient.
+        (C, H, W) float32, C = 5 or 7: m, 1.23 m (cos 2 a, sin 2 a), .77 m (cos 4 a, sin 4 a) and .28 m (cos 6 a,
+        sin 6 a), with the magnitude m and the direction a of the gradient.
     """
     height, width = planes[0].shape
-    total = np.empty((CHANNELS, height, width), np.float32)
+    count = 1 + 2 * harmonics
+    total = np.empty((count, height, width), np.float32)
     gradients = []
     for plane in planes:
         smooth = cv2.GaussianBlur(np.ascontiguousarray(plane, dtype=np.float32), (0, 0), pre_blur_px)
@@ -50,11 +53,11 @@ def raw_channels(planes: list[FloatArray], *, pre_blur_px: float = _PRE_BLUR_PX)
         )
     # Strip by strip, so that the passes run in the processor's cache. Sums and roots are NumPy's: OpenCV's differ
     # in the last digit with the alignment of the array in memory, and equal images must give equal poses.
-    buffers = np.empty((CHANNELS + 1, min(_STRIP_ROWS, height), width), np.float32)
+    buffers = np.empty((count + 1, min(_STRIP_ROWS, height), width), np.float32)
     for top in range(0, height, _STRIP_ROWS):
         strip = total[:, top : top + _STRIP_ROWS]
         for number, gradient in enumerate(gradients):
-            of_plane = buffers[:CHANNELS, : strip.shape[1]] if number else strip
+            of_plane = buffers[:count, : strip.shape[1]] if number else strip
             _set_harmonics(of_plane, buffers[-1, : strip.shape[1]], *(g[top : top + _STRIP_ROWS] for g in gradient))
             if number:
                 strip += of_plane
@@ -62,8 +65,8 @@ def raw_channels(planes: list[FloatArray], *, pre_blur_px: float = _PRE_BLUR_PX)
 
 
 def _set_harmonics(channels: FloatArray, scale: FloatArray, gx: FloatArray, gy: FloatArray) -> None:
-    """Set the channels (5, h, w) of a gradient (h, w) each; `scale` is overwritten."""
-    magnitude, cosine, sine, cosine_2, sine_2 = channels
+    """Set the channels (C, h, w) of a gradient (h, w) each; `scale` is overwritten."""
+    magnitude, cosine, sine, cosine_2, sine_2, *third = channels
     np.multiply(gx, gx, out=cosine_2)
     np.multiply(gy, gy, out=sine_2)
     np.add(cosine_2, sine_2, out=magnitude)
@@ -84,10 +87,16 @@ def _set_harmonics(channels: FloatArray, scale: FloatArray, gx: FloatArray, gy: 
     np.multiply(cosine, sine, out=sine_2)
     sine_2 *= scale
     sine_2 += sine_2
+    if third:  # the sum of both angles
+        scale *= np.float32(_THIRD * _FIRST / _SECOND**2)
+        np.subtract(cosine * cosine_2, sine * sine_2, out=third[0])
+        np.add(sine * cosine_2, cosine * sine_2, out=third[1])
+        for channel in third:
+            channel *= scale
 
 
 def channel_scale(raw: FloatArray, *, blur_px: float = 1.5) -> tuple[float, float]:
-    """Return the largest and the median strength of blurred channels (5, H, W), from which their floor follows."""
+    """Return the largest and the median strength of blurred channels (C, H, W), from which their floor follows."""
     norm = _norm(_blurred(raw, blur_px))
     largest = float(norm.max(initial=0.0))
     return (largest, _noise(norm)) if largest > 0 else (0.0, 0.0)
@@ -114,7 +123,7 @@ def normalised_channels(
     flat walls outweighs the structure that it shares with the photo.)
 
     Args:
-        raw: (5, H, W).
+        raw: (C, H, W).
         blur_px: Gaussian sigma of the blur.
         local_px: Gaussian sigma of the neighbourhood for the local strength.
         local_factor: weight of the local strength in the divisor.
@@ -123,7 +132,7 @@ def normalised_channels(
         overwrite: whether `raw` may be overwritten; fresh memory of this size costs as much time as the blur.
 
     Returns:
-        (H, W, 5) float32, C / (n + factor blur(n) + median n + .02 max n) with n the norm over the channels; its norm
+        (H, W, C) float32, C / (n + factor blur(n) + median n + .02 max n) with n the norm over the channels; its norm
         is below 1.
     """
     planes = _blurred(raw, blur_px, overwrite=overwrite)
@@ -171,24 +180,24 @@ def _broad_blur(image: FloatArray, sigma_px: float) -> FloatArray:
 
 
 def channel_products(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the scalar products (...) of channel vectors (..., 5).
+    """Return the scalar products (...) of channel vectors (..., C).
 
     They are summed in a stated order: that of a matrix product depends on the processor, and points are drawn by them.
     """
     products = first * second
     total: FloatArray = products[..., 0] + products[..., 1]
-    for k in range(2, CHANNELS):
+    for k in range(2, products.shape[-1]):
         total += products[..., k]
     return total
 
 
 def add_channels(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the sum of two normalised channel images (H, W, 5), with its norm limited to 1."""
+    """Return the sum of two normalised channel images (H, W, C), with its norm limited to 1."""
     total = np.empty_like(first)
     for top in range(0, len(total), _STRIP_ROWS):
         rows = slice(top, top + _STRIP_ROWS)
         strip = total[rows]
         np.add(first[rows], second[rows], out=strip)
         length = np.sqrt(np.maximum(channel_products(strip, strip), 1))
-        strip *= np.repeat(1 / length, CHANNELS).reshape(strip.shape)  # several times as fast as by broadcasting
+        strip *= np.repeat(1 / length, strip.shape[-1]).reshape(strip.shape)  # several times as fast as by broadcasting
     return total

@@ -17,11 +17,11 @@ def describe(channels: FloatArray, uv: FloatArray) -> FloatArray:
     """Return the descriptors of pixels: 7 x 7 samples, 6 pixels apart, of the channels.
 
     Args:
-        channels: (H, W, 5) normalised channels.
+        channels: (H, W, C) normalised channels.
         uv: (N, 2) pixels; samples outside the image take the value of its border.
 
     Returns:
-        (N, 245) float32, as `descriptors_of` returns them.
+        (N, 49 C) float32, as `descriptors_of` returns them.
     """
     height, width = channels.shape[:2]
     reach = np.arange(_SIDE) - _SIDE // 2
@@ -33,7 +33,7 @@ def describe(channels: FloatArray, uv: FloatArray) -> FloatArray:
 
 
 def descriptors_of(samples: FloatArray) -> FloatArray:
-    """Return samples of channels (N, S, 5) as descriptors (N, 5 S) of unit length; zeros without structure.
+    """Return samples of channels (N, S, C) as descriptors (N, C S) of unit length; zeros without structure.
 
     The mean of the first channel is removed: how much structure there is does not say which.
     """

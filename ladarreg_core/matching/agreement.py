@@ -14,7 +14,7 @@ from math import comb, exp, lgamma, log, log1p
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
-from ladarreg_core.features.channels import CHANNELS, channel_products
+from ladarreg_core.features.channels import channel_products
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.blocks import Target, project_visible
 from ladarreg_core.matching.sampling import ViewPoints
@@ -216,7 +216,7 @@ def _correlations(channels: FloatArray, uv: FloatArray, starts: IntArray, target
     rms, in no preferred direction.
     """
     side = 2 * radius + 1
-    shifts = side * side
+    shifts, kinds = side * side, channels.shape[-1]
     # Around each point all shifts are read at once, row by row of its neighbourhood; every pixel lies in the image.
     column, row = np.rint(uv).astype(np.intp).T - radius
     neighbourhoods, squared = target.neighbourhoods(side)
@@ -230,9 +230,9 @@ def _correlations(channels: FloatArray, uv: FloatArray, starts: IntArray, target
     for k, (first, n) in enumerate(zip(starts, count, strict=True)):
         block = slice(first, first + n)
         at = row[block], column[block]
-        sums = (left[:, block] @ neighbourhoods[at].reshape(n, -1)).reshape(CHANNELS + 1, shifts, CHANNELS)
-        product[k] = np.einsum("csc->s", sums[:CHANNELS])
+        sums = (left[:, block] @ neighbourhoods[at].reshape(n, -1)).reshape(kinds + 1, shifts, kinds)
+        product[k] = np.einsum("csc->s", sums[:kinds])
         square = squared[at].reshape(n, -1).sum(axis=0)
-        length[k] = square - (sums[CHANNELS] ** 2).sum(axis=1) / n
+        length[k] = square - (sums[kinds] ** 2).sum(axis=1) / n
     rho = product / (norm_a[:, None] * np.sqrt(np.maximum(length, 0)) + _TINY)
     return np.asarray(rho.reshape(-1, side, side))

@@ -20,6 +20,7 @@ from ladarreg_core.matching.pyramid import (
     ChannelSet,
     PhotoLevels,
     ScanLevels,
+    harmonics_of,
     pair_levels,
     photo_levels,
     working_camera,
@@ -325,12 +326,13 @@ def verify_pose(
     view = perspective_view(scan, working, view_from_scanner=direction)
     channel_set: ChannelSet = "both" if carries_intensity(scan) else "geometry"
     coarse = is_coarse(scan, photo.pinhole)
-    levels = pair_levels(scan, view, channel_set=channel_set, coarse=coarse)
+    harmonics = harmonics_of(scan, photo.pinhole)
+    levels = pair_levels(scan, view, channel_set=channel_set, coarse=coarse, harmonics=harmonics)
     chosen = gate or GateOptions()
     if coarse:
         chosen = shape_alone_gate(chosen) if channel_set == "geometry" else coarse_gate(chosen)
         chosen = interpolated_gate(chosen) if is_interpolated(scan, photo.pinhole) else chosen
-    aligner = Aligner(levels, photo_levels(photo, working), gate=chosen, seed=seed)
+    aligner = Aligner(levels, photo_levels(photo, working, harmonics=harmonics), gate=chosen, seed=seed)
     return aligner.verify(camera_from_scanner)[0] if aligner.usable else None
 
 

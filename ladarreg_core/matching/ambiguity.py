@@ -12,7 +12,6 @@ import numpy as np
 
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import CameraModel
-from ladarreg_core.features.channels import CHANNELS
 from ladarreg_core.frames import Rigid, rotation_about
 from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.blocks import project_visible
@@ -168,9 +167,9 @@ def _peaks(channels: FloatArray, uv: FloatArray, image: FloatArray, gate: GateOp
     """Return the far shifts (du, dv), level pixels, at which points agree with the image nearly as well, best first.
 
     Args:
-        channels: (N, 5) of the points.
+        channels: (N, C) of the points.
         uv: (N, 2) their pixels in the image.
-        image: (h, w, 5) its channels.
+        image: (h, w, C) its channels.
         gate: thresholds of a second pose.
     """
     height, width = image.shape[:2]
@@ -178,12 +177,13 @@ def _peaks(channels: FloatArray, uv: FloatArray, image: FloatArray, gate: GateOp
     column, row = np.rint(uv).astype(np.intp).T
     mask = np.zeros((height, width), np.float32)
     mask[row, column] = 1
-    scan = np.zeros((height, width, CHANNELS), np.float32)
+    scan = np.zeros_like(image)
     scan[row, column] = channels - channels.mean(axis=0)
     centred = image - image.mean(axis=(0, 1))
     seen = np.conj(np.fft.rfft2(mask, shape))
     product = sum(
-        np.conj(np.fft.rfft2(scan[..., k], shape)) * np.fft.rfft2(centred[..., k], shape) for k in range(CHANNELS)
+        np.conj(np.fft.rfft2(scan[..., k], shape)) * np.fft.rfft2(centred[..., k], shape)
+        for k in range(image.shape[-1])
     )
     energy = np.fft.irfft2(seen * np.fft.rfft2((centred**2).sum(axis=-1), shape), shape)
     overlap = np.fft.irfft2(seen * np.fft.rfft2(np.ones_like(mask), shape), shape) / mask.sum()

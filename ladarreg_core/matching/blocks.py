@@ -47,7 +47,7 @@ class Target:
         """Return views of all square neighbourhoods, by the row and column of their first pixel.
 
         Returns:
-            channels (h - side + 1, w - side + 1, side, 5 side) and their squared norm (..., side, side).
+            channels (h - side + 1, w - side + 1, side, C side) and their squared norm (..., side, side).
         """
         height, width = self.usable.shape
         there = (height - side_px + 1, width - side_px + 1, side_px)
@@ -69,7 +69,7 @@ class Target:
         return Target(camera, self.channels, self.usable)
 
     def sample(self, uv: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return channels and their derivatives by u and v, each (5, N), at pixels (N, 2) inside the image.
+        """Return channels and their derivatives by u and v, each (C, N), at pixels (N, 2) inside the image.
 
         The derivatives are central differences at the nearest pixel, and the channels are continued from there; they
         are smooth enough for both.
@@ -145,9 +145,9 @@ class BlockComparison:
     rho: FloatArray
     """(b,) correlation, at least 0."""
     by_u: FloatArray
-    """(5, n) the photo's channels' derivative by u, in units of the block's length."""
+    """(C, n) the photo's channels' derivative by u, in units of the block's length."""
     by_v: FloatArray
-    """(5, n) likewise by v."""
+    """(C, n) likewise by v."""
     a_u: FloatArray
     """(n,) the scan's channels times `by_u`."""
     a_v: FloatArray
@@ -165,7 +165,7 @@ class BlockComparison:
 
     @cached_property
     def gradient_sums(self) -> tuple[FloatArray, FloatArray]:
-        """Sums (5, b) of the derivatives by u and v over each block."""
+        """Sums (C, b) of the derivatives by u and v over each block."""
         return self.blocks.sum(self.by_u), self.blocks.sum(self.by_v)
 
     @cached_property
@@ -224,7 +224,7 @@ def compare_blocks(
 
 
 def _products(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the scalar products (...) of channel vectors (5, ...)."""
+    """Return the scalar products (...) of channel vectors (C, ...)."""
     return np.asarray(np.einsum("c...,c...->...", first, second))
 
 

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
-from ladarreg_core.features.channels import CHANNELS
 from ladarreg_core.frames import Rigid, rotation_about
 from ladarreg_core.matching.pyramid import PhotoLevels, ScanLevels
 from ladarreg_core.side_by_side import side_by_side
@@ -94,7 +93,7 @@ class _Cloud:
     points: FloatArray
     """(N, 3) float32, scanner frame, m."""
     channels: FloatArray
-    """(N, 5) float32."""
+    """(N, C) float32."""
 
     @staticmethod
     def of(scan: ScanLevels) -> _Cloud:
@@ -108,7 +107,7 @@ class _Cloud:
         return _Cloud((rays.T * ranges[v, u][:, None]).astype(np.float32), channels[v, u])
 
     def seen_by(self, camera: Camera, pose: Rigid) -> tuple[FloatArray, BoolArray]:
-        """Return the channels (5, h, w) of the nearest return in each pixel, and a mask (h, w) of pixels with one."""
+        """Return the channels (C, h, w) of the nearest return in each pixel, and a mask (h, w) of pixels with one."""
         there = pose @ self.points
         in_front = np.flatnonzero(there[:, 2] > _NEAREST_DEPTH_M)
         uv = camera.project(there[in_front])
@@ -124,7 +123,7 @@ class _Cloud:
         first[pixel[shown]] = index[shown]
         image = self.channels.take(first, axis=0) * mask[:, None]
         shape = (camera.height, camera.width)
-        return np.ascontiguousarray(image.T).reshape(CHANNELS, *shape), mask.reshape(shape)
+        return np.ascontiguousarray(image.T).reshape(-1, *shape), mask.reshape(shape)
 
 
 class _Slider:

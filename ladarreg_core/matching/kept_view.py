@@ -34,10 +34,11 @@ class _KeptView:
         self._shared = {name: vars(levels)[name] for name in _SHARED if name in vars(levels)}
 
     def levels(
-        self, scan: Scan, camera: Camera, direction: Rigid, channel_set: ChannelSet, *, coarse: bool
+        self, scan: Scan, camera: Camera, direction: Rigid, channel_set: ChannelSet, *, coarse: bool, harmonics: int
     ) -> ScanLevels | None:
         known: dict[str, Any] = self._levels
-        if self._scan() is not scan or known["channel_set"] != channel_set or known["coarse"] != coarse:
+        asked = {"channel_set": channel_set, "coarse": coarse, "harmonics": harmonics}
+        if self._scan() is not scan or any(known[name] != value for name, value in asked.items()):
             return None
         if self._camera != camera or (self._direction.rotation != direction.rotation).any():
             return None
@@ -62,7 +63,9 @@ def keep(scan: Scan, camera: Camera, direction: Rigid, levels: ScanLevels) -> No
         _last[:] = [_KeptView(scan, camera, direction, levels)]
 
 
-def recall(scan: Scan, camera: Camera, direction: Rigid, channel_set: ChannelSet, *, coarse: bool) -> ScanLevels | None:
+def recall(
+    scan: Scan, camera: Camera, direction: Rigid, channel_set: ChannelSet, *, coarse: bool, harmonics: int
+) -> ScanLevels | None:
     """Return the levels that were kept of the same scan, seen by the same camera; None if there are none.
 
     Args:
@@ -71,9 +74,10 @@ def recall(scan: Scan, camera: Camera, direction: Rigid, channel_set: ChannelSet
         direction: the rotation (view from scanner).
         channel_set: the channels to compare.
         coarse: whether the scan is coarse.
+        harmonics: of the channels.
     """
     for kept in _last[:]:
-        found = kept.levels(scan, camera, direction, channel_set, coarse=coarse)
+        found = kept.levels(scan, camera, direction, channel_set, coarse=coarse, harmonics=harmonics)
         if found is not None:
             return found
     return None

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.features.channels import (
+    ALL_HARMONICS,
+    FEW_HARMONICS,
     add_channels,
     channel_floor,
     channel_scale,
@@ -75,9 +77,9 @@ def _fine(raw: FloatArray, least_floor: float = 0.0, *, overwrite: bool = False)
     )
 
 
-def _raw_near(planes: list[FloatArray], near: FloatArray) -> FloatArray:
+def _raw_near(planes: list[FloatArray], near: FloatArray, harmonics: int) -> FloatArray:
     """Return the raw channels of planes, 0 where `near` is."""
-    raw = raw_channels(planes)
+    raw = raw_channels(planes, harmonics=harmonics)
     raw *= near
     return raw
 
@@ -113,6 +115,8 @@ class PhotoLevels:
     """R, G and B of each level, float32, 0 to 255; a thermal image has one plane, gray levels around 0."""
     usable: tuple[BoolArray, ...]
     """Mask of pixels with data, by level: the corners of an undistorted image may be empty."""
+    harmonics: int = FEW_HARMONICS
+    """Harmonics of the channels, those of the scan."""
 
     @cached_property
     def gray(self) -> FloatArray:
@@ -124,26 +128,27 @@ class PhotoLevels:
 
     @cached_property
     def _raw_fine(self) -> FloatArray:
-        return raw_channels(self.planes[0])
+        return raw_channels(self.planes[0], harmonics=self.harmonics)
 
     @cached_property
     def channels(self) -> tuple[FloatArray, ...]:
-        """(h, w, 5) of each level."""
-        coarser = (_normalised(raw_channels(self.planes[level]), level, overwrite=True) for level in LEVELS[1:])
-        return (_normalised(self._raw_fine, 0), *coarser)
+        """(h, w, C) of each level."""
+        raws = ((level, raw_channels(self.planes[level], harmonics=self.harmonics)) for level in LEVELS[1:])
+        return (_normalised(self._raw_fine, 0), *(_normalised(raw, level, overwrite=True) for level, raw in raws))
 
     @cached_property
     def fine_channels(self) -> FloatArray:
-        """(h, w, 5), level 0, sharper and more strongly normalised, for the final sub-pixel refinement."""
+        """(h, w, C), level 0, sharper and more strongly normalised, for the final sub-pixel refinement."""
         return _fine(self._raw_fine)
 
 
-def photo_levels(photo: Photo, working: Camera) -> PhotoLevels:
+def photo_levels(photo: Photo, working: Camera, *, harmonics: int = FEW_HARMONICS) -> PhotoLevels:
     """Return the levels of a photo.
 
     Args:
         photo: the photograph.
         working: the ideal camera of level 0, with the photo's aspect ratio.
+        harmonics: of the channels.
     """
     scaled = photo.pinhole.resized(*working.size)
     kelvin = photo.temperature_k
@@ -167,7 +172,7 @@ def photo_levels(photo: Photo, working: Camera) -> PhotoLevels:
         all_planes.append(_halved(all_planes[-1], cameras[-1]))
         small = cv2.resize(usable.astype(np.float32), cameras[-1].size, interpolation=cv2.INTER_AREA)
         masks.append(small > 0.99)
-    return PhotoLevels(photo.pinhole, tuple(cameras), tuple(all_planes), tuple(masks))
+    return PhotoLevels(photo.pinhole, tuple(cameras), tuple(all_planes), tuple(masks), harmonics)
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,6 +231,8 @@ class ScanLevels:
     """Whether the scan is much coarser than the photo: the finish then needs its depth edges, too."""
     block_px: int = BLOCK_PX
     """Side of the blocks that are compared, level-0 pixels."""
+    harmonics: int = FEW_HARMONICS
+    """Harmonics of the channels."""
 
     @cached_property
     def made(self) -> dict[object, Any]:
@@ -266,19 +273,19 @@ class ScanLevels:
 
     @cached_property
     def _raw_intensity(self) -> FloatArray:
-        return _raw_near([self.gray_planes[0]], self._near_returns[0])
+        return _raw_near([self.gray_planes[0]], self._near_returns[0], self.harmonics)
 
     @cached_property
     def raw_intensity(self) -> tuple[FloatArray, ...]:
-        """(5, h, w) of each level, from intensity, not normalised."""
+        """(C, h, w) of each level, from intensity, not normalised."""
         coarser = zip(self.gray_planes[1:], self._near_returns[1:], strict=True)
-        return (self._raw_intensity, *(_raw_near([plane], near) for plane, near in coarser))
+        return (self._raw_intensity, *(_raw_near([plane], near, self.harmonics) for plane, near in coarser))
 
     @cached_property
     def raw_geometry(self) -> tuple[FloatArray, ...]:
-        """(5, h, w) of each level, from normals and log range, not normalised."""
+        """(C, h, w) of each level, from normals and log range, not normalised."""
         pairs = zip(self.geometry_planes, self._near_returns, strict=True)
-        return tuple(_raw_near(planes, near) for planes, near in pairs)
+        return tuple(_raw_near(planes, near, self.harmonics) for planes, near in pairs)
 
     def with_floors(self, floors: ChannelFloors) -> ScanLevels:
         """Return the same levels with floors common to several views; raw channels already computed are shared."""
@@ -306,31 +313,33 @@ class ScanLevels:
 
     @cached_property
     def intensity_channels(self) -> tuple[FloatArray, ...]:
-        """(h, w, 5) of each level, from intensity."""
+        """(h, w, C) of each level, from intensity."""
         if self.floors is not None:
             return tuple(map(_normalised, self.raw_intensity, LEVELS, self.floors.intensity))
         coarser = zip(self.gray_planes[1:], self._near_returns[1:], LEVELS[1:], strict=True)
-        made = (_normalised(_raw_near([plane], near), level, overwrite=True) for plane, near, level in coarser)
+        raws = ((level, _raw_near([plane], near, self.harmonics)) for plane, near, level in coarser)
+        made = (_normalised(raw, level, overwrite=True) for level, raw in raws)
         return (_normalised(self._raw_intensity, 0), *made)
 
     @cached_property
     def geometry_channels(self) -> tuple[FloatArray, ...]:
-        """(h, w, 5) of each level, from normals and log range."""
+        """(h, w, C) of each level, from normals and log range."""
         if self.floors is not None:
             return tuple(map(_normalised, self.raw_geometry, LEVELS, self.floors.geometry))
         pairs = zip(self.geometry_planes, self._near_returns, strict=True)
-        return tuple(_normalised(_raw_near(planes, near), L, overwrite=True) for L, (planes, near) in enumerate(pairs))
+        raws = (_raw_near(planes, near, self.harmonics) for planes, near in pairs)
+        return tuple(_normalised(raw, level, overwrite=True) for level, raw in enumerate(raws))
 
     @cached_property
     def channels(self) -> tuple[FloatArray, ...]:
-        """(h, w, 5) of each level, of the channel set; intensity and geometry are normalised before they are summed."""
+        """(h, w, C) of each level, of the channel set; intensity and geometry are normalised before they are summed."""
         if self.channel_set != "both":
             return self.geometry_channels if self.channel_set == "geometry" else self.intensity_channels
         return tuple(map(add_channels, self.intensity_channels, self.geometry_channels))
 
     @property
     def fine_channels(self) -> FloatArray:
-        """(h, w, 5), level 0, sharper, for the final sub-pixel refinement.
+        """(h, w, C), level 0, sharper, for the final sub-pixel refinement.
 
         Of intensity, if the set includes it; of a coarse scan, of the whole set.
         """
@@ -349,7 +358,7 @@ class ScanLevels:
     @property
     def _fine_geometry(self) -> FloatArray:
         least = 0.0 if self.floors is None else self.floors.fine_geometry
-        raw = _raw_near(self.geometry_planes[0], self._near_returns[0])
+        raw = _raw_near(self.geometry_planes[0], self._near_returns[0], self.harmonics)
         return _fine(raw, least, overwrite=True)
 
 
@@ -360,6 +369,7 @@ def scan_levels(
     channel_set: ChannelSet = "both",
     cleaned: CleanedScan | None = None,
     coarse: bool = False,
+    harmonics: int = FEW_HARMONICS,
 ) -> ScanLevels:
     """Return the levels of a scan in one view.
 
@@ -370,6 +380,7 @@ def scan_levels(
         cleaned: the scan's images, if they have been computed already.
         coarse: whether the scan is coarse, as `is_coarse` says; the outlines of its surfaces against the sky are then
             edges, too.
+        harmonics: of the channels.
     """
     cleaned = cleaned or CleanedScan.of(scan)
     ranges = view.resample_ranges(cleaned.ranges)
@@ -405,6 +416,7 @@ def scan_levels(
         channel_set,
         structured,
         coarse=coarse,
+        harmonics=harmonics,
     )
 
 
@@ -428,7 +440,7 @@ def _in_view(view: View, cells: BoolArray) -> BoolArray:
     return np.asarray(view.resample(cells.astype(np.float32)) > 0.5)
 
 
-def pair_levels(scan: Scan, view: View, *, channel_set: ChannelSet, coarse: bool) -> ScanLevels:
+def pair_levels(scan: Scan, view: View, *, channel_set: ChannelSet, coarse: bool, harmonics: int) -> ScanLevels:
     """Return the levels of a scan in the one view that is compared with a photo.
 
     A verdict needs enough regions, so that a view with few returns, of a coarse or narrow scan, has smaller blocks.
@@ -438,10 +450,21 @@ def pair_levels(scan: Scan, view: View, *, channel_set: ChannelSet, coarse: bool
         view: the view.
         channel_set: the channels to compare.
         coarse: whether the scan is coarse.
+        harmonics: of the channels.
     """
-    levels = scan_levels(scan, view, channel_set=channel_set, coarse=coarse)
+    levels = scan_levels(scan, view, channel_set=channel_set, coarse=coarse, harmonics=harmonics)
     few = np.count_nonzero(np.isfinite(levels.ranges)) < _FEW_RETURNS
     return replace(levels, block_px=_SMALL_BLOCK_PX) if few else levels
+
+
+def harmonics_of(scan: Scan, camera: Camera) -> int:
+    """Return the harmonics of the channels: a coarse scan shows few edges, whose directions must be told apart well.
+
+    Args:
+        scan: the scan.
+        camera: the photo's camera.
+    """
+    return ALL_HARMONICS if is_coarse(scan, camera) else FEW_HARMONICS
 
 
 class PairLevels:
@@ -457,6 +480,8 @@ class PairLevels:
         self.working = working_camera(scan, photo.pinhole)
         self.coarse = is_coarse(scan, photo.pinhole)
         """Whether the scan is compared as a coarse one."""
+        self.harmonics = harmonics_of(scan, photo.pinhole)
+        """Harmonics of the channels."""
         self._photo = photo
         self._photo_levels: PhotoLevels | None = None
         self.kept_views = _KEPT_VIEWS_OF_LARGE if scan.ranges.size > _LARGEST_WHOLE_SCAN else _KEPT_VIEWS
@@ -472,7 +497,7 @@ class PairLevels:
     def photo(self) -> PhotoLevels:
         """The photo's levels."""
         if self._photo_levels is None:
-            self._photo_levels = photo_levels(self._photo, self.working)
+            self._photo_levels = photo_levels(self._photo, self.working, harmonics=self.harmonics)
         return self._photo_levels
 
     def view(self, direction: Rigid, channel_set: ChannelSet) -> ScanLevels:
@@ -489,7 +514,7 @@ class PairLevels:
         view = perspective_view(self.scan, self.working, view_from_scanner=direction)
         if self.scan.ranges.size > _LARGEST_WHOLE_SCAN:
             view = view.of_window(margin=_WINDOW_MARGIN, most_cells=_LARGEST_WINDOW)
-        levels = pair_levels(view.scan, view, channel_set=channel_set, coarse=self.coarse)
+        levels = pair_levels(view.scan, view, channel_set=channel_set, coarse=self.coarse, harmonics=self.harmonics)
         self._views.append((direction, levels))
         return levels
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.features.channels import CHANNELS, HARMONICS, normalised_channels, raw_channels
+from ladarreg_core.features.channels import normalised_channels, raw_channels
 from ladarreg_core.features.correlation import check_window, unique_matches
 from ladarreg_core.features.descriptors import descriptors_of
 from ladarreg_core.side_by_side import side_by_side
@@ -123,9 +123,9 @@ def roll_between(
     """Return the roll that the matches of rotated descriptors agree on.
 
     Args:
-        scan_channels: (H, W, 5) normalised channels of the view.
+        scan_channels: (H, W, C) normalised channels of the view.
         scan_uv: (N, 2) its corners, pixels, strongest first.
-        photo_channels: (h, w, 5) those of the photo, at the same focal length.
+        photo_channels: (h, w, C) those of the photo, at the same focal length.
         photo_uv: (M, 2) its corners, pixels, strongest first.
         margin: C1 - C2 must exceed it.
         spacing_px: distance between the samples of a descriptor.
@@ -183,13 +183,13 @@ def describe_rotated(
     Both the sample positions and the orientation channels are rotated by the angle.
 
     Args:
-        channels: (H, W, 5) normalised channels.
+        channels: (H, W, C) normalised channels.
         uv: (N, 2) pixels; samples outside the image take the value of its border.
         angle_rad: clockwise rotation of the image on the screen (u right, v down).
         spacing_px: distance between the 7 x 7 samples.
 
     Returns:
-        (N, 245) float32, unit length; equal to `describe` at an angle of 0.
+        (N, 49 C) float32, unit length; equal to `describe` at an angle of 0.
     """
     height, width = channels.shape[:2]
     reach = (np.arange(_SIDE) - _SIDE // 2) * spacing_px
@@ -197,16 +197,16 @@ def describe_rotated(
     offsets = rotate_pixels(np.stack([du.ravel(), dv.ravel()], axis=-1), angle_rad)
     u = np.clip(np.rint(uv[:, 0, None] + offsets[:, 0]).astype(np.intp), 0, width - 1)
     v = np.clip(np.rint(uv[:, 1, None] + offsets[:, 1]).astype(np.intp), 0, height - 1)
-    samples = channels.reshape(-1, CHANNELS).take(v * width + u, axis=0)
-    samples = samples @ _rotation_of_channels(angle_rad)
-    return descriptors_of(samples.reshape(len(uv), _SIDE * _SIDE, CHANNELS))
+    samples = channels.reshape(-1, channels.shape[-1]).take(v * width + u, axis=0)
+    samples = samples @ _rotation_of_channels(channels.shape[-1], angle_rad)
+    return descriptors_of(samples.reshape(len(uv), _SIDE * _SIDE, channels.shape[-1]))
 
 
-def _rotation_of_channels(angle_rad: float) -> FloatArray:
-    """Return the matrix (5, 5) that rotates rows of channels back: harmonic k turns by 2 k times the angle."""
-    matrix = np.eye(CHANNELS, dtype=np.float32)
-    for first in range(1, CHANNELS, 2):
-        turn = 2 * HARMONICS[first] * angle_rad
+def _rotation_of_channels(count: int, angle_rad: float) -> FloatArray:
+    """Return the matrix (C, C) that rotates rows of channels back: harmonic k turns by 2 k times the angle."""
+    matrix = np.eye(count, dtype=np.float32)
+    for first in range(1, count, 2):
+        turn = (first + 1) * angle_rad
         c, s = np.cos(turn), np.sin(turn)
         matrix[first : first + 2, first : first + 2] = [[c, -s], [s, c]]
     return matrix

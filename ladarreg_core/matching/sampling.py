@@ -46,7 +46,7 @@ class ViewPoints:
     uv: FloatArray
     """(N, 2) level pixels of the view."""
     channels: FloatArray
-    """(N, 5) the scan's channels at the points."""
+    """(N, C) the scan's channels at the points."""
     blocks: Blocks
     """Their blocks."""
 
@@ -61,7 +61,7 @@ def edge_strength(
 
     Args:
         scan: the scan's levels.
-        channels: (h, w, 5) of that level; the strength is their norm.
+        channels: (h, w, C) of that level; the strength is their norm.
         level: pyramid level.
         away_from_edges: leave out pixels near depth edges and holes.
 
@@ -88,7 +88,7 @@ def draw_points(
 
     Args:
         scan: the scan's levels.
-        channels: (h, w, 5) of that level.
+        channels: (h, w, C) of that level.
         strength: (h, w) of `edge_strength`.
         level: pyramid level.
         seed: random seed.

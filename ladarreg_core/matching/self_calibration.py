@@ -293,8 +293,10 @@ def _aligner_for(aligner: Aligner, photo: Photo, camera: Camera) -> Aligner:
     levels = aligner.scan
     if abs(np.log(working.focal_px / view.camera.focal_px)) > _SAME_VIEW_LOG_FOCAL:
         rendered = perspective_view(scan, working, view_from_scanner=view.view_from_scanner)
-        levels = pair_levels(scan, rendered, channel_set=levels.channel_set, coarse=levels.coarse)
-    side = photo_levels(replace(photo, camera=camera), working)
+        levels = pair_levels(
+            scan, rendered, channel_set=levels.channel_set, coarse=levels.coarse, harmonics=levels.harmonics
+        )
+    side = photo_levels(replace(photo, camera=camera), working, harmonics=levels.harmonics)
     seen = Aligner(levels, side, gate=aligner.gate, seed=aligner.seed)
     if not seen.usable:
         raise _NothingToCompareError

@@ -243,7 +243,7 @@ def _coarse_refinements(aligner: Aligner, poses: Sequence[ScoredPose]) -> list[R
 def _view_levels(pair: PairLevels, direction: Rigid, channel_set: ChannelSet) -> ScanLevels:
     """Return the scan's levels, those kept of another photo if there are any."""
     if not pair.has_view(direction):
-        kept = recall(pair.scan, pair.working, direction, channel_set, coarse=pair.coarse)
+        kept = recall(pair.scan, pair.working, direction, channel_set, coarse=pair.coarse, harmonics=pair.harmonics)
         if kept is not None:
             pair.add_view(direction, kept)
     levels = pair.view(direction, channel_set)

@@ -113,7 +113,7 @@ class JointPairs:
         aligner = self.aligners[index]
         if aligner is None:
             return None
-        side = photo_levels(photo, aligner.photo.cameras[0])
+        side = photo_levels(photo, aligner.photo.cameras[0], harmonics=aligner.photo.harmonics)
         level = _LEVEL_OF_SWAPPED
         target = Target(side.cameras[level], side.channels[level], side.usable[level])
         return agreement(aligner.points[level], target, aligner.occluder, pose, level=level, radius=_RADIUS)

@@ -28,15 +28,17 @@ def test_normalised_channels_are_invariant_to_brightness_and_gain() -> None:
     np.testing.assert_allclose(first, second, atol=1e-4)
 
 
-def test_scalar_products_are_those_of_rectified_responses() -> None:
-    # What the channels stand for: max(|g| (|cos (t - a)| - .83), 0) in all directions t, to its first two harmonics.
+@pytest.mark.parametrize(("harmonics", "tolerance"), [(2, 0.07), (3, 0.02)])
+def test_scalar_products_are_those_of_rectified_responses(harmonics: int, tolerance: float) -> None:
+    # What the channels stand for: max(|g| (|cos (t - a)| - .83), 0) in all directions t, to its first harmonics.
     t = np.linspace(0, np.pi, 720, endpoint=False)
     v, u = np.mgrid[:32, :32].astype(np.float32)
     angles = np.deg2rad([0, 7, 20, 31, 45, 60, 90, 133, 170])
-    found = [raw_channels([20 * (u * np.cos(a) + v * np.sin(a)).astype(np.float32)])[:, 16, 16] for a in angles]
+    ramps = [20 * (u * np.cos(a) + v * np.sin(a)).astype(np.float32) for a in angles]
+    found = [raw_channels([ramp], harmonics=harmonics)[:, 16, 16] for ramp in ramps]
     responses = [np.maximum(np.abs(np.cos(t - a)) - 0.83, 0) for a in angles]
     products, asked = (np.array(vectors) @ np.array(vectors).T for vectors in (found, responses))
-    np.testing.assert_allclose(products / products[0, 0], asked / asked[0, 0], atol=0.07)
+    np.testing.assert_allclose(products / products[0, 0], asked / asked[0, 0], atol=tolerance)
 
 
 def test_channels_turn_with_the_edge() -> None:
@@ -44,9 +46,9 @@ def test_channels_turn_with_the_edge() -> None:
     edges = [
         100 * np.tanh(((u - 32) * np.cos(a) + (v - 32) * np.sin(a)) / 2).astype(np.float32) for a in (0.0, 0.4, 1.1)
     ]
-    first, *others = (raw_channels([edge])[:, 32, 32] for edge in edges)
+    first, *others = (raw_channels([edge], harmonics=3)[:, 32, 32] for edge in edges)
     for angle, channels in zip((0.4, 1.1), others, strict=True):
-        for harmonic in (1, 2):
+        for harmonic in (1, 2, 3):
             cosine, sine = channels[2 * harmonic - 1], channels[2 * harmonic]
             assert np.arctan2(sine, cosine) == pytest.approx(np.angle(np.exp(2j * harmonic * angle)), abs=0.05)
         assert np.linalg.norm(channels) == pytest.approx(np.linalg.norm(first), rel=0.05)

@@ -22,7 +22,7 @@ def case() -> PaintedRoom:
 def kept_of(scan: lr.Scan, photo: lr.Photo, *, coarse: bool = False) -> object:
     pair = PairLevels(scan, photo)
     direction = viewing_directions(scan, pair.working)[0]
-    return kept_view.recall(scan, pair.working, direction, "both", coarse=coarse)
+    return kept_view.recall(scan, pair.working, direction, "both", coarse=coarse, harmonics=pair.harmonics)
 
 
 def test_a_second_photo_on_a_scan_gets_the_same_result_from_what_was_kept(case: PaintedRoom) -> None:
