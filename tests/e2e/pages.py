@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import time
 from collections.abc import Callable, Iterator
@@ -73,9 +74,17 @@ def keep(page: Page, checkout: Path, name: str) -> None:
 
 
 def wait_for_store(page: Page, wanted: str, *, seconds: float = 60) -> None:
-    """Wait until an expression of `store` holds in the page; `wait_for_function` awaits no promise."""
+    """Wait until an expression of `store` holds in the page; `wait_for_function` awaits no promise.
+
+    A page that is loading another document meanwhile is asked again.
+    """
+    from playwright.sync_api import Error
+
     end = time.monotonic() + seconds
-    while not page.evaluate(f"import('./js/net/store.js').then(({{ store }}) => Boolean({wanted}))"):
+    while True:
+        with contextlib.suppress(Error):
+            if page.evaluate(f"import('./js/net/store.js').then(({{ store }}) => Boolean({wanted}))"):
+                return
         if time.monotonic() > end:
             pytest.fail(f"not so within {seconds:g} s: {wanted}")
         page.wait_for_timeout(50)

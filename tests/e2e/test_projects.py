@@ -90,7 +90,7 @@ def test_from_the_start_page_to_a_second_project_and_back(browser: Browser, tmp_
         question.get_by_role("button", name="Open it all the same").click()
         for tab in (page, colleague):
             tab.wait_for_function("document.title.startsWith('Second')")
-            assert tab.evaluate(SLICE, "scan") is None
+            wait_for_store(tab, "store.get('scan') === null")  # the page loads anew
         colleague.get_by_text("opened the project Second.").wait_for()
         page.get_by_role("dialog", name="Open files").wait_for()
         assert page.locator(".notice.bad").count() == 0

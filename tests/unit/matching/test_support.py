@@ -177,10 +177,10 @@ def test_a_view_with_few_returns_has_smaller_blocks() -> None:
     room = painted_room(21)
     working = working_camera(room.scan, room.photo.camera)
     view = perspective_view(room.scan, working)
-    whole = pair_levels(room.scan, view, channel_set="both", coarse=False)
+    whole = pair_levels(room.scan, view, channel_set="both", coarse=False, harmonics=2)
     height, width = room.scan.shape
     part = room.scan.window(slice(height // 4, 3 * height // 4), slice(width // 4, 3 * width // 4))
-    few = pair_levels(part, perspective_view(part, working), channel_set="both", coarse=False)
+    few = pair_levels(part, perspective_view(part, working), channel_set="both", coarse=False, harmonics=2)
     assert np.isfinite(whole.ranges).sum() > 120_000 > np.isfinite(few.ranges).sum()
     assert few.block_px < whole.block_px == 48
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import ladarreg_core as lr
-from ladarreg_core.features.channels import ORIENTATIONS
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.pyramid import PairLevels, PhotoLevels, photo_levels, working_camera
@@ -113,8 +112,9 @@ def test_the_mirror_image_is_that_of_a_mirrored_camera(room: PaintedRoom) -> Non
         ray = np.array([0.2, -0.1, 1.0])
         (u, v), (u_mirror, v_mirror) = own.project(ray), other.project(ray * (-1, 1, 1))
         assert (own.width - 1 - u, v) == pytest.approx((u_mirror, v_mirror))
-    turned = -np.arange(ORIENTATIONS) % ORIENTATIONS  # a mirrored edge at t lies at pi - t
-    np.testing.assert_allclose(mirror.channels[0], levels.channels[0][:, ::-1, turned], atol=2e-3)
+    sines = np.array([1, 1, -1, 1, -1], np.float32)  # a mirrored edge at t lies at pi - t
+    # The noise is estimated from a sample of the pixels, others in the mirror image.
+    np.testing.assert_allclose(mirror.channels[0], sines * levels.channels[0][:, ::-1], atol=8e-3)
     again: PhotoLevels = mirrored_photo(mirror)
     assert again.cameras == levels.cameras
     np.testing.assert_array_equal(again.planes[1][0], levels.planes[1][0])
