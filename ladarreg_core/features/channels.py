@@ -2,10 +2,10 @@
 
 The channels of a pixel say how strongly an edge of each direction t responds: max(|gx cos t + gy sin t| - .83 m, 0)
 with the gradient (gx, gy) and its magnitude m. This is a function of t modulo pi, so that it does not depend on the
-sign of the contrast, and smooth: its mean and first two harmonics hold 97 % of its energy, a third one all but .7 % of
-the rest. These five or seven numbers are kept, weighted so that their scalar products are those of the responses at all
-t. They are computed from the gradient without trigonometry, and summed, blurred and divided like the responses
-themselves, of which they are linear functions.
+sign of the contrast, and smooth: its mean and first two harmonics hold 97 % of its energy, with the third 99 %. These
+five or seven numbers are kept, weighted so that their scalar products are those of the responses at all t. They are
+computed from the gradient without trigonometry, and summed, blurred and divided like the responses themselves, of which
+they are linear functions.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from ladarreg_core.arrays import FloatArray
 
 FEW_HARMONICS, ALL_HARMONICS = 2, 3
-"""Harmonics beside the mean: enough where images are full of edges, and where few edges must be told apart."""
+"""Harmonics beside the mean, for images full of edges, and for few edges whose directions must be distinguished."""
 _PRE_BLUR_PX = 0.8
 # Root energies of the three harmonics of max(|cos t| - .83, 0), relative to the mean's.
 _FIRST, _SECOND, _THIRD = 1.2270, 0.7690, 0.2769

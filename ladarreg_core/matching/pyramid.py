@@ -458,7 +458,7 @@ def pair_levels(scan: Scan, view: View, *, channel_set: ChannelSet, coarse: bool
 
 
 def harmonics_of(scan: Scan, camera: Camera) -> int:
-    """Return the harmonics of the channels: a coarse scan shows few edges, whose directions must be told apart well.
+    """Return the number of harmonics: a coarse scan shows few edges, whose directions must be well distinguished.
 
     Args:
         scan: the scan.
