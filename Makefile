@@ -44,12 +44,12 @@ $(VENV)/.installed-dev: pyproject.toml $(VENV)/.created
 
 # The browser tests skip with a reason where none of these ways leads to a Chromium.
 browser: $(VENV)/.installed-dev
-	@if $(BIN)/python -m tests.e2e.browser >/dev/null 2>&1; then exit 0; fi; \
+	@if $(BIN)/python -m testing.workbench.browser >/dev/null 2>&1; then exit 0; fi; \
 	if command -v apt-get >/dev/null && [ "$$(id -u)" = 0 ]; then \
 		apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq chromium >/dev/null || true; \
 	fi; \
-	$(BIN)/python -m tests.e2e.browser >/dev/null 2>&1 || $(BIN)/python -m playwright install chromium || true; \
-	$(BIN)/python -m tests.e2e.browser || true
+	$(BIN)/python -m testing.workbench.browser >/dev/null 2>&1 || $(BIN)/python -m playwright install chromium || true; \
+	$(BIN)/python -m testing.workbench.browser || true
 
 clean:
 	rm -rf build dist artifacts .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks

@@ -18,7 +18,7 @@ from typing import Any
 
 from benchmarks.bars import Row
 from ladarreg_core.twins.devices import TwinDevices
-from tests.served_workbench import Page, Served, random_pick, served, with_camera_and_picks
+from testing.workbench.served import Page, Served, random_pick, served, with_camera_and_picks
 
 _STOPS, _QUICK_STOPS = 50, 5
 _BAR_MS = 200.0

@@ -23,9 +23,9 @@ from ladarreg_core.registration import register
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate import SCENES, simulate_case
-from tests.scenes.pose_case import difference
-from tests.scenes.room import ROOM_CAMERA
-from tests.scenes.room_lines import line_case
+from testing.scenes.pose_case import difference
+from testing.scenes.room import ROOM_CAMERA
+from testing.scenes.room_lines import line_case
 
 LINES = 11
 LEAST, MOST = 0.8, 1.2

@@ -17,7 +17,7 @@ import numpy as np
 
 from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.las import read_las_columns
-from tests.formats.simulated_clouds import brightness, in_room, rosette
+from testing.scenes.simulated_clouds import brightness, in_room, rosette
 
 ORIGIN = (691_234.4, 5_334_321.4, 520.5)
 

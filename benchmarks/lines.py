@@ -1,5 +1,5 @@
 """Uses of drawn lines compared: which of their samples an estimator should use, on the lines of
-`tests.scenes.room_lines`."""
+`testing.scenes.room_lines`."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.results import PoseResult
-from tests.scenes.pose_case import difference
-from tests.scenes.room_lines import LineCase, line_case
+from testing.scenes.pose_case import difference
+from testing.scenes.room_lines import LineCase, line_case
 
 
 def _solved(case: LineCase, matches: Matches, initial: Rigid | None = None) -> PoseResult | None:

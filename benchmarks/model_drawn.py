@@ -9,10 +9,10 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Any
 
-from tests.e2e.browser import FLAGS, find_chromium
+from testing.workbench.browser import FLAGS, find_chromium
 
 if TYPE_CHECKING:
-    from tests.served_workbench import Page, Served
+    from testing.workbench.served import Page, Served
 
 _FINE_INDICES = 100_000
 _COLOURFUL = 5.0

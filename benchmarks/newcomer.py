@@ -30,10 +30,10 @@ from playwright.sync_api import sync_playwright
 import ladarreg_core as lr
 from ladarreg_core.inspection.pictures import inspection_views
 from ladarreg_core.simulate.sample import sample_folder
-from tests.e2e.browser import FLAGS, find_chromium
-from tests.e2e.test_newcomer import drop
-from tests.served_workbench import Page as Socket
-from tests.served_workbench import Served
+from testing.workbench.browser import FLAGS, find_chromium
+from testing.workbench.operator import drop
+from testing.workbench.served import Page as Socket
+from testing.workbench.served import Served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

@@ -24,8 +24,8 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from benchmarks.bars import Row
-from tests.e2e.browser import FLAGS, find_chromium
-from tests.served_workbench import Page, Served
+from testing.workbench.browser import FLAGS, find_chromium
+from testing.workbench.served import Page, Served
 
 SHAPE = (4000, 7000)
 """Rows and columns of the panorama."""

@@ -11,8 +11,8 @@ from ladarreg_core.errors import LadarregError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.ransac import ransac_pose
-from tests.scenes.accuracy import Answer, Solver, default, known_inliers
-from tests.scenes.pose_case import Case
+from testing.scenes.accuracy import Answer, Solver, default, known_inliers
+from testing.scenes.pose_case import Case
 
 MOST_ITERATIONS = 5000
 THRESHOLD_SIGMA = 6.0

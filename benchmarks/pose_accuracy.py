@@ -13,9 +13,9 @@ from benchmarks.pose_report import Bar, Section, first_third, number, percent, t
 from ladarreg_core.frames import Rigid
 from ladarreg_core.pose.thesis.epipolar import epipolar_cost
 from ladarreg_core.pose.thesis.stereo import StereoPairs, stereo_cost
-from tests.scenes.accuracy import Answers, Solver, ask, default, figures_of, length_in_sigmas, measure
-from tests.scenes.pose_case import Case, difference
-from tests.scenes.room import room_case
+from testing.scenes.accuracy import Answers, Solver, ask, default, figures_of, length_in_sigmas, measure
+from testing.scenes.pose_case import Case, difference
+from testing.scenes.room import room_case
 
 OUTLIERS = (0.0, 0.3, 0.5, 0.7)
 SAME_SIGMAS = 0.1

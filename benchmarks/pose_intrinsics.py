@@ -12,8 +12,8 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.intrinsics import intrinsic
-from tests.scenes.pose_case import Case
-from tests.scenes.room import ROOM_CAMERA, room_case
+from testing.scenes.pose_case import Case
+from testing.scenes.room import ROOM_CAMERA, room_case
 
 SETTINGS = ((0.0, True), (0.3, False))
 """Share of outliers, and whether the noise is stated."""

@@ -14,9 +14,9 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.multistart import probe_basin
 from ladarreg_core.pose.thesis.stereo_simplex import SimplexOptions
-from tests.scenes.accuracy import SUCCESS_SIGMAS, Answer, default, length_in_sigmas
-from tests.scenes.pose_case import Case, difference, start_near
-from tests.scenes.room import plane_case, repeated_case, room_case
+from testing.scenes.accuracy import SUCCESS_SIGMAS, Answer, default, length_in_sigmas
+from testing.scenes.pose_case import Case, difference, start_near
+from testing.scenes.room import plane_case, repeated_case, room_case
 
 STARTS = ((5.0, 0.25), (10.0, 0.5), (20.0, 1.0), (40.0, 2.0))
 """Distances of starts: degrees and metres, in random directions."""

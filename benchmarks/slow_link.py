@@ -20,9 +20,9 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from benchmarks.throttling_proxy import ThrottlingProxy
-from tests.e2e.browser import FLAGS, find_chromium
-from tests.served_workbench import Page as Socket
-from tests.served_workbench import Served
+from testing.workbench.browser import FLAGS, find_chromium
+from testing.workbench.served import Page as Socket
+from testing.workbench.served import Served
 
 ASKED_S = {"first two pictures": 4.0, "verdict": 6.0, "coarse model": 12.0, "everything": 25.0}
 ASKED_MB = 3.5

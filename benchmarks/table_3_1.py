@@ -16,9 +16,9 @@ from ladarreg_core.export.comparison_table import NOTHING
 from ladarreg_core.frames import Rigid
 from ladarreg_core.pose.estimate import solve_pose
 from ladarreg_core.pose.thesis.stereo_simplex import Residual
-from tests.scenes.accuracy import Solver, default
-from tests.scenes.apple import APPLE_READINGS, apple_case, apple_error_percent, median_and_p95, simplex_poses
-from tests.scenes.pose_case import Case
+from testing.scenes.accuracy import Solver, default
+from testing.scenes.apple import APPLE_READINGS, apple_case, apple_error_percent, median_and_p95, simplex_poses
+from testing.scenes.pose_case import Case
 
 THRESHOLD_M = 0.5
 """Rejection threshold of the stereo-simplex on depth errors; from .35 to .7 the results are the same."""

@@ -36,7 +36,7 @@ from benchmarks.thesis_smoothing import poles_text, smoothing, smoothing_picture
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.pose.thesis.stereo_simplex import fit_simplex
 from ladarreg_core.simulate import SCENES
-from tests.scenes.apple import APPLE_TRUTH, THESIS_START, apple_case
+from testing.scenes.apple import APPLE_TRUTH, THESIS_START, apple_case
 
 
 def write_page(out: Path, seeds: int, scene_seeds: int) -> None:
@@ -154,7 +154,7 @@ Spikes within the threshold stay, as in the thesis: they dominate the remaining 
 "estimates based on their stereo depth" and has two of them; the column by their mean is for the same vertices. On
 the apple both perform equally. With the camera in front of the scanner one of the two disparities vanishes along lines
 through the epipole, and the mean has a pole there; least squares in pixels weights both by their information.
-In the room of `tests/scenes/room.py` (1 px), with every range too long by 40 %, the errors of the replaced ranges
+In the room of `testing/scenes/room.py` (1 px), with every range too long by 40 %, the errors of the replaced ranges
 are:"""
 
 _SCENES_WORDS = """\

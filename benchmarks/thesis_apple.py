@@ -11,8 +11,8 @@ from ladarreg_core.export.comparison_table import Table, markdown_table
 from ladarreg_core.frames import Rigid, ThesisParameters
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.thesis.stereo_simplex import Residual, SimplexFit, SimplexOptions
-from tests.scenes.apple import APPLE_TRUTH
-from tests.scenes.pose_case import Case
+from testing.scenes.apple import APPLE_TRUTH
+from testing.scenes.pose_case import Case
 
 PARAMETERS = ("Tx", "Ty", "Tz", "alpha", "beta", "gamma")
 SHOWN_READING, SHOWN_SEED = "B", 0

@@ -16,7 +16,7 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.pose.diagnostics import stereo_depth_error
 from ladarreg_core.pose.thesis.stereo import StereoPairs
 from ladarreg_core.pose.thesis.stereo_simplex import DescentStep, SimplexFit, SimplexOptions, descend
-from tests.scenes.pose_case import Case
+from testing.scenes.pose_case import Case
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ from benchmarks.pose_starts import HOME_M
 from benchmarks.table_3_1 import THRESHOLD_M
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from tests.scenes.accuracy import default
-from tests.scenes.apple import APPLE_READINGS, THESIS_START, median_and_p95, simplex_apple_figures, simplex_poses
-from tests.scenes.pose_case import Case, difference, picture_difference_px, start_near
-from tests.scenes.room import room_case
+from testing.scenes.accuracy import default
+from testing.scenes.apple import APPLE_READINGS, THESIS_START, median_and_p95, simplex_apple_figures, simplex_poses
+from testing.scenes.pose_case import Case, difference, picture_difference_px, start_near
+from testing.scenes.room import room_case
 
 METHODS = ("linear", "stereo_simplex", "epipolar_simplex")
 _STARTS: dict[str, tuple[float, float] | None] = {

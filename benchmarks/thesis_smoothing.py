@@ -15,9 +15,9 @@ from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_about
 from ladarreg_core.pose.estimate import solve_pose
 from ladarreg_core.pose.thesis.stereo import StereoPairs
 from ladarreg_core.quality.smoothing import SmoothOptions, smooth_ranges
-from tests.scenes.apple import APPLE_READINGS, apple_case, apple_points
-from tests.scenes.pose_case import Case
-from tests.scenes.room import room_case
+from testing.scenes.apple import APPLE_READINGS, apple_case, apple_points
+from testing.scenes.pose_case import Case
+from testing.scenes.room import room_case
 
 
 @dataclass(frozen=True)

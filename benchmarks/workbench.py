@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.model_drawn import model_drawn
-from tests.served_workbench import Page, Served, many_clients, random_pick, served, with_camera_and_picks
+from testing.workbench.served import Page, Served, many_clients, random_pick, served, with_camera_and_picks
 
 _MANY = 500
 _WATCH_MOVES = """
@@ -82,7 +82,7 @@ def round_trips(page: Page, other: Page, times: int = 200) -> tuple[list[float],
 
 def in_browser(found: Served) -> dict[str, float]:
     """Return the figures measured in a real page."""
-    from tests.e2e.browser import FLAGS, find_chromium
+    from testing.workbench.browser import FLAGS, find_chromium
 
     path = find_chromium()
     if path is None:

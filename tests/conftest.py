@@ -8,8 +8,11 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+# Helpers that assert explain their failures as tests do.
+pytest.register_assert_rewrite("testing")
+
 # One browser for all tests of a process: two would each want the process's only event loop.
-from tests.e2e.pages import browser, page, pytest_runtest_makereport
+from testing.workbench.pages import browser, page, pytest_runtest_makereport
 
 __all__ = ["browser", "page", "pytest_runtest_makereport"]
 

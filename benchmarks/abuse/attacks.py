@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from tests.abuse.held_connections import HeldConnections
+from testing.attacks.held_connections import HeldConnections
 
 HOST = "127.0.0.1"
 

@@ -11,8 +11,8 @@ from typing import Any
 
 from benchmarks.abuse.log import Log
 from ladarreg_core.simulate.sample import sample_folder
-from tests.abuse.kill_rounds import with_photo
-from tests.abuse.server_process import Page, Server, ServerGone, start_server
+from testing.attacks.kill_rounds import with_photo
+from testing.attacks.server_process import Page, Server, ServerGone, start_server
 
 SECTION = "clients"
 CLIENTS = 10

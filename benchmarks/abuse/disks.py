@@ -8,8 +8,8 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.abuse.log import Log
-from tests.abuse.filled_disks import LimitedDisk, full_disk, mounted_disk
-from tests.abuse.project_damage import Damaged, flipped, make_project, missing
+from testing.attacks.filled_disks import LimitedDisk, full_disk, mounted_disk
+from testing.attacks.project_damage import Damaged, flipped, make_project, missing
 
 SECTION, DAMAGE = "disks", "damage"
 _ENDS = ("torn", "kill", "wait", "stop")

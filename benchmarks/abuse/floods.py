@@ -21,8 +21,8 @@ import numpy as np
 from benchmarks.abuse.log import Log
 from ladarreg_core.formats.npz import write_npz_counts
 from ladarreg_core.scanner.grids import AzimuthElevation
-from tests.abuse.kill_rounds import with_photo
-from tests.abuse.server_process import TOKEN, Page, Server, ServerGone
+from testing.attacks.kill_rounds import with_photo
+from testing.attacks.server_process import TOKEN, Page, Server, ServerGone
 
 SECTION = "floods"
 _PAUSE_S = 0.03
@@ -193,10 +193,10 @@ def _round(value: float) -> float | None:
 def _hostile(
     make: str, name: str, copies: int = 1, what: str = "scan", **fields: Any
 ) -> Callable[[Path], list[object]]:
-    """Return a flood that writes a file of `tests.abuse.bombs`, and uploads it this many times."""
+    """Return a flood that writes a file of `testing.attacks.bombs`, and uploads it this many times."""
 
     def arguments(room: Path) -> list[object]:
-        from tests.abuse import bombs
+        from testing.attacks import bombs
 
         path = getattr(bombs, make)(room / name, **fields)
         return ["upload", what, "p1", *[path] * copies]

@@ -8,8 +8,8 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.abuse.log import Log
-from tests.abuse.kill_rounds import kill_rounds
-from tests.abuse.stop_rounds import stopped_while_editing
+from testing.attacks.kill_rounds import kill_rounds
+from testing.attacks.stop_rounds import stopped_while_editing
 
 SECTION, SIGNALS = "kills", "signals"
 _ON_ONE_PROJECT = 10

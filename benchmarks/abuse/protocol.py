@@ -8,9 +8,9 @@ from pathlib import Path
 
 from benchmarks.abuse.log import Log
 from ladarreg_core.simulate.sample import sample_folder
-from tests.abuse.kill_rounds import with_photo
-from tests.abuse.protocol_fuzz import ProtocolFindings, fuzz_protocol, shown_state
-from tests.abuse.server_process import Server, ServerGone, start_server
+from testing.attacks.kill_rounds import with_photo
+from testing.attacks.protocol_fuzz import ProtocolFindings, fuzz_protocol, shown_state
+from testing.attacks.server_process import Server, ServerGone, start_server
 
 SECTION = "protocol"
 _AT_A_TIME = 1000

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from benchmarks.abuse.log import Log
 from ladarreg_core.formats import FORMATS
-from tests.abuse.reader_fuzz import read_damaged
-from tests.abuse.seed_files import write_seeds
+from testing.attacks.reader_fuzz import read_damaged
+from testing.files.seed_files import write_seeds
 
 SECTION = "readers"
 _AT_A_TIME = 100

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.abuse.project_damage import Reference, flipped, make_project, missing, opened_by_the_workbench
+from testing.attacks.project_damage import Reference, flipped, make_project, missing, opened_by_the_workbench
 
 _FLIPS = 40
 

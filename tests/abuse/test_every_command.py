@@ -24,7 +24,7 @@ from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import History
 from ladarreg_core.project.settings import Settings
 from ladarreg_core.simulate.sample import sample_folder
-from tests.app.workbench_driver import WorkbenchDriver, sample_bench
+from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 
 DEEP = "[" * 900 + "]" * 900
 NUMBERS = (

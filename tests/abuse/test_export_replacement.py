@@ -24,7 +24,7 @@ from ladarreg_core.export.zip_file import write_zip
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import History
-from tests.unit.export.samples import sample_registration
+from testing.scenes.small_registration import sample_registration
 
 DOCUMENT = registration_document(sample_registration())
 TEXT = json.dumps(DOCUMENT)
@@ -266,7 +266,7 @@ PROCESSES = multiprocessing.get_context("spawn" if sys.platform == "win32" else 
 @pytest.fixture(scope="module", autouse=True)
 def _loaded_once() -> None:
     if sys.platform != "win32":
-        PROCESSES.set_forkserver_preload([__name__, "ladarreg_core.export.folder", "tests.unit.export.samples"])
+        PROCESSES.set_forkserver_preload([__name__, "ladarreg_core.export.folder", "testing.scenes.small_registration"])
 
 
 def die() -> None:

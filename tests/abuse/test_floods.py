@@ -15,8 +15,8 @@ from urllib.parse import urlsplit
 import pytest
 
 from ladarreg_core.simulate.sample import sample_folder
-from tests.abuse.held_connections import HeldConnections, Starvation, descriptors, edits_until, newcomers_until
-from tests.served_workbench import Page, Served, with_camera_and_picks
+from testing.attacks.held_connections import HeldConnections, Starvation, descriptors, edits_until, newcomers_until
+from testing.workbench.served import Page, Served, with_camera_and_picks
 
 pytestmark = pytest.mark.skipif(
     not sys.platform.startswith("linux"), reason="counts descriptors and memory in /proc, which only Linux has"

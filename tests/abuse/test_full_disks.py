@@ -27,10 +27,10 @@ from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import NOBODY
 from ladarreg_core.project.rescue import write_rescue_copy
 from ladarreg_core.simulate.sample import sample_folder
-from tests.abuse.drawing import begin, draw, work_until_killed
-from tests.abuse.full_disk import DiskNotMounted, fill, free, largest_file, small_disk
-from tests.processes import restore_ctrl_c
-from tests.served_workbench import Page, Served
+from testing.attacks.drawing import begin, draw, work_until_killed
+from testing.attacks.full_disk import DiskNotMounted, fill, free, largest_file, small_disk
+from testing.workbench.processes import restore_ctrl_c
+from testing.workbench.served import Page, Served
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="no limit of file sizes and no kill -9 on Windows")
 ROUNDS = 20
@@ -93,7 +93,7 @@ def test_remains_of_a_failed_append_are_truncated_before_the_next(
 @POSIX
 def test_full_disks_and_kills_lose_no_edit_reported_as_saved(tmp_path: Path) -> None:
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["tests.abuse.drawing"])
+    context.set_forkserver_preload(["testing.attacks.drawing"])
     rng = random.Random(1)
     not_saved = 0
     for round_ in range(ROUNDS):

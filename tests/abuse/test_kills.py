@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.abuse.kill_rounds import KillRound, kill_rounds
+from testing.attacks.kill_rounds import KillRound, kill_rounds
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="no kill -9 to send")
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from ladarreg_core.simulate.sample import sample_folder
-from tests.abuse.kill_rounds import with_photo
-from tests.abuse.protocol_fuzz import fuzz_protocol, shown_state
-from tests.abuse.server_process import start_server
+from testing.attacks.kill_rounds import with_photo
+from testing.attacks.protocol_fuzz import fuzz_protocol, shown_state
+from testing.attacks.server_process import start_server
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="no kill -9 to send")
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from ladarreg_core.formats import FORMATS
-from tests.abuse.mutations import LARGEST, mutated
-from tests.abuse.reader_fuzz import read_damaged
-from tests.abuse.seed_files import Seed, write_seeds
+from testing.attacks.mutations import LARGEST, mutated
+from testing.attacks.reader_fuzz import read_damaged
+from testing.files.seed_files import Seed, write_seeds
 
 _MUTATIONS = 50
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.abuse.filled_disks import LimitedDisk, full_disk
+from testing.attacks.filled_disks import LimitedDisk, full_disk
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="no limit of file sizes can be set from outside")
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.abuse import bombs
+from testing.attacks import bombs
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs os.fork and the resource module")
 _MOST_BYTES, _MOST_SECONDS = 1_000_000_000, 5.0

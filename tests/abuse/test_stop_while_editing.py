@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.abuse.stop_rounds import stopped_while_editing
+from testing.attacks.stop_rounds import stopped_while_editing
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="no such signals")
 

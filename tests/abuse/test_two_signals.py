@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.app.serve_process import ask, name_of, serving
+from testing.workbench.serve_process import ask, name_of, serving
 
 TRIES = 6
 TOGETHER = 2

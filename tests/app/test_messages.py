@@ -18,7 +18,7 @@ from ladarreg_core.progress import Progress, Step
 from ladarreg_core.quality.assessment import Assessment
 from ladarreg_core.quality.findings import LEVELS, Finding
 from ladarreg_core.results import STAGE_LABELS, VERDICTS, Evidence, StageId, StageName
-from tests.unit.export.samples import sample_registration
+from testing.scenes.small_registration import sample_registration
 
 
 @given(st.text())

@@ -20,7 +20,7 @@ from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.frames import Rigid
 from ladarreg_core.simulate.sample import sample_folder
 from ladarreg_core.surface.ranges import surface_range
-from tests.app.workbench_driver import WorkbenchDriver, open_bench
+from testing.workbench.workbench_driver import WorkbenchDriver, open_bench
 
 UTM = Rigid.from_rotvec([0.004, -0.003, 2.1], (500_123.4567, 5_412_345.6789, 102.3456))
 CAMERA, PHOTO = sample_folder() / "camera.json", sample_folder() / "photo.png"

@@ -12,7 +12,7 @@ import ladarreg_core as lr
 from benchmarks.nid import BINS, NidPair, nid, rank_bins
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from tests.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.painted_room import PaintedRoom, painted_room
 
 VALUES = arrays(np.float64, st.integers(2, 300), elements=st.integers(-20, 20).map(float))
 

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from benchmarks.pose_accuracy import backends_apart, mismatches_section
 from benchmarks.pose_report import Bar, Section, as_text, table, write_json, write_page
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from tests.scenes.accuracy import Answer, Answers, ask, default, measure
-from tests.scenes.pose_case import Case
-from tests.scenes.room import plane_case, repeated_case, room_case, room_ranges
-from tests.scenes.room_lines import line_case
+from testing.scenes.accuracy import Answer, Answers, ask, default, measure
+from testing.scenes.pose_case import Case
+from testing.scenes.room import plane_case, repeated_case, room_case, room_ranges
+from testing.scenes.room_lines import line_case
 
 
 def section(cell: str = "1.00", value: float = 1.0, *, key: str = "some") -> Section:

@@ -14,7 +14,7 @@ from benchmarks.sparse_peers import PEERS_SET, by_nid_simplex, seen_from
 from benchmarks.sparse_sets import off_by
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, look_along
-from tests.scenes.painted_room import painted_room
+from testing.scenes.painted_room import painted_room
 
 LOW, HIGH = np.array([-1.0, -3.0, -1.5]), np.array([6.0, 2.5, 2.0])
 CAMERA = Camera.from_focal(640, 480, 330.0)

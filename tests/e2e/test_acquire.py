@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.e2e.pages import wait_for_store
+from testing.workbench.pages import wait_for_store
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.abuse.held_connections import HeldConnections
-from tests.served_workbench import served
+from testing.attacks.held_connections import HeldConnections
+from testing.workbench.served import served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -2,38 +2,28 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import pytest
 
 from ladarreg_core.simulate.sample import sample_folder
+from testing.files.small_scans import make_scan, picture_e57
+from testing.workbench.audits import hard_to_read
+from testing.workbench.operator import SLICE, drop, opened, shot, started
+from testing.workbench.pages import without_model
 from tests.app.workbench.test_batches import depth_scan
-from tests.e2e.audits import hard_to_read
-from tests.e2e.pages import without_model
-from tests.e2e.test_newcomer import SLICE, drop, opened, started
-from tests.formats.conftest import e57_fields, e57_file, make_scan
-from tests.formats.test_e57 import picture_e57
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Browser
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="started as a process group")]
 
 
-def shot(page: Page, name: str) -> None:
-    """Keep a screenshot if LADARREG_SHOTS names a folder."""
-    if folder := os.environ.get("LADARREG_SHOTS"):
-        page.screenshot(path=f"{folder}/{name}.png")
-
-
 def with_picture(folder: Path) -> Path:
     """Write an E57 with an embedded picture."""
-    builders = SimpleNamespace(e57=e57_file, e57_fields=e57_fields)
-    return picture_e57(folder / "hall.e57", builders, make_scan(60, 90))[0]
+    return picture_e57(folder / "hall.e57", make_scan(60, 90))[0]
 
 
 def test_a_dropped_batch(browser: Browser, tmp_path: Path) -> None:

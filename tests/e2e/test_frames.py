@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.e2e.audits import hard_to_read
-from tests.e2e.pages import without_model
-from tests.e2e.test_files import shot
-from tests.e2e.test_newcomer import SLICE, drop, opened, started
-from tests.room_frames import CAMERA, PHOTO, elsewhere, frame, room_matches
+from testing.scenes.room_frames import CAMERA, PHOTO, elsewhere, frame, room_matches
+from testing.workbench.audits import hard_to_read
+from testing.workbench.operator import SLICE, drop, opened, shot, started
+from testing.workbench.pages import without_model
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

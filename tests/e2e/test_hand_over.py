@@ -15,11 +15,11 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.simulate.sample import sample_folder
-from tests.e2e.audits import hard_to_read
-from tests.e2e.pages import without_model
-from tests.e2e.test_workbench import Operator
-from tests.served_workbench import Served, served
-from tests.true_matches import true_points
+from testing.scenes.true_matches import true_points
+from testing.workbench.audits import hard_to_read
+from testing.workbench.operator import Operator
+from testing.workbench.pages import without_model
+from testing.workbench.served import Served, served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

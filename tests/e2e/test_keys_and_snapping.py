@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from tests.e2e.test_workbench import Operator, operator, server
+from testing.workbench.operator import Operator
+from tests.e2e.test_workbench import operator, server
 
 __all__ = ["operator", "server"]  # fixtures
 

@@ -12,8 +12,8 @@ from urllib.parse import quote
 
 import pytest
 
-from tests.app.gateway_driver import TOKEN, Running, running
-from tests.e2e.pages import SIZE
+from testing.workbench.gateway_driver import TOKEN, Running, running
+from testing.workbench.pages import SIZE
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, BrowserContext, Page

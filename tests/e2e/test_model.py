@@ -17,8 +17,8 @@ from PIL import Image
 
 from ladarreg_core.palette import VISIBILITY
 from ladarreg_core.simulate.sample import sample_folder
-from tests.served_workbench import Page as Socket
-from tests.served_workbench import Served, served
+from testing.workbench.served import Page as Socket
+from testing.workbench.served import Served, served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Frame, Page, Request

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tests.e2e.test_workbench import Operator, operator, server
+from testing.workbench.operator import Operator
+from tests.e2e.test_workbench import operator, server
 
 __all__ = ["operator", "server"]  # fixtures
 CLIPPED = """

@@ -2,107 +2,22 @@
 
 from __future__ import annotations
 
-import base64
-import os
 import re
-import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlsplit
 
 import pytest
 
 from ladarreg_core.simulate.sample import sample_folder
-from tests.e2e.pages import without_model
-from tests.served_workbench import Served
+from testing.workbench.operator import SLICE, draw, drop, opened, pinch, started, touch_line
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, BrowserContext, Page
+    from playwright.sync_api import Browser
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="no kill -9 to send")]
 SIZE: Any = {"width": 1366, "height": 768}
-TOKEN = "a-newcomers-token"
 HOSTILE = "<img src=x onerror=hit=1>.png"
-DROP = """([selector, files]) => {
-  const held = new DataTransfer();
-  for (const [name, text] of files)
-    held.items.add(new File([Uint8Array.from(atob(text), (c) => c.charCodeAt(0))], name));
-  const given = { bubbles: true, cancelable: true, dataTransfer: held };
-  for (const kind of ["dragenter", "dragover", "drop"])
-    document.querySelector(selector).dispatchEvent(new DragEvent(kind, given));
-}"""
-SLICE = "(name) => import('./js/net/store.js').then(({ store }) => store.get(name))"
-
-
-@contextmanager
-def started(project: Path, port: int = 0) -> Iterator[Served]:
-    """A workbench on a new or existing project, with a small upload limit."""
-    surroundings = {**os.environ, "LADARREG_HOME": str(project.parent), "OMP_NUM_THREADS": "1"}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "ladarreg", "serve", "--project", str(project), "--port", str(port), "--no-browser",
-         "--upload-limit-mb", "2", "--token", TOKEN],
-        stdout=subprocess.PIPE, text=True, env=surroundings,
-    )  # fmt: skip
-    try:
-        assert process.stdout is not None
-        address = next(word for word in process.stdout.readline().split() if "://" in word)
-        parts = urlsplit(address)
-        yield Served(process, parts.hostname or "", parts.port or 0, TOKEN)
-    finally:
-        process.terminate()  # a shell's background jobs, and so the tests it started there, ignore SIGINT
-        process.wait(60)
-
-
-def opened(context: BrowserContext, server: Served) -> Page:
-    """A tab at the workbench."""
-    page = context.new_page()
-    without_model(page)
-    page.goto(f"{server.address}?token={server.token}")
-    page.get_by_role("button", name="connected", exact=True).wait_for()
-    return page
-
-
-def drop(page: Page, selector: str, files: dict[str, bytes]) -> None:
-    """Drop files onto an element."""
-    page.evaluate(DROP, [selector, [(name, base64.b64encode(data).decode()) for name, data in files.items()]])
-
-
-def place(page: Page, side: str, share: tuple[float, float]) -> tuple[float, float]:
-    """Return the window position of a share of a pane."""
-    box = page.locator(f"#{side}-pane .pane-body").bounding_box()
-    assert box is not None
-    return box["x"] + share[0] * box["width"], box["y"] + share[1] * box["height"]
-
-
-def draw(page: Page, side: str) -> None:
-    """Draw a line with the mouse."""
-    page.mouse.move(*place(page, side, (0.4, 0.4)))
-    page.mouse.down()
-    page.mouse.move(*place(page, side, (0.6, 0.55)), steps=4)
-    page.mouse.up()
-
-
-def touch_line(page: Page, side: str) -> None:
-    """Draw a line with a finger."""
-    fingers = page.context.new_cdp_session(page)
-    (x0, y0), (x1, y1) = place(page, side, (0.35, 0.6)), place(page, side, (0.55, 0.7))
-    for kind, share in (("touchStart", 0.0), ("touchMove", 0.5), ("touchMove", 1.0), ("touchEnd", None)):
-        at = [] if share is None else [{"x": x0 + (x1 - x0) * share, "y": y0 + (y1 - y0) * share}]
-        fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": at})
-    fingers.detach()
-
-
-def pinch(page: Page, side: str) -> None:
-    """Spread two fingers."""
-    fingers = page.context.new_cdp_session(page)
-    x, y = place(page, side, (0.5, 0.5))
-    for kind, apart in (("touchStart", 40), ("touchMove", 80), ("touchMove", 120), ("touchEnd", 0)):
-        at = [{"x": x + k * apart, "y": y, "id": k} for k in (-1, 1)] if apart else []
-        fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": at})
-    fingers.detach()
 
 
 def test_a_first_hour(browser: Browser, tmp_path: Path) -> None:

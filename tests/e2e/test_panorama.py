@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tests.e2e.pages import without_model
+from testing.workbench.pages import without_model
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page
@@ -28,7 +28,7 @@ AXIS = """() => Promise.all([import('./js/net/store.js'), import('./js/state/vie
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """Address of a workbench on the room and its two photographs."""
-    from tests.scenes.whole_room import whole_room
+    from testing.scenes.whole_room import whole_room
 
     folder = tmp_path_factory.mktemp("panorama")
     room = whole_room(step_deg=0.25)

@@ -14,11 +14,10 @@ from urllib.parse import urlsplit
 import pytest
 
 from ladarreg_core.simulate.sample import sample_folder
-from tests.e2e.audits import hard_to_read
-from tests.e2e.pages import wait_for_store, without_model
-from tests.e2e.test_files import shot
-from tests.e2e.test_newcomer import SLICE, TOKEN, draw, drop, opened
-from tests.served_workbench import Served
+from testing.workbench.audits import hard_to_read
+from testing.workbench.operator import SLICE, TOKEN, draw, drop, opened, shot
+from testing.workbench.pages import wait_for_store, without_model
+from testing.workbench.served import Served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

@@ -14,8 +14,8 @@ import pytest
 from PIL import Image
 
 from benchmarks.throttling_proxy import ThrottlingProxy
-from tests.e2e.pages import without_model
-from tests.served_workbench import Served, served
+from testing.workbench.pages import without_model
+from testing.workbench.served import Served, served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page, Route

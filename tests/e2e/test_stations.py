@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.e2e.pages import without_model
+from testing.workbench.pages import without_model
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -23,7 +23,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reas
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
     """Address of a workbench on one station's scan, and the scan of the other."""
-    from tests.station_scans import write_station_scans
+    from testing.scenes.station_scans import write_station_scans
 
     folder = tmp_path_factory.mktemp("stations")
     (first, second), photo, camera = write_station_scans(folder)

@@ -12,8 +12,8 @@ from ladarreg_core.palette import BACKGROUND
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.mesh import scan_mesh
-from tests.e2e.pages import SIZE, wait_for_pixels
-from tests.open_viser import address, open_server
+from testing.workbench.open_viser import address, open_server
+from testing.workbench.pages import SIZE, wait_for_pixels
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from ladarreg_core.simulate.sample import sample_folder
-from tests.e2e.pages import without_model
-from tests.e2e.test_workbench import Operator
-from tests.served_workbench import Served, served
+from testing.workbench.operator import Operator
+from testing.workbench.pages import without_model
+from testing.workbench.served import Served, served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

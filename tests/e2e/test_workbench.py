@@ -7,9 +7,8 @@ import os
 import re
 import signal
 import sys
-import time
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,13 +16,14 @@ import numpy as np
 import pytest
 
 from ladarreg_core.simulate.sample import sample_folder
-from tests.e2e.audits import hard_to_read, lost_without_a_mouse
-from tests.e2e.pages import without_model
-from tests.served_workbench import Page as Socket
-from tests.served_workbench import Served, served
+from testing.workbench.audits import hard_to_read, lost_without_a_mouse
+from testing.workbench.operator import Operator
+from testing.workbench.pages import without_model
+from testing.workbench.served import Page as Socket
+from testing.workbench.served import Served, served
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, ConsoleMessage, Locator, Page
+    from playwright.sync_api import Browser, ConsoleMessage
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="no kill -9 to send")]
 WRONG = re.compile("damaged|truncated|cut short|incomplete|cannot be read|not an image|no picture", re.IGNORECASE)
@@ -33,75 +33,6 @@ EXPECTED_ERRORS = {
 }
 SIZE = {"width": 1600, "height": 900}
 OPEN = "dialog[open], [popover]:popover-open"
-
-
-class Operator:
-    """A browser tab at the workbench, and a websocket with the same document."""
-
-    def __init__(self, page: Page, server: Served, pictures: Path) -> None:
-        self.page, self.server, self.pictures = page, server, pictures
-        self.socket = Socket(server)
-        self._shots = 0
-
-    def open(self) -> None:
-        """Open the page at the address that the server printed."""
-        self.page.goto(f"{self.server.address}?token={self.server.token}")
-        self.page.get_by_role("button", name="connected").wait_for()
-
-    def slice(self, name: str) -> Any:
-        """Return the current value of a slice."""
-        self.socket.ask("list_served")  # its answer follows all earlier messages
-        return self.socket.slices.get(name)
-
-    def wait(self, true: Callable[[], Any], what: str, seconds: float = 90) -> Any:
-        """Wait until a condition is true."""
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            found = true()
-            if found:
-                return found
-            self.page.wait_for_timeout(100)
-        pytest.fail(f"it did not happen: {what}")
-
-    def shot(self, name: str) -> None:
-        """Save a screenshot of the page."""
-        self.pictures.mkdir(parents=True, exist_ok=True)
-        self._shots += 1
-        self.page.screenshot(path=self.pictures / f"{self._shots:02d}-{name}.png")
-
-    def button(self, name: str) -> Locator:
-        """Return the button with a name."""
-        return self.page.get_by_role("button", name=name)
-
-    def step(self, name: str) -> None:
-        """Go to one of the four steps."""
-        self.page.get_by_role("tab", name=name, exact=True).click()
-
-    def place(self, side: str, uv: tuple[float, float]) -> tuple[float, float]:
-        """Return the window position of a pixel while the whole picture is shown."""
-        body = self.page.locator(f"#{side}-pane .pane-body")
-        box = body.bounding_box()
-        assert box is not None
-        width, height = body.evaluate("(body) => [body.clientWidth, body.clientHeight]")  # whole CSS pixels
-        if side == "scan":
-            view = self.slice("scan")["views"][0]
-            size = (view["width"], view["height"])
-        else:
-            photo = self.slice("photos")[0]
-            size = (photo["width"], photo["height"])
-        zoom = min(width / size[0], height / size[1])
-        left, top = box["x"] + (width - size[0] * zoom) / 2, box["y"] + (height - size[1] * zoom) / 2
-        return left + (uv[0] + 0.5) * zoom, top + (uv[1] + 0.5) * zoom
-
-    def draw(self, side: str, ends: list[tuple[float, float]]) -> None:
-        """Draw a line with the mouse."""
-        (x0, y0), (x1, y1) = (self.place(side, uv) for uv in ends)
-        mouse = self.page.mouse
-        mouse.move(x0, y0)
-        mouse.down()
-        mouse.move((x0 + x1) / 2, (y0 + y1) / 2, steps=4)
-        mouse.move(x1, y1, steps=4)
-        mouse.up()
 
 
 @pytest.fixture(scope="module")

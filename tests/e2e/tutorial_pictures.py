@@ -20,9 +20,9 @@ from playwright.sync_api import sync_playwright
 
 import ladarreg_core as lr
 from benchmarks.newcomer import Hands, empty_workbench, newcomer
-from tests.e2e.browser import FLAGS, find_chromium
-from tests.e2e.test_newcomer import drop
-from tests.served_workbench import Page as Socket
+from testing.workbench.browser import FLAGS, find_chromium
+from testing.workbench.operator import drop
+from testing.workbench.served import Page as Socket
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

@@ -15,9 +15,9 @@ import ladarreg_core as lr
 from ladarreg_core.errors import FormatError, OptionError, ShapeError
 from ladarreg_core.saved_results import read_saved_result
 from ladarreg_core.simulate.sample import sample_folder
-from tests.box_room import distances, off_surface
-from tests.formats.conftest import make_scan, pcd_bytes
-from tests.true_matches import true_points
+from testing.files.small_scans import make_scan, pcd_bytes
+from testing.scenes.box_room import distances, off_surface
+from testing.scenes.true_matches import true_points
 
 SIGMA_M = 0.02
 SAMPLE = sample_folder()

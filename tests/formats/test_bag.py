@@ -16,7 +16,7 @@ import pytest
 from ladarreg_core.errors import DependencyError, FormatError, OptionError, UnderspecifiedError
 from ladarreg_core.formats import bag, describe, read_scan, recognise
 from ladarreg_core.scan import NO_INTENSITY_NOTE, Scan
-from tests.formats.conftest import make_scan
+from testing.files.small_scans import make_scan
 
 needs_rosbags = pytest.mark.skipif(importlib.util.find_spec("rosbags") is None, reason="rosbags is not installed")
 CONTAINERS = ("bag", "db3", "mcap")

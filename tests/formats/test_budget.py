@@ -24,7 +24,7 @@ from ladarreg_core.formats.npz import read_npz, write_npz_counts, write_npz_xyz
 from ladarreg_core.formats.opencv_yaml import parse_yaml
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from tests.abuse import bombs
+from testing.attacks import bombs
 
 ROWS, COLUMNS = 400, 600
 _LIBRARIES = 25_000_000  # loaded by the first use of some functions

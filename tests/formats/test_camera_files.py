@@ -17,6 +17,7 @@ from ladarreg_core.errors import CameraError, FormatError, LadarregError
 from ladarreg_core.formats import describe
 from ladarreg_core.formats.camera_file import read_camera, write_camera
 from ladarreg_core.formats.opencv_yaml import parse_yaml
+from testing.files.seed_files import ROS
 
 K1, K2 = 0.1, -0.03
 focal = st.floats(10, 5000)
@@ -53,24 +54,6 @@ def test_opencv_storage_gives_back_the_camera(
     assert read_camera(path) == camera
 
 
-ROS = """\
-# made by a calibrator
-image_width: 1280
-image_height: 720
-camera_name: "front: left"
-camera_matrix:
-  rows: 3
-  cols: 3
-  data: [611.8, 0.0, 639.3,
-         0.0, 611.9, 365.9,
-         0.0, 0.0, 1.0]
-distortion_model: plumb_bob
-distortion_coefficients: {rows: 1, cols: 5, data: [0.1, -0.2, 0.001, 0.002, 0.05]}
-rectification_matrix:
-  rows: 3
-  cols: 3
-  data: [1, 0, 0, 0, 1, 0, 0, 0, 1]
-"""
 ROS_MESSAGE = """\
 ---
 header:

@@ -19,6 +19,7 @@ from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress
 from ladarreg_core.scan import NO_INTENSITY_NOTE, Scan
+from testing.files.small_scans import picture_e57
 
 pytest.importorskip("pye57")
 PAGE = 1024
@@ -222,56 +223,8 @@ def test_claims_with_valid_checksums_are_refused(tmp_path: Path, make: Any, wall
         read_e57(forged(path, text, padded))
 
 
-def picture_e57(path: Path, make: Any, wall: Scan) -> tuple[Path, Rigid]:
-    """A scan with a pose, and a pinhole image with one: E57 cameras look along -Z, Y up."""
-    import io
-
-    import pye57
-    from PIL import Image
-    from pye57 import libe57
-
-    make.e57(path, make.e57_fields(wall), translation=[5.0, 6.0, 7.0])
-    stream = io.BytesIO()
-    Image.new("RGB", (64, 48), (10, 200, 30)).save(stream, "JPEG")
-    picture = np.frombuffer(stream.getvalue(), np.uint8).copy()
-    world_from_image = Rigid.from_rotvec([0.4, -1.2, 0.3], (5.5, 6.25, 7.0))
-    w, x, y, z = quaternion_of(world_from_image.rotation)
-    with pye57.E57(str(path), mode="w") as file:
-        f = file.image_file
-        fields = make.e57_fields(wall)
-        file.write_scan_raw(fields, name="s", rotation=np.array([1.0, 0, 0, 0]), translation=np.array([5.0, 6.0, 7.0]))
-        node, shape = libe57.StructureNode(f), libe57.StructureNode(f)
-        node.set("guid", libe57.StringNode(f, "{1}"))
-        node.set("name", libe57.StringNode(f, "../front door"))
-        blob = libe57.BlobNode(f, len(picture))
-        shape.set("jpegImage", blob)
-        for name, value in (("imageWidth", 64), ("imageHeight", 48)):
-            shape.set(name, libe57.IntegerNode(f, value))
-        for name, number in (("focalLength", 0.01), ("pixelWidth", 1e-4), ("pixelHeight", 2e-4),
-                             ("principalPointX", 30.0), ("principalPointY", 25.0)):  # fmt: skip
-            shape.set(name, libe57.FloatNode(f, number))
-        node.set("pinholeRepresentation", shape)
-        pose, rotation, translation = (libe57.StructureNode(f) for _ in range(3))
-        for name, number in zip("wxyz", (w, x, y, z), strict=True):
-            rotation.set(name, libe57.FloatNode(f, float(number)))
-        for name, number in zip("xyz", world_from_image.translation, strict=True):
-            translation.set(name, libe57.FloatNode(f, float(number)))
-        pose.set("rotation", rotation)
-        pose.set("translation", translation)
-        node.set("pose", pose)
-        file.root["images2D"].append(node)
-        blob.write(picture, 0, len(picture))
-    return path, world_from_image
-
-
-def quaternion_of(rotation: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    return np.roll(Rotation.from_matrix(rotation).as_quat(), 1)
-
-
 def test_images_are_listed_and_extracted_with_camera_and_pose(tmp_path: Path, make: Any, wall: Scan) -> None:
-    path, world_from_image = picture_e57(tmp_path / "a.e57", make, wall)
+    path, world_from_image = picture_e57(tmp_path / "a.e57", wall)
     assert describe(path).images == ("../front door: pinhole JPEG 64 x 48, focal length 70.7 px, with a pose",)
     (written,) = extract_images(path, tmp_path / "out")
     assert written.picture.parent == tmp_path / "out"

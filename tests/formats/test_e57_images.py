@@ -17,7 +17,7 @@ from ladarreg_core.formats.e57_images import embedded_images
 from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
-from tests.formats.conftest import e57_fields, make_scan
+from testing.files.small_scans import e57_fields, make_scan
 
 FACE_PX = 64
 STATIONS = (Rigid.from_rotvec([0, 0, 0.5], (100.0, 200.0, 3.0)), Rigid.from_rotvec([0, 0, -1.1], (104.0, 203.0, 3.5)))

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats import describe, read_scan, recognise
-from tests.formats.simulated_clouds import brightness, in_street, spinning
+from testing.scenes.simulated_clouds import brightness, in_street, spinning
 
 POINTS = in_street(spinning(16, 360)) - [0, 0, 1.8]
 INTENSITY = (brightness(POINTS) / 255).clip(0.01, 1)

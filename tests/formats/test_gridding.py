@@ -13,7 +13,7 @@ from ladarreg_core.errors import ShapeError
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.gridding import grid_points
 from ladarreg_core.scanner.grids import RingGrid, RotatedGrid, SphericalGrid
-from tests.formats.simulated_clouds import brightness, in_room, rosette
+from testing.scenes.simulated_clouds import brightness, in_room, rosette
 
 # The elevations of a real 64-beam scanner: .17 deg in the middle, 5 deg at the ends.
 UNEVEN = np.concatenate([[-25, -19, -14, -13, -12, -11, -10, -9, -8, -7], np.arange(-6, 2.1, 0.17), [3, 5, 8, 11, 15]])

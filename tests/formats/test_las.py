@@ -15,7 +15,7 @@ from ladarreg_core.errors import Cancelled, FormatError, OptionError, Underspeci
 from ladarreg_core.formats import describe, read_scan
 from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
-from tests.formats.simulated_clouds import brightness, dome, in_room
+from testing.scenes.simulated_clouds import brightness, dome, in_room
 
 UTM = np.array([691_234.0, 5_334_321.0, 519.0])
 SCANNER = UTM + np.array([0.4, -0.6, 1.5])

@@ -12,7 +12,7 @@ import ladarreg_core as lr
 from ladarreg_core.errors import FormatError, UnderspecifiedError
 from ladarreg_core.formats.registry import read_scan
 from ladarreg_core.scan import NO_INTENSITY_NOTE, Scan
-from tests.formats.conftest import e57_fields, e57_file, pcd_bytes
+from testing.files.small_scans import e57_fields, e57_file, pcd_bytes
 from tests.formats.test_ply import ply_bytes
 
 

@@ -13,7 +13,7 @@ from ladarreg_core.formats.registry import read_scan
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner import origin
 from ladarreg_core.scanner.origin import estimate_origin
-from tests.formats.simulated_clouds import brightness, dome, in_room, in_street, rosette, spinning
+from testing.scenes.simulated_clouds import brightness, dome, in_room, in_street, rosette, spinning
 
 IN_ROOM = np.array([0.4, -0.6, 1.5])
 IN_STREET = np.array([0.0, 0.0, 1.8])

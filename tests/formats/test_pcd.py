@@ -16,7 +16,7 @@ from ladarreg_core.formats.pcd import lzf_decompress, read_pcd
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grid_order import is_scan_grid, order_of, unit_rays
-from tests.formats.conftest import make_scan, pcd_bytes
+from testing.files.small_scans import make_scan, pcd_bytes
 
 ENCODINGS = ("ascii", "binary", "binary_compressed")
 

@@ -12,7 +12,7 @@ from ladarreg_core.errors import FormatError, LadarregError
 from ladarreg_core.formats import describe, read_scan, recognise
 from ladarreg_core.formats.ply import read_ply
 from ladarreg_core.scan import Scan
-from tests.formats.conftest import make_scan
+from testing.files.small_scans import make_scan
 
 ORIGIN = (431_250.5, 5_412_000.25, 318.125)
 ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")

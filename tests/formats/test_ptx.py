@@ -11,7 +11,7 @@ from ladarreg_core.errors import FormatError, LadarregError, OptionError
 from ladarreg_core.formats import describe, listed_kind, read_scan, recognise
 from ladarreg_core.formats.ptx import ptx_blocks, read_ptx
 from ladarreg_core.scan import Scan
-from tests.formats.conftest import make_scan
+from testing.files.small_scans import make_scan
 
 STATION = np.array([[0.0, -1.0, 0.0, 500_000.25], [1.0, 0.0, 0.0, 5_400_000.5], [0.0, 0.0, 1.0, 12.75], [0, 0, 0, 1]])
 """The scanner's pose in the world: turned by 90 degrees to the left."""

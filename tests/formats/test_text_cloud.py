@@ -11,7 +11,7 @@ import pytest
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
 from ladarreg_core.formats import describe, listed_kind, read_scan, recognise
 from ladarreg_core.scan import Scan
-from tests.formats.conftest import make_scan
+from testing.files.small_scans import make_scan
 from tests.formats.test_ply import ORIGIN, cloud, same_points
 
 HERE = (0.0, 0.0, 0.0)

@@ -17,7 +17,7 @@ from ladarreg_core.formats.npz import write_npz_xyz
 from ladarreg_core.formats.pose_file import read_initial, write_pose
 from ladarreg_core.frames import Rigid, describe_direction, describe_position
 from ladarreg_core.scan import Scan
-from tests.unit.export.samples import sample_registration
+from testing.scenes.small_registration import sample_registration
 
 UTM = Rigid.from_rotvec([0.004, -0.003, 2.1], (500_123.4567, 5_412_345.6789, 102.3456))
 """A scanner that is almost upright, in the coordinates of a survey."""

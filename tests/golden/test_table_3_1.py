@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.scenes.apple import simplex_apple_figures
+from testing.scenes.apple import simplex_apple_figures
 
 SEEDS = range(24)
 

@@ -22,7 +22,7 @@ from ladarreg_core.pose.thesis.stereo import (
     rotate_coordinates,
     stereo_depth,
 )
-from tests.scenes.apple import APPLE_TRUTH, apple_points
+from testing.scenes.apple import APPLE_TRUTH, apple_points
 
 LENS = Camera.from_focal(512, 512, 256.0)
 

@@ -10,7 +10,7 @@ import pytest
 from ladarreg.gateway.document_socket import ClientState
 from ladarreg.gateway.encoding import SharedEncoder
 
-from tests.app.slice_edits import random_states
+from testing.workbench.slice_edits import random_states
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

@@ -18,8 +18,8 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.thesis.stereo_simplex import SimplexOptions
 from ladarreg_core.results import PoseResult
-from tests.scenes.pose_case import difference
-from tests.scenes.room import ROOM_CAMERA, room_case
+from testing.scenes.pose_case import difference
+from testing.scenes.room import ROOM_CAMERA, room_case
 
 LENSES = {
     "room": ROOM_CAMERA,

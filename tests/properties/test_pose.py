@@ -15,9 +15,9 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.pose.bundle import Measurements, States, least_squares, linearise, normal_equations
 from ladarreg_core.pose.estimate import estimate_pose
 from ladarreg_core.results import PoseResult
+from testing.scenes.pose_case import difference
+from testing.scenes.room import ROOM_CAMERA, room_case
 from tests.properties.strategies import rotvecs
-from tests.scenes.pose_case import difference
-from tests.scenes.room import ROOM_CAMERA, room_case
 
 LENSES = (
     ROOM_CAMERA,

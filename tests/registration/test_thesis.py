@@ -14,7 +14,7 @@ from ladarreg_core.matching.thesis.chain import ThesisOptions, solve_thesis
 from ladarreg_core.progress import StepLog
 from ladarreg_core.registration import RegisterOptions
 from ladarreg_core.simulate import SimulatedCase, simulate_case
-from tests.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.painted_room import PaintedRoom, painted_room
 
 STAGES = ["linear", "constrained_linear", "simplex", "simplex_outliers_removed"]
 

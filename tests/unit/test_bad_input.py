@@ -16,7 +16,7 @@ from ladarreg_core.export.folder import check_folder
 from ladarreg_core.matching.pyramid import photo_levels, working_camera
 from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.scanner.grids import AzimuthElevation, TabulatedGrid
-from tests.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.painted_room import PaintedRoom, painted_room
 
 GEOMETRY = AzimuthElevation(6, 8, 0.01, 0.01)
 ONES = np.ones(GEOMETRY.shape)

@@ -20,8 +20,8 @@ from ladarreg_core.palette import distinct_colours
 from ladarreg_core.panorama import compose, mount_of_text, write_panorama
 from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid
 from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
-from tests.box_room import distances, off_surface
-from tests.mosaic_pieces import MOUNT, piece_scan
+from testing.scenes.box_room import distances, off_surface
+from testing.scenes.mosaic_pieces import MOUNT, piece_scan
 
 COARSE = AzimuthElevation(31, 41, np.radians(1.0), np.radians(1.0))
 STOPS = ((-30.0, -10.0), (0.0, -10.0), (30.0, -10.0), (-30.0, 10.0), (0.0, 10.0), (30.0, 10.0))

@@ -22,7 +22,7 @@ from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.quality.assessment import assess
 from ladarreg_core.registration import RegisterOptions, register
 from ladarreg_core.surface.ranges import surface_range
-from tests.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.painted_room import PaintedRoom, painted_room
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +113,7 @@ _FINGERPRINT = """
 import sys, cv2
 cv2.setNumThreads(int(sys.argv[1]))
 from ladarreg_core.registration import register
-from tests.scenes.painted_room import painted_room
+from testing.scenes.painted_room import painted_room
 room = painted_room(seed=3)
 print(register(room.scan, room.photo).camera_from_scanner.matrix.tobytes().hex())
 """

@@ -17,8 +17,8 @@ from ladarreg_core.export.folder import export_registration
 from ladarreg_core.export.targets.hand_over import export_to
 from ladarreg_core.formats import read_photo, read_scan
 from ladarreg_core.saved_results import SavedResult, read_saved_result, recorded_options, registered_scan
+from testing.scenes.small_registration import sample_photo, sample_registration, sample_scan
 from tests.formats.test_ptx import block
-from tests.unit.export.samples import sample_photo, sample_registration, sample_scan
 
 STATION = np.block([[np.eye(3), np.array([[4.0], [5.0], [1.5]])], [np.zeros((1, 3)), np.ones((1, 1))]])
 TURNED = 3

@@ -13,7 +13,7 @@ import pytest
 from ladarreg.cli import main
 
 from ladarreg_core.formats import read_scan
-from tests.processes import restore_ctrl_c
+from testing.workbench.processes import restore_ctrl_c
 
 pytestmark = pytest.mark.slow
 

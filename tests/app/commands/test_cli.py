@@ -20,7 +20,7 @@ from PIL import Image
 
 from ladarreg_core.errors import Cancelled
 from ladarreg_core.simulate.sample import sample_folder
-from tests.processes import restore_ctrl_c
+from testing.workbench.processes import restore_ctrl_c
 
 REGISTER_OPTIONS = (
     "--method", "--matches", "--initial", "--camera", "--focal-px", "--focal-mm", "--sensor-mm", "--scan-index",

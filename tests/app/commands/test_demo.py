@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.processes import restore_ctrl_c
+from testing.workbench.processes import restore_ctrl_c
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="no Ctrl-C to send")]
 

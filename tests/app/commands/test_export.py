@@ -16,8 +16,8 @@ from ladarreg.exit_codes import ExitCode
 
 from ladarreg_core.export.targets.registry import TARGETS
 from ladarreg_core.simulate.sample import sample_folder
-from tests.app.workbench_driver import WorkbenchDriver, open_bench
-from tests.true_matches import true_points
+from testing.scenes.true_matches import true_points
+from testing.workbench.workbench_driver import WorkbenchDriver, open_bench
 
 SAMPLE = sample_folder()
 

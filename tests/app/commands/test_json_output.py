@@ -14,7 +14,7 @@ from ladarreg_core.errors import LadarregError
 from ladarreg_core.export.json import registration_document, write_document
 from ladarreg_core.formats import describe
 from ladarreg_core.simulate.sample import sample_folder
-from tests.unit.export.samples import sample_registration
+from testing.scenes.small_registration import sample_registration
 
 SAMPLE = sample_folder()
 INPUTS = [str(SAMPLE / "scan.npz"), str(SAMPLE / "photo.png"), "--camera", str(SAMPLE / "camera.json")]

@@ -19,7 +19,7 @@ from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.simulate.photograph import Lighting, take_photograph
 from ladarreg_core.simulate.ray_cast import RayCaster
 from ladarreg_core.twins.recordings import SimulatedMosaic, simulate_mosaic
-from tests.mosaic_pieces import placed
+from testing.scenes.mosaic_pieces import placed
 
 STEP = np.radians(0.3)
 PIECE = AzimuthElevation(128, 183, STEP, STEP)

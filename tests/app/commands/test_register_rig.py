@@ -21,7 +21,7 @@ from ladarreg_core.formats.camera_file import read_camera
 from ladarreg_core.formats.pose_file import read_pose, write_pose
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.simulate.outdoor_case import OutdoorCase, simulate_rig
-from tests.formats.conftest import pcd_bytes
+from testing.files.small_scans import pcd_bytes
 
 PAIRS = 3
 RIGHT_PX = 2.0

@@ -12,7 +12,7 @@ from ladarreg.cli import main
 from ladarreg.exit_codes import ExitCode
 
 from ladarreg_core.simulate.sample import sample_folder
-from tests.app.workbench_driver import WorkbenchDriver, sample_bench
+from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 
 
 @pytest.fixture(scope="module")

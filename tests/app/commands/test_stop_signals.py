@@ -15,8 +15,8 @@ from ladarreg.exit_codes import ExitCode
 from ladarreg.stop_signals import ONE_REQUEST_S
 
 from ladarreg_core.simulate import sample_folder
-from tests.app.gateway_driver import soon
-from tests.app.serve_process import ask, begin_upload, name_of, serving, start
+from testing.workbench.gateway_driver import soon
+from testing.workbench.serve_process import ask, begin_upload, name_of, serving, start
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 

@@ -17,7 +17,7 @@ from ladarreg.gateway.options import ConnectionLimits
 from ladarreg.gateway.viser_backend import close_server, open_locked_server
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from tests.app.gateway_driver import Running, hear, running, soon
+from testing.workbench.gateway_driver import Running, hear, running, soon
 
 QUICK = ConnectionLimits(header_s=0.5, stall_s=0.5, anonymous=8, authenticated=4, views=2)
 PROTOCOL = "viser-v1.1.1"

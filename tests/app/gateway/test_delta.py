@@ -15,7 +15,7 @@ from ladarreg.gateway.document_socket import ClientState, Outbox
 from ladarreg.gateway.encoding import SharedEncoder
 from ladarreg.session.cache import ListCache
 
-from tests.app.slice_edits import random_states
+from testing.workbench.slice_edits import random_states
 
 
 class Reader:

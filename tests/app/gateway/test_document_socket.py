@@ -18,7 +18,7 @@ from ladarreg.gateway.document_socket import ClientState, Outbox
 from ladarreg.gateway.encoding import InvalidMessageError, SharedEncoder, decode_object, encode
 from websockets.exceptions import ConnectionClosed
 
-from tests.app.gateway_driver import Running, hear, running, soon
+from testing.workbench.gateway_driver import Running, hear, running, soon
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from ladarreg.workbench.project_commands import PROJECT_COMMANDS
 
 from ladarreg_core.project.settings import Settings
 from ladarreg_core.results import StageId
-from tests.app.workbench_driver import WorkbenchDriver, sample_bench
+from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 
 DATA_KEYED = ("by_pick", "predicted", "lines", "camera_sigmas", "absent")
 """Fields whose keys are data: ids of picks, names of parameters."""

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from ladarreg.gateway.uploads import safe_suffix, upload_name
 
 from ladarreg_core.errors import OptionError
-from tests.app.gateway_driver import PNG, Running, hear, running, soon
+from testing.workbench.gateway_driver import PNG, Running, hear, running, soon
 
 LIMIT = 300_000
 

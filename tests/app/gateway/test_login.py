@@ -19,7 +19,7 @@ from ladarreg.gateway.security import PAGE_POLICY, VISER_POLICY
 from websockets.exceptions import InvalidStatus
 
 from ladarreg_core.errors import OptionError
-from tests.app.gateway_driver import TOKEN, Running, running
+from testing.workbench.gateway_driver import TOKEN, Running, running
 
 PATHS = (
     "/", "/index.html", "/tokens.css", "/static/tokens.css", "/picture/scan?rev=1", "/picture/photo/p1",
@@ -99,7 +99,7 @@ def test_many_wrong_tokens_delay_an_address_but_lock_nobody_out(
 def test_an_unguessable_token_is_accepted_whatever_was_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ladarreg.gateway.login._WRONG_DELAY_S", 0)
     monkeypatch.setattr("ladarreg.gateway.login._PACE_S", 100.0)
-    monkeypatch.setattr("tests.app.gateway_driver.TOKEN", token := new_token())
+    monkeypatch.setattr("testing.workbench.gateway_driver.TOKEN", token := new_token())
     with running(tmp_path) as run:
         seen = [run.ask("GET", f"/?token={n}", known=False)[0] for n in range(13)]
         assert seen == [401] * 11 + [429] * 2

@@ -18,7 +18,7 @@ from ladarreg.gateway.viser_backend import close_server, open_locked_server
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from tests.app.gateway_driver import TOKEN, Running, running, soon
+from testing.workbench.gateway_driver import TOKEN, Running, running, soon
 
 NGINX = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin:/usr/local/sbin:/opt/homebrew/bin")
 pytestmark = pytest.mark.skipif(NGINX is None or sys.platform == "win32", reason="no nginx here")

@@ -14,7 +14,7 @@ from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.responses import Response
 
-from tests.app.gateway_driver import Running, running
+from testing.workbench.gateway_driver import Running, running
 
 PACKED = {"Accept-Encoding": "gzip, br"}
 

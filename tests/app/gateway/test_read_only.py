@@ -13,8 +13,8 @@ from ladarreg.gateway.protocol import READ_ONLY, Visitor
 from ladarreg.gateway.viser_proxy import _only_looks
 from ladarreg.workbench.commands import COMMANDS, LOOKING
 
-from tests.app.gateway_driver import LOOK_TOKEN, PNG, TOKEN, Running, hear, running
-from tests.app.workbench_driver import WorkbenchDriver, sample_bench
+from testing.workbench.gateway_driver import LOOK_TOKEN, PNG, TOKEN, Running, hear, running
+from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 
 
 @pytest.fixture

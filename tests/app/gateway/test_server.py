@@ -23,8 +23,8 @@ from ladarreg.gateway.viser_backend import close_server, open_locked_server
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.simulate import sample_folder
-from tests.app.gateway_driver import TOKEN, Running, closing_code, hear, running, soon
-from tests.processes import restore_ctrl_c
+from testing.workbench.gateway_driver import TOKEN, Running, closing_code, hear, running, soon
+from testing.workbench.processes import restore_ctrl_c
 
 
 @pytest.fixture(scope="session")
@@ -44,7 +44,7 @@ def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 def started(folder: Path, *words: str) -> tuple[subprocess.Popen[str], str]:
     """Start the program, and return its process and the printed address."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.app.gateway_process", str(folder), *words],
+        [sys.executable, "-m", "testing.workbench.gateway_process", str(folder), *words],
         cwd=Path(__file__).parents[3],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

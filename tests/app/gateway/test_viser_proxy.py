@@ -27,7 +27,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from ladarreg_core.errors import DependencyError
-from tests.app.gateway_driver import Running, closing_code, running, soon
+from testing.workbench.gateway_driver import Running, closing_code, running, soon
 
 PROTOCOL = f"viser-v{viser.__version__}"
 

@@ -28,7 +28,7 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid
-from tests.open_viser import open_server
+from testing.workbench.open_viser import open_server
 
 GEOMETRY = AzimuthElevation(40, 60, 0.01, 0.01)
 CAMERA = Camera.from_focal(60, 40, 70)

@@ -16,7 +16,7 @@ from ladarreg_core import formats
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.isolated import ReaderLimits
 from ladarreg_core.simulate.sample import sample_folder
-from tests.app.workbench_driver import WorkbenchDriver, open_bench, sample_bench
+from testing.workbench.workbench_driver import WorkbenchDriver, open_bench, sample_bench
 from tests.formats import misbehaving
 
 LINE = {"kind": "line", "scan": [[1, 0, 0], [1, 0.1, 0.02]], "photo_uv": [[300.25, 200.5], [410.125, 220]]}

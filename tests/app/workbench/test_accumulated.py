@@ -18,10 +18,10 @@ from ladarreg_core.export.json import find_inputs, registration_document, write_
 from ladarreg_core.formats import read_scan
 from ladarreg_core.project import edits
 from ladarreg_core.project.history import NOBODY
+from testing.scenes.room_frames import CAMERA, PHOTO, elsewhere, frame, room_matches, write_frames
+from testing.scenes.small_registration import sample_registration
+from testing.workbench.workbench_driver import WorkbenchDriver, open_bench
 from tests.app.workbench.test_batches import drop, kinds, waiting
-from tests.app.workbench_driver import WorkbenchDriver, open_bench
-from tests.room_frames import CAMERA, PHOTO, elsewhere, frame, room_matches, write_frames
-from tests.unit.export.samples import sample_registration
 
 
 @pytest.fixture

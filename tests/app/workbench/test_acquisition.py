@@ -16,7 +16,7 @@ from PIL import Image
 
 from ladarreg_core import panorama
 from ladarreg_core.progress import Report
-from tests.app.workbench_driver import WorkbenchDriver, open_bench
+from testing.workbench.workbench_driver import WorkbenchDriver, open_bench
 
 pytestmark = pytest.mark.slow
 

@@ -12,8 +12,8 @@ from msgspec.structs import replace
 
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.history import NOBODY
-from tests.app.workbench_driver import WorkbenchDriver, open_bench, sample_bench
-from tests.true_matches import true_points
+from testing.scenes.true_matches import true_points
+from testing.workbench.workbench_driver import WorkbenchDriver, open_bench, sample_bench
 
 
 @pytest.fixture

@@ -18,8 +18,8 @@ from ladarreg.workbench.batch_plan import BatchFile, PhotoTarget, Plan, plan_bat
 
 from ladarreg_core.formats.survey import FileSurvey
 from ladarreg_core.simulate.sample import sample_folder
-from tests.app.workbench_driver import WorkbenchDriver, open_bench
-from tests.formats.conftest import make_scan
+from testing.files.small_scans import make_scan
+from testing.workbench.workbench_driver import WorkbenchDriver, open_bench
 
 PHOTO = next(sample_folder().glob("photo.*"))
 CAMERA = json.loads((sample_folder() / "camera.json").read_text())

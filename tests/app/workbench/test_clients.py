@@ -11,7 +11,7 @@ from ladarreg.gateway.protocol import Visitor
 from ladarreg.workbench.clients import COLOURS, Client, Clients
 
 from ladarreg_core.simulate.sample import sample_folder
-from tests.app.workbench_driver import WorkbenchDriver, open_bench, sample_bench
+from testing.workbench.workbench_driver import WorkbenchDriver, open_bench, sample_bench
 
 
 @pytest.fixture(scope="module")

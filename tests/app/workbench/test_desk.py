@@ -20,7 +20,7 @@ from PIL import Image
 
 from ladarreg_core.project.summary import read_summary
 from ladarreg_core.simulate.sample import sample_folder
-from tests.app.gateway_driver import soon
+from testing.workbench.gateway_driver import soon
 
 SCAN, PHOTO = sample_folder() / "scan.npz", next(sample_folder().glob("photo.*"))
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,16 +16,14 @@ from ladarreg_core.formats.camera_file import read_camera
 from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.simulate.sample import sample_folder
-from tests.app.workbench_driver import open_bench
-from tests.formats.conftest import e57_fields, e57_file, make_scan
-from tests.formats.test_e57 import picture_e57
+from testing.files.small_scans import make_scan, picture_e57
+from testing.workbench.workbench_driver import open_bench
 from tests.formats.test_e57_images import STATIONS, write_e57
 
 
 def test_a_picture_of_the_scan_becomes_a_photograph_with_its_camera_and_pose(tmp_path: Path) -> None:
     pytest.importorskip("pye57")
-    builders = SimpleNamespace(e57=e57_file, e57_fields=e57_fields)
-    scan, _ = picture_e57(tmp_path / "a.e57", builders, make_scan(60, 90))
+    scan, _ = picture_e57(tmp_path / "a.e57", make_scan(60, 90))
     bench = open_bench(tmp_path / "project", scan)
     (offer,) = bench.slice("embedded")
     assert (offer["usable"], offer["taken"]) == (True, False)
@@ -55,7 +52,7 @@ def test_a_picture_of_the_scan_becomes_a_photograph_with_its_camera_and_pose(tmp
 
 
 def test_other_scans_have_no_pictures(tmp_path: Path) -> None:
-    from tests.app.workbench_driver import sample_bench
+    from testing.workbench.workbench_driver import sample_bench
 
     bench = sample_bench(tmp_path / "project")
     assert bench.slice("embedded") == []

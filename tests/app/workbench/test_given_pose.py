@@ -14,7 +14,7 @@ from ladarreg_core.project import edits
 from ladarreg_core.project.history import NOBODY
 from ladarreg_core.project.results import pose_entry
 from ladarreg_core.simulate.sample import sample_folder
-from tests.app.workbench_driver import open_bench, sample_bench
+from testing.workbench.workbench_driver import open_bench, sample_bench
 
 
 def test_a_given_pose_in_a_project_is_never_shown_as_registered(tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from ladarreg_core.simulate import sample_folder
-from tests.app.gateway_driver import hear, soon
-from tests.app.serve_process import Server, ask, begin_upload, name_of, serving
+from testing.workbench.gateway_driver import hear, soon
+from testing.workbench.serve_process import Server, ask, begin_upload, name_of, serving
 
 
 def upload(server: Server, name: str = "photo.png") -> tuple[int, dict[str, object]]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.served_workbench import Page, many_clients, served, with_camera_and_picks
+from testing.workbench.served import Page, many_clients, served, with_camera_and_picks
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="no Ctrl-C to send")]
 

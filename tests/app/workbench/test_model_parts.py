@@ -16,7 +16,7 @@ from PIL import Image
 
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.palette import VISIBILITY
-from tests.app.workbench_driver import WorkbenchDriver, sample_bench
+from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +115,7 @@ def test_the_slice_changes_with_the_pose_and_for_one_person_only(bench: Workbenc
 
 
 def test_an_empty_project_has_no_model(tmp_path: Path) -> None:
-    from tests.app.workbench_driver import open_bench
+    from testing.workbench.workbench_driver import open_bench
 
     empty = open_bench(tmp_path / "project")
     try:

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from tests.app.workbench_driver import WorkbenchDriver, sample_bench
-from tests.true_matches import true_points
+from testing.scenes.true_matches import true_points
+from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 
 
 @pytest.fixture

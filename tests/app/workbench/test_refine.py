@@ -13,7 +13,7 @@ from ladarreg.scene.viewer_pose import viewer_pose
 from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.simulate.sample import sample_folder
-from tests.app.workbench_driver import WorkbenchDriver, sample_bench
+from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.formats.registration_file import read_registration
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.results import registration_of
-from tests.app.workbench_driver import WorkbenchDriver, open_bench
+from testing.workbench.workbench_driver import WorkbenchDriver, open_bench
 
 SAVED = Path(__file__).parent / "saved_by_0_1"
 STEPS = [

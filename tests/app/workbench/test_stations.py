@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.app.workbench_driver import WorkbenchDriver, open_bench
+from testing.workbench.workbench_driver import WorkbenchDriver, open_bench
 
 pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats import read_scan
 from ladarreg_core.frames import Rigid
 from ladarreg_core.project.codec import decode_document, encode
-from tests.station_scans import POSES, write_station_scans
+from testing.scenes.station_scans import POSES, write_station_scans
 
 pytestmark = pytest.mark.slow
 BETWEEN = POSES[0].inverse @ POSES[1]

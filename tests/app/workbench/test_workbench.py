@@ -25,7 +25,7 @@ from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.formats import read_scan
 from ladarreg_core.project.history import NOBODY
 from ladarreg_core.simulate.sample import sample_folder
-from tests.app.workbench_driver import WorkbenchDriver, open_bench, sample_bench
+from testing.workbench.workbench_driver import WorkbenchDriver, open_bench, sample_bench
 
 LINE = {"kind": "line", "scan": [[1, 0, 0], [1, 0.1, 0.02]], "photo_uv": [[300.25, 200.5], [410.125, 220]]}
 
@@ -635,7 +635,7 @@ _DIES = """
 import os, sys
 sys.path.insert(0, os.getcwd())
 from pathlib import Path
-from tests.app.workbench_driver import sample_bench
+from testing.workbench.workbench_driver import sample_bench
 bench = sample_bench(Path(sys.argv[1]))
 for k in range(3):
     bench.do("add_pick", photo="p1", kind="point", scan=[[1, k / 20, 0]], photo_uv=[[100 + k, 50]])

@@ -12,8 +12,8 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid
 from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
-from tests.box_room import distances, off_surface
-from tests.mosaic_pieces import MOUNT, STEP_RAD, mosaic, piece_scan, placed
+from testing.scenes.box_room import distances, off_surface
+from testing.scenes.mosaic_pieces import MOUNT, STEP_RAD, mosaic, piece_scan, placed
 
 COARSE = AzimuthElevation(37, 51, np.radians(1.0), np.radians(1.0))
 

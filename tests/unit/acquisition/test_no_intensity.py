@@ -19,7 +19,7 @@ from ladarreg_core.scan import NO_INTENSITY_NOTE
 from ladarreg_core.twins.devices import TwinDevices
 from ladarreg_core.twins.scip_twin import URG_04LX
 from ladarreg_core.twins.world import LINE_MOUNT
-from tests.app.workbench_driver import open_bench
+from testing.workbench.workbench_driver import open_bench
 
 QUICK = replace(URG_04LX, turns_a_minute=2400)
 

@@ -13,7 +13,7 @@ from ladarreg_core.errors import ShapeError
 from ladarreg_core.formats.npz import read_npz, write_npz_xyz
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grid_order import is_scan_grid, order_of
-from tests.box_room import MOUNT, WIDE_LINE, in_motion, off_surface, stop_and_go
+from testing.scenes.box_room import MOUNT, WIDE_LINE, in_motion, off_surface, stop_and_go
 
 STEP = np.radians(1.5)
 HALF_TURN = np.arange(-90.0, 90.1, 1.5)

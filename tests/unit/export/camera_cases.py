@@ -11,7 +11,7 @@ from ladarreg_core.export.output_frame import FrameName, OutputFrame
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.photo import Photo
-from tests.unit.export.samples import POSE, sample_registration, sample_scan
+from testing.scenes.small_registration import POSE, sample_registration, sample_scan
 
 PINHOLE = (120, 90, 100.0, 101.0, 59.0, 45.0)
 TILTED = Rigid(rotation_from_rotvec((0.05, -0.1, 0.4)) @ POSE.rotation, POSE.translation + 0.1)

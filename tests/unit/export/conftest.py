@@ -2,7 +2,7 @@ import pytest
 
 from ladarreg_core.quality.assessment import assess
 from ladarreg_core.surface.texture import texture_scan
-from tests.unit.export.samples import POSE, sample_photo, sample_registration, sample_scan
+from testing.scenes.small_registration import POSE, sample_photo, sample_registration, sample_scan
 
 
 @pytest.fixture(scope="session")

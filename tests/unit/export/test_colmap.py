@@ -22,8 +22,8 @@ from ladarreg_core.export.targets.registered_scan import RegisteredScan
 from ladarreg_core.formats.camera_file import read_cameras, read_stated_pose
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress
+from testing.scenes.small_registration import POSE
 from tests.unit.export.camera_cases import CAMERAS, TILTED, WORLD, handed_over, photograph, scanner_points, world_points
-from tests.unit.export.samples import POSE
 
 MODELS = {
     "0 terms": "PINHOLE",

@@ -17,8 +17,8 @@ from ladarreg_core.errors import Cancelled, ExportError, ShapeError
 from ladarreg_core.export.comparison import comparison_document, export_comparison, table_text
 from ladarreg_core.export.comparison_table import comparison_table, differences, markdown_table, rms_depth_m, rms_px
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
+from testing.scenes.small_registration import POSE, sample_photo, sample_scan
 from tests.unit.export.comparisons import NOTE, comparison_of
-from tests.unit.export.samples import POSE, sample_photo, sample_scan
 from tests.unit.export.test_contact_sheet import hostile
 
 

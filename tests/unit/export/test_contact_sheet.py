@@ -26,8 +26,8 @@ from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.texture import Label, RegisteredTexture, texture_scan
+from testing.scenes.small_registration import POSE
 from tests.unit.export.comparisons import STAGES, comparison_of, stage_result
-from tests.unit.export.samples import POSE
 
 # --- text ------------------------------------------------------------------------------------------------------------
 

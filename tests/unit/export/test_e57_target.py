@@ -25,9 +25,9 @@ from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
-from tests.abuse.bombs import e57_with_xml
-from tests.abuse.full_disk import largest_file
-from tests.scenes.colour_room import POSE, paint, photo_of, registered, scan_of, seen_along
+from testing.attacks.bombs import e57_with_xml
+from testing.attacks.full_disk import largest_file
+from testing.scenes.colour_room import POSE, paint, photo_of, registered, scan_of, seen_along
 from tests.unit.export import e57_samples
 from tests.unit.export.e57_samples import COLOURS, KINDS, differences, libe57, raw_values
 

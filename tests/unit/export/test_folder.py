@@ -12,7 +12,7 @@ from ladarreg_core.export.folder import FILE_NAMES, export_registration, write_f
 from ladarreg_core.export.json import registration_document, write_document
 from ladarreg_core.palette import UNKNOWN
 from ladarreg_core.quality.smoothing import SmoothedScan
-from tests.unit.export.samples import sample_registration
+from testing.scenes.small_registration import sample_registration
 
 
 def names(path):

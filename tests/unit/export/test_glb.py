@@ -11,8 +11,8 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.surface.mesh import Mesh, scan_mesh
 from ladarreg_core.surface.photo_model import ModelPhoto, PhotoModel, photo_model
 from ladarreg_core.surface.texture import texture_scan
-from tests.gltf_checks import Glb
-from tests.unit.export.samples import POSE
+from testing.files.gltf_checks import Glb
+from testing.scenes.small_registration import POSE
 
 
 @settings(max_examples=20)

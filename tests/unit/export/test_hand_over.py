@@ -14,7 +14,7 @@ from ladarreg_core.export.targets.hand_over import export_files, export_to
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan, photo_id
 from ladarreg_core.export.zip_file import write_zip
 from ladarreg_core.progress import Progress
-from tests.unit.export.samples import sample_photo, sample_registration, sample_scan
+from testing.scenes.small_registration import sample_photo, sample_registration, sample_scan
 
 
 @pytest.fixture(scope="module")

@@ -23,8 +23,8 @@ from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress
 from ladarreg_core.surface.texture import Label
-from tests.formats.simulated_clouds import dome, in_room
-from tests.unit.export.samples import sample_photo, sample_registration, sample_scan
+from testing.scenes.simulated_clouds import dome, in_room
+from testing.scenes.small_registration import sample_photo, sample_registration, sample_scan
 
 UTM = np.array([691_234.5, 5_334_321.25, 519.0])
 SCANNER = UTM + np.array([0.4, -0.6, 1.5])

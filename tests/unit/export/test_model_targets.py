@@ -22,9 +22,9 @@ from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress
 from ladarreg_core.surface.remap import look_up
-from tests.gltf_checks import Glb
-from tests.scenes.painted_room import PaintedRoom, painted_room, paintings
-from tests.unit.export.samples import sample_registration
+from testing.files.gltf_checks import Glb
+from testing.scenes.painted_room import PaintedRoom, painted_room, paintings
+from testing.scenes.small_registration import sample_registration
 
 UTM = Rigid.from_rotvec([0.01, -0.02, 2.1], (500_123.4567, 5_412_345.6789, 102.3456))
 GIVEN = "given, not verified"

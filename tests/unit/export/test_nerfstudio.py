@@ -29,7 +29,7 @@ from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
 from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from tests.scenes.painted_room import shoot
+from testing.scenes.painted_room import shoot
 from tests.unit.export.camera_cases import WORLD, photograph, world_points
 
 PINHOLE = (240, 180, 260.0, 262.0, 121.0, 88.0)

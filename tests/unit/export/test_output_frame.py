@@ -18,7 +18,7 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.photo_model import ModelPhoto, photo_model
 from ladarreg_core.surface.texture import texture_scan
-from tests.unit.export.samples import POSE, sample_registration
+from testing.scenes.small_registration import POSE, sample_registration
 
 trimesh = pytest.importorskip("trimesh")
 UTM = Rigid.from_rotvec([0.3, -0.2, 2.1], (500_123.4567, 5_412_345.6789, 102.3456))

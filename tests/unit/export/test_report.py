@@ -22,7 +22,7 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.quality.assessment import assess
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
-from tests.unit.export.samples import CAMERA, POSE, sample_registration
+from testing.scenes.small_registration import CAMERA, POSE, sample_registration
 
 ALWAYS = {"verdict", "quality", "files", "options", "software"}
 SHOWN = {"before-after", "overlay", "pose", "matches", "maps"}

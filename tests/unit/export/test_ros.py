@@ -26,7 +26,7 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture import Label
-from tests.unit.export.samples import POSE, sample_registration, sample_scan
+from testing.scenes.small_registration import POSE, sample_registration, sample_scan
 
 PINHOLE = (120, 90, 100.0, 101.0, 59.0, 45.0)
 TURNED = Rigid.from_centre(  # an upright photograph: the pitch of URDF is 90 degrees

@@ -22,9 +22,9 @@ from ladarreg_core.export.output_frame import OutputFrame
 from ladarreg_core.export.targets.hand_over import export_to
 from ladarreg_core.export.targets.registered_scan import RegisteredScan
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
-from tests.gltf_checks import Glb
+from testing.files.gltf_checks import Glb
+from testing.scenes.small_registration import sample_scan
 from tests.unit.export.camera_cases import photograph
-from tests.unit.export.samples import sample_scan
 
 LENS = (0.1, -0.02, 0.003, 0.001)
 TRUE_CAMERAS: dict[str, tuple[tuple[float, float, float, float], tuple[float, ...], tuple[int, int]]] = {

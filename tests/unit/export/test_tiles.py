@@ -26,8 +26,8 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from tests.gltf_checks import Glb
-from tests.unit.export.samples import sample_registration
+from testing.files.gltf_checks import Glb
+from testing.scenes.small_registration import sample_registration
 
 WORLD = Rigid(rotation_from_rotvec((0.02, 0.01, 1.2)), np.array([431_234.567, 5_412_345.678, 412.3]))
 Z_UP_FROM_Y_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # what viewers of 3D tiles apply to glTF

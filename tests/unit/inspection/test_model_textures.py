@@ -34,7 +34,7 @@ from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.texture import Label, texture_scan
-from tests.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.painted_room import PaintedRoom, painted_room
 
 KINDS = ("colour", "intensity", "range", "residual", "depth_error", "uncertainty", "resolution", "label")
 

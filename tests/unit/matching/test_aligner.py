@@ -12,7 +12,7 @@ from ladarreg_core.matching.covariance import window_evidence
 from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
 from ladarreg_core.matching.verification import GateOptions, verify
 from ladarreg_core.surface.perspective import perspective_view
-from tests.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.painted_room import PaintedRoom, painted_room
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,8 @@ from ladarreg_core.matching.verification import GateOptions
 from ladarreg_core.registration import RegisterOptions, register
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.remap import look_up
-from tests.scenes.painted_room import PaintedRoom, painted_room, paintings
-from tests.scenes.panorama import Panorama, panorama
+from testing.scenes.painted_room import PaintedRoom, painted_room, paintings
+from testing.scenes.panorama import Panorama, panorama
 
 _WALL_M = 4.0
 _DOOR_M = 0.8

@@ -22,7 +22,7 @@ from ladarreg_core.matching.verification import (
     unsure_gate,
     verify,
 )
-from tests.scenes.painted_room import painted_room
+from testing.scenes.painted_room import painted_room
 
 _RADIUS = 7
 _SIDE = 2 * _RADIUS + 1

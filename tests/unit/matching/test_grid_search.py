@@ -12,7 +12,7 @@ from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.grid_search import MAX_STARTS, likely_poses
 from ladarreg_core.matching.pyramid import PhotoLevels, ScanLevels, photo_levels, scan_levels, working_camera
 from ladarreg_core.surface.perspective import perspective_view
-from tests.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.painted_room import PaintedRoom, painted_room
 
 _BASIN_PX = 40.0
 

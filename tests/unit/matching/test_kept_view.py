@@ -11,7 +11,7 @@ import ladarreg_core as lr
 from ladarreg_core.matching import kept_view
 from ladarreg_core.matching.pyramid import PairLevels
 from ladarreg_core.matching.views import viewing_directions
-from tests.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.painted_room import PaintedRoom, painted_room
 
 
 @pytest.fixture(scope="module")

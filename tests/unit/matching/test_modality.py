@@ -13,7 +13,7 @@ from ladarreg_core.matching.modality import is_gray
 from ladarreg_core.matching.pyramid import ChannelSet
 from ladarreg_core.matching.verification import COARSE_GATE
 from ladarreg_core.thermal import thermal_photo
-from tests.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.painted_room import PaintedRoom, painted_room
 
 
 def gray_of(room: PaintedRoom) -> np.ndarray:

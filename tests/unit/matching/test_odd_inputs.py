@@ -15,7 +15,7 @@ from ladarreg_core.matching.pyramid import photo_levels, working_camera
 from ladarreg_core.registration import register
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.perspective import perspective_view
-from tests.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.painted_room import PaintedRoom, painted_room
 
 
 @pytest.fixture(scope="module")

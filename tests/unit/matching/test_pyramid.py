@@ -10,7 +10,7 @@ import pytest
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matching.pyramid import ChannelSet, PairLevels, scan_levels
 from ladarreg_core.surface.perspective import perspective_view
-from tests.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.painted_room import PaintedRoom, painted_room
 
 
 @pytest.fixture(scope="module")

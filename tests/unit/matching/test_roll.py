@@ -23,7 +23,7 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.case import simulate_case
 from ladarreg_core.surface.perspective import perspective_view
-from tests.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.painted_room import PaintedRoom, painted_room
 
 CORNERS = CornerOptions(count=400)
 NO_CORNERS = np.zeros((0, 2))

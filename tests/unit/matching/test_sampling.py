@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from ladarreg_core.matching.pyramid import ScanLevels, scan_levels, working_camera
 from ladarreg_core.matching.sampling import _strongest_in_strata, draw_points, edge_strength
 from ladarreg_core.surface.perspective import perspective_view
-from tests.scenes.painted_room import painted_room
+from testing.scenes.painted_room import painted_room
 
 
 @given(

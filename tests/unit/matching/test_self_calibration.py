@@ -21,7 +21,7 @@ from ladarreg_core.matching.self_calibration import FinishedPose, estimate_camer
 from ladarreg_core.matching.verification import GateOptions
 from ladarreg_core.photo import Photo
 from ladarreg_core.surface.perspective import perspective_view
-from tests.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.painted_room import PaintedRoom, painted_room
 
 LENS = (-0.12, 0.0, 0.0, 0.0)
 changes = st.builds(CameraChange, st.floats(-0.2, 0.2), st.floats(-0.2, 0.2))

@@ -27,8 +27,8 @@ from ladarreg_core.scanner.grids import SphericalGrid
 from ladarreg_core.self_test.synthetic_photo import random_pose, render_photo
 from ladarreg_core.surface.perspective import perspective_view
 from ladarreg_core.surface.uncertainty import pixel_sigma
-from tests.scenes.painted_room import painted_room
-from tests.scenes.thinned_scan import thinned
+from testing.scenes.painted_room import painted_room
+from testing.scenes.thinned_scan import thinned
 
 STEP_RAD = np.radians(0.2)
 

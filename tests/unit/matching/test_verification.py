@@ -20,8 +20,8 @@ from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_ca
 from ladarreg_core.matching.verification import GateOptions, check_precision, region_markers, verify
 from ladarreg_core.registration import register
 from ladarreg_core.surface.perspective import perspective_view
-from tests.scenes.painted_room import PaintedRoom, painted_room
-from tests.scenes.thinned_scan import thinned
+from testing.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.thinned_scan import thinned
 
 _RADIUS = 6
 _SIDE = 2 * _RADIUS + 1

@@ -16,8 +16,8 @@ from ladarreg_core.matching.views import (
 from ladarreg_core.registration import register
 from ladarreg_core.scanner.grids import PinholeGrid
 from ladarreg_core.surface.perspective import perspective_view
-from tests.scenes.painted_room import PaintedRoom, painted_room
-from tests.scenes.thinned_scan import thinned
+from testing.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.thinned_scan import thinned
 
 
 @pytest.fixture(scope="module")

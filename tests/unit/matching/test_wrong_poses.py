@@ -31,7 +31,7 @@ from ladarreg_core.matching.wrong_poses import (
     wrong_poses_decide,
 )
 from ladarreg_core.simulate.outdoor_case import OutdoorCase, simulate_outdoors
-from tests.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.painted_room import PaintedRoom, painted_room
 
 _COUNT = TURNED + MIRRORED
 _GATE = GateOptions()

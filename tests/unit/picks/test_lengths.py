@@ -23,7 +23,7 @@ from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.quality.findings import findings
 from ladarreg_core.registration import RegisterOptions, register
 from ladarreg_core.surface.ranges import surface_range
-from tests.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.painted_room import PaintedRoom, painted_room
 
 UTM = Rigid.from_rotvec([0.004, -0.003, 2.1], (500_123.4567, 5_412_345.6789, 102.3456))
 

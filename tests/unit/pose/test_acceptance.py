@@ -11,8 +11,8 @@ from ladarreg_core.pose.acceptance import AcceptanceOptions
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.multistart import confirm, probe_basin
 from ladarreg_core.results import PoseResult
-from tests.scenes.pose_case import Case
-from tests.scenes.room import ROOM_CAMERA, plane_case, repeated_case, room_case
+from testing.scenes.pose_case import Case
+from testing.scenes.room import ROOM_CAMERA, plane_case, repeated_case, room_case
 
 
 def solved(case: Case, *, check_ambiguity: bool = True, **thresholds: float) -> PoseResult:

@@ -21,9 +21,9 @@ from ladarreg_core.quality.findings import findings
 from ladarreg_core.registration import RegisterOptions, register
 from ladarreg_core.surface.texture import Label, texture_scan
 from ladarreg_core.surface.uncertainty import picture_sigma, pixel_sigma
-from tests.scenes.pose_case import difference
-from tests.scenes.room import ROOM_CAMERA, room_case
-from tests.scenes.room_lines import line_case
+from testing.scenes.pose_case import difference
+from testing.scenes.room import ROOM_CAMERA, room_case
+from testing.scenes.room_lines import line_case
 
 PHOTO = Photo(np.zeros((512, 768, 3), np.uint8), ROOM_CAMERA, assumed=True)
 

@@ -10,8 +10,8 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.pose.cross_validation import assign_folds, choose_intrinsics, worse_when_held_out
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.noise import estimate_noise
-from tests.scenes.pose_case import start_near
-from tests.scenes.room import ROOM_CAMERA, room_case
+from testing.scenes.pose_case import start_near
+from testing.scenes.room import ROOM_CAMERA, room_case
 
 SIGMA = {"sigma_px": 1.0, "sigma_range_m": 0.015}
 

@@ -10,10 +10,10 @@ from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.ambiguity import mirrored
 from ladarreg_core.pose.estimate import PoseOptions, estimate_pose, solve_pose
-from tests.scenes.accuracy import default, known_inliers, measure
-from tests.scenes.apple import APPLE_READINGS, apple_case, apple_error_percent, apple_figures
-from tests.scenes.pose_case import difference
-from tests.scenes.room import ROOM_CAMERA, room_case
+from testing.scenes.accuracy import default, known_inliers, measure
+from testing.scenes.apple import APPLE_READINGS, apple_case, apple_error_percent, apple_figures
+from testing.scenes.pose_case import difference
+from testing.scenes.room import ROOM_CAMERA, room_case
 
 STRONG_LENS = Camera(768, 512, 700.0, 702.0, 380.0, 260.0, (-0.28, 0.11, 1e-3, -7e-4, -0.02))
 

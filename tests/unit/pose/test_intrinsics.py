@@ -11,8 +11,8 @@ from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.intrinsics import PARAMETERS, Descent, estimate_intrinsics, intrinsic, predicted_gains
-from tests.scenes.pose_case import difference
-from tests.scenes.room import ROOM_CAMERA, room_case
+from testing.scenes.pose_case import difference
+from testing.scenes.room import ROOM_CAMERA, room_case
 
 SIGMA = {"sigma_px": 1.0, "sigma_range_m": 0.015}
 LENSES = {

@@ -15,7 +15,7 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.pose.bundle import Measurements, States, adjust_ranges
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.line_ends import RepairedEnds, repair_ends
-from tests.scenes.pose_case import difference
+from testing.scenes.pose_case import difference
 
 SIGMA_PX, SIGMA_M = 1.0, 0.015
 GATE = 9.21

@@ -17,8 +17,8 @@ from ladarreg_core.pose.ambiguity import mirrored
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.multistart import Basin, probe_basin
 from ladarreg_core.pose.result import describe_pose
-from tests.scenes.pose_case import difference, start_near
-from tests.scenes.room import ROOM_CAMERA, room_case
+from testing.scenes.pose_case import difference, start_near
+from testing.scenes.room import ROOM_CAMERA, room_case
 
 
 def solved(case, matches=None, **options):

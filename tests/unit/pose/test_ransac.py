@@ -8,7 +8,7 @@ import pytest
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.pose.ransac import ransac_pose
-from tests.scenes.room import room_case
+from testing.scenes.room import room_case
 
 BACKENDS = ("poselib", "opencv")
 

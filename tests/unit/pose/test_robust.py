@@ -13,8 +13,8 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.pose.estimate import PoseOptions, estimate_pose, solve_pose
 from ladarreg_core.registration import RegisterOptions
-from tests.scenes.room import room_case, room_ranges
-from tests.scenes.room_lines import line_case
+from testing.scenes.room import room_case, room_ranges
+from testing.scenes.room_lines import line_case
 
 STATED = {"sigma_px": 1.0, "sigma_range_m": 0.015}
 

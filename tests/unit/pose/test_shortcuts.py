@@ -22,8 +22,8 @@ from ladarreg_core.pose.bundle import (
     rotations_from_rotvecs,
 )
 from ladarreg_core.pose.gnc import geman_mcclure
-from tests.scenes.pose_case import start_near
-from tests.scenes.room import ROOM_CAMERA, room_case
+from testing.scenes.pose_case import start_near
+from testing.scenes.room import ROOM_CAMERA, room_case
 
 BARREL = Camera(768, 512, 700.0, 710.0, 383.5, 255.5, (-0.28, 0.11, 1e-3, -7e-4, 0.0))
 

@@ -16,7 +16,7 @@ from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.quality.conditioning import assess_conditioning
 from ladarreg_core.quality.findings import COST, LEVELS, findings
 from ladarreg_core.quality.lens_check import check_lens
-from tests.scenes.room import ROOM_CAMERA, room_case
+from testing.scenes.room import ROOM_CAMERA, room_case
 
 SEEDS = st.integers(0, 10_000)
 WIDE = Camera(768, 512, 420.0, 421.0, 380.0, 250.0, (-0.12, 0.03, 1e-3, -5e-4))

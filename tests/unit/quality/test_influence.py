@@ -10,8 +10,8 @@ from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.quality.influence import INFLUENTIAL_COOK, influence
-from tests.scenes.pose_case import difference
-from tests.scenes.room import room_case
+from testing.scenes.pose_case import difference
+from testing.scenes.room import room_case
 
 LENS = Camera(768, 512, 974.0, 974.0, 383.5, 255.5, (0.12, -0.05, 0.001, -0.002))
 

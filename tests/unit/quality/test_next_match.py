@@ -15,7 +15,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.ranges import surface_range
 from ladarreg_core.surface.visibility import project_scan
-from tests.scenes.painted_room import shoot
+from testing.scenes.painted_room import shoot
 
 SIGMA_PX, SIGMA_M = 1.0, 0.01
 OPTIONS = PoseOptions(sigma_px=SIGMA_PX, sigma_range_m=SIGMA_M, gate_chi2=1e4)

@@ -24,8 +24,8 @@ from ladarreg_core.quality.smoothing import (
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from tests.scenes.apple import apple_case, apple_points
-from tests.scenes.room import ROOM_CAMERA, room_case
+from testing.scenes.apple import apple_case, apple_points
+from testing.scenes.room import ROOM_CAMERA, room_case
 
 BENT = Camera(768, 512, 974.0, 940.0, 380.0, 260.0, (-0.25, 0.1, 1e-3, -7e-4))
 SEEDS = st.integers(0, 10_000)

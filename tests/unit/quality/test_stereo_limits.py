@@ -14,7 +14,7 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.pose.thesis.starts import picture_roll
 from ladarreg_core.pose.thesis.stereo import StereoPairs
 from ladarreg_core.quality.stereo_limits import stereo_cautions
-from tests.scenes.room import room_case
+from testing.scenes.room import room_case
 
 BIG = Camera.from_focal(1400, 1400, 974.0)
 SAME_POSITION, AHEAD, ROLLED = "same position", "hardly beside", "rolled"

@@ -10,7 +10,7 @@ from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.quality.findings import LEVELS, findings
 from ladarreg_core.quality.suspects import agreeing_picks, suspect_matches
-from tests.scenes.room_lines import line_case
+from testing.scenes.room_lines import line_case
 
 WRONG = {"L4", "L9"}
 

@@ -13,7 +13,7 @@ from ladarreg.cli import main
 from ladarreg_core.acquisition.mount_fields import mount_as_fields
 from ladarreg_core.formats import read_scan
 from ladarreg_core.frames import Rigid
-from tests.box_room import MOUNT, off_surface, stop_and_go
+from testing.scenes.box_room import MOUNT, off_surface, stop_and_go
 
 PANS_DEG = np.arange(-180.0, 180.0, 5.0)
 LINE = np.radians(np.arange(-135.0, 135.1, 1.5))

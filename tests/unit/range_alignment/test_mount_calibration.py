@@ -9,8 +9,8 @@ from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.frames import Rigid, rotation_about, rotvec_from_rotation
 from ladarreg_core.range_alignment.mount_calibration import calibrate_mount
 from ladarreg_core.range_alignment.mount_result import MountCalibration
-from tests import box_room
-from tests.box_room import MOUNT, in_motion, stop_and_go
+from testing.scenes import box_room
+from testing.scenes.box_room import MOUNT, in_motion, stop_and_go
 
 OFF = Rigid.from_rotvec(np.radians([0.4, -0.3, 0.2]), [0.02, -0.005, 0.03])
 GIVEN = Rigid.from_rotvec(rotvec_from_rotation(OFF.rotation.T @ MOUNT.rotation), MOUNT.translation - OFF.translation)

@@ -14,7 +14,7 @@ from ladarreg_core.range_alignment.adjustment import off_planes, planes_of
 from ladarreg_core.range_alignment.piece_refinement import Refinement, _views, refine_pieces
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
-from tests.mosaic_pieces import MOUNT, mosaic, piece_scan, placed
+from testing.scenes.mosaic_pieces import MOUNT, mosaic, piece_scan, placed
 
 FINE = AzimuthElevation(160, 220, np.radians(0.25), np.radians(0.25))
 PANS, TILTS = (-66.0, -22.0, 22.0, 66.0), (-14.0, 14.0)

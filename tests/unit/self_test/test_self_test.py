@@ -15,7 +15,7 @@ from ladarreg_core.self_test.synthetic_photo import random_pose, render_photo, u
 from ladarreg_core.self_test.trials import SelfTestOptions, Trial, run_trials
 from ladarreg_core.surface.remap import look_up
 from ladarreg_core.surface.visibility import project_scan
-from tests.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.painted_room import PaintedRoom, painted_room
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import SphericalGrid
 from ladarreg_core.surface.grid_block import GridBlock, block_mesh
 from ladarreg_core.surface.mesh import Mesh, scan_mesh
-from tests.box_room import distances, off_surface
+from testing.scenes.box_room import distances, off_surface
 
 SHAPE = (93, 170)
 

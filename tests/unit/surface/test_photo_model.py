@@ -11,8 +11,8 @@ from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.photo_model import UV_ERROR_PX, ModelPhoto, photo_model
 from ladarreg_core.surface.texture import Label, texture_scan
 from ladarreg_core.surface.textured_triangles import TexturedTriangles
-from tests.scenes.painted_room import painted_room
-from tests.scenes.panorama import panorama
+from testing.scenes.painted_room import painted_room
+from testing.scenes.panorama import panorama
 
 LENSES = {
     "pinhole": Camera.from_focal(640, 400, 500.0),

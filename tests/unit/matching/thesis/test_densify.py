@@ -18,7 +18,7 @@ from ladarreg_core.matching.thesis.densify import DensifyOptions, LinePoints, fr
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.perspective import perspective_view
-from tests.scenes.painted_room import shoot
+from testing.scenes.painted_room import shoot
 
 CAMERA = Camera.from_focal(420, 300, 520.0)
 CENTRE = np.array([0.3, -0.7, 0.1])

@@ -16,7 +16,7 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate import SCENES, SimulatedCase, simulate_case
 from ladarreg_core.surface.perspective import perspective_view
-from tests.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.painted_room import PaintedRoom, painted_room
 
 MANY = CornerOptions(count=1500)
 OPTIONS = ThesisMatchOptions(scan_corners=MANY, photo_corners=MANY, depth_edges="left_out", t1=0.2, t2_px=20)

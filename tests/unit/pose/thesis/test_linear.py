@@ -9,8 +9,8 @@ from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.pose.estimate import estimate_pose
 from ladarreg_core.pose.thesis.linear import linear_pose
-from tests.scenes.pose_case import difference
-from tests.scenes.room import room_case
+from testing.scenes.pose_case import difference
+from testing.scenes.room import room_case
 
 
 def test_it_is_exact_on_exact_matches():

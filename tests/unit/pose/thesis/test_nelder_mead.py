@@ -15,7 +15,7 @@ from scipy.optimize import minimize, rosen
 from ladarreg_core.errors import LadarregError, OptionError, ShapeError
 from ladarreg_core.pose.thesis.nelder_mead import nelder_mead, start_simplex
 from ladarreg_core.pose.thesis.stereo import StereoPairs, stereo_cost
-from tests.scenes.room import room_case
+from testing.scenes.room import room_case
 
 
 def walked(cost, simplex, **options):

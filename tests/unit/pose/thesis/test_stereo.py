@@ -13,8 +13,8 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.pose.diagnostics import diagnose, stereo_depth_error
 from ladarreg_core.pose.thesis.epipolar import epipolar_cost, epipolar_residuals
 from ladarreg_core.pose.thesis.stereo import StereoPairs, stereo_cost, stereo_frame
+from testing.scenes.room import room_case
 from tests.properties.strategies import rotvecs
-from tests.scenes.room import room_case
 
 WIDE = Camera(1000, 800, 500.0, 510.0, 490.0, 405.0)
 LENS = Camera(1000, 800, 500.0, 510.0, 490.0, 405.0, (-0.1, 0.03, 1e-3, -7e-4))

@@ -16,10 +16,10 @@ from ladarreg_core.pose.estimate import PoseOptions, estimate_pose, solve_pose
 from ladarreg_core.pose.thesis.nelder_mead import SimplexStep
 from ladarreg_core.pose.thesis.stereo import StereoPairs, stereo_cost
 from ladarreg_core.pose.thesis.stereo_simplex import SimplexOptions, descend, fit_simplex
-from tests.scenes.accuracy import default
-from tests.scenes.apple import THESIS_START, apple_case
-from tests.scenes.pose_case import Case, difference, picture_difference_px, start_near
-from tests.scenes.room import room_case
+from testing.scenes.accuracy import default
+from testing.scenes.apple import THESIS_START, apple_case
+from testing.scenes.pose_case import Case, difference, picture_difference_px, start_near
+from testing.scenes.room import room_case
 
 METHODS = ("stereo_simplex", "epipolar_simplex")
 BESIDE = (0.1, 1.0, 0.2)

@@ -12,7 +12,7 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import SphericalGrid
 from ladarreg_core.surface.remap import look_up
-from tests.scenes.painted_room import paintings
+from testing.scenes.painted_room import paintings
 
 _WALL_M = 3.0
 _WALL_RAD = np.deg2rad(60)

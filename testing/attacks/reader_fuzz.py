@@ -44,7 +44,7 @@ def read_damaged(
     """
     found = Readings(name)
     while first < last:
-        words = ["tests.abuse.reader_child", folder, name, first, last, patience_s, *([keep] if keep else [])]
+        words = ["testing.attacks.reader_child", folder, name, first, last, patience_s, *([keep] if keep else [])]
         done = subprocess.run(
             [sys.executable, "-m", *map(str, words)], capture_output=True, text=True, check=False, cwd=CHECKOUT,
             env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(CHECKOUT)},

@@ -12,7 +12,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation, ScanGeometry
 from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
-from tests.box_room import distances
+from testing.scenes.box_room import distances
 
 STEP_RAD = float(np.radians(0.5))
 PIECE = AzimuthElevation(71, 101, STEP_RAD, STEP_RAD)

@@ -15,8 +15,8 @@ from urllib.parse import urlsplit
 
 from websockets.sync.client import ClientConnection
 
-from tests.app.gateway_driver import TOKEN, Running, hear
-from tests.processes import restore_ctrl_c
+from testing.workbench.gateway_driver import TOKEN, Running, hear
+from testing.workbench.processes import restore_ctrl_c
 
 CHECKOUT = Path(__file__).parents[2]
 

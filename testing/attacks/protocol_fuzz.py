@@ -10,8 +10,8 @@ from typing import Any
 
 from ladarreg.workbench.commands import COMMANDS
 
-from tests.abuse.mutations import mutated
-from tests.abuse.server_process import Page, Server, ServerGone
+from testing.attacks.mutations import mutated
+from testing.attacks.server_process import Page, Server, ServerGone
 
 MOST_SECONDS = 5.0
 """Time limit of a reply."""

@@ -10,8 +10,8 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tests.abuse.kill_rounds import with_photo
-from tests.abuse.server_process import Editor, ServerGone, matches_of, start_server
+from testing.attacks.kill_rounds import with_photo
+from testing.attacks.server_process import Editor, ServerGone, matches_of, start_server
 
 _FIRST_EDITS = 20
 ORDERLY = (0, 130)

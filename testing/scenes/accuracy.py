@@ -12,7 +12,7 @@ from ladarreg_core.errors import LadarregError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from tests.scenes.pose_case import Case, difference
+from testing.scenes.pose_case import Case, difference
 
 Answer = tuple[Rigid, np.ndarray | None]
 """A pose, and its covariance (6, 6) where one is given."""

@@ -7,7 +7,6 @@ import importlib.util
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,14 +19,31 @@ from ladarreg_core.formats.pose_file import write_pose
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Pick
 from ladarreg_core.simulate.sample import sample_folder
-from tests.formats.conftest import depth_image, e57_fields, e57_file, make_scan
-from tests.formats.test_camera_files import ROS
+from testing.files.small_scans import depth_image, e57_fields, e57_file, make_scan, picture_e57
 
 REFERENCE_SCAN = "reference-scan.npz"
 """The scan for matches files; it is valid and never damaged."""
 _IN_THE_WORLD = Rigid.from_rotvec([0.01, 0.0, 2.1], (5e5, 5.4e6, 100.25))
+ROS = """\
+# made by a calibrator
+image_width: 1280
+image_height: 720
+camera_name: "front: left"
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [611.8, 0.0, 639.3,
+         0.0, 611.9, 365.9,
+         0.0, 0.0, 1.0]
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [0.1, -0.2, 0.001, 0.002, 0.05]}
+rectification_matrix:
+  rows: 3
+  cols: 3
+  data: [1, 0, 0, 0, 1, 0, 0, 0, 1]
+"""
 _LIST = "seeds.json"
-_FORMAT_TESTS = Path(__file__).resolve().parents[1] / "formats"
+_FORMAT_TESTS = Path(__file__).resolve().parents[2] / "tests" / "formats"
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,11 +112,9 @@ def _scans(folder: Path, wall: Any) -> list[tuple[Path, Path]]:
         files[1], counts=counts, intensity=wall.intensity, geometry=wall.geometry, r0_m=1.0, dr_m=0.002,
     )  # fmt: skip
     if importlib.util.find_spec("pye57") is not None:
-        from tests.formats.test_e57 import picture_e57
-
         files.append(e57_file(here / "grid.e57", e57_fields(wall, color=True)))
         files.append(e57_file(here / "cloud.e57", e57_fields(wall, grid=False)))
-        picture_e57(here / "picture.e57", SimpleNamespace(e57=e57_file, e57_fields=e57_fields), wall)
+        picture_e57(here / "picture.e57", wall)
         files.append(here / "picture.e57")
     made = [(file, file) for file in files]
     depth = depth_image(_place(folder, "depth"))

@@ -16,7 +16,7 @@ from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_
 from ladarreg_core.matches import Pick
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from tests.scenes.room import ROOM_BOXES, ROOM_CAMERA, ROOM_WALLS, room_ranges
+from testing.scenes.room import ROOM_BOXES, ROOM_CAMERA, ROOM_WALLS, room_ranges
 
 _STEP_RAD = np.deg2rad(0.11)
 _GEOMETRY = AzimuthElevation(350, 500, _STEP_RAD, _STEP_RAD)

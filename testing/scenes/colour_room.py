@@ -13,7 +13,7 @@ from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import SphericalGrid
-from tests.unit.export.samples import sample_registration
+from testing.scenes.small_registration import sample_registration
 
 LOW, HIGH = np.array([-3.1, -2.6, -1.4]), np.array([3.4, 2.9, 1.7])
 """Two opposite corners, scanner frame, m."""

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from tests.served_workbench import Page, Served
+from testing.workbench.served import Page, Served
 
 KINDS = ("idle", "slow", "cookie", "document", "viser")
 """Silent connections, headers that never end, requests with a cookie, document sockets, and unread viser sockets."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
-from tests.scenes.pose_case import Case
+from testing.scenes.pose_case import Case
 
 ROOM_CAMERA = Camera.from_focal(768, 512, 974.0)
 ROOM_WALLS = (np.array([-1.0, -2.4, -1.2]), np.array([5.6, 2.4, 1.5]))

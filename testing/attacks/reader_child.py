@@ -1,6 +1,6 @@
 """A process that reads damaged files and reports the cost of each.
 
-`python -m tests.abuse.reader_child FOLDER FORMAT FIRST LAST ...` prints one JSON line per damaged file. Its
+`python -m testing.attacks.reader_child FOLDER FORMAT FIRST LAST ...` prints one JSON line per damaged file. Its
 parent concludes from a missing line that the file killed it.
 """
 
@@ -24,8 +24,8 @@ from ladarreg_core.formats.matches_file import read_matches
 from ladarreg_core.formats.pose_file import read_initial, read_pose
 from ladarreg_core.formats.registration_file import read_offset, read_registration
 from ladarreg_core.frames import Rigid
-from tests.abuse.mutations import mutated
-from tests.abuse.seed_files import REFERENCE_SCAN, seeds_in
+from testing.attacks.mutations import mutated
+from testing.files.seed_files import REFERENCE_SCAN, seeds_in
 
 MOST_SECONDS, MOST_MB = 5.0, 1024.0
 """Limits for files of less than 1 MB."""

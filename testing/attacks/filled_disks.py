@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from tests.abuse.kill_rounds import with_photo
-from tests.abuse.server_process import Editor, Server, ServerGone, matches_of, start_server
+from testing.attacks.kill_rounds import with_photo
+from testing.attacks.server_process import Editor, Server, ServerGone, matches_of, start_server
 
 _DISK_MB = 8
 _RETRIED_S = 8.0

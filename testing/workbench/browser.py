@@ -1,4 +1,4 @@
-"""The Chromium of the browser tests; `python -m tests.e2e.browser` prints it, and fails if there is none."""
+"""The Chromium of the browser tests; `python -m testing.workbench.browser` prints it, and fails if there is none."""
 
 from __future__ import annotations
 

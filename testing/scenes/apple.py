@@ -13,8 +13,8 @@ import numpy as np
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters
 from ladarreg_core.pose.thesis.stereo_simplex import Residual, SimplexOptions, fit_simplex
-from tests.scenes.accuracy import Solver
-from tests.scenes.pose_case import Case
+from testing.scenes.accuracy import Solver
+from testing.scenes.pose_case import Case
 
 APPLE_TRUTH = ThesisParameters(5.0, 2.0, 2.0, *np.deg2rad([25.0, 10.0, 5.0]))
 APPLE_READINGS = {"A": (1.0, 256.0, False), "B": (3.0, 128.0, False), "C": (3.0, 256.0, True)}

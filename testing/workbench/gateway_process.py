@@ -1,4 +1,4 @@
-"""A program that serves the tests' small workbench: `python -m tests.app.gateway_process FOLDER [PORT]`."""
+"""A program that serves the tests' small workbench: `python -m testing.workbench.gateway_process FOLDER [PORT]`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ladarreg.gateway.tokens import Tokens
 from ladarreg.gateway.viser_backend import close_server, open_locked_server
 from ladarreg.stop_signals import StopSignals
 
-from tests.app.gateway_driver import TOKEN, CountingWorkbench
+from testing.workbench.gateway_driver import TOKEN, CountingWorkbench
 
 
 def main(folder: str, port: str = "0") -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ladarreg_core.simulate.sample import sample_folder
-from tests.abuse.server_process import Editor, Server, ServerGone, matches_of, start_server
+from testing.attacks.server_process import Editor, Server, ServerGone, matches_of, start_server
 
 _EDITORS = 3
 _MOST_EDITS = 60

@@ -14,7 +14,7 @@ from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.simulate.sample import sample_folder
-from tests.box_room import distances
+from testing.scenes.box_room import distances
 
 PHOTO, CAMERA = (sample_folder() / name for name in ("photo.png", "camera.json"))
 

@@ -19,7 +19,7 @@ from ladarreg_core.project.document import Document, Source
 from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import Author, History
 from ladarreg_core.simulate.sample import sample_folder
-from tests.unit.project.test_project import a_pick, with_an_answer
+from testing.scenes.documents import a_pick, with_an_answer
 
 _NEVER_DAMAGED = ("lock",)
 

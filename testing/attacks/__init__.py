@@ -1,0 +1,1 @@
+"""Damage, floods, kills, full disks: what the product has to withstand."""

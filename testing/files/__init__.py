@@ -1,0 +1,1 @@
+"""Small valid files of every format, and checks of written ones."""

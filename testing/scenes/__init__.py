@@ -1,0 +1,1 @@
+"""Scenes, scans and matches with known truth."""
