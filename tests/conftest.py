@@ -12,7 +12,7 @@ from hypothesis import settings
 pytest.register_assert_rewrite("testing")
 
 # One browser for all tests of a process: two would each want the process's only event loop.
-from testing.workbench.pages import browser, page, pytest_runtest_makereport
+from testing.workbench.pages import browser, page, pytest_runtest_makereport  # noqa: E402
 
 __all__ = ["browser", "page", "pytest_runtest_makereport"]
 
