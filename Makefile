@@ -5,8 +5,10 @@ BIN := $(VENV)/bin
 
 # Half of the tests wait for servers and browsers: one worker more than there are cores.
 WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2) + 1)
+# Which of the tests that take minutes run: none, all, or share:TEXT, a fifth of them that the text chooses.
+LONG ?= none
 
-.PHONY: demo test docs browser clean
+.PHONY: demo check test test-all docs browser clean
 
 demo: $(VENV)/.installed
 	@$(BIN)/ladarreg demo
@@ -15,13 +17,23 @@ docs: $(VENV)/.installed-dev
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet && echo "build/docs/index.html"
 
 # Everything runs even where an earlier check fails, so that pytest's closing line is always the last; any failure fails.
-test: $(VENV)/.installed-dev browser
+# mypy is one of the tests (tests/architecture/test_types.py), so that it works beside the others.
+define run_checks
 	@status=0; \
 	echo "ruff check"; $(BIN)/ruff check . || status=1; \
 	echo "ruff format --check"; $(BIN)/ruff format --check --quiet . || status=1; \
-	echo "mypy"; $(BIN)/mypy || status=1; \
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder || status=1; \
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(1) || status=1; \
 	exit $$status
+endef
+
+check: $(VENV)/.installed-dev browser
+	$(call run_checks,-m "not slow")
+
+test: $(VENV)/.installed-dev browser
+	$(call run_checks,--long=$(LONG))
+
+test-all:
+	@$(MAKE) test LONG=all
 
 $(VENV)/.created:
 	@for python in $(PYTHON) python3.13 python3.12 python3.11 python3 python; do \

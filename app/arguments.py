@@ -219,6 +219,8 @@ class EstimationArguments(InputArguments):
     GROUP: ClassVar[tuple[int, str]] = (40, "estimation")
     intrinsics: Literal["auto", "fixed", "focal", "focal-k1", "focal-k1-centre"] | None = None
     """Camera parameters to estimate; auto: those that the image, or held-out matches, support."""
+    focal_sigma_percent: Annotated[OptionalFloat, tyro.conf.arg(metavar="PERCENT")] = None
+    """Without a camera file: standard deviation of the focal length, % (3); 0: exact."""
     centre_sigma_percent: Annotated[OptionalFloat, tyro.conf.arg(metavar="PERCENT")] = None
     """Without a camera file: standard deviation of the principal point, % of the photo's width (1.5); 0: exact."""
     k1_sigma: Annotated[OptionalFloat, tyro.conf.arg(metavar="K1")] = None
@@ -261,7 +263,7 @@ def check_method(arguments: RegisterArguments, method: str) -> None:
         raise OptionError(f"{', '.join(given)} can only be used with --method thesis; the method is {method}")
     if arguments.intrinsics is not None and method == "thesis":
         raise OptionError("--intrinsics cannot be used with --method thesis, which takes the camera as calibrated")
-    for name in ("centre_sigma_percent", "k1_sigma"):
+    for name in ("focal_sigma_percent", "centre_sigma_percent", "k1_sigma"):
         if getattr(arguments, name) is not None and arguments.camera is not None:
             flag = f"--{name.replace('_', '-')}"
             raise OptionError(f"{flag} cannot be used with --camera: a camera file is taken as calibrated")
@@ -271,6 +273,10 @@ def check_method(arguments: RegisterArguments, method: str) -> None:
         raise OptionError("--intrinsics focal-k1-centre needs manual matches (--matches)")
 
 
+def _of_percent(value: float | None) -> float | None:
+    return None if value is None else value / 100
+
+
 def register_options(arguments: RegisterArguments) -> RegisterOptions:
     """Return the options of a registration."""
     from ladarreg_core.camera.uncertainty import CameraPrior
@@ -278,8 +284,13 @@ def register_options(arguments: RegisterArguments) -> RegisterOptions:
     from ladarreg_core.registration import RegisterOptions
 
     default = ThesisOptions()
-    percent = arguments.centre_sigma_percent
-    prior = CameraPrior(**_given(centre_of_width=None if percent is None else percent / 100, k1=arguments.k1_sigma))
+    prior = CameraPrior(
+        **_given(
+            centre_of_width=_of_percent(arguments.centre_sigma_percent),
+            k1=arguments.k1_sigma,
+            focal=_of_percent(arguments.focal_sigma_percent),
+        )
+    )
     culling = _option_name(arguments.culling)
     thesis = replace(
         default,

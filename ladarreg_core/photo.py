@@ -36,6 +36,9 @@ class Photo:
     assumed: bool = False
     """Whether only the focal length is known, typed or from EXIF: the principal point and the distortion have a
     `CameraPrior`."""
+    alternatives: tuple[CameraModel, ...] = ()
+    """Other cameras that the file's statements admit as well, e.g. where EXIF does not say whether a focal length is
+    that of the image or of the whole sensor; what differs is then uncertain to that extent."""
     temperature_k: FloatArray | None = None
     """(H, W) float32, of a thermal image: apparent temperature, K; `pixels` are then gray levels for display."""
 
@@ -119,6 +122,11 @@ class Photo:
             kelvin = read_only(self.temperature_k, np.float32, (height, width), "the photo's temperatures")
             object.__setattr__(self, "temperature_k", kelvin)
         object.__setattr__(self, "pixels", pixels)
+        for other in self.alternatives:
+            require_camera(other, "an alternative camera")
+            if other.size != self.camera.size:
+                raise ShapeError(f"an alternative camera is {other.size}, the photo's {self.camera.size}")
+        object.__setattr__(self, "alternatives", tuple(self.alternatives))
         object.__setattr__(self, "notes", tuple(self.notes))
 
 

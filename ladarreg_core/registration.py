@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from ladarreg_core.arrays import read_only
+from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.errors import DegenerateGeometryError, OptionError, ShapeError
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matches import Matches, Pick, picks_of_arrays
@@ -31,6 +32,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.validation import LARGEST_INT, require_choice, require_int, require_positive, require_type
 
 _LOSSES_SHOWN = 3
+_DISTINCT_SIGMA = 3.0  # of focal lengths that the images tell apart
 _SHOWN_BY_BLOCKS = 0.37  # of an offset of the principal point; the pose has absorbed the rest of what blocks can show
 _KAPPA_ROUNDS = 2  # positions of samples along a line in the photo depend on the pose, and converge at once
 
@@ -187,13 +189,44 @@ def _register(
         result = _manual_result(scan, photo, steps, picks, initial, options)
         result = with_lengths_checked(result, scan, picks, tolerance_m=options.match_tolerance_m)
         return _registration(result, scan, "manual", steps, options)
-    found = register_by_modality(scan, photo, steps, initial=initial, options=replace(options.auto, seed=options.seed))
+    found, photo = _register_cameras(scan, photo, steps, initial, options)
     with steps.step("result"):
         result = _with_shape_alone_said(_auto_result(found, scan, photo), scan)
         if photo.assumed:
             result = with_assumed_camera(result, options.pose.camera_prior, shown=_SHOWN_BY_BLOCKS)
         steps.pose, steps.matches = result.camera_from_scanner, result.matches
     return _registration(result, scan, "auto", steps, options)
+
+
+def _register_cameras(
+    scan: Scan, photo: Photo, steps: StepLog, initial: Rigid | None, options: RegisterOptions
+) -> tuple[AutoResult, Photo]:
+    """Return the automatic result with the first of a photo's cameras that is accepted, and the photo with it."""
+    auto = replace(options.auto, seed=options.seed)
+    cameras = (photo.camera, *photo.alternatives)
+    tried: list[tuple[AutoResult, Photo]] = []
+    for camera in cameras:
+        seen = replace(photo, camera=camera, alternatives=tuple(other for other in cameras if other is not camera))
+        found = register_by_modality(
+            scan, seen, steps, initial=initial, options=auto, prior=options.pose.camera_prior
+        )  # fmt: skip
+        if found.verification is not None and found.verification.accepted:
+            return _with_camera_named(found, cameras), seen
+        tried.append((found, seen))
+    return tried[0]
+
+
+def _with_camera_named(found: AutoResult, cameras: Sequence[CameraModel]) -> AutoResult:
+    """Return an accepted result whose reasons say which of the focal lengths that the file admits the images show."""
+    focal = [camera.focal_px for camera in cameras if isinstance(camera, Camera)]
+    sigma = found.camera_sigmas.get("focal_px")
+    if found.camera is None or sigma is None or max(focal) - min(focal) <= _DISTINCT_SIGMA * sigma:
+        return found
+    near = [value for value in focal if abs(value - found.camera.focal_px) <= _DISTINCT_SIGMA * sigma]
+    what = f"that of {near[0]:.1f} px" if near else "none of them"
+    admitted = ", ".join(f"{value:.1f}" for value in focal)
+    sentence = f"Of the focal lengths that the photo's file admits ({admitted} px), the images support {what}."
+    return replace(found, reasons=(*found.reasons, sentence))
 
 
 def _manual_result(
@@ -290,6 +323,7 @@ def _auto_result(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:
     return replace(
         described,
         camera_sigmas=found.camera_sigmas,
+        camera_uncertainty=found.camera_uncertainty,
         accepted=accepted,
         evidence="image" if accepted else "none",
         reasons=found.reasons,

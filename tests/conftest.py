@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import zlib
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -23,16 +25,65 @@ settings.register_profile("ladarreg", deadline=None, derandomize=True, max_examp
 settings.load_profile("ladarreg")
 
 
-LONGEST_FIRST = ("tests/e2e/", "tests/abuse/", "tests/registration/", "tests/unit/acquisition/", "tests/app/")
+FIRST = ("tests/architecture/test_types.py", "tests/e2e/", "tests/page/", "tests/app/scene/", "tests/abuse/")
+"""What takes longest, or shares one browser and one workbench, which most workers then need not start."""
+_SHARES = 5
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the files that take longest, so that no core is left with one of them when the others have ended."""
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the choice of tests that take minutes."""
+    parser.addoption(
+        "--long", default="none", metavar="none|all|share:TEXT",
+        help=f"tests marked long: none of them, all, or the share of 1 in {_SHARES} that a text chooses, such as the "
+        "commit's hash",
+    )  # fmt: skip
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out tests marked long that were not asked for; begin with those that should not be left to the end."""
+    which = str(config.getoption("--long"))
+    if which not in ("none", "all") and not which.startswith("share:"):
+        raise pytest.UsageError(f"--long is {which!r}; give none, all, or share:TEXT")
+
+    def runs(item: pytest.Item) -> bool:
+        if which == "all" or item.get_closest_marker("long") is None:
+            return True
+        drawn = zlib.crc32(f"{item.nodeid} {which.removeprefix('share:')}".encode())
+        return which != "none" and drawn % _SHARES == 0
+
+    left_out = [item for item in items if not runs(item)]
+    items[:] = [item for item in items if runs(item)]
+    if left_out:
+        config.hook.pytest_deselected(items=left_out)
+    if which.startswith("share:"):
+        config.stash[SHARE] = [item.nodeid for item in items if item.get_closest_marker("long") is not None]
 
     def rank(item: pytest.Item) -> int:
-        return next((k for k, start in enumerate(LONGEST_FIRST) if item.nodeid.startswith(start)), len(LONGEST_FIRST))
+        return next((k for k, start in enumerate(FIRST) if item.nodeid.startswith(start)), len(FIRST))
 
     items.sort(key=rank)
+
+
+SHARE = pytest.StashKey[list[str]]()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    """Take from a worker which of the long tests were drawn: all workers collect the same ones."""
+    node.config.stash[SHARE] = getattr(node, "workeroutput", {}).get("long tests", [])
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Send them from a worker."""
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["long tests"] = session.config.stash.get(SHARE, [])
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Print them."""
+    if str(config.getoption("--long")).startswith("share:"):
+        drawn = config.stash.get(SHARE, [])
+        terminalreporter.write_line("\n".join([f"long tests drawn: {len(drawn)}", *(f"  {name}" for name in drawn)]))
 
 
 @pytest.fixture(scope="session")

@@ -51,6 +51,9 @@ FIELDS: dict[str, Field] = {
     "restarts": Field("Restarts", "simplex", "Restarts from other poses if the convergence is doubtful.", 0, 10, 1),
     "reject_sigma": Field("Outlier threshold", "reject", "In robust standard deviations.", 0.5, 10, 0.1, "sigma"),
     "intrinsics": Field("Camera", "robust", "Camera parameters to estimate."),
+    "focal_sigma_percent": Field(
+        "Focal length", "robust", "Not calibrated: standard deviation; 0: exact.", 0, 20, 0.1, "%"
+    ),
     "centre_sigma_percent": Field(
         "Principal point",
         "robust",

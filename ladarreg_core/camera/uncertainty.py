@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,29 +20,44 @@ INTRINSICS = ("focal_px", "k1", "cx", "cy")
 
 @dataclass(frozen=True, slots=True)
 class CameraPrior:
-    """Standard deviations of what is assumed of a camera of which only the focal length is known.
+    """Standard deviations of a camera's intrinsics before its photograph is registered.
 
-    Lenses are mounted a per cent or two off the middle of the sensor, and their distortion differs from none by a few
-    per cent of the image at the corners.
+    The defaults are those of a camera of which only the focal length is known, typed, nominal or from EXIF: lenses are
+    mounted a per cent or two off the middle of the sensor, their distortion differs from none by a few per cent of the
+    image at the corners, and a focal length is rounded, or changes with focus, by some per cent.
     """
 
     centre_of_width: float = 0.015
     """Of the principal point about the middle of the image, each way, as a share of its width; 0: exact."""
     k1: float = 0.05
-    """Of the distortion coefficient k1 about 0; 0: exact."""
+    """Of the distortion coefficient k1; 0: exact."""
+    focal: float = 0.03
+    """Of the focal length, as a share of it; 0: exact."""
 
     def __post_init__(self) -> None:
+        require_number(self.focal, "the camera prior's focal", least=0, most=1)
         require_number(self.centre_of_width, "the camera prior's centre_of_width", least=0, most=1)
         require_number(self.k1, "the camera prior's k1", least=0, most=10)
 
     def sigmas(self, camera: Camera) -> dict[str, float]:
         """Return the standard deviations for a camera, by name; those that are 0 are left out."""
         centre = self.centre_of_width * camera.width
-        return {name: sigma for name, sigma in (("k1", self.k1), ("cx", centre), ("cy", centre)) if sigma > 0}
+        all_four = zip(INTRINSICS, (self.focal * camera.focal_px, self.k1, centre, centre), strict=True)
+        return {name: sigma for name, sigma in all_four if sigma > 0}
+
+    def covering(self, camera: Camera, others: Iterable[Camera]) -> CameraPrior:
+        """Return the prior of a camera that may as well be one of others: wide enough to admit these."""
+        focal, centre = self.focal, self.centre_of_width
+        for other in others:
+            focal = max(focal, abs(math.log(other.focal_px / camera.focal_px)))
+            centre = max(centre, math.hypot(other.cx - camera.cx, other.cy - camera.cy) / camera.width)
+        return replace(self, focal=focal, centre_of_width=centre)
 
 
 DEFAULT_CAMERA_PRIOR = CameraPrior()
-"""The default prior."""
+"""The prior of a camera of which only the focal length is known."""
+CALIBRATED_CAMERA_PRIOR = CameraPrior(focal=0.003, centre_of_width=0.003, k1=0.01)
+"""The prior of a calibrated camera whose file states no standard deviations."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,6 +22,11 @@ _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 _FILM_DIAGONAL_MM = math.hypot(36, 24)
 _PLAUSIBLE = (0.2, 40.0)
 _DISAGREEMENT = 0.1
+_DIGITAL_ZOOM = 0xA404
+_DIGITAL_ZOOMS = (1.01, 20.0)
+_SENSORS = (4 / 3, 3 / 2)
+_SAME_SENSOR = 0.02
+_LEAST_CROP_OF_PHONES = 3.0  # 35 mm equivalent over focal length; 2.7 is a compact camera's 1-inch sensor
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,30 +61,61 @@ def upright(values: NDArray[Any], orientation: int) -> NDArray[Any]:
 
 
 def focal_from_exif(tags: Mapping[int, Any], raw_width: int, raw_height: int) -> ExifFocal | None:
-    """Return the focal length in pixels, or None where the tags do not give it.
+    """Return the most plausible of `focal_lengths`, or None where the tags do not give any."""
+    return next(iter(focal_lengths(tags, raw_width, raw_height)), None)
 
-    The focal plane's resolution is used where it agrees within 10 % with the 35 mm equivalent (or there is none), since
-    the equivalent is rounded. Otherwise the equivalent is converted by the image's diagonal: manufacturers compare
-    angles of view along the diagonal, which equals 36 mm of width for 3:2 images and also holds for portrait images.
+
+def focal_lengths(tags: Mapping[int, Any], raw_width: int, raw_height: int) -> tuple[ExifFocal, ...]:
+    """Return the focal lengths that the tags admit, the most plausible first; empty where they give none.
+
+    The focal plane's resolution is used where it agrees within 10 % with a 35 mm equivalent (or there is none), since
+    the equivalent is rounded. Otherwise the equivalent is converted by a diagonal, along which manufacturers compare
+    angles of view: the image's own, if it has the shape of a sensor (4:3 or 3:2). A phone that saves 16:9, 20:9 or 1:1
+    keeps the equivalent of its whole sensor, of which the image is a part; what edits such pictures may not. Likewise,
+    the equivalent may or may not include a digital zoom.
 
     Args:
         tags: EXIF tags by number.
         raw_width: image width before any rotation, pixels.
         raw_height: image height before any rotation, pixels.
     """
-    from_plane = _by_focal_plane(tags, raw_width, raw_height)
+    plane = _by_focal_plane(tags, raw_width, raw_height)
     film = _number(tags.get(_FOCAL_35MM))
-    from_film = None
-    if film:
-        focal = focal_of_35mm(film, raw_width, raw_height)
-        if _plausible(focal, raw_width, raw_height):
-            from_film = ExifFocal(focal, f"EXIF: {film:g} mm (35 mm equivalent), accurate to a few percent")
-    if from_plane and from_film and abs(from_plane.focal_px / from_film.focal_px - 1) > _DISAGREEMENT:
-        return from_film
-    return from_plane or from_film
+    by_film = _by_equivalent(film, tags, raw_width, raw_height) if film else []
+    found = [focal for focal in by_film if _plausible(focal.focal_px, raw_width, raw_height)]
+    if plane is not None:
+        if not found or any(abs(plane.focal_px / focal.focal_px - 1) <= _DISAGREEMENT for focal in found):
+            return (plane,)
+        found.append(plane)
+    return tuple(found)
 
 
-def focal_of_35mm(equivalent_mm: float, width: int, height: int) -> float:
+def _by_equivalent(film_mm: float, tags: Mapping[int, Any], width: int, height: int) -> list[ExifFocal]:
+    own = ExifFocal(
+        focal_of_35mm(film_mm, width, height), f"EXIF: {film_mm:g} mm (35 mm equivalent), accurate to a few percent"
+    )
+    found = [own]
+    longer, shorter = max(width, height), min(width, height)
+    if all(abs(longer / shorter / shape - 1) > _SAME_SENSOR for shape in _SENSORS):
+        sensors = _SENSORS if (focal_mm_of(tags) or 0) * _LEAST_CROP_OF_PHONES < film_mm else _SENSORS[::-1]
+        whole = []
+        for shape in sensors:
+            size = (longer, longer / shape) if longer / shorter > shape else (shorter * shape, shorter)
+            named = "4:3" if shape == _SENSORS[0] else "3:2"
+            whole.append(
+                ExifFocal(
+                    focal_of_35mm(film_mm, *size),
+                    f"EXIF: {film_mm:g} mm (35 mm equivalent) of a whole {named} sensor of which the image is a part",
+                )
+            )
+        found = [*whole, own] if focal_mm_of(tags) else [own, *whole]
+    zoom = _number(tags.get(_DIGITAL_ZOOM))
+    if zoom is not None and _DIGITAL_ZOOMS[0] < zoom <= _DIGITAL_ZOOMS[1]:
+        found += [ExifFocal(f.focal_px * zoom, f"{f.source}, before a digital zoom of {zoom:g}") for f in found]
+    return found
+
+
+def focal_of_35mm(equivalent_mm: float, width: float, height: float) -> float:
     """Return the focal length, pixels, of a 35 mm equivalent, by the image's diagonal.
 
     Args:

@@ -7,6 +7,7 @@ import numbers
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -15,10 +16,11 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera, CameraModel
+from ladarreg_core.camera.focal import FocalCamera
 from ladarreg_core.errors import CameraError, OptionError, UnderspecifiedError
 from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.camera_file import read_noted_camera
-from ladarreg_core.formats.exif import edited_since, focal_from_exif, focal_mm_of, orientation_of, upright
+from ladarreg_core.formats.exif import edited_since, focal_lengths, focal_mm_of, orientation_of, upright
 from ladarreg_core.formats.gpano import WHICH_CAMERA, looks_like_panorama, panorama_of_xmp, whole_sphere
 from ladarreg_core.formats.image_file import ImageData, as_rgb, read_image
 from ladarreg_core.formats.radiometric import radiometric_kelvin, radiometric_maker
@@ -30,6 +32,16 @@ _FREEZING_K = 273.15
 _POSSIBLE = (0.05, 100.0)
 """Accepted focal lengths, relative to the longer side; real lenses lie between 0.3 and 35."""
 _USUAL = (0.5, 10.0)
+_SAME_FOCAL = 0.02
+_SAME_CENTRE = 0.003  # of the width: what a calibration knows
+_EITHER_TURN = (
+    "the image's size does not show whether the camera was calibrated on the pixels as stored or as turned by EXIF, so "
+    "the principal point is uncertain to that extent; store the image upright, without the tag, to settle it"
+)
+_CORNER = (
+    "the camera file's principal point is 0, 0, the corner of the image, so it was probably never filled in: the middle "
+    "of the image is assumed, and the camera does not count as calibrated; give cx and cy"
+)
 
 PhotoModel = Literal["pinhole", "equirectangular"]
 """Camera models that a photograph can have without a camera file."""
@@ -102,7 +114,14 @@ def read_photo(
                     else f"EXIF orientation {orientation} was not applied: the camera's size is that of the raw pixels"
                 )
             pixels = upright(values, orientation) if turned else values
-            return _photo(pixels, given, file.stem, notes, calibrated=True)
+            others = _as_stored(given, raw_width, raw_height, orientation) if turned else ()
+            if others:
+                notes.append(_EITHER_TURN)
+            if isinstance(given, FocalCamera) and given.cx == given.cy == 0:
+                notes.append(_CORNER)
+                middle = replace(given, cx=(given.width - 1) / 2, cy=(given.height - 1) / 2)
+                return _photo(pixels, middle, file.stem, notes, calibrated=False)
+            return _photo(pixels, given, file.stem, notes, calibrated=True, alternatives=others)
         pixels = upright(values, orientation)
         if orientation != 1:
             notes.append(f"EXIF orientation {orientation} was applied")
@@ -118,11 +137,13 @@ def read_photo(
                 return _photo(pixels, panorama, file.stem, notes, calibrated=True)
         looks_so = camera_model is None and looks_like_panorama(pixels)
         try:
-            focal, note = _focal(image.exif, raw_width, raw_height, focal_px, focal_mm, sensor_mm)
+            (focal, *others_px), note = _focal(image.exif, raw_width, raw_height, focal_px, focal_mm, sensor_mm)
         except CameraError as error:
             raise CameraError(f"{error}; {WHICH_CAMERA}" if looks_so else str(error)) from None
         notes += [note, *([WHICH_CAMERA] if looks_so else [])]
-        return _photo(pixels, Camera.from_focal(width, height, focal), file.stem, notes, calibrated=False)
+        camera_of = partial(Camera.from_focal, width, height)
+        others = tuple(map(camera_of, others_px))
+        return _photo(pixels, camera_of(focal), file.stem, notes, calibrated=False, alternatives=others)
 
 
 def _temperatures(file: Path, image: ImageData, unit: TemperatureUnit | None) -> NDArray[np.float32] | None:
@@ -144,11 +165,33 @@ def _temperatures(file: Path, image: ImageData, unit: TemperatureUnit | None) ->
     return kelvin
 
 
-def _photo(values: NDArray[Any], camera: CameraModel, name: str, notes: list[str], *, calibrated: bool) -> Photo:
+def _photo(
+    values: NDArray[Any],
+    camera: CameraModel,
+    name: str,
+    notes: list[str],
+    *,
+    calibrated: bool,
+    alternatives: tuple[CameraModel, ...] = (),
+) -> Photo:
+    known: dict[str, Any] = {"calibrated": calibrated, "assumed": not calibrated, "alternatives": alternatives}
     if values.ndim == 2:
-        thermal = thermal_photo(values, camera, name=name, notes=tuple(notes))
-        return replace(thermal, calibrated=calibrated, assumed=not calibrated)
-    return Photo(values, camera, name=name, notes=tuple(notes), calibrated=calibrated, assumed=not calibrated)
+        return replace(thermal_photo(values, camera, name=name, notes=tuple(notes)), **known)
+    return Photo(values, camera, name=name, notes=tuple(notes), **known)
+
+
+def _as_stored(camera: CameraModel, raw_width: int, raw_height: int, orientation: int) -> tuple[CameraModel, ...]:
+    """Return the camera as it is if it was calibrated on the pixels as stored, where its size admits that, too."""
+    if orientation == 1 or camera.size != (raw_width, raw_height) or not isinstance(camera, FocalCamera):
+        return ()
+    if orientation >= 5:  # of a square image
+        camera = replace(camera, fx=camera.fy, fy=camera.fx, cx=camera.cy, cy=camera.cx)
+    flip_u, flip_v = orientation in (2, 3, 6, 7), orientation in (3, 4, 7, 8)
+    cx = camera.width - 1 - camera.cx if flip_u else camera.cx
+    cy = camera.height - 1 - camera.cy if flip_v else camera.cy
+    turned = replace(camera, cx=cx, cy=cy)
+    apart = math.hypot(turned.cx - camera.cx, turned.cy - camera.cy)
+    return (turned,) if apart > _SAME_CENTRE * camera.width else ()
 
 
 def _thermal_note(kelvin: FloatArray) -> str:
@@ -216,10 +259,11 @@ def _focal(
     focal_px: float | None,
     focal_mm: float | None,
     sensor_mm: float | None,
-) -> tuple[float, str]:
+) -> tuple[list[float], str]:
+    """Return the focal length, px, followed by others that EXIF admits, and the note on it."""
     if focal_px is not None:
         _check_possible(focal_px, raw_width, raw_height)
-        return focal_px, f"focal length {focal_px:.1f} px, as given; no lens distortion is assumed"
+        return [focal_px], f"focal length {focal_px:.1f} px, as given; no lens distortion is assumed"
     notice = edited_since(tags, raw_width, raw_height)
     if sensor_mm is not None:
         stated = focal_mm or focal_mm_of(tags)
@@ -230,12 +274,17 @@ def _focal(
         _check_possible(focal, raw_width, raw_height)
         by = "" if focal_mm is not None else " (EXIF)"
         side = " along its longer side" if raw_height > raw_width else " wide"
-        return focal, _joined(
+        return [focal], _joined(
             f"focal length {focal:.1f} px from {stated:g} mm{by} and a sensor {sensor_mm:g} mm{side}", notice
         )
-    found = focal_from_exif(tags, raw_width, raw_height)
-    if found is not None:
-        return found.focal_px, _joined(f"focal length {found.focal_px:.1f} px from {found.source}", notice)
+    found = focal_lengths(tags, raw_width, raw_height)
+    if found:
+        best, *others = found
+        others = [other for other in others if abs(math.log(other.focal_px / best.focal_px)) > _SAME_FOCAL]
+        or_else = "".join(f"; or {other.focal_px:.1f} px from {other.source}" for other in others)
+        return [best.focal_px, *(other.focal_px for other in others)], _joined(
+            f"focal length {best.focal_px:.1f} px from {best.source}{or_else}", notice
+        )
     stated = focal_mm_of(tags)
     if stated is not None:
         raise CameraError(

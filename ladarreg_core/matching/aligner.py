@@ -13,7 +13,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.agreement import Agreement, agreement
 from ladarreg_core.matching.blocks import BlockComparison, BlockMatches, Target, block_matches, compare_blocks
 from ladarreg_core.matching.covariance import RegionEvidence, region_evidence
-from ladarreg_core.matching.ecc import NO_CHANGE, CameraChange, RefineOptions, refine_pose
+from ladarreg_core.matching.ecc import NO_CHANGE, CameraAnchor, CameraChange, RefineOptions, refine_pose
 from ladarreg_core.matching.pyramid import (
     BLOCK_PX,
     LEVELS,
@@ -223,19 +223,20 @@ class Aligner:
         return pose, change
 
     def finish_with_free_camera(
-        self, start: Rigid, *, free: int, change: CameraChange = NO_CHANGE
+        self, start: Rigid, *, free: int, change: CameraChange = NO_CHANGE, anchor: CameraAnchor | None = None
     ) -> tuple[Rigid, CameraChange]:
-        """Finish with the first `free` of (log f, k1) free.
+        """Finish with the first `free` of (log f, k1, centre x, centre y) free.
 
         Args:
             start: the refined pose.
-            free: 0, 1 or 2.
+            free: 0 to 4.
             change: initial change of the camera relative to the stated one.
+            anchor: what is known of these before.
         """
         pose = start
-        rounds = [(self.points[0], self.targets[0], replace(FINISH, free=free))]
+        rounds = [(self.points[0], self.targets[0], replace(FINISH, free=free, anchor=anchor))]
         if self.fine_points is not None:
-            rounds += [(self.fine_points, self.fine_target, replace(FINE, free=free))] * FINISH_ROUNDS
+            rounds += [(self.fine_points, self.fine_target, replace(FINE, free=free, anchor=anchor))] * FINISH_ROUNDS
         for number, (points, target, options) in enumerate(rounds):
             result = refine_pose(points, target, self.occluder, pose, options, change=change)
             if result is None:
@@ -248,11 +249,13 @@ class Aligner:
                 break
         return pose, change
 
-    def preview_free_camera(self, pose: Rigid, *, free: int) -> tuple[Rigid, CameraChange]:
-        """Make a few further steps from a finished pose, with the first `free` of (log f, k1) free."""
+    def preview_free_camera(
+        self, pose: Rigid, *, free: int, anchor: CameraAnchor | None = None
+    ) -> tuple[Rigid, CameraChange]:
+        """Make a few further steps from a finished pose, as `finish_with_free_camera` would."""
         if self.fine_points is None:
             return pose, NO_CHANGE
-        options = replace(FINE, free=free, iterations=_FREE_CAMERA_STEPS)
+        options = replace(FINE, free=free, iterations=_FREE_CAMERA_STEPS, anchor=anchor)
         result = refine_pose(self.fine_points, self.fine_target, self.occluder, pose, options)
         return (pose, NO_CHANGE) if result is None else (result.camera_from_scanner, result.change)
 
@@ -281,13 +284,22 @@ class Aligner:
         fine, coarse = side_by_side(lambda level: self.agreement_at(pose, level), (0, 1))
         return verify(coarse, fine, self.gate), coarse, fine
 
-    def regions(self, pose: Rigid, *, free: int, change: CameraChange = NO_CHANGE) -> RegionEvidence | None:
-        """Return the covariance of a finished pose and of the first `free` of (log f, k1), by leaving out regions."""
+    def regions(
+        self, pose: Rigid, *, free: int, change: CameraChange = NO_CHANGE, anchor: CameraAnchor | None = None
+    ) -> RegionEvidence | None:
+        """Return the covariance of a finished pose and of the first `free` intrinsics, by leaving out regions.
+
+        Args:
+            pose: the finished pose.
+            free: 0 to 4 of (log f, k1, centre x, centre y).
+            change: of the camera, at which it was finished.
+            anchor: what is known of the intrinsics before, relative to the changed camera.
+        """
         seen = self._fine_blocks(pose, change)
         if seen is None or self.fine_points is None:
             return None
         camera = change.applied_to(self.photo.cameras[0])
-        return region_evidence(seen, self.fine_points, camera, pose, replace(FINE, free=free))
+        return region_evidence(seen, self.fine_points, camera, pose, replace(FINE, free=free, anchor=anchor))
 
     def block_matches(self, pose: Rigid) -> BlockMatches | None:
         """Return the sub-pixel point matches of a finished pose, or None if too few blocks are visible."""

@@ -10,6 +10,12 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from ladarreg_core.camera import Camera
+from ladarreg_core.camera.uncertainty import (
+    CALIBRATED_CAMERA_PRIOR,
+    DEFAULT_CAMERA_PRIOR,
+    CameraPrior,
+    CameraUncertainty,
+)
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.aligner import Aligner, Candidate
 from ladarreg_core.matching.ambiguity import KnownPoses, ambiguity_sentence, second_minimum, second_starts
@@ -57,6 +63,9 @@ class AutoOptions:
     """Thresholds of image verification."""
     intrinsics: FreeCamera = "auto"
     """Intrinsics that may be estimated with the pose."""
+    calibrated_prior: CameraPrior = CALIBRATED_CAMERA_PRIOR
+    """Standard deviations of a calibrated camera whose file states none; those of an assumed one are
+    `PoseOptions.camera_prior`."""
     channel_set: ChannelSet = "both"
     """Channels of the scan that the photo is compared with."""
     reach: Reach = "everywhere"
@@ -85,6 +94,8 @@ class AutoResult:
     """The camera estimated with the pose; None: as stated."""
     camera_sigmas: Mapping[str, float] = field(default_factory=dict)
     """Standard deviations of the estimated intrinsics, as in `PoseResult`."""
+    camera_uncertainty: CameraUncertainty | None = None
+    """Joint uncertainty of the pose and the estimated intrinsics."""
 
 
 def register_auto(
@@ -95,6 +106,7 @@ def register_auto(
     initial: Rigid | None = None,
     options: AutoOptions | None = None,
     pair: PairLevels | None = None,
+    prior: CameraPrior = DEFAULT_CAMERA_PRIOR,
 ) -> AutoResult:
     """Find the pose of a photo from the images alone.
 
@@ -111,6 +123,7 @@ def register_auto(
         initial: an initial pose, tried first.
         options: thresholds and seed.
         pair: the levels of the pair, if they have been computed already.
+        prior: what is known of an assumed camera.
     """
     o = options or AutoOptions()
     pair = pair or PairLevels(scan, photo)
@@ -137,7 +150,10 @@ def register_auto(
             channel_set=o.channel_set,
         )
         directions = viewing_directions(scan, working, initial=initial)
-        found = CandidateSet(search, photo, KnownPoses(scan, photo.pinhole, o.gate), steps, other_core, o, initial)
+        known = KnownPoses(scan, photo.pinhole, o.gate)
+        prior = o.calibrated_prior if photo.calibrated else prior
+        prior = prior.covering(photo.pinhole, (other for other in photo.alternatives if isinstance(other, Camera)))
+        found = CandidateSet(search, photo, known, steps, other_core, o, initial, prior)
         if initial is not None and o.reach == "near_start":
             _search_near(search, found, directions[0], initial)
         else:
@@ -171,8 +187,10 @@ class CandidateSet:
         other_core: OtherCore,
         options: AutoOptions,
         initial: Rigid | None,
+        prior: CameraPrior,
     ) -> None:
         self.known = known
+        self._prior = prior
         self._search = search
         self._photo = photo
         self._steps = steps
@@ -201,7 +219,7 @@ class CandidateSet:
             return
         aligner, candidate = self._search.with_full_overlap(aligner, candidate)
         self._begin_second_minimum(aligner, candidate)
-        result, aligner = _finish(aligner, candidate, self._photo, self._steps, self._options.intrinsics)
+        result, aligner = _finish(aligner, candidate, self._photo, self._steps, self._options.intrinsics, self._prior)
         pose = result.camera_from_scanner
         if result.verification is None or not result.verification.accepted or pose is None:
             if self._refused is None or _fraction(result) > _fraction(self._refused):
@@ -374,6 +392,7 @@ def _finish(
     photo: Photo,
     steps: StepLog,
     intrinsics: FreeCamera,
+    prior: CameraPrior,
 ) -> tuple[AutoResult, Aligner]:
     """Return the finished and verified result, and the aligner of its camera."""
     start = candidate.camera_from_scanner
@@ -385,13 +404,15 @@ def _finish(
             aligner,
             photo.pinhole,
             pose,
-            try_camera=intrinsics == "auto" and may_estimate_camera(photo, intrinsics),
+            try_camera=intrinsics == "auto"
+            and not (photo.assumed or photo.alternatives)
+            and may_estimate_camera(photo, intrinsics),
         )
         note.update(found.verification.as_dict())
     of_images = found.verification
     if intrinsics != "fixed":
         with steps.step("camera") as note:
-            found = estimate_camera(found, photo, start, intrinsics)
+            found = estimate_camera(found, photo, start, intrinsics, prior)
             note.update(estimated=bool(found.free), focal_px=round(found.camera.focal_px, 3))
             note.update(found.verification.as_dict())
             steps.pose = found.camera_from_scanner
@@ -407,16 +428,15 @@ def _finish(
     with steps.step("evidence"):
         aligner, camera, pose = found.aligner, found.camera, found.camera_from_scanner
         evidence = window_evidence(found.fine, aligner.verification_points, aligner.photo.cameras[0], camera, pose)
-        if found.regions is not None:
-            evidence = replace(evidence, covariance=found.regions.pose_covariance)
         factor = aligner.common_variance
-        if factor > 1:
-            evidence = replace(evidence, covariance=factor * evidence.covariance)
+        joint = found.covariance()
+        evidence = replace(evidence, covariance=factor * evidence.covariance if joint is None else joint[:6, :6])
         blocks = aligner.block_matches(pose)
         steps.pose, steps.matches = pose, blocks.matches if blocks else None
     points = aligner.verification_points.points[found.fine.visible]
+    uncertainty = found.camera_uncertainty(photo.pinhole)
     verification = check_precision(
-        found.verification, points, camera, pose, evidence.covariance, aligner.gate, coarse=factor > 1
+        found.verification, points, camera, pose, uncertainty or evidence.covariance, aligner.gate, coarse=factor > 1
     )
     verification = replace(
         verification, regions=region_markers(found.fine, aligner.photo.cameras[0], camera, aligner.gate)
@@ -425,5 +445,5 @@ def _finish(
     advice = () if verification.accepted else (ADVICE,)
     return AutoResult(
         pose, verification, evidence, (*reasons, *found.summary(photo.pinhole), *advice), blocks,
-        camera if found.free else None, found.camera_sigmas,
+        camera if found.free else None, found.camera_sigmas, uncertainty,
     ), aligner  # fmt: skip

@@ -18,7 +18,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.matching.blocks import BlockComparison
-from ladarreg_core.matching.ecc import RefineOptions, block_systems
+from ladarreg_core.matching.ecc import CameraAnchor, RefineOptions, block_systems
 from ladarreg_core.matching.sampling import ViewPoints
 from ladarreg_core.pose.covariance import pose_jacobian
 
@@ -52,14 +52,34 @@ class RegionEvidence:
     """Jackknife covariance of a finished pose and of the estimated intrinsics."""
 
     covariance: FloatArray
-    """(6 + K, 6 + K) of (w, c) as `PoseResult.covariance`, and of (log f, k1)."""
+    """(6 + K, 6 + K) of (w, c) as `PoseResult.covariance`, and of (log f, k1, centre x, centre y): the scatter that the
+    regions show."""
     regions: int
     """Number of regions left out in turn."""
+    by_prior: FloatArray | None = None
+    """(6 + K, 6 + K) likewise: what the error of the camera as known before contributes; None: nothing."""
+    unit_variance: float = 1.0
+    """Mean variance of a parameter of unit information; of `CameraAnchor`."""
 
     @property
     def pose_covariance(self) -> FloatArray:
-        """(6, 6) of (w, c), enlarged for errors common to the whole image, which the jackknife cannot see."""
-        return _WHOLE_IMAGE * self.covariance[:6, :6]
+        """(6, 6) of (w, c) of `joint_covariance`."""
+        return self.joint_covariance()[:6, :6]
+
+    def joint_covariance(self, variance_factor: float = 1.0) -> FloatArray:
+        """Return (6 + K, 6 + K) of (w, c) and the intrinsics, enlarged for errors common to the whole image.
+
+        The jackknife cannot see these.
+
+        Args:
+            variance_factor: of the scatter, beyond that for the whole image.
+        """
+        covariance = _WHOLE_IMAGE * variance_factor * self.covariance
+        return covariance if self.by_prior is None else covariance + self.by_prior
+
+    def anchor(self, mean: FloatArray, sigma: FloatArray, *, variance_factor: float = 1.0) -> CameraAnchor:
+        """Return what is known of a camera (K,), in the unit of this pair's blocks."""
+        return CameraAnchor(mean, sigma, _WHOLE_IMAGE * variance_factor * self.unit_variance)
 
     def inflated_by(self, moved: FloatArray) -> RegionEvidence:
         """Return the evidence enlarged by (w, c), (6,): the shift to another pose that explains the image no better.
@@ -71,19 +91,24 @@ class RegionEvidence:
         squared = float(moved @ np.linalg.solve(covariance, moved)) / len(moved)
         return RegionEvidence((1 + squared) * covariance + np.outer(moved, moved), self.regions)
 
-    def normal_deviate(self, moved: FloatArray, *, variance_factor: float = 1.0) -> float:
-        """Return the significance of a change (K,) of (log f, k1), as a normal deviate.
+    def normal_deviate(
+        self, moved: FloatArray, *, variance_factor: float = 1.0, known_to: FloatArray | None = None
+    ) -> float:
+        """Return the significance of a change (K,) of the first intrinsics, as a normal deviate.
 
         Args:
             moved: the change.
             variance_factor: of the covariance.
+            known_to: (K,) standard deviations of the values that were stated; None: they are exact.
 
         Source: Hotelling, The generalization of Student's ratio (1931); the deviate of F is Paulson's (1942).
         """
         count = len(moved)
         dof = self.regions - count
-        covariance = self.covariance[6 : 6 + count, 6 : 6 + count]
-        squared = float(moved @ np.linalg.lstsq(covariance, moved, rcond=None)[0]) / variance_factor
+        covariance = variance_factor * self.covariance[6 : 6 + count, 6 : 6 + count]
+        if known_to is not None:
+            covariance = covariance + np.diag(known_to**2)
+        squared = float(moved @ np.linalg.lstsq(covariance, moved, rcond=None)[0])
         F = max(squared, 0.0) * dof / (count * (self.regions - 1))
         a, b, root = 2 / (9 * count), 2 / (9 * dof), np.cbrt(F)
         return float(((1 - b) * root - (1 - a)) / np.sqrt(b * root * root + a))
@@ -103,11 +128,16 @@ def region_evidence(
     """
     grid = points.blocks.grid[points.blocks.of_point[seen.index[seen.blocks.starts]]]
     H_blocks, g_blocks = block_systems(seen, camera, options)
-    return jackknife(H_blocks, g_blocks, np.zeros(len(grid), np.intp), grid, pose)
+    return jackknife(H_blocks, g_blocks, np.zeros(len(grid), np.intp), grid, pose, options.anchor)
 
 
 def jackknife(
-    H_blocks: FloatArray, g_blocks: FloatArray, picture: IntArray, grid: IntArray, pose: Rigid
+    H_blocks: FloatArray,
+    g_blocks: FloatArray,
+    picture: IntArray,
+    grid: IntArray,
+    pose: Rigid,
+    anchor: CameraAnchor | None = None,
 ) -> RegionEvidence | None:
     """Return the jackknife covariance of a pose from the contributions of its blocks; None if they form few regions.
 
@@ -117,6 +147,7 @@ def jackknife(
         picture: (b,) picture of each block: regions never extend over two pictures.
         grid: (b, 2) row and column of each block in its picture.
         pose: `camera_from_scanner`.
+        anchor: what was known of the intrinsics before; its own error is `RegionEvidence.by_prior`.
     """
     for side in _REGION_BLOCKS:
         _, region = np.unique(np.column_stack([picture, grid // side]), axis=0, return_inverse=True)
@@ -129,6 +160,9 @@ def jackknife(
     np.add.at(H_regions, region.ravel(), H_blocks)
     np.add.at(g_regions, region.ravel(), g_blocks)
     H, g = H_regions.sum(axis=0), g_regions.sum(axis=0)
+    if anchor is not None:
+        H[range(6, len(H)), range(6, len(H))] += anchor.information
+        g[6:] += anchor.information * anchor.mean
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
     known = H / np.outer(scale, scale) + _MIN_INFORMATION * np.eye(len(H))
     without = known - H_regions / np.outer(scale, scale)
@@ -138,12 +172,17 @@ def jackknife(
     # Few regions do not determine all directions; part of the result has the shape of the inverse information.
     shape = np.linalg.inv(known)
     share = min(_MAX_SHAPE_SHARE, len(H) / count)
-    covariance = (1 - share) * covariance + share * np.trace(covariance @ known) / len(H) * shape
+    unit_variance = float(np.trace(covariance @ known)) / len(H)
+    covariance = (1 - share) * covariance + share * unit_variance * shape
     to_centre = np.diag(1 / scale)
     to_centre[3:6] = -pose.rotation.T @ to_centre[3:6]  # from the translation t to the camera centre c
     covariance = to_centre @ covariance @ to_centre.T
     covariance[range(6), range(6)] += [_MIN_ANGLE_RAD**2] * 3 + [_MIN_POSITION_M**2] * 3
-    return RegionEvidence((covariance + covariance.T) / 2, count)
+    by_prior = None
+    if anchor is not None:
+        gain = to_centre @ shape[:, 6:] / scale[6:] * np.sqrt(anchor.information * anchor.unit_variance)
+        by_prior = gain @ gain.T
+    return RegionEvidence((covariance + covariance.T) / 2, count, by_prior, unit_variance)
 
 
 def window_evidence(

@@ -25,38 +25,82 @@ STILL_PX = 0.02
 """A refinement ends with a shorter step, level pixels."""
 REFRESH_VISIBILITY = 3
 """Steps between two tests of occlusion."""
-_MAX_LOG_FOCAL, _MAX_K1 = math.log(1.6), 0.5
+_MOST_CHANGE = np.array([math.log(1.6), 0.5, 0.5, 0.5])
 
 
 @dataclass(frozen=True, slots=True)
 class CameraChange:
-    """A change of (log f, k1), relative to the ideal camera of the undistorted photo."""
+    """A change of (log f, k1, centre), relative to the ideal camera of the undistorted photo."""
 
     log_focal: float = 0.0
     """Added to the logarithm of both fx and fy."""
     k1: float = 0.0
     """Added to the first radial distortion coefficient."""
+    centre_x: float = 0.0
+    """Added to cx, in focal lengths fx before the change: the same at every level."""
+    centre_y: float = 0.0
+    """Added to cy likewise, in fy."""
+
+    @property
+    def values(self) -> FloatArray:
+        """(4,) of (log f, k1, centre x, centre y)."""
+        return np.array([self.log_focal, self.k1, self.centre_x, self.centre_y])
 
     def after(self, step: FloatArray) -> CameraChange:
-        """Return the change after a step (K,) of (log f, k1), clipped to a plausible range."""
+        """Return the change after a step (K,) of its first K parameters, clipped to a plausible range."""
         if not len(step):
             return self
-        log_focal, k1 = (*map(float, step), 0.0)[:2]
-        return CameraChange(_clipped(self.log_focal + log_focal, _MAX_LOG_FOCAL), _clipped(self.k1 + k1, _MAX_K1))
+        moved = self.values
+        moved[: len(step)] += step
+        return CameraChange(*np.clip(moved, -_MOST_CHANGE, _MOST_CHANGE).tolist())
 
     def applied_to(self, camera: Camera) -> Camera:
         """Return the changed camera; further distortion terms are kept, an ideal camera gets four."""
         factor = math.exp(self.log_focal)
         first, *others = camera.distortion or (0.0,) * 4
-        return replace(camera, fx=camera.fx * factor, fy=camera.fy * factor, distortion=(first + self.k1, *others))
+        return replace(
+            camera,
+            fx=camera.fx * factor,
+            fy=camera.fy * factor,
+            cx=camera.cx + self.centre_x * camera.fx,
+            cy=camera.cy + self.centre_y * camera.fy,
+            distortion=(first + self.k1, *others),
+        )
+
+    @staticmethod
+    def between(before: Camera, after: Camera) -> CameraChange:
+        """Return the change that leads from one camera to another one, as far as its parameters do."""
+        return CameraChange(
+            math.log(after.focal_px / before.focal_px),
+            _k1(after) - _k1(before),
+            (after.cx - before.cx) / before.fx,
+            (after.cy - before.cy) / before.fy,
+        )
 
 
 NO_CHANGE = CameraChange()
 """No change."""
 
 
-def _clipped(value: float, most: float) -> float:
-    return min(max(value, -most), most)
+def _k1(camera: Camera) -> float:
+    return camera.distortion[0] if camera.distortion else 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraAnchor:
+    """What is known of the camera before: each parameter counts as one more measurement."""
+
+    mean: FloatArray
+    """(K,) most probable change of (log f, k1, centre x, centre y) of the target's camera."""
+    sigma: FloatArray
+    """(K,) standard deviations; infinite: nothing is known."""
+    unit_variance: float
+    """Variance of a pose whose blocks have unit information: the scale between blocks and measurements."""
+
+    @property
+    def information(self) -> FloatArray:
+        """(K,) in the unit of the blocks' information."""
+        return np.asarray(self.unit_variance / self.sigma**2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +112,11 @@ class RefineOptions:
     iterations: int
     """Maximum number of Gauss-Newton steps."""
     free: int = 0
-    """Number of (log f, k1) estimated with the pose."""
+    """Number of (log f, k1, centre x, centre y) estimated with the pose."""
     damping: float = 0.0
-    """Added to the diagonal entries of (log f, k1)."""
+    """Added to the diagonal entries of these."""
+    anchor: CameraAnchor | None = None
+    """What is known of them before; None: nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,7 +166,7 @@ def refine_pose(
         if iteration and iteration % REFRESH_VISIBILITY == 0:
             buffer = occluder.depth_buffer(pose)
         seen_by = target.seen_by(change.applied_to(target.camera)) if options.free or change != NO_CHANGE else target
-        step = _gauss_newton_step(points, seen_by, occluder, buffer, pose, options)
+        step = _gauss_newton_step(points, seen_by, occluder, buffer, pose, change, options)
         if step is None:
             return result
         delta, motion, correlation, blocks = step
@@ -134,7 +180,13 @@ def refine_pose(
 
 
 def _gauss_newton_step(
-    points: ViewPoints, target: Target, occluder: Occluder, buffer: FloatArray, pose: Rigid, options: RefineOptions
+    points: ViewPoints,
+    target: Target,
+    occluder: Occluder,
+    buffer: FloatArray,
+    pose: Rigid,
+    change: CameraChange,
+    options: RefineOptions,
 ) -> tuple[FloatArray, float, float, int] | None:
     seen = compare_blocks(points, target, occluder, buffer, pose)
     if seen is None:
@@ -142,6 +194,10 @@ def _gauss_newton_step(
     system = step_system(seen, target.camera, options)
     H, g = system.H, system.g
     H[range(6, len(H)), range(6, len(H))] += options.damping
+    if options.anchor is not None:
+        information = options.anchor.information
+        H[range(6, len(H)), range(6, len(H))] += information
+        g[6:] += information * (options.anchor.mean - change.values[: options.free])
     delta = solve_step(H, g)
     if delta is None:
         return None
@@ -163,7 +219,7 @@ class StepSystem:
     """Normal equations of one Gauss-Newton step, of n points."""
 
     H: FloatArray
-    """(6 + K, 6 + K) in (w, t) of X' = exp([w]x) X + t and (log f, k1)."""
+    """(6 + K, 6 + K) in (w, t) of X' = exp([w]x) X + t and the free intrinsics."""
     g: FloatArray
     """(6 + K,) the right-hand side."""
     Ju: FloatArray
@@ -231,8 +287,8 @@ def block_systems(seen: BlockComparison, camera: Camera, options: RefineOptions)
         options: those of the refinement that ended at the pose.
 
     Returns:
-        H (b, 6 + K, 6 + K) and g (b, 6 + K), in (w, t) of X' = exp([w]x) X + t and (log f, k1). H uses each block's
-        mean motion, which is sufficient for the jackknife over regions.
+        H (b, 6 + K, 6 + K) and g (b, 6 + K), in (w, t) of X' = exp([w]x) X + t and the free intrinsics. H uses each
+        block's mean motion, which is sufficient for the jackknife over regions.
     """
     Ju, Jv = _jacobian(seen.points_camera, camera, options.free)
     weight = _weights(seen, options.tau_px)
@@ -262,7 +318,7 @@ def _block_steps(seen: BlockComparison) -> FloatArray:
 
 
 def _jacobian(points_camera: FloatArray, camera: Camera, free: int) -> tuple[FloatArray, FloatArray]:
-    """Return du / d (w, t, log f, k1) and dv, each (6 + free, n) float32, for X' = exp([w]x) X + t."""
+    """Return du / d (w, t, log f, k1, centre) and dv, each (6 + free, n) float32, for X' = exp([w]x) X + t."""
     x, y, z = points_camera[:, 0], points_camera[:, 1], points_camera[:, 2]
     inverse, zero = 1 / z, np.zeros_like(z)
     a, b = x * inverse, y * inverse
@@ -276,6 +332,7 @@ def _jacobian(points_camera: FloatArray, camera: Camera, free: int) -> tuple[Flo
         aa, ab, bb = radial + 2 * k1 * a * a, 2 * k1 * a * b, radial + 2 * k1 * b * b
         Ja, Jb = aa * Ja + ab * Jb, ab * Ja + bb * Jb
     if free:
-        Ja = np.concatenate([Ja, np.stack([a * radial, a * s])[:free]])
-        Jb = np.concatenate([Jb, np.stack([b * radial, b * s])[:free]])
+        one = np.ones_like(a)
+        Ja = np.concatenate([Ja, np.stack([a * radial, a * s, one, zero])[:free]])
+        Jb = np.concatenate([Jb, np.stack([b * radial, b * s, zero, one])[:free]])
     return Ja * np.float32(camera.fx), Jb * np.float32(camera.fy)

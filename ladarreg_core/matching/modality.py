@@ -12,6 +12,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from ladarreg_core.camera.uncertainty import DEFAULT_CAMERA_PRIOR, CameraPrior
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.auto import AutoOptions, AutoResult, Reach, register_auto
 from ladarreg_core.matching.face_registration import is_wide, register_faces
@@ -65,7 +66,13 @@ def is_gray(photo: Photo) -> bool:
 
 
 def register_by_modality(
-    scan: Scan, photo: Photo, steps: StepLog, *, initial: Rigid | None = None, options: AutoOptions | None = None
+    scan: Scan,
+    photo: Photo,
+    steps: StepLog,
+    *,
+    initial: Rigid | None = None,
+    options: AutoOptions | None = None,
+    prior: CameraPrior = DEFAULT_CAMERA_PRIOR,
 ) -> AutoResult:
     """Find the pose of a photo from the images alone, with the scan channels that agree best with it.
 
@@ -81,6 +88,7 @@ def register_by_modality(
         steps: receives every step.
         initial: an initial pose, tried first.
         options: thresholds and seed; thermal images have their own thresholds.
+        prior: what is known of an assumed camera.
     """
     o = options or AutoOptions()
     shape_alone = not carries_intensity(scan)
@@ -88,18 +96,20 @@ def register_by_modality(
     interpolated = coarse and is_interpolated(scan, photo.pinhole)
     if shape_alone:
         o = replace(o, channel_set="geometry")
-    if shape_alone and coarse and o.intrinsics == "auto":
-        o = replace(o, intrinsics="fixed")  # outlines that are known to a cell do not determine the lens
+    if shape_alone and o.intrinsics == "auto" and (coarse or photo.calibrated):
+        o = replace(o, intrinsics="fixed")  # outlines do not determine the lens
     if not is_gray(photo):
         if is_wide(photo):
             return register_faces(scan, photo, steps, initial=initial, options=o)
         if not coarse:
-            return register_auto(scan, photo, steps, initial=initial, options=o)
+            return register_auto(scan, photo, steps, initial=initial, options=o, prior=prior)
         levels = PairLevels(scan, photo)
         tried = _gated(o, coarse=True, interpolated=interpolated)
-        result = register_auto(scan, photo, steps, initial=initial, options=tried, pair=levels)
+        result = register_auto(scan, photo, steps, initial=initial, options=tried, pair=levels, prior=prior)
         return (
-            result if shape_alone or interpolated else _more_precise(result, levels.as_dense(), scan, photo, steps, o)
+            result
+            if shape_alone or interpolated
+            else _more_precise(result, levels.as_dense(), scan, photo, steps, o, prior)
         )
     thermal = photo.temperature_k is not None
     if thermal:
@@ -118,7 +128,7 @@ def register_by_modality(
         found[channel_set] = (
             register_faces(scan, photo, steps, initial=start, options=tried)
             if pair is None
-            else register_auto(scan, photo, steps, initial=start, options=tried, pair=pair)
+            else register_auto(scan, photo, steps, initial=start, options=tried, pair=pair, prior=prior)
         )
         if _accepted(found[channel_set]) and not thermal:
             break
@@ -150,7 +160,13 @@ def _gated(options: AutoOptions, *, coarse: bool, interpolated: bool) -> AutoOpt
 
 
 def _more_precise(
-    result: AutoResult, as_dense: PairLevels, scan: Scan, photo: Photo, steps: StepLog, options: AutoOptions
+    result: AutoResult,
+    as_dense: PairLevels,
+    scan: Scan,
+    photo: Photo,
+    steps: StepLog,
+    options: AutoOptions,
+    prior: CameraPrior,
 ) -> AutoResult:
     """Return a coarse scan's result, or that of the usual comparison near it if nearly all regions agree there.
 
@@ -159,7 +175,9 @@ def _more_precise(
     if not _is_promising(result):
         return result
     usual = replace(options, reach="near_start")
-    other = register_auto(scan, photo, steps, initial=result.camera_from_scanner, options=usual, pair=as_dense)
+    other = register_auto(
+        scan, photo, steps, initial=result.camera_from_scanner, options=usual, pair=as_dense, prior=prior
+    )
     shares_print = other.verification is not None and other.verification.fraction >= _SHARED_PRINT
     return other if _accepted(other) and shares_print else result
 

@@ -1,4 +1,10 @@
-"""Self-calibration: focal length and k1 estimated with the pose if the image contradicts the stated camera."""
+"""Every verified pose is tested for its camera, and a camera that is only assumed is estimated with the pose.
+
+An assumed camera (`Photo.assumed`) has a prior: focal length, k1 and principal point are fitted together with the pose,
+and the prior counts as one more measurement of each; where the regions contradict it, they determine the camera alone,
+or the pose is refused. A calibrated camera is never replaced: if the regions contradict it, the pose is refused, and
+the camera that would fit is named. Any other camera is kept unless the image requires another one.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +14,15 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
+from ladarreg_core.camera.uncertainty import INTRINSICS, CameraPrior, CameraUncertainty
 from ladarreg_core.errors import CameraError
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.covariance import RegionEvidence
-from ladarreg_core.matching.ecc import NO_CHANGE, CameraChange
+from ladarreg_core.matching.ecc import NO_CHANGE, CameraAnchor, CameraChange
 from ladarreg_core.matching.pyramid import pair_levels, photo_levels, working_camera
 from ladarreg_core.matching.verification import Verification, verify
 from ladarreg_core.photo import Photo
@@ -37,10 +45,18 @@ _WRONG_CAMERA = (
 _MAX_LOG_FOCAL_SIGMA = 0.02
 _ROUNDS = 4
 _SETTLED_LOG_FOCAL, _SETTLED_K1 = 0.003, 0.02
+_SETTLED_SHIFT_PX = 0.5
 _SAME_VIEW_LOG_FOCAL = 0.04
 _SUFFICIENT_FINE_FRACTION = 0.6
 _MIN_FINE_FRACTION = 0.5
-_MIN_SHIFT_CALIBRATED = 0.025  # relative to the distance from the principal point
+_CONTRADICTED_SIGMA = 4.0  # of a calibrated camera: deviate of the one that fits, its own uncertainty included
+_CONFLICT_SIGMA = 3.0  # of an assumed one: beyond it the prior of that parameter is dropped
+_MOST_CENTRE_SIGMA = 2.0  # of a principal point without prior, relative to the prior
+_SAME_CHANNELS_PX = (
+    0.05  # largest shift of a pixel by a change of the camera after which the photo is not undistorted anew
+)
+_DETERMINED_SHARE = 0.5  # most standard deviation, relative to the prior, of what the images determine
+_EXACT = 1e-6  # standard deviation of what is exact, to keep the information finite
 _CENTRAL_FRACTION = 0.3
 _PROMISING_FRACTION, _MIN_GAIN = 0.5, 0.05  # fractions of the windows at level 1
 
@@ -71,23 +87,62 @@ class FinishedPose:
     regions: RegionEvidence | None
     """Covariance of pose and intrinsics."""
     free: int = 0
-    """Number of (log f, k1) estimated."""
+    """Number of (log f, k1, centre x, centre y) estimated."""
     camera_fits: bool | None = None
     """Whether a few further steps with a free camera confirm the stated one; None: not tried."""
+    prior: Mapping[str, float] | None = None
+    """Standard deviations of an assumed camera before, by name, of those that were not freed; None: no prior."""
+    contradiction: str = ""
+    """What the regions say against a calibrated camera; empty: nothing."""
+
+    def covariance(self) -> FloatArray | None:
+        """Return (6 + K, 6 + K) of (w, c) and the estimated intrinsics (log f, 1, px, px); None: too few regions."""
+        if self.regions is None:
+            return None
+        to_px = np.ones(6 + self.free)
+        to_px[8:] = [self.camera.fx, self.camera.fy][: max(0, self.free - 2)]
+        return self.regions.joint_covariance(self.aligner.common_variance) * np.outer(to_px, to_px)
 
     @property
     def camera_sigmas(self) -> dict[str, float]:
         """Standard deviations of the estimated intrinsics, by name."""
-        if not self.free or self.regions is None:
+        covariance = self.covariance()
+        if not self.free or covariance is None:
             return {}
-        sigma = np.sqrt(np.diag(self.regions.covariance)[6 : 6 + self.free])
-        scaled = sigma * np.array([self.camera.focal_px, 1.0])[: self.free]
-        return dict(zip(("focal_px", "k1"), scaled.tolist(), strict=False))
+        sigma = np.sqrt(np.diag(covariance)[6:]) * ([self.camera.focal_px, 1.0, 1.0, 1.0][: self.free])
+        return dict(zip(INTRINSICS, sigma.tolist(), strict=False))
+
+    def camera_uncertainty(self, stated: Camera) -> CameraUncertainty | None:
+        """Return the joint uncertainty of pose and estimated camera; None if the camera was not estimated."""
+        covariance = self.covariance()
+        if not self.free or covariance is None:
+            return None
+        covariance[6] *= self.camera.focal_px
+        covariance[:, 6] *= self.camera.focal_px
+        names = INTRINSICS[: self.free]
+        prior = dict(self.prior or {})
+        values = dict(zip(INTRINSICS, (stated.focal_px, _k1(stated), stated.cx, stated.cy), strict=True))
+        found = dict(
+            zip(INTRINSICS, (self.camera.focal_px, _k1(self.camera), self.camera.cx, self.camera.cy), strict=True)
+        )
+        sigmas = dict(zip(names, np.sqrt(np.diag(covariance)[6:]).tolist(), strict=True))
+        off: dict[str, float] = {}
+        off_sigma: dict[str, float] = {}
+        for name in ("cx", "cy"):
+            if name in names:
+                share, off_sigma_px = _by_images(sigmas[name], prior.get(name, np.inf))
+                off[name], off_sigma[name] = (found[name] - values[name]) / share, off_sigma_px
+        freed = () if self.prior is None else tuple(name for name in names if name not in prior)
+        stated_values = {name: values[name] for name in names}
+        return CameraUncertainty(names, covariance, stated_values, prior, freed, off, off_sigma)
 
     def summary(self, given: Camera) -> tuple[str, ...]:
-        """Return a sentence for each estimated intrinsic, with its stated value."""
+        """Return a sentence for each intrinsic that the images determine, with its stated value."""
         sentences = []
         for name, sigma in self.camera_sigmas.items():
+            known = (self.prior or {}).get(name, np.inf)
+            if name in ("cx", "cy") or sigma > _DETERMINED_SHARE * known:
+                continue
             if name == "k1":
                 sentences.append(
                     f"Lens distortion k1 was estimated: {_k1(self.camera):.3f} +- {sigma:.3f} instead of "
@@ -102,7 +157,13 @@ class FinishedPose:
 
 
 def verify_finished(
-    aligner: Aligner, camera: Camera, pose: Rigid, *, free: int = 0, try_camera: bool = False
+    aligner: Aligner,
+    camera: Camera,
+    pose: Rigid,
+    *,
+    free: int = 0,
+    try_camera: bool = False,
+    anchor: CameraAnchor | None = None,
 ) -> FinishedPose:
     """Verify a finished pose, using two threads.
 
@@ -110,15 +171,16 @@ def verify_finished(
         aligner: the pair, with the photo undistorted with the camera.
         camera: the photo's camera.
         pose: `camera_from_scanner`.
-        free: number of (log f, k1) estimated with it.
+        free: number of (log f, k1, centre x, centre y) estimated with it.
         try_camera: whether to try the stated camera, too.
+        anchor: what was known of these before, relative to the camera.
     """
     aligner.prepare_to_verify(pose)
     parts: tuple[Callable[[], Any], ...] = (
         lambda: aligner.agreement_at(pose, 0),
         lambda: _camera_fits(aligner, camera, pose, free=_FREE["auto"]) if try_camera else None,
         lambda: aligner.agreement_at(pose, 1),
-        lambda: aligner.regions(pose, free=free),
+        lambda: aligner.regions(pose, free=free, anchor=anchor),
     )
     fine, fits, coarse, regions = side_by_side(lambda part: part(), parts)
     return FinishedPose(aligner, camera, pose, verify(coarse, fine, aligner.gate), fine, regions, free, fits)
@@ -129,20 +191,22 @@ def may_estimate_camera(photo: Photo, intrinsics: FreeCamera) -> bool:
     return intrinsics != "fixed" and not (intrinsics == "auto" and photo.temperature_k is not None)
 
 
-def estimate_camera(fixed: FinishedPose, photo: Photo, start: Rigid, intrinsics: FreeCamera) -> FinishedPose:
-    """Return a finished pose with estimated intrinsics, if the image requires them.
-
-    A significance test over the regions decides first whether the stated camera is in doubt. The estimate is kept if it
-    is significant and the image agrees no less with it.
+def estimate_camera(
+    fixed: FinishedPose, photo: Photo, start: Rigid, intrinsics: FreeCamera, prior: CameraPrior
+) -> FinishedPose:
+    """Return a finished pose whose camera was tested, and estimated where that is allowed.
 
     Args:
         fixed: the finished pose with the camera as stated.
         photo: the photograph, with that camera.
         start: the candidate pose before the finish.
         intrinsics: the intrinsics that may be estimated.
+        prior: what is known of the camera; without use unless it is calibrated or assumed.
     """
     if not may_estimate_camera(photo, intrinsics):
         return fixed
+    if intrinsics == "auto" and (photo.assumed or photo.alternatives):
+        return _with_assumed_camera(fixed, photo, start, prior)
     free = _FREE[intrinsics]
     if intrinsics == "auto":
         fits = fixed.camera_fits
@@ -154,6 +218,20 @@ def estimate_camera(fixed: FinishedPose, photo: Photo, start: Rigid, intrinsics:
     doubt = _camera_deviate(fixed.aligner, pose, change)
     if intrinsics == "auto" and doubt <= _SUSPECT_SIGMA:
         return fixed
+    best = _with_free_camera(fixed, photo, start, pose, change, free=free)
+    if photo.calibrated and intrinsics == "auto":
+        return _beside_calibration(fixed, best, pose, doubt, prior)
+    believed = best is not None and (intrinsics != "auto" or _is_better(best, fixed))
+    if best is None or not believed:
+        lost = best is None or not best.verification.accepted
+        return _inflated(_refused(fixed) if lost and doubt > _REFUSE_SIGMA else fixed, pose)
+    return best
+
+
+def _with_free_camera(
+    fixed: FinishedPose, photo: Photo, start: Rigid, pose: Rigid, change: CameraChange, *, free: int
+) -> FinishedPose | None:
+    """Return the best pose with a camera of which nothing is known before; None if none was found."""
     best: FinishedPose | None = None
     # Near the true pose the finish determines the camera; otherwise pose and camera are refined at the coarser level.
     starts = [(start, NO_CHANGE, True)]
@@ -165,18 +243,154 @@ def estimate_camera(fixed: FinishedPose, photo: Photo, start: Rigid, intrinsics:
             best = found
         if best is not None and (best.verification.fine_fraction or 0) >= _SUFFICIENT_FINE_FRACTION:
             break
-    believed = best is not None and (intrinsics != "auto" or _is_better(best, fixed, calibrated=photo.calibrated))
-    if best is None or not believed:
-        lost = best is None or not best.verification.accepted
-        return _inflated(_refused(fixed) if lost and doubt > _REFUSE_SIGMA else fixed, pose)
     return best
 
 
-def _refused(fixed: FinishedPose) -> FinishedPose:
-    """Return the pose as refused, since its camera is wrong and no other was found."""
+def _beside_calibration(
+    fixed: FinishedPose, free: FinishedPose | None, pose: Rigid, doubt: float, prior: CameraPrior
+) -> FinishedPose:
+    """Return the pose with the calibrated camera, refused if the regions contradict that camera.
+
+    Args:
+        fixed: the pose with the camera as calibrated.
+        free: the pose with the camera that fits best; None: none was found.
+        pose: that of a free camera on the way there.
+        doubt: significance of its camera, as a normal deviate.
+        prior: of the calibration.
+    """
+    if free is None or not free.verification.accepted or free.regions is None:
+        return _inflated(_refused(fixed) if doubt > _REFUSE_SIGMA else fixed, pose)
+    moved = CameraChange.between(fixed.camera, free.camera).values[: free.free]
+    known_to = _sigmas_of_change(prior, fixed.camera)[: free.free]
+    deviate = free.regions.normal_deviate(moved, variance_factor=free.aligner.common_variance, known_to=known_to)
+    if deviate <= _CONTRADICTED_SIGMA:
+        return _inflated(fixed, pose)
+    apart_m = float(np.linalg.norm(free.camera_from_scanner.centre - fixed.camera_from_scanner.centre))
+    sigma_px, sigma_k1 = (free.camera_sigmas.get(name, 0.0) for name in ("focal_px", "k1"))
+    sentence = (
+        f"The images contradict the calibrated camera ({deviate:.0f} standard deviations): with a focal length of "
+        f"{free.camera.focal_px:.1f} +- {sigma_px:.1f} px instead of {fixed.camera.focal_px:.1f} and k1 "
+        f"{_k1(free.camera):.3f} +- {sigma_k1:.3f} instead of {_k1(fixed.camera):.3f}, "
+        f"{free.verification.fraction:.0%} of the regions agree, {1000 * apart_m:.0f} mm from here. Check that the calibration belongs to this photo "
+        "(zoom, focus, crop, turn), or let the camera be estimated (intrinsics `focal_k1`)."
+    )
+    return _inflated(_refused(fixed, sentence), pose)
+
+
+def _with_assumed_camera(fixed: FinishedPose, photo: Photo, start: Rigid, prior: CameraPrior) -> FinishedPose:
+    """Return a finished pose with the most probable camera, or refused if no camera fits.
+
+    From a pose that is verified, pose and camera settle together. Otherwise the focal length is perhaps far off: both
+    are refined at the coarser level first, without prior.
+    """
+    stated = photo.pinhole
+    sigma = np.maximum(_sigmas_of_change(prior, stated), _EXACT)
+    best = _settled(fixed, photo, fixed, sigma) if fixed.verification.accepted else None
+    if best is None or not best.verification.accepted or _conflicts(best, stated, sigma).any():
+        coarse = _estimate(fixed, photo, start, NO_CHANGE, free=_FREE["auto"], coarsely=True)
+        again = None if coarse is None else _settled(coarse, photo, fixed, sigma)
+        if again is not None and (best is None or _rank(again) > _rank(best)):
+            best = again
+    if best is None:
+        return fixed if not fixed.verification.accepted else _refused(fixed)
+    conflicts = _conflicts(best, stated, sigma)
+    if conflicts.any():
+        alone = np.where(conflicts, np.inf, sigma)
+        freely = _settled(best, photo, fixed, alone)
+        if freely is None or not _is_determined(freely, conflicts, sigma):
+            return _refused(best)
+        best = freely
+    return best
+
+
+def _settled(begin: FinishedPose, photo: Photo, fixed: FinishedPose, sigma: FloatArray) -> FinishedPose | None:
+    """Return pose and camera refined together from a finished pose, with the prior; None if they diverge.
+
+    Args:
+        begin: where to begin.
+        photo: the photograph, with the stated camera.
+        fixed: the pose with that camera, whose regions say how much blocks count beside the prior.
+        sigma: (4,) of (log f, k1, centre x, centre y) about the stated camera.
+    """
+    regions = fixed.regions if fixed.regions is not None else begin.regions
+    if regions is None:
+        return None
+    aligner, pose, camera = begin.aligner, begin.camera_from_scanner, begin.camera
+    stated, free = photo.pinhole, len(sigma)
+
+    def anchor() -> CameraAnchor:
+        mean = CameraChange.between(camera, stated).values
+        return regions.anchor(mean, sigma, variance_factor=aligner.common_variance)
+
+    try:
+        for _ in range(_ROUNDS):
+            pose, change = aligner.finish_with_free_camera(pose, free=free, anchor=anchor())
+            before, camera = camera, change.applied_to(camera)
+            shift_px = _largest_shift_px(before, camera)
+            if shift_px > _SAME_CHANNELS_PX:
+                aligner = _aligner_for(aligner, photo, camera)
+            if shift_px < _SETTLED_SHIFT_PX:
+                break
+        found = verify_finished(aligner, camera, pose, free=free, anchor=anchor())
+    except (CameraError, _NothingToCompareError):
+        return None
+    names = zip(INTRINSICS, sigma * _to_px(stated), strict=True)
+    return replace(found, prior={name: float(value) for name, value in names if np.isfinite(value)})
+
+
+def _conflicts(found: FinishedPose, stated: Camera, sigma: FloatArray) -> BoolArray:
+    """Return which of (log f, k1, centre x, centre y) the regions alone put elsewhere than the prior admits, (4,)."""
+    if found.regions is None:
+        return np.zeros(len(sigma), np.bool_)
+    covariance = found.regions.joint_covariance(found.aligner.common_variance)
+    after = np.sqrt(np.diag(covariance)[6:])
+    moved = CameraChange.between(stated, found.camera).values
+    conflicts = []
+    for off, own, known in zip(moved, after, sigma, strict=True):
+        share, alone = _by_images(float(own), float(known))
+        conflicts.append(np.isfinite(known) and abs(off / share) > _CONFLICT_SIGMA * np.hypot(known, alone))
+    return np.array(conflicts, np.bool_)
+
+
+def _by_images(after: float, before: float) -> tuple[float, float]:
+    """Return the share of an estimate that comes from the images, and its standard deviation from these alone."""
+    share = 1.0 if np.isinf(before) else max(1 - (after / before) ** 2, 1e-3)
+    return share, after / float(np.sqrt(share))
+
+
+def _is_determined(found: FinishedPose, freed: BoolArray, sigma: FloatArray) -> bool:
+    """Return whether the parameters without prior are known well enough."""
+    if found.regions is None or not found.verification.accepted:
+        return False
+    after = np.sqrt(np.diag(found.regions.joint_covariance(found.aligner.common_variance))[6:])
+    most = np.array([_MAX_LOG_FOCAL_SIGMA, sigma[1], *(_MOST_CENTRE_SIGMA * sigma[2:])])
+    return bool((after <= most)[freed].all())
+
+
+def _sigmas_of_change(prior: CameraPrior, camera: Camera) -> FloatArray:
+    """Return the prior's standard deviations (4,) of (log f, k1, centre x, centre y)."""
+    centre = prior.centre_of_width * camera.width
+    return np.array([prior.focal, prior.k1, centre / camera.fx, centre / camera.fy])
+
+
+def _to_px(camera: Camera) -> FloatArray:
+    """Return what turns (log f, k1, centre x, centre y) into `INTRINSICS`, (4,)."""
+    return np.array([camera.focal_px, 1.0, camera.fx, camera.fy])
+
+
+def _largest_shift_px(before: Camera, after: Camera) -> float:
+    """Return the largest displacement of a pixel of the image between two cameras, px."""
+    u, v = np.meshgrid(np.linspace(0, before.width - 1, 5), np.linspace(0, before.height - 1, 5))
+    uv = np.stack([u, v], axis=-1).reshape(-1, 2)
+    shift = np.linalg.norm(after.project(before.unproject(uv)) - uv, axis=1)
+    return float(np.nanmax(shift)) if np.isfinite(shift).any() else np.inf
+
+
+def _refused(fixed: FinishedPose, sentence: str = _WRONG_CAMERA) -> FinishedPose:
+    """Return the pose as refused, since its camera is wrong."""
     verification = fixed.verification
     sentences = verification.reasons if not verification.accepted else ()
-    reasons = (*sentences, _WRONG_CAMERA)
+    reasons = (*sentences, sentence)
     return replace(fixed, verification=replace(verification, accepted=False, reasons=reasons))
 
 
@@ -210,13 +424,8 @@ def _rank(found: FinishedPose) -> tuple[bool, float]:
     return found.verification.accepted, found.verification.fine_fraction or 0.0
 
 
-def _is_better(found: FinishedPose, stated: FinishedPose, *, calibrated: bool) -> bool:
-    """Return whether other intrinsics are significant and the image agrees no less with them.
-
-    A small change may be due to distortions of the scan, so a calibrated camera is overruled by a large change only.
-    """
-    if calibrated and _largest_shift(stated.camera, found.camera) < _MIN_SHIFT_CALIBRATED:
-        return False
+def _is_better(found: FinishedPose, stated: FinishedPose) -> bool:
+    """Return whether other intrinsics are significant and the image agrees no less with them."""
     if not found.verification.accepted or found.regions is None:
         return False
     if np.sqrt(found.regions.covariance[6, 6]) > _MAX_LOG_FOCAL_SIGMA:

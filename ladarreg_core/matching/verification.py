@@ -13,6 +13,7 @@ import numpy as np
 
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera, CameraModel
+from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.surface.uncertainty import pixel_sigma
@@ -301,7 +302,7 @@ def check_precision(
     points: FloatArray,
     camera: CameraModel,
     pose: Rigid,
-    covariance: FloatArray,
+    covariance: FloatArray | CameraUncertainty,
     options: GateOptions | None = None,
     *,
     coarse: bool = False,
@@ -316,7 +317,7 @@ def check_precision(
         points: (N, 3) scan points visible in the photo, scanner frame, m.
         camera: the photo's own camera.
         pose: `camera_from_scanner`.
-        covariance: (6, 6) of the pose.
+        covariance: (6, 6) of the pose, or of pose and camera together.
         options: the thresholds.
         coarse: whether the scan's cells are wider than the pixels compared, in either direction.
     """

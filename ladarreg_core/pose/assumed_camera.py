@@ -1,6 +1,6 @@
 """Poses with a camera that was not calibrated: what is assumed of it becomes part of the uncertainty.
 
-The principal point and k1 have a prior about their stated values (`CameraPrior`). The robust estimator fits them with
+The focal length, k1 and the principal point have a prior about their stated values (`CameraPrior`). The robust estimator fits them with
 the pose, each prior as one more measurement; for the other estimators, which keep the camera as stated, the errors of
 the camera are propagated into the pose:
 
@@ -135,15 +135,16 @@ def _with_errors_of_camera(
     own, scale = _enlarged(inverse, result.covariance)
     information = shown**2 * (H[fitted:, fitted:] - H[fitted:, :fitted] @ inverse @ H[:fitted, fitted:]) / scale
     gradient = shown * (g[fitted:] - H[fitted:, :fitted] @ inverse @ g[:fitted]) / scale
-    before = np.diag([sigma**-2 for sigma in sigmas.values()])
+    focal_px = result.camera.focal_px
+    before = np.diag([(sigma / focal_px if name == "focal_px" else sigma) ** -2 for name, sigma in sigmas.items()])
     P = np.linalg.inv(information + before)
     gain = -inverse @ H[:fitted, fitted:]
     covariance = np.block([[own + gain @ P @ gain.T, gain @ P], [P @ gain.T, P]])
     moved = np.concatenate([gain @ P @ gradient, P @ gradient])  # to the most probable camera, which is not adopted
     covariance += np.outer(moved, moved)
-    if "focal_px" in free:  # from log f
-        covariance[6] *= result.camera.focal_px
-        covariance[:, 6] *= result.camera.focal_px
+    if "focal_px" in (*free, *sigmas):  # from log f
+        covariance[6] *= focal_px
+        covariance[:, 6] *= focal_px
     names = list(sigmas)
     off: dict[str, float] = {}
     off_sigma: dict[str, float] = {}

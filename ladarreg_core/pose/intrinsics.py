@@ -81,12 +81,13 @@ class Anchor:
 
         Args:
             stated: the mean.
-            sigmas: standard deviations of intrinsics with a prior, by name.
+            sigmas: standard deviations of intrinsics with a prior, by name; px, 1, px, px.
             without_prior: names of further free intrinsics, or of those whose prior is to be dropped.
         """
         names = PARAMETERS["focal_k1_centre"]
         free = tuple(k for k, name in enumerate(names) if name in sigmas or name in without_prior)
-        information = [0.0 if names[k] in without_prior else 1 / sigmas[names[k]] ** 2 for k in free]
+        own = {name: sigma / stated.focal_px if name == "focal_px" else sigma for name, sigma in sigmas.items()}
+        information = [0.0 if names[k] in without_prior else 1 / own[names[k]] ** 2 for k in free]
         return Anchor(free, _values(stated)[list(free)], np.array(information))
 
     @property

@@ -60,6 +60,8 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     """Largest number of restarts from other starting poses."""
     intrinsics: Literal["auto", "fixed", "focal", "focal_k1"] = "auto"
     """Intrinsics that are estimated together with the pose."""
+    focal_sigma_percent: float = 100 * DEFAULT_CAMERA_PRIOR.focal
+    """Standard deviation of the focal length of a camera that is not calibrated, %."""
     centre_sigma_percent: float = 100 * DEFAULT_CAMERA_PRIOR.centre_of_width
     """Standard deviation of the principal point of a camera that is not calibrated, % of the photo's width."""
     k1_sigma: float = DEFAULT_CAMERA_PRIOR.k1
@@ -114,7 +116,11 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
             sigma_px=self.sigma_px,
             sigma_range_m=self.sigma_range_m,
             intrinsics=self.intrinsics,
-            camera_prior=CameraPrior(centre_of_width=self.centre_sigma_percent / 100, k1=self.k1_sigma),
+            camera_prior=CameraPrior(
+                centre_of_width=self.centre_sigma_percent / 100,
+                k1=self.k1_sigma,
+                focal=self.focal_sigma_percent / 100,
+            ),
             simplex=self.simplex_options,
             seed=self.seed,
         )

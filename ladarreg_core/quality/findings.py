@@ -55,6 +55,7 @@ LARGE_CHI2 = (1.69, DEFAULT_ACCEPTANCE.most_chi2_per_dof)
 """Chi-squared per degree of freedom: residuals of 1.3 times the noise, and the limit of acceptance."""
 _CHI2_SPREAD = 3.0  # standard deviations by which chi^2/dof of few residuals may exceed 1
 LENS_SIGNIFICANCE = 4.0
+_SEEN_SIGMAS = 4.0  # an error as large would be significant
 """With a correct camera, 400 poses from 14 to 200 matches showed 3.3 at most; 3 % of focal length and 48 matches show
 6."""
 _BIAS_SIGNIFICANCE = 20.0  # Hotelling's T^2 of two components; false alarms: one in 10,000 with many picks
@@ -390,9 +391,12 @@ def _lens(result: PoseResult) -> Finding | None:
     if check.significance >= LENS_SIGNIFICANCE:
         level = "poor" if check.shift_sigmas >= COST[1] else "fair" if check.shift_sigmas >= 1 else "good"
     if level == "good":
-        return Finding(
-            "lens", level, "The residuals show no error of the focal length or the lens distortion.", "", values
+        beyond = (
+            f"{_SEEN_SIGMAS * check.sigma:.1%}" if check.kind == "focal" else f"k1 {_SEEN_SIGMAS * check.sigma:.2f}"
         )
+        what = "the focal length" if check.kind == "focal" else "the lens distortion"
+        words = f"The residuals show no error of {what} beyond {beyond}; a smaller one would not be seen."
+        return Finding("lens", level, words, "", values)
     if check.kind == "focal":
         now = result.camera.focal_px
         words = (
