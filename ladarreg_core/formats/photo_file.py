@@ -39,8 +39,8 @@ _EITHER_TURN = (
     "the principal point is uncertain to that extent; store the image upright, without the tag, to settle it"
 )
 _CORNER = (
-    "the camera file's principal point is 0, 0, the corner of the image, so it was probably never filled in: the middle "
-    "of the image is assumed, and the camera does not count as calibrated; give cx and cy"
+    "the camera file's principal point is 0, 0, the corner of the image, so it was probably never filled in: the "
+    "middle of the image is assumed, and the camera does not count as calibrated; give cx and cy"
 )
 
 PhotoModel = Literal["pinhole", "equirectangular"]

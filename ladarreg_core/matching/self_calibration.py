@@ -268,11 +268,11 @@ def _beside_calibration(
     apart_m = float(np.linalg.norm(free.camera_from_scanner.centre - fixed.camera_from_scanner.centre))
     sigma_px, sigma_k1 = (free.camera_sigmas.get(name, 0.0) for name in ("focal_px", "k1"))
     sentence = (
-        f"The images contradict the calibrated camera ({deviate:.0f} standard deviations): with a focal length of "
-        f"{free.camera.focal_px:.1f} +- {sigma_px:.1f} px instead of {fixed.camera.focal_px:.1f} and k1 "
-        f"{_k1(free.camera):.3f} +- {sigma_k1:.3f} instead of {_k1(fixed.camera):.3f}, "
-        f"{free.verification.fraction:.0%} of the regions agree, {1000 * apart_m:.0f} mm from here. Check that the calibration belongs to this photo "
-        "(zoom, focus, crop, turn), or let the camera be estimated (intrinsics `focal_k1`)."
+        f"The images contradict the calibrated camera ({deviate:.0f} standard deviations): "
+        f"{free.verification.fraction:.0%} of the regions agree with a focal length of {free.camera.focal_px:.1f} +- "
+        f"{sigma_px:.1f} px instead of {fixed.camera.focal_px:.1f} and k1 {_k1(free.camera):.3f} +- {sigma_k1:.3f} "
+        f"instead of {_k1(fixed.camera):.3f}, {1000 * apart_m:.0f} mm from here. Check that the calibration belongs to "
+        "this photo (zoom, focus, crop, turn), or let the camera be estimated (intrinsics `focal_k1`)."
     )
     return _inflated(_refused(fixed, sentence), pose)
 

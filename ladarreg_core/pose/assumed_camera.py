@@ -1,8 +1,8 @@
 """Poses with a camera that was not calibrated: what is assumed of it becomes part of the uncertainty.
 
-The focal length, k1 and the principal point have a prior about their stated values (`CameraPrior`). The robust estimator fits them with
-the pose, each prior as one more measurement; for the other estimators, which keep the camera as stated, the errors of
-the camera are propagated into the pose:
+The focal length, k1 and the principal point have a prior about their stated values (`CameraPrior`). The robust
+estimator fits them with the pose, each prior as one more measurement; for the other estimators, which keep the camera
+as stated, the errors of the camera are propagated into the pose:
 
     p_true - p = G (theta_true - theta) + noise,   G = -H_pp^-1 H_pt
 
