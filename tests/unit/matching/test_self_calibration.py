@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ladarreg_core.camera import Camera
+from ladarreg_core.camera.uncertainty import CALIBRATED_CAMERA_PRIOR, DEFAULT_CAMERA_PRIOR
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.aligner import Aligner
@@ -45,7 +47,7 @@ def finished_with(room: PaintedRoom, camera: Camera) -> tuple[FinishedPose, Phot
 
 def test_a_correct_camera_is_kept(room: PaintedRoom) -> None:
     fixed, photo = finished_with(room, room.photo.camera)
-    assert estimate_camera(fixed, photo, fixed.camera_from_scanner, "auto") is fixed
+    assert estimate_camera(fixed, photo, fixed.camera_from_scanner, "auto", DEFAULT_CAMERA_PRIOR) is fixed
     assert not fixed.camera_sigmas
     assert fixed.regions is not None
     assert room.mahalanobis(fixed.camera_from_scanner, fixed.regions.covariance) < 4
@@ -57,7 +59,7 @@ def test_a_wrong_camera_is_estimated(room: PaintedRoom, focal_factor: float, len
     true = room.photo.camera
     stated = replace(true, fx=true.fx * focal_factor, fy=true.fy * focal_factor, distortion=lens)
     fixed, photo = finished_with(room, stated)
-    found = estimate_camera(fixed, photo, fixed.camera_from_scanner, "auto")
+    found = estimate_camera(fixed, photo, fixed.camera_from_scanner, "auto", DEFAULT_CAMERA_PRIOR)
     assert found.verification.accepted, found.verification.reasons
     assert abs(found.camera.fx / true.fx - 1) < 0.01
     assert abs(found.camera.distortion[0] - LENS[0]) < 0.03
@@ -77,8 +79,8 @@ def test_a_wrong_camera_is_estimated(room: PaintedRoom, focal_factor: float, len
 def test_a_fixed_camera_is_never_changed(room: PaintedRoom) -> None:
     true = room.photo.camera
     fixed, photo = finished_with(room, replace(true, fx=true.fx * 1.05, fy=true.fy * 1.05))
-    assert estimate_camera(fixed, photo, fixed.camera_from_scanner, "fixed") is fixed
-    only_focal = estimate_camera(fixed, photo, fixed.camera_from_scanner, "focal")
+    assert estimate_camera(fixed, photo, fixed.camera_from_scanner, "fixed", DEFAULT_CAMERA_PRIOR) is fixed
+    only_focal = estimate_camera(fixed, photo, fixed.camera_from_scanner, "focal", DEFAULT_CAMERA_PRIOR)
     assert list(only_focal.camera_sigmas) == ["focal_px"]
     assert only_focal.camera.distortion == true.distortion
     assert abs(only_focal.camera.fx / true.fx - 1) < 0.01
@@ -87,7 +89,7 @@ def test_a_fixed_camera_is_never_changed(room: PaintedRoom) -> None:
 def test_a_very_wrong_focal_length_is_estimated_or_refused(room: PaintedRoom) -> None:
     true = room.photo.camera
     fixed, photo = finished_with(room, replace(true, fx=true.fx * 1.2, fy=true.fy * 1.2))
-    found = estimate_camera(fixed, photo, fixed.camera_from_scanner, "auto")
+    found = estimate_camera(fixed, photo, fixed.camera_from_scanner, "auto", DEFAULT_CAMERA_PRIOR)
     assert not found.verification.accepted or abs(found.camera.fx / true.fx - 1) < 0.01
     assert found.verification.reasons
 
@@ -155,7 +157,7 @@ def test_the_enlarged_covariance_covers_the_shift(seed: int, sigmas: float) -> N
 def test_a_slightly_wrong_camera_is_detected_by_the_preview(room: PaintedRoom, focal_factor: float) -> None:
     true = room.photo.camera
     fixed, photo = finished_with(room, replace(true, fx=true.fx * focal_factor, fy=true.fy * focal_factor))
-    found = estimate_camera(fixed, photo, fixed.camera_from_scanner, "auto")
+    found = estimate_camera(fixed, photo, fixed.camera_from_scanner, "auto", DEFAULT_CAMERA_PRIOR)
     assert found.free
     assert abs(found.camera.fx / true.fx - 1) < 0.005
 
@@ -163,3 +165,46 @@ def test_a_slightly_wrong_camera_is_detected_by_the_preview(room: PaintedRoom, f
 def test_an_unknown_option_is_refused() -> None:
     with pytest.raises(OptionError, match="focal_k1"):
         AutoOptions(intrinsics="everything")  # type: ignore[arg-type]
+
+
+def test_a_calibrated_camera_that_the_images_contradict_is_refused_and_not_replaced(room: PaintedRoom) -> None:
+    true = room.photo.camera
+    fixed, photo = finished_with(room, replace(true, fx=true.fx * 1.04, fy=true.fy * 1.04))
+    calibrated = replace(photo, calibrated=True)
+    found = estimate_camera(fixed, calibrated, fixed.camera_from_scanner, "auto", CALIBRATED_CAMERA_PRIOR)
+    assert not found.verification.accepted
+    assert found.camera == photo.camera
+    assert "contradict the calibrated camera" in found.verification.reasons[-1]
+    named = re.search(r"focal length of ([\d.]+)", found.verification.reasons[-1])
+    assert named is not None
+    assert float(named[1]) == pytest.approx(true.fx, rel=0.02), "the camera that would fit is named"
+
+
+def test_a_calibrated_camera_is_kept_within_what_its_calibration_knows(room: PaintedRoom) -> None:
+    true = room.photo.camera
+    fixed, photo = finished_with(room, replace(true, fx=true.fx * 1.002, fy=true.fy * 1.002))
+    calibrated = replace(photo, calibrated=True)
+    found = estimate_camera(fixed, calibrated, fixed.camera_from_scanner, "auto", CALIBRATED_CAMERA_PRIOR)
+    assert found.verification.accepted
+    assert found.camera == photo.camera
+
+
+@pytest.mark.parametrize("focal_factor", [1.03, 0.97, 1.0])
+def test_an_assumed_camera_is_estimated_with_the_pose_and_both_are_right_within_their_sigmas(
+    room: PaintedRoom, focal_factor: float
+) -> None:
+    true = room.photo.camera
+    stated = Camera.from_focal(true.width, true.height, true.fx * focal_factor)
+    fixed, photo = finished_with(room, stated)
+    assumed = replace(photo, assumed=True)
+    found = estimate_camera(fixed, assumed, fixed.camera_from_scanner, "auto", DEFAULT_CAMERA_PRIOR)
+    assert found.verification.accepted, found.verification.reasons
+    joint = found.camera_uncertainty(stated)
+    assert joint is not None
+    assert joint.names == ("focal_px", "k1", "cx", "cy")
+    assert room.mahalanobis(found.camera_from_scanner, joint.covariance[:6, :6]) < 4
+    for name, value in (("focal_px", true.focal_px), ("k1", LENS[0]), ("cx", true.cx), ("cy", true.cy)):
+        now = found.camera.focal_px if name == "focal_px" else found.camera.distortion[0] if name == "k1" else None
+        now = getattr(found.camera, name) if now is None else now
+        assert abs(now - value) < 4 * joint.sigmas[name]
+        assert joint.sigmas[name] < joint.prior.get(name, np.inf), "the images add to what was known"

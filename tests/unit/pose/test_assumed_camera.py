@@ -92,15 +92,18 @@ def test_pixels_are_as_uncertain_as_samples_of_pose_and_camera_scatter(distortio
     joint = result.camera_uncertainty
     rng = np.random.default_rng(0)
     few = CameraUncertainty(joint.names, joint.covariance * 1e-4, joint.stated)  # small, where all is linear
-    samples = rng.multivariate_normal(np.zeros(9), few.covariance, 2000)
+    assert joint.names == ("focal_px", "k1", "cx", "cy")
+    samples = rng.multivariate_normal(np.zeros(10), few.covariance, 2000)
     points = case.scan.points[60:300:60, 100:400:75].reshape(-1, 3).astype(float)
     seen = []
     for sample in samples:
         moved = Rigid.from_centre(rotation_from_rotvec(sample[:3]) @ pose.rotation, pose.centre + sample[3:6])
         k1, *others = camera.distortion or (0.0,) * 4
+        factor = 1 + sample[6] / camera.focal_px
         other = replace(
-            camera, cx=camera.cx + sample[7], cy=camera.cy + sample[8], distortion=(k1 + sample[6], *others)
-        )
+            camera, fx=camera.fx * factor, fy=camera.fy * factor, cx=camera.cx + sample[8], cy=camera.cy + sample[9],
+            distortion=(k1 + sample[7], *others),
+        )  # fmt: skip
         seen.append(other.project(moved @ points))
     spread = [np.sqrt(np.linalg.eigvalsh(np.cov(column.T))[-1]) for column in np.stack(seen, axis=1)]
     np.testing.assert_allclose(pixel_sigma(pose @ points, camera, pose.rotation, few), spread, rtol=0.08)
@@ -125,7 +128,7 @@ def test_an_ordinary_camera_is_named_and_not_called_cropped():
 
 
 def test_an_exact_camera_and_a_prior_of_zero_are_the_same():
-    none = RegisterOptions(pose=PoseOptions(camera_prior=CameraPrior(centre_of_width=0, k1=0)))
+    none = RegisterOptions(pose=PoseOptions(camera_prior=CameraPrior(centre_of_width=0, k1=0, focal=0)))
     _, without = registered(5, options=none)
     _, exact = registered(5, photo=replace(PHOTO, assumed=False))
     assert without.camera_uncertainty is exact.camera_uncertainty is None
