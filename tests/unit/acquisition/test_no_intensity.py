@@ -27,6 +27,7 @@ from testing.workbench.workbench_driver import open_bench
 QUICK = replace(URG_04LX, turns_a_minute=2400)
 
 
+@pytest.mark.slow
 def test_a_scanner_without_intensity_goes_through_the_whole_chain(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

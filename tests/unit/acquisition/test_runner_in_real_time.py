@@ -23,6 +23,7 @@ from ladarreg_core.acquisition.serial_port import why_shut
 from ladarreg_core.twins.devices import TwinDevices
 from testing.devices.runs import Devices, pieces_of, same
 
+pytestmark = pytest.mark.slow
 CHECKOUT = Path(__file__).resolve().parents[3]
 
 

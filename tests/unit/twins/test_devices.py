@@ -110,12 +110,13 @@ def test_folders_fail_in_their_own_ways_only(devices: TwinDevices) -> None:
             devices.fail(device, kind)
 
 
+@pytest.mark.slow  # in real time: the devices have a process of their own
 def test_a_mosaic_is_recorded_by_the_addresses_of_twins(tmp_path: Path) -> None:
     at = "?seed=3&scene=plain"
     fields = {
         "version": 1,
         "unit": {"port": f"twin:flir-ptu{at}", "baud": 115200},
-        "scanner": {"kind": "folder", "folder": f"twin:scanner{at}", "timeout_s": 20},
+        "scanner": {"kind": "folder", "folder": f"twin:scanner{at}", "timeout_s": 120},
         "camera": {"folder": f"twin:camera{at}"},
         "mode": "mosaic",
         "pan_deg": [0, 40, 40],
