@@ -225,7 +225,7 @@ def scanner_twin(
         delay_s=delay_s,
         writing_s=writing_s,
         clock=clock,
-    )  # fmt: skip
+    )
 
 
 def camera_twin(
@@ -258,7 +258,7 @@ def camera_twin(
         delay_s=delay_s,
         writing_s=writing_s,
         clock=clock,
-    )  # fmt: skip
+    )
 
 
 def _write_ptx(path: Path, scan: Scan) -> None:
