@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -123,6 +124,7 @@ class Driver:
 def drive(plan: Path, run: Path, *, guarded: bool) -> None:
     """Run a plan, or go on with it, as the process that is killed."""
     from ladarreg_core.acquisition.connected import connected
+    from ladarreg_core.acquisition.ports import Ports
 
     def say(event: RunEvent) -> None:
         if isinstance(event, PieceKept):
@@ -131,7 +133,7 @@ def drive(plan: Path, run: Path, *, guarded: bool) -> None:
             print("paused", event.reason, flush=True)
 
     folder = RunWriter.begin(run, read_plan(plan), resume=run.exists())
-    with connected(folder.plan, guarded=guarded) as devices:
+    with connected(folder.plan, ports=partial(Ports, guarded=guarded)) as devices:
         acquisition = devices.run(folder.plan, folder, say)
 
         def resume() -> None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
 from ladarreg_core.acquisition.flir_protocol import FlirError
 
 _FASTER, _SPARE_COUNTS, _STILL_COUNTS = 1.5, 10, 1
@@ -25,10 +25,13 @@ class AxisReadings:
         query: the query for its position, for messages.
         read: asks for the position and returns the counts.
         limits: lowest and highest counts.
+        clock: what the time between readings is measured by.
     """
 
-    def __init__(self, query: str, read: Callable[[], int], *, limits: tuple[int, int]) -> None:
-        self._query, self._ask, self._limits = query, read, limits
+    def __init__(
+        self, query: str, read: Callable[[], int], *, limits: tuple[int, int], clock: Clock = REAL_CLOCK
+    ) -> None:
+        self._query, self._ask, self._limits, self._clock = query, read, limits, clock
         self._last: _Reading | None = None
         self._still = False
 
@@ -66,8 +69,8 @@ class AxisReadings:
         return found.counts
 
     def _read(self) -> _Reading:
-        begun = time.monotonic()
-        return _Reading(self._ask(), begun, time.monotonic())
+        begun = self._clock.now()
+        return _Reading(self._ask(), begun, self._clock.now())
 
 
 def _follows(before: _Reading, found: _Reading, fastest_counts_s: float, *, still: bool = False) -> bool:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
 from ladarreg_core.acquisition.devices import FrameSource
 from ladarreg_core.acquisition.flir_unit import FlirUnit
 from ladarreg_core.acquisition.folder_source import FolderSource
 from ladarreg_core.acquisition.plan import CameraPlan, Plan, ScannerPlan, UnitPlan
-from ladarreg_core.acquisition.ports import GuardEndedError, Ports
+from ladarreg_core.acquisition.ports import GuardEndedError, Ports, PortSource
 from ladarreg_core.acquisition.run_folder import RunWriter
 from ladarreg_core.acquisition.runner import EventReport, Run
 from ladarreg_core.acquisition.scip_scanner import ScipScanner
@@ -25,6 +26,9 @@ _PHOTO_S = 60.0
 _UNIT_BAUDS = (9600, 115_200, 19_200, 38_400)
 _SCANNER_BAUDS = (115_200, 19_200)
 
+OpenPorts = Callable[[], AbstractContextManager[PortSource]]
+"""Gives the ports of a run, and closes them at its end."""
+
 
 @dataclass(frozen=True, slots=True)
 class Connected:
@@ -34,6 +38,8 @@ class Connected:
     line_scanner: ScipScanner | None
     frames: FrameSource | None
     camera: FrameSource | None
+    clock: Clock = REAL_CLOCK
+    """The one that they live by."""
 
     def run(self, plan: Plan, folder: RunWriter, report: EventReport) -> Run:
         """Return a run of a plan on these devices.
@@ -43,27 +49,31 @@ class Connected:
         """
         return Run(
             plan, folder, unit=self.unit, line_scanner=self.line_scanner, frames=self.frames, camera=self.camera,
-            report=report,
+            report=report, clock=self.clock,
         )  # fmt: skip
 
 
 @contextmanager
-def connected(plan: Plan, *, guarded: bool = True) -> Iterator[Connected]:
+def connected(plan: Plan, *, ports: OpenPorts = Ports) -> Iterator[Connected]:
     """Connect to the devices of a plan, halted and dark, and disconnect at the end.
+
+    Args:
+        plan: the plan.
+        ports: opens the ports; by default real ones, which a guard holds.
 
     Raises:
         DeviceError: if one cannot be reached.
     """
     with ExitStack() as stack:
-        yield _connect(plan, stack, guarded=guarded)
+        yield _connect(plan, stack, ports=ports)
 
 
-def _connect(plan: Plan, stack: ExitStack, *, guarded: bool) -> Connected:
+def _connect(plan: Plan, stack: ExitStack, *, ports: OpenPorts) -> Connected:
     """Return the devices, disconnected by `stack`; once more if this program hung for a moment meanwhile."""
     for last in (False, False, True):
         try:
             with ExitStack() as attempt:
-                devices = _connect_once(plan, attempt, guarded=guarded)
+                devices = _connect_once(plan, attempt, ports=ports)
                 stack.push(attempt.pop_all())
                 return devices
         except GuardEndedError as error:
@@ -72,13 +82,13 @@ def _connect(plan: Plan, stack: ExitStack, *, guarded: bool) -> Connected:
     raise AssertionError("the last attempt returns or raises")
 
 
-def _connect_once(plan: Plan, stack: ExitStack, *, guarded: bool) -> Connected:
-    ports = stack.enter_context(Ports(guarded=guarded))
-    unit = FlirUnit.connect(ports, plan.unit)
+def _connect_once(plan: Plan, stack: ExitStack, *, ports: OpenPorts) -> Connected:
+    opened = stack.enter_context(ports())
+    unit = FlirUnit.connect(opened, plan.unit)
     stack.callback(unit.close)
     line_scanner = frames = None
     if plan.scanner.kind == "scip2":
-        line_scanner = ScipScanner.connect(ports, plan.scanner)
+        line_scanner = ScipScanner.connect(opened, plan.scanner)
         stack.callback(line_scanner.close)
     else:
         frames = FolderSource(
@@ -86,11 +96,12 @@ def _connect_once(plan: Plan, stack: ExitStack, *, guarded: bool) -> Connected:
             is_readable=_is_scan,
             timeout_s=plan.scanner.timeout_s,
             device="the scanner",
-        )  # fmt: skip
-    camera = None if plan.camera is None else _camera(plan.camera)
+            clock=opened.clock,
+        )
+    camera = None if plan.camera is None else _camera(plan.camera, opened.clock)
     if camera is not None:
         stack.callback(camera.close)
-    return Connected(unit, line_scanner, frames, camera)
+    return Connected(unit, line_scanner, frames, camera, opened.clock)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,9 +146,11 @@ def identified(address: str) -> FoundDevice:
     )
 
 
-def _camera(plan: CameraPlan) -> FrameSource:
+def _camera(plan: CameraPlan, clock: Clock) -> FrameSource:
     if plan.folder:
-        return FolderSource(watched_folder(plan.folder), is_readable=_is_photo, timeout_s=_PHOTO_S, device="the camera")
+        return FolderSource(
+            watched_folder(plan.folder), is_readable=_is_photo, timeout_s=_PHOTO_S, device="the camera", clock=clock
+        )
     return VideoCamera(plan.device or 0)
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 import math
 import threading
-import time
 
 import numpy as np
 
+from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
 from ladarreg_core.acquisition.devices import Check, LineScanner, PanTilt, PanTiltUnit
 from ladarreg_core.acquisition.line_sweep import LineSweep, UnitTrack
 from ladarreg_core.acquisition.plan import Plan
@@ -22,7 +22,9 @@ _STILL_S = 0.3
 _CLOCKS_APART_S, _DRIFT = 0.1, 1e-3
 
 
-def measured_pass(plan: Plan, stop: Stop, unit: PanTiltUnit, scanner: LineScanner, *, check: Check) -> LineSweep:
+def measured_pass(
+    plan: Plan, stop: Stop, unit: PanTiltUnit, scanner: LineScanner, *, check: Check, clock: Clock = REAL_CLOCK
+) -> LineSweep:
     """Measure a pass; the unit stands at its beginning.
 
     The unit has no clock: its readings are stamped by the host when they arrive, and mapped to the scanner's clock.
@@ -41,7 +43,7 @@ def measured_pass(plan: Plan, stop: Stop, unit: PanTiltUnit, scanner: LineScanne
         duration = abs(stop.to.pan_rad - stop.at.pan_rad) / speed
         count = math.ceil(duration / identity.line_period_s) + _SPARE_LINES
         host_minus_scanner = scanner.clock().host_minus_scanner_s
-        reader = _Reader(unit)
+        reader = _Reader(unit, clock)
         unit.start_move(stop.to)
         reader.start()
         try:
@@ -86,24 +88,24 @@ def measured_pass(plan: Plan, stop: Stop, unit: PanTiltUnit, scanner: LineScanne
 class _Reader:
     """Reads the unit's position on a thread of its own."""
 
-    def __init__(self, unit: PanTiltUnit) -> None:
+    def __init__(self, unit: PanTiltUnit, clock: Clock) -> None:
         self.error: DeviceError | None = None
-        self._unit = unit
+        self._unit, self._clock = unit, clock
         self._found: list[tuple[float, float, float]] = []
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._read, daemon=True, name="unit positions")
 
     def start(self) -> None:
-        self._thread.start()
+        self._clock.start(self._thread)
 
     def stop(self) -> None:
         self._ended.set()
-        self._thread.join()
+        self._clock.join(self._thread)
 
     def arrived(self, at: PanTilt) -> bool:
         """Return whether it has stood at the end for a while."""
         step = 1.5 * self._unit.identity.resolution_rad.pan_rad
-        recent = [pan for when, pan, _ in self._found if when > time.monotonic() - _STILL_S]
+        recent = [pan for when, pan, _ in self._found if when > self._clock.now() - _STILL_S]
         return len(recent) > 1 and all(abs(pan - at.pan_rad) <= step for pan in recent)
 
     def readings(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -113,11 +115,11 @@ class _Reader:
 
     def _read(self) -> None:
         while not self._ended.is_set():
-            begun = time.monotonic()
+            begun = self._clock.now()
             try:
                 at = self._unit.position()
             except DeviceError as error:
                 self.error = error
                 return
-            self._found.append((time.monotonic(), at.pan_rad, at.tilt_rad))
-            self._ended.wait(max(0.0, _READ_EVERY_S - (time.monotonic() - begun)))
+            self._found.append((self._clock.now(), at.pan_rad, at.tilt_rad))
+            self._clock.wait(self._ended, max(0.0, _READ_EVERY_S - (self._clock.now() - begun)))

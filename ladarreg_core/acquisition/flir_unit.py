@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 import threading
-import time
 from dataclasses import replace
 from functools import partial
 
@@ -22,7 +21,7 @@ from ladarreg_core.acquisition.flir_protocol import (
 )
 from ladarreg_core.acquisition.link import Link
 from ladarreg_core.acquisition.plan import UnitPlan
-from ladarreg_core.acquisition.ports import Ports
+from ladarreg_core.acquisition.ports import PortSource
 from ladarreg_core.errors import Cancelled, DeviceError, OptionError
 
 _ANSWER_S = 1.0
@@ -46,7 +45,7 @@ class FlirUnit:
     """
 
     def __init__(self, link: Link, signs: tuple[int, int]) -> None:
-        self._link, self._signs = link, signs
+        self._link, self._signs, self._clock = link, signs, link.clock
         self._halts = self._halts_answered = 0
         self._halting, self._asking = threading.Lock(), threading.RLock()
         self._limits_hit: tuple[str, ...] = ()
@@ -59,14 +58,15 @@ class FlirUnit:
         self.identity = self._identify()
 
     @staticmethod
-    def connect(ports: Ports, plan: UnitPlan) -> FlirUnit:
+    def connect(ports: PortSource, plan: UnitPlan) -> FlirUnit:
         """Connect to a unit, halt it, ask what it is, and set the plan's speed.
 
         Raises:
             DeviceError: if the port cannot be opened, or what answers is no such unit.
             OptionError: if the unit refuses the plan's speed.
         """
-        link = Link(ports.open(plan.port, plan.baud, stop=STOP, name="pan/tilt unit"), device="the pan/tilt unit")
+        port = ports.open(plan.port, plan.baud, stop=STOP, name="pan/tilt unit")
+        link = Link(port, device="the pan/tilt unit", clock=ports.clock)
         try:
             unit = FlirUnit(link, plan.signs)
             if plan.speed_deg_s is not None:
@@ -201,7 +201,7 @@ class FlirUnit:
                 raise FlirError(f"the pan/tilt unit states {axis} limits of {low:g} to {high:g} counts; reset the unit")
             self._counts_at_limits.append((int(low), int(high)))
         self._axes = [
-            AxisReadings(f"{letter}P", partial(self._counts, f"{letter}P"), limits=limits)
+            AxisReadings(f"{letter}P", partial(self._counts, f"{letter}P"), limits=limits, clock=self._clock)
             for (letter, _), limits in zip(_AXES, self._counts_at_limits, strict=True)
         ]
         counts_s = [self._asked_twice(f"{letter}S", whole=True) for letter, _ in _AXES]
@@ -241,7 +241,7 @@ class FlirUnit:
 
     def _await(self, wanted: list[int], halts: int, check: Check) -> list[int]:
         """Return the counts once the unit stands at the target."""
-        begun = moved = time.monotonic()
+        begun = moved = self._clock.now()
         last = self._positions()
         travel_s = max(
             abs(a - b) * step / max(speed, 1e-4)
@@ -254,13 +254,13 @@ class FlirUnit:
                 raise Cancelled
             now = self._positions()
             if now != last:
-                last, moved, still = now, time.monotonic(), 0
+                last, moved, still = now, self._clock.now(), 0
             elif all(abs(a - b) <= _REACHED_COUNTS for a, b in zip(now, wanted, strict=True)):
                 still += 1
                 if still >= _STILL_READINGS:
                     return now
             self._refuse_limits()
-            now_s = time.monotonic()
+            now_s = self._clock.now()
             if now_s - moved > _STUCK_S:
                 raise DeviceError(
                     f"the pan/tilt unit stands still at {self._said(now)} on its way to {self._said(wanted)}; it is "
@@ -271,7 +271,7 @@ class FlirUnit:
                     f"the pan/tilt unit has not reached {self._said(wanted)} after {now_s - begun:.0f} s, it "
                     f"is at {self._said(now)} and halted; check its load and speed, and resume"
                 )
-            time.sleep(_POLL_S)
+            self._clock.sleep(_POLL_S)
 
     def _refuse_limits(self) -> None:
         if hit := self._limits_hit:
@@ -331,9 +331,9 @@ class FlirUnit:
 
     def _settle(self, quiet_s: float = _QUIET_S) -> None:
         """Let pass what the unit still sends, but for limits that it reports."""
-        until, passed = time.monotonic() + _LONGEST_TALK_S, b""
+        until, passed = self._clock.now() + _LONGEST_TALK_S, b""
         with contextlib.suppress(DeviceError):  # it is quiet, or the port is lost, which the next command says
-            while time.monotonic() < until:
+            while self._clock.now() < until:
                 passed += self._link.exchange(b"", complete=bool, deadline_s=quiet_s)
         self._limits_hit += limits_hit(passed)
 

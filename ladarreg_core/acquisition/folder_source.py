@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import shutil
-import time
 from collections.abc import Callable
 from pathlib import Path
 
+from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
 from ladarreg_core.acquisition.devices import Check
 from ladarreg_core.errors import DeviceError
 
@@ -27,13 +27,20 @@ class FolderSource:
         is_readable: raises a `LadarregError` for a file that cannot be read as what is expected.
         timeout_s: longest wait for a file.
         device: what writes there, for messages.
+        clock: what the waiting is measured by.
     """
 
     def __init__(
-        self, folder: str | Path, *, is_readable: Callable[[Path], None], timeout_s: float, device: str
+        self,
+        folder: str | Path,
+        *,
+        is_readable: Callable[[Path], None],
+        timeout_s: float,
+        device: str,
+        clock: Clock = REAL_CLOCK,
     ) -> None:
         self._folder, self._is_readable = Path(folder).expanduser(), is_readable
-        self._timeout_s, self._device = timeout_s, device
+        self._timeout_s, self._device, self._clock = timeout_s, device, clock
         self._seen = self._files()
 
     def next_file(self, folder: Path, stem: str, *, check: Check) -> Path:
@@ -43,12 +50,12 @@ class FolderSource:
             DeviceError: if none comes in time, the folder is gone, or the file cannot be read.
             Cancelled: if `check` raises it.
         """
-        begun = time.monotonic()
+        begun = self._clock.now()
         watched: dict[str, tuple[_Signature, float]] = {}
         unreadable = ""
         while True:
             check()
-            now = time.monotonic()
+            now = self._clock.now()
             for name, signature in self._files().items():
                 if self._seen.get(name) == signature:
                     continue
@@ -81,7 +88,7 @@ class FolderSource:
                     f"{self._device} has written no complete file into {self._folder} within {self._timeout_s:.0f} s"
                     f"{' (' + came + ')' if watched else ''}; start its measurement, or check the folder, and resume"
                 )
-            time.sleep(_NAP_S)
+            self._clock.sleep(_NAP_S)
 
     def close(self) -> None:
         """Do nothing: a folder stays."""

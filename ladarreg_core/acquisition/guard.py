@@ -23,6 +23,7 @@ import time
 from collections.abc import Callable
 from typing import Any, BinaryIO
 
+from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
 from ladarreg_core.acquisition.serial_port import PortLostError, SerialPort
 from ladarreg_core.errors import DeviceError
 
@@ -64,10 +65,11 @@ class Guard:
     Args:
         requests: frames from the program.
         replies: frames to it.
+        clock: what the program's silence is measured by.
     """
 
-    def __init__(self, requests: BinaryIO, replies: BinaryIO) -> None:
-        self._requests, self._replies = requests, replies
+    def __init__(self, requests: BinaryIO, replies: BinaryIO, *, clock: Clock = REAL_CLOCK) -> None:
+        self._requests, self._replies, self._clock = requests, replies, clock
         self._replying = threading.Lock()
         self._held: dict[int, _HeldPort] = {}
         self._waiting: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
@@ -106,14 +108,18 @@ class Guard:
         for thread in stopping:
             thread.join(max(0.0, until - time.monotonic()))
 
-    def _watch(self) -> None:
-        """End this process when the program falls silent, or a signal says so."""
-        silence, seen, last = 0.0, -1, time.monotonic()
+    def await_silence(self) -> None:
+        """Return when the program has sent no frame for a while, or a signal has told the guard to end."""
+        silence, seen, last = 0.0, -1, self._clock.now()
         while silence < LONGEST_SILENCE_S and not self.told_to_end:
-            time.sleep(_WATCH_S)
-            now, frames = time.monotonic(), self.frames
+            self._clock.sleep(_WATCH_S)
+            now, frames = self._clock.now(), self.frames
             silence = 0.0 if frames != seen else silence + min(now - last, _LONGEST_TICK_S)
             seen, last = frames, now
+
+    def _watch(self) -> None:
+        """End this process when the program falls silent, or a signal says so."""
+        self.await_silence()
         self.stop()
         why = "it was told to end" if self.told_to_end else f"this program hung for more than {LONGEST_SILENCE_S:g} s"
         telling = threading.Thread(target=self._tell, args=({"ended": why, "hung": not self.told_to_end},), daemon=True)

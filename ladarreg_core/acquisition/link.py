@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
 from ladarreg_core.acquisition.devices import Check
 from ladarreg_core.acquisition.ports import GuardEndedError
 from ladarreg_core.acquisition.serial_port import Port, PortLostError
@@ -32,7 +32,7 @@ class Exchange:
     """What was sent and received."""
 
     at_s: float
-    """Host time of sending, s (`time.monotonic`)."""
+    """Host time of sending, s, by the clock of the link."""
     request: bytes
     """What was sent; empty for what came unasked."""
     reply: bytes
@@ -52,10 +52,11 @@ class Link:
     Args:
         port: the open port.
         device: the device, for messages, as in `the pan/tilt unit`.
+        clock: what deadlines and the times of exchanges are measured by.
     """
 
-    def __init__(self, port: Port, *, device: str) -> None:
-        self.device = device
+    def __init__(self, port: Port, *, device: str, clock: Clock = REAL_CLOCK) -> None:
+        self.device, self.clock = device, clock
         self._port = port
         self._connected: Callable[[], None] | None = None
         self._one = threading.RLock()
@@ -137,7 +138,7 @@ class Link:
             DeviceError: if the port is lost.
         """
         self._port.write(data)
-        self._exchanges.append(Exchange(time.monotonic(), data, b"", 0.0))
+        self._exchanges.append(Exchange(self.clock.now(), data, b"", 0.0))
 
     def take_unasked(self) -> bytes:
         """Return what came unasked since the last call, as far as an exchange has dropped it."""
@@ -159,14 +160,14 @@ class Link:
     ) -> bytes:
         if fresh:
             self._drain()
-        begun, late = time.monotonic(), False
+        begun, late = self.clock.now(), False
         if request:
             self._port.write(request)
         try:
             while not (end := complete(bytes(self._buffer)) if self._buffer else False):
                 if late:
                     break
-                left = begun + deadline_s - time.monotonic()
+                left = begun + deadline_s - self.clock.now()
                 late = left <= 0  # the answer may have come while this computer was busy
                 self._buffer += self._port.read(min(max(left, 0.0), _SLICE_S))
                 if len(self._buffer) > _LONGEST_REPLY:
@@ -198,15 +199,15 @@ class Link:
     def _drain(self) -> None:
         stale = bytes(self._buffer)
         self._buffer.clear()
-        until = time.monotonic() + _LONGEST_DRAIN_S  # a device may go on sending
-        while (data := self._port.read(0)) and time.monotonic() < until:
+        until = self.clock.now() + _LONGEST_DRAIN_S  # a device may go on sending
+        while (data := self._port.read(0)) and self.clock.now() < until:
             stale = (stale + data)[-_KEPT_BYTES:]
         if stale:
-            self._exchanges.append(Exchange(time.monotonic(), b"", stale, 0.0))
+            self._exchanges.append(Exchange(self.clock.now(), b"", stale, 0.0))
             self._unasked = (self._unasked + stale)[-_KEPT_BYTES:]
 
     def _remember(self, begun: float, request: bytes, reply: bytes) -> None:
-        self._exchanges.append(Exchange(begun, request, reply, time.monotonic() - begun))
+        self._exchanges.append(Exchange(begun, request, reply, self.clock.now() - begun))
 
     def _is_news_of_guard(self, error: PortLostError) -> bool:
         """Return whether the guard has ended since the last exchange: the devices were stopped, which is no glitch."""
@@ -217,19 +218,19 @@ class Link:
     def _reconnect(self, error: PortLostError, check: Check | None) -> None:
         """Open the port again, trying for a while; raise the first error if it stays away."""
         self._buffer.clear()
-        until = time.monotonic() + _RECONNECT_S
+        until = self.clock.now() + _RECONNECT_S
         while True:
             try:
                 self._port.reopen()
                 break
             except DeviceError:
-                if time.monotonic() > until or self._closed:
+                if self.clock.now() > until or self._closed:
                     raise error from None
-                retry = time.monotonic() + _RETRY_S
-                while time.monotonic() < retry:
+                retry = self.clock.now() + _RETRY_S
+                while self.clock.now() < retry:
                     if check is not None:
                         check()
-                    time.sleep(_NAP_S)
+                    self.clock.sleep(_NAP_S)
         self._told_of_guard = False
         if self._closed:
             self._port.close()

@@ -10,8 +10,9 @@ import sys
 import threading
 import time
 from types import TracebackType
-from typing import Any, BinaryIO, cast
+from typing import Any, BinaryIO, Protocol, cast
 
+from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
 from ladarreg_core.acquisition.guard import CONTROL, read_frame, write_frame
 from ladarreg_core.acquisition.serial_port import Port, PortLostError, SerialPort
 from ladarreg_core.acquisition.twin_address import is_twin, resolved_twin
@@ -37,6 +38,17 @@ class GuardEndedError(PortLostError):
         self.hung = hung
 
 
+class PortSource(Protocol):
+    """What drivers get their ports from."""
+
+    @property
+    def clock(self) -> Clock:
+        """The clock that the devices behind the ports live by."""
+
+    def open(self, address: str, baud: int, *, stop: bytes, name: str) -> Port:
+        """Open a port, as `Ports.open` does."""
+
+
 class Ports:
     """The ports of a run; a context manager that stops the devices and closes the ports at its end.
 
@@ -44,6 +56,8 @@ class Ports:
         guarded: whether a guard process holds the ports; otherwise this process does, and nothing stops the devices if
             it is killed.
     """
+
+    clock: Clock = REAL_CLOCK
 
     def __init__(self, *, guarded: bool = True) -> None:
         self._guarded = guarded

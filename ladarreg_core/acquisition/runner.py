@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -13,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
 from ladarreg_core.acquisition.continuous import measured_pass
 from ladarreg_core.acquisition.devices import FrameSource, LineScanner, PanTilt, PanTiltUnit
 from ladarreg_core.acquisition.line_sweep import LineSweep
@@ -100,6 +100,7 @@ class Run:
         frames: the scanner with software of its own, for a mosaic.
         camera: takes a photograph at each stop.
         report: receives the events, on the thread of `go`.
+        clock: the one that the devices live by.
 
     Raises:
         OptionError: if the devices cannot run the plan; nothing has moved then.
@@ -108,6 +109,7 @@ class Run:
     def __init__(
         self, plan: Plan, folder: RunWriter, *, unit: PanTiltUnit, line_scanner: LineScanner | None = None,
         frames: FrameSource | None = None, camera: FrameSource | None = None, report: EventReport,
+        clock: Clock = REAL_CLOCK,
     ) -> None:  # fmt: skip
         if (plan.mode == "sweep") != (line_scanner is not None) or (plan.mode == "mosaic") != (frames is not None):
             raise OptionError(f"a {plan.mode} needs {'a line scanner' if plan.mode == 'sweep' else 'a watched folder'}")
@@ -117,7 +119,7 @@ class Run:
         self._unit, self._lines, self._frames, self._camera = unit, line_scanner, frames, camera
         self._devices = [device for device in (unit, line_scanner) if device is not None]
         self._in_doubt = False
-        self._report = report
+        self._report, self._clock = report, clock
         self._stops = stops_of(plan)
         self._stopped, self._paused = threading.Event(), threading.Event()
         self._seconds_a_piece = forecast(plan, identity).seconds / max(1, len(self._stops))
@@ -166,7 +168,7 @@ class Run:
         while True:
             if self._paused.is_set():
                 self._wait("paused", fault=False)
-            begun = time.monotonic()
+            begun = self._clock.now()
             try:
                 if self._in_doubt:
                     self._find_devices()
@@ -185,7 +187,7 @@ class Run:
                 self._wait(str(error), fault=True)
                 repeats = 0
                 continue
-            taken = time.monotonic() - begun
+            taken = self._clock.now() - begun
             self._seconds_a_piece += _AVERAGED * (taken - self._seconds_a_piece)
             done = len(self.folder.records)
             left = (self.total - done) * self._seconds_a_piece
@@ -196,7 +198,7 @@ class Run:
         self._report(Paused(reason, fault))
         while self._paused.is_set():
             self._require_wanted()
-            time.sleep(_NAP_S)
+            self._clock.sleep(_NAP_S)
         self._require_wanted()
         self._report(Resumed())
 
@@ -208,7 +210,7 @@ class Run:
             return self._measure_frame(stop, read)
         assert self._lines is not None
         if stop.to is not None:
-            sweep = measured_pass(self.plan, stop, self._unit, self._lines, check=self._check)
+            sweep = measured_pass(self.plan, stop, self._unit, self._lines, check=self._check, clock=self._clock)
         else:
             sweep = self._measure_lines(read)
         photo = self._photograph(stop)
@@ -250,10 +252,10 @@ class Run:
         )
 
     def _rest_for(self, seconds: float) -> None:
-        until = time.monotonic() + seconds
-        while (left := until - time.monotonic()) > 0:
+        until = self._clock.now() + seconds
+        while (left := until - self._clock.now()) > 0:
             self._check()
-            time.sleep(min(left, _NAP_S))
+            self._clock.sleep(min(left, _NAP_S))
 
     def _check(self) -> None:
         """Raise if the run is to be stopped, or a device has been lost: the others must not go on without it."""

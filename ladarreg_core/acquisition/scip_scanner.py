@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Generator
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from ladarreg_core.acquisition.devices import Check, ClockReading, LineScannerIdentity, ScanLine
 from ladarreg_core.acquisition.link import Link
 from ladarreg_core.acquisition.plan import ScannerPlan
-from ladarreg_core.acquisition.ports import Ports
+from ladarreg_core.acquisition.ports import PortSource
 from ladarreg_core.acquisition.scip_clock import ClockSample, LineTimes, ScannerClock
 from ladarreg_core.acquisition.scip_protocol import (
     MOST_LINES,
@@ -46,19 +45,20 @@ class ScipScanner:
     """A line scanner that is connected, with its laser off; use `connect`."""
 
     def __init__(self, link: Link) -> None:
-        self._link = link
+        self._link, self._host_clock = link, link.clock
         self._clock, self._tells_time = ScannerClock(), True
         self._set_up()
         self._parameters, self.identity = self._identify()
 
     @staticmethod
-    def connect(ports: Ports, plan: ScannerPlan) -> ScipScanner:
+    def connect(ports: PortSource, plan: ScannerPlan) -> ScipScanner:
         """Connect to a scanner, switch its laser off and ask what it is.
 
         Raises:
             DeviceError: if the port cannot be opened, or what answers is no such scanner.
         """
-        link = Link(ports.open(plan.port, plan.baud, stop=STOP, name="line scanner"), device="the line scanner")
+        port = ports.open(plan.port, plan.baud, stop=STOP, name="line scanner")
+        link = Link(port, device="the line scanner", clock=ports.clock)
         try:
             scanner = ScipScanner(link)
         except BaseException:
@@ -82,18 +82,18 @@ class ScipScanner:
             Cancelled: if `check` raises it; the laser is off then.
         """
         try:
-            until = time.monotonic() + _READY_S
+            until = self._host_clock.now() + _READY_S
             while count > 0:
                 try:
                     for line in self._part(min(count, MOST_LINES), check):
                         yield line
-                        count, until = count - 1, time.monotonic() + _READY_S
+                        count, until = count - 1, self._host_clock.now() + _READY_S
                 except ScipNotReadyError:
-                    if time.monotonic() > until:
+                    if self._host_clock.now() > until:
                         raise
                     self.laser_off()
                     self._settle()
-                    _wait(_ASK_AGAIN_S, check)
+                    self._wait(_ASK_AGAIN_S, check)
             parse_status(self._ask(b"QT\n"), b"QT\n")
         except BaseException:
             self.laser_off()
@@ -110,9 +110,9 @@ class ScipScanner:
         samples = []
         try:
             for _ in range(_CLOCK_READINGS):
-                begun = time.monotonic()
+                begun = self._host_clock.now()
                 clock_ms = parse_clock(self._ask(b"TM1\n"), b"TM1\n")
-                samples.append(ClockSample(begun, time.monotonic(), clock_ms))
+                samples.append(ClockSample(begun, self._host_clock.now(), clock_ms))
         finally:
             parse_status(self._ask(b"TM2\n"), b"TM2\n", allowed=("00", "03"))
         return self._clock.compare(samples)
@@ -133,11 +133,11 @@ class ScipScanner:
 
     def _part(self, count: int, check: Check) -> Generator[ScanLine]:
         """Yield lines of one request."""
-        if self._tells_time and not self._clock.is_fresh(time.monotonic(), for_s=_COMPARED_FOR_S):
+        if self._tells_time and not self._clock.is_fresh(self._host_clock.now(), for_s=_COMPARED_FOR_S):
             self.clock()
         steps = self._parameters.first_step, self._parameters.last_step
         request = LineRequest(*steps, count=count, with_intensity=self.identity.has_intensity, single=False)
-        asked_s = time.monotonic()
+        asked_s = self._host_clock.now()
         # The request itself switches the laser on, and its end off.
         received = self._link.exchange(request.sent, complete=reply_length, deadline_s=_ANSWER_S, check=check)
         if not is_acknowledgement(received, request):
@@ -150,7 +150,7 @@ class ScipScanner:
             deadline = _FIRST_LINE_S if left == count - 1 else _ANSWER_S
             received = self._link.receive(complete=reply_length, deadline_s=deadline, check=check)
             raw = parse_line(received, request, most_mm=self._parameters.most_mm)
-            arrived_s = time.monotonic()
+            arrived_s = self._host_clock.now()
             self._require_next(raw, left, times)
             if not self._clock.is_fresh(arrived_s, for_s=2 * _COMPARED_FOR_S):  # it does not tell the time
                 self._clock.compare([ClockSample(asked_s, arrived_s, raw.time_ms)])
@@ -227,14 +227,14 @@ class ScipScanner:
 
     def _status_when_ready(self, sent: bytes, allowed: tuple[str, ...]) -> str:
         """Return the status of an answer, asking again while the scanner does not measure yet."""
-        until = time.monotonic() + _READY_S
+        until = self._host_clock.now() + _READY_S
         while True:
             try:
                 return parse_status(self._ask(sent), sent, allowed=allowed)[0]
             except ScipNotReadyError:
-                if time.monotonic() > until:
+                if self._host_clock.now() > until:
                     raise
-            time.sleep(_ASK_AGAIN_S)
+            self._host_clock.sleep(_ASK_AGAIN_S)
 
     def _fields(self, sent: bytes) -> dict[str, str]:
         return dict(parse_fields(self._ask(sent), sent))
@@ -242,9 +242,8 @@ class ScipScanner:
     def _ask(self, sent: bytes) -> bytes:
         return self._link.exchange(sent, complete=reply_length, deadline_s=_ANSWER_S)
 
-
-def _wait(seconds: float, check: Check) -> None:
-    until = time.monotonic() + seconds
-    while time.monotonic() < until:
-        check()
-        time.sleep(_NAP_S)
+    def _wait(self, seconds: float, check: Check) -> None:
+        until = self._host_clock.now() + seconds
+        while self._host_clock.now() < until:
+            check()
+            self._host_clock.sleep(_NAP_S)

@@ -9,9 +9,11 @@ from __future__ import annotations
 import json
 import signal
 import sys
+from functools import partial
 
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.twins.devices import TwinDevices
+from ladarreg_core.twins.server import TwinServer
 
 
 def main() -> int:
@@ -20,7 +22,7 @@ def main() -> int:
     scene, seed = str(options.get("scene", "office")), int(options.get("seed", 0))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program, whose end ends the devices
     try:
-        with TwinDevices(scene, seed, sockets=bool(options.get("sockets"))) as devices:
+        with TwinDevices(scene, seed, serve=partial(TwinServer, sockets=bool(options.get("sockets")))) as devices:
             sys.stdout.write(json.dumps({"devices": devices.addresses, "control": devices.listen()}) + "\n")
             sys.stdout.flush()
             while line := sys.stdin.readline():

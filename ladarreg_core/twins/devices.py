@@ -9,7 +9,7 @@ import json
 import socket
 import tempfile
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -25,7 +25,8 @@ from ladarreg_core.scanner.grids import ScanGeometry
 from ladarreg_core.twins.flir_twin import COUNTS_PER_RAD, FlirTwin
 from ladarreg_core.twins.folder_twin import FRAME, FolderTwin, ScanFormat, camera_twin, scanner_twin
 from ladarreg_core.twins.scip_twin import UTM_30LX, ScipFailure, ScipModel, ScipTwin
-from ladarreg_core.twins.server import TwinServer
+from ladarreg_core.twins.server import DeviceServer, TwinServer
+from ladarreg_core.twins.twin import Twin
 from ladarreg_core.twins.world import Angles, Bench
 
 SCANNER, CAMERA = "scanner", "camera"
@@ -43,7 +44,7 @@ class TwinDevices:
     Args:
         scene: the room.
         seed: of room, mounts and noise.
-        sockets: serve by sockets also where there are pseudo-terminals.
+        serve: gives the unit and the line scanner their ports; by default real ones, in real time.
         model: of the line scanner.
         unit_baud: bits a second of the unit's port.
         bench: the room; None: made of `scene` and `seed`.
@@ -60,14 +61,14 @@ class TwinDevices:
     """
 
     def __init__(
-        self, scene: str = "office", seed: int = 0, *, sockets: bool = False, model: ScipModel = UTM_30LX,
-        unit_baud: int = 115_200, bench: Bench | None = None, geometry: ScanGeometry = FRAME,
-        scan_format: ScanFormat = "npz", folders: Mapping[str, Path] | None = None,
+        self, scene: str = "office", seed: int = 0, *, serve: Callable[[Sequence[Twin]], DeviceServer] = TwinServer,
+        model: ScipModel = UTM_30LX, unit_baud: int = 115_200, bench: Bench | None = None,
+        geometry: ScanGeometry = FRAME, scan_format: ScanFormat = "npz", folders: Mapping[str, Path] | None = None,
     ) -> None:  # fmt: skip
         self.bench = Bench(scene, seed) if bench is None else bench
         self.unit = FlirTwin(baud=unit_baud, seed=seed, moved=self._moved)
         self.scanner = ScipTwin(self._measure, model=model, seed=seed)
-        self.server = TwinServer([self.unit, self.scanner], sockets=sockets)
+        self.server = serve([self.unit, self.scanner])
         self.bench.clock = self.server.now_s
         self._geometry, self._scan_format, self._given_folders = geometry, scan_format, dict(folders or {})
         self._folders: dict[str, FolderTwin] = {}
@@ -82,9 +83,13 @@ class TwinDevices:
                 folder.mkdir(exist_ok=True)
             twins = {
                 SCANNER: scanner_twin(
-                    self.bench, where[SCANNER], geometry=self._geometry, file_format=self._scan_format
+                    self.bench,
+                    where[SCANNER],
+                    geometry=self._geometry,
+                    file_format=self._scan_format,
+                    clock=self.server.clock,
                 ),
-                CAMERA: camera_twin(self.bench, where[CAMERA]),
+                CAMERA: camera_twin(self.bench, where[CAMERA], clock=self.server.clock),
             }
             for name, twin in twins.items():
                 twin.on = False  # a sweep would be slowed down by photographs that nobody asked for

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import tempfile
 import threading
-import time
 import zlib
 from collections import deque
 from collections.abc import Callable
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from PIL.ExifTags import IFD, Base
 
+from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
 from ladarreg_core.acquisition.devices import PanTilt
 from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.errors import DependencyError
@@ -41,7 +41,7 @@ CAMERA = Camera.from_focal(768, 512, 640.0)
 """The simulated camera, 62 x 44 deg: 30 mm on 35 mm film, as its files state."""
 
 _FILM_MM = 36.0
-_TICK_S = 0.01
+_TICK_S, _IDLE_S = 0.01, 1.0
 _CHUNKS = 8
 _KEY_STEP_RAD = 1e-5
 _WAYS = ("in chunks", "under a temporary name", "a part of it first")
@@ -62,6 +62,7 @@ class FolderTwin:
         make: writes the measurement at a position of the unit into a new file; the numbers key its noise.
         delay_s: from rest to the measurement.
         writing_s: from a file's first byte to its last.
+        clock: what it lives by, as the bench does.
     """
 
     def __init__(
@@ -74,14 +75,15 @@ class FolderTwin:
         make: Callable[[Path, PanTilt, tuple[int, int]], None],
         delay_s: float = 0.1,
         writing_s: float = 0.2,
+        clock: Clock = REAL_CLOCK,
     ) -> None:
         self.folder = folder
-        self.on = True
-        """Whether it measures; a device that is switched on in between measures from the next movement on."""
+        self._on, self._awake = True, threading.Event()
+        self._awake.set()
         self.written = 0
         """Files so far that were written as they should be."""
         self._bench, self._stem, self._suffix, self._make = bench, stem, suffix, make
-        self._delay_s, self._writing_s = delay_s, writing_s
+        self._delay_s, self._writing_s, self._clock = delay_s, writing_s, clock
         self._failures: deque[FileFailure] = deque()
         self._rng = np.random.default_rng([zlib.crc32(stem.encode()), bench.seed])
         self._done = bench.arrival()
@@ -90,14 +92,27 @@ class FolderTwin:
 
     def __enter__(self) -> FolderTwin:
         self._running.set()
-        self._thread.start()
+        self._clock.start(self._thread)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._running.clear()
-        self._thread.join()
+        self._awake.set()
+        self._clock.join(self._thread)
+
+    @property
+    def on(self) -> bool:
+        """Whether it measures; one that is switched on measures from the next arrival of the unit on."""
+        return self._on
+
+    @on.setter
+    def on(self, on: bool) -> None:
+        if on and not self._on:
+            self._arrived()  # before it was switched on
+        self._on = on
+        (self._awake.set if on else self._awake.clear)()
 
     def fail(self, kind: FileFailure) -> None:
         """Let the next file fail; several calls queue up."""
@@ -110,12 +125,19 @@ class FolderTwin:
 
     def _run(self) -> None:
         while self._running.is_set():
-            time.sleep(_TICK_S)
-            arrival = self._bench.arrival()
-            if arrival is not None and arrival != self._done and self._bench.now() >= arrival[1] + self._delay_s:
-                self._done = arrival
-                if self.on:
-                    self._measure()
+            self._clock.sleep(_TICK_S)
+            if not self._clock.wait(self._awake, _IDLE_S):
+                continue
+            if self._arrived() and self._on:
+                self._measure()
+
+    def _arrived(self) -> bool:
+        """Return whether the unit has arrived since this was asked before, and the delay is over."""
+        arrival = self._bench.arrival()
+        if arrival is None or arrival == self._done or self._bench.now() < arrival[1] + self._delay_s:
+            return False
+        self._done = arrival
+        return True
 
     def _measure(self) -> None:
         failure = self._failures.popleft() if self._failures else None
@@ -164,7 +186,7 @@ class FolderTwin:
 
     def _pause(self, seconds: float) -> None:
         if self._running.is_set():
-            time.sleep(seconds)
+            self._clock.sleep(seconds)
 
 
 def scanner_twin(
@@ -175,6 +197,7 @@ def scanner_twin(
     file_format: ScanFormat = "npz",
     delay_s: float = 0.1,
     writing_s: float = 0.2,
+    clock: Clock = REAL_CLOCK,
 ) -> FolderTwin:
     """Return a scanner with a field of view that writes scans.
 
@@ -185,6 +208,7 @@ def scanner_twin(
         file_format: of the files; `e57` needs the package `pye57`.
         delay_s: from rest to the measurement.
         writing_s: from a file's first byte to its last.
+        clock: what it lives by, as the bench does.
     """
     require_choice(file_format, get_args(ScanFormat), "the format of the scans")
     write = {"npz": write_npz_xyz, "ptx": _write_ptx, "e57": _write_e57}[file_format]
@@ -193,7 +217,14 @@ def scanner_twin(
         write(path, bench.scan_frame(at, geometry, noise_key=key))
 
     return FolderTwin(
-        bench, folder, stem="scan", suffix=f".{file_format}", make=make, delay_s=delay_s, writing_s=writing_s
+        bench,
+        folder,
+        stem="scan",
+        suffix=f".{file_format}",
+        make=make,
+        delay_s=delay_s,
+        writing_s=writing_s,
+        clock=clock,
     )
 
 
@@ -205,6 +236,7 @@ def camera_twin(
     file_format: PhotoFormat = "jpg",
     delay_s: float = 0.1,
     writing_s: float = 0.2,
+    clock: Clock = REAL_CLOCK,
 ) -> FolderTwin:
     """Return a camera that writes photographs; arguments as of `scanner_twin`."""
     require_choice(file_format, get_args(PhotoFormat), "the format of the photographs")
@@ -218,7 +250,14 @@ def camera_twin(
         picture.save(path, exif=exif, quality=95)
 
     return FolderTwin(
-        bench, folder, stem="photo", suffix=f".{file_format}", make=make, delay_s=delay_s, writing_s=writing_s
+        bench,
+        folder,
+        stem="photo",
+        suffix=f".{file_format}",
+        make=make,
+        delay_s=delay_s,
+        writing_s=writing_s,
+        clock=clock,
     )
 
 

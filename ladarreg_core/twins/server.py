@@ -13,13 +13,41 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Protocol, Self
 
+from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
 from ladarreg_core.twins.twin import Twin
 
 _TICK_S = 0.002
 _PIECE = 4096
 _MOST_UNSENT = 1 << 20  # bytes; a busy host takes them seconds later, and more is lost, as if nobody listened
+
+
+class DeviceServer(Protocol):
+    """Connects simulated devices with ports; a context manager."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+    @property
+    def clock(self) -> Clock:
+        """The clock that the devices live by."""
+
+    @property
+    def addresses(self) -> dict[str, str]:
+        """Address of each device."""
+
+    def now_s(self) -> float:
+        """Return the time that the devices are given, s."""
+
+    def unplug(self, name: str) -> None:
+        """Take a device off its port, as if its cable were pulled."""
+
+    def plug(self, name: str) -> None:
+        """Put a device back on its port, at the same address."""
 
 
 class TwinServer:
@@ -30,6 +58,8 @@ class TwinServer:
         sockets: use sockets also where there are pseudo-terminals.
     """
 
+    clock: Clock = REAL_CLOCK
+
     def __init__(self, twins: Sequence[Twin], *, sockets: bool = False) -> None:
         self._begun_s = time.monotonic()
         self._folder = tempfile.TemporaryDirectory(prefix="ladarreg-twin-", ignore_cleanup_errors=True)
@@ -39,7 +69,7 @@ class TwinServer:
         self._running = True
         self._threads = [threading.Thread(target=self._serve, args=(name,), daemon=True) for name in self._twins]
 
-    def __enter__(self) -> TwinServer:
+    def __enter__(self) -> Self:
         for thread in self._threads:
             thread.start()
         return self

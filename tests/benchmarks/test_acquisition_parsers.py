@@ -8,6 +8,7 @@ from benchmarks import acquisition_oracle as oracle
 from benchmarks.acquisition_parsers import CLASSES, measure, trusting
 
 
+@pytest.mark.slow
 def test_the_parsers_agree_with_the_judge_on_damaged_replies() -> None:
     found = measure(3_000)
     assert len(found) == 2 * len(CLASSES)

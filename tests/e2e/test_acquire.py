@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -96,15 +95,12 @@ def test_a_newcomer_scans_all_around(browser: Browser, address: str) -> None:
     awaits(page, "ready")
     page.get_by_role("tab", name="Acquire").click()
     page.get_by_role("button", name="Go on with the run").click()
-    page.get_by_role("button", name="Open as the scan").wait_for(timeout=60_000)
+    page.get_by_role("button", name="Open as the scan").wait_for()
     listed = page.get_by_role("list", name="Runs of this project").get_by_role("listitem")
     listed.filter(has_text="run-001").get_by_role("button", name="Open").wait_for()
     page.get_by_role("button", name="Open as the scan").click()
     page.locator("#scan-pane canvas").first.wait_for()
     wait_for_store(page, "store.get('scan')?.name === 'run-001.npz'")
-    until = time.monotonic() + 5
-    while page.locator(".live-scan").is_visible() and time.monotonic() < until:
-        time.sleep(0.1)
-    assert page.locator(".live-scan").is_hidden()
+    page.locator(".live-scan").wait_for(state="hidden")
     assert not errors
     assert not more

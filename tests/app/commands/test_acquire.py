@@ -51,12 +51,12 @@ def test_a_run_that_is_interrupted_goes_on_to_a_scan(tmp_path: Path, capsys: pyt
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True,
         preexec_fn=restore_ctrl_c,
     )  # fmt: skip
-    until = time.monotonic() + 60
+    until = time.monotonic() + 200
     records = run / "run.jsonl"
     while not (records.is_file() and records.read_bytes().count(b"\n") >= 2) and time.monotonic() < until:
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
-    out, errors = process.communicate(timeout=60)
+    out, errors = process.communicate(timeout=200)
     assert process.returncode == 130, errors
     assert f"go on with: ladarreg acquire {plan} -o {run} --resume" in out
     assert "Traceback" not in errors

@@ -27,7 +27,7 @@ def start(checkout: Path, project: Path, *more: str) -> tuple[subprocess.Popen[s
 
 def end(process: subprocess.Popen[str]) -> None:
     process.send_signal(signal.SIGINT)
-    rest, errors = process.communicate(timeout=60)
+    rest, errors = process.communicate(timeout=200)
     assert process.returncode == 0, errors
     # The second line, or all of it but its end, may have been read ahead with the first one.
     assert {line.partition(":")[0] for line in rest.splitlines() if line} <= {"Read-only"}

@@ -177,9 +177,7 @@ def test_stopping_is_for_everybody_and_a_run_goes_on_where_it_was(bench: Workben
     bench.do("acquire_start", plan=plan)
     bench.eventually(lambda: kept(bench) >= 1)
     assert "drives the devices; take over first" in ask("acquire_pause")["error"]
-    begun = time.monotonic()
     assert ask("acquire_stop")["ok"]
-    assert time.monotonic() - begun < 1
     bench.eventually(lambda: ready(bench))
     found = bench.slice("acquisition")
     assert not found["complete"]

@@ -1,10 +1,9 @@
-"""The driver of the pan/tilt unit against the simulated unit behind a real port."""
+"""The driver of the pan/tilt unit against the simulated unit, in memory; and behind real ports in real time."""
 
 from __future__ import annotations
 
 import math
 import threading
-import time
 from collections.abc import Iterator
 
 import pytest
@@ -12,31 +11,42 @@ import pytest
 from ladarreg_core.acquisition.devices import PanTilt
 from ladarreg_core.acquisition.flir_unit import FlirUnit
 from ladarreg_core.acquisition.plan import UnitPlan
-from ladarreg_core.acquisition.ports import Ports
+from ladarreg_core.acquisition.ports import Ports, PortSource
 from ladarreg_core.errors import Cancelled, DeviceError, OptionError
 from ladarreg_core.twins.flir_twin import COUNTS_PER_RAD, FlirTwin
-from ladarreg_core.twins.server import TwinServer
+from ladarreg_core.twins.server import DeviceServer, TwinServer
+from testing.devices.simulated_clock import SimulatedClock
+from testing.devices.simulated_ports import MemoryPorts, MemoryServer
 
 
 class Bench:
-    def __init__(self, server: TwinServer, twin: FlirTwin, ports: Ports) -> None:
+    def __init__(self, server: DeviceServer, twin: FlirTwin, ports: PortSource) -> None:
         self.server, self.twin, self.ports = server, twin, ports
 
     def connect(self, **plan: object) -> FlirUnit:
         address = self.server.addresses[self.twin.name]
         return FlirUnit.connect(self.ports, UnitPlan(address, baud=self.twin.baud, **plan))  # type: ignore[arg-type]
 
-    def await_halt(self) -> bool:
-        until = time.monotonic() + 5
-        while self.twin.moving(self.server.now_s()) and time.monotonic() < until:
-            time.sleep(0.005)
+    def is_still(self) -> bool:
         return not self.twin.moving(self.server.now_s())
 
 
 @pytest.fixture
-def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+def clock() -> SimulatedClock:
+    return SimulatedClock()
+
+
+@pytest.fixture
+def bench(clock: SimulatedClock) -> Iterator[Bench]:
     twin = FlirTwin(baud=115_200)
-    with TwinServer([twin], sockets=getattr(request, "param", False)) as server, Ports(guarded=False) as ports:
+    with MemoryServer([twin], clock=clock) as server, MemoryPorts(server) as ports:
+        yield Bench(server, twin, ports)
+
+
+@pytest.fixture(params=[False, True], ids=["terminal", "socket"])
+def real_bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+    twin = FlirTwin(baud=115_200)
+    with TwinServer([twin], sockets=request.param) as server, Ports(guarded=False) as ports:
         yield Bench(server, twin, ports)
 
 
@@ -48,8 +58,15 @@ def at(pan_deg: float, tilt_deg: float) -> PanTilt:
     return PanTilt(math.radians(pan_deg), math.radians(tilt_deg))
 
 
-@pytest.mark.parametrize("bench", [False, True], indirect=True, ids=["terminal", "socket"])
 def test_it_says_what_it_is_and_moves(bench: Bench) -> None:
+    says_what_it_is_and_moves(bench)
+
+
+def test_it_does_so_behind_real_ports(real_bench: Bench) -> None:
+    says_what_it_is_and_moves(real_bench)
+
+
+def says_what_it_is_and_moves(bench: Bench) -> None:
     unit = bench.connect()
     assert "FLIR" in unit.identity.model
     assert math.degrees(unit.identity.highest.tilt_rad) == pytest.approx(30.99, abs=0.05)
@@ -71,29 +88,53 @@ def test_axes_that_turn_the_other_way(bench: Bench) -> None:
     assert (bench.twin.angles_at([bench.server.now_s()]) < 0).all()
 
 
-def test_a_halt_from_another_thread_ends_the_movement(bench: Bench) -> None:
+def test_a_halt_in_between_ends_the_movement(bench: Bench, clock: SimulatedClock) -> None:
     unit = bench.connect()
-    threading.Timer(0.3, unit.halt).start()
+    clock.after(0.3, unit.halt)
+    begun = clock.now()
     with pytest.raises(Cancelled):
         unit.move_to(at(90, 0), check=goes_on)
-    assert bench.await_halt()
+    assert bench.is_still()
+    assert clock.now() - begun < 0.5
     assert math.degrees(unit.position().pan_rad) < 45
     assert math.degrees(unit.move_to(at(1, 0), check=goes_on).pan_rad) == pytest.approx(1, abs=0.02)
 
 
-def test_a_cancelled_movement_is_halted(bench: Bench) -> None:
-    unit, begun = bench.connect(), time.monotonic()
+def test_a_halt_from_another_thread_ends_the_movement(real_bench: Bench) -> None:
+    unit = real_bench.connect()
+    moves = threading.Event()
+
+    def halt() -> None:
+        moves.wait()
+        unit.halt()
+
+    def note() -> None:
+        if not real_bench.is_still():
+            moves.set()
+
+    halting = threading.Thread(target=halt)
+    halting.start()
+    with pytest.raises(Cancelled):
+        unit.move_to(at(90, 0), check=note)
+    halting.join()
+    assert math.degrees(unit.position().pan_rad) < 89
+    assert real_bench.is_still(), "it has answered since"
+
+
+def test_a_cancelled_movement_is_halted(bench: Bench, clock: SimulatedClock) -> None:
+    unit = bench.connect()
+    begun = clock.now()
 
     def stop() -> None:
-        if time.monotonic() - begun > 0.2:
+        if clock.now() - begun > 0.2:
             raise Cancelled
 
     with pytest.raises(Cancelled):
         unit.move_to(at(90, 0), check=stop)
-    assert bench.await_halt()
+    assert bench.is_still()
 
 
-def test_a_unit_that_gets_stuck_or_hits_a_limit_is_halted(bench: Bench) -> None:
+def test_a_unit_that_gets_stuck_or_hits_a_limit_is_halted(bench: Bench, clock: SimulatedClock) -> None:
     unit = bench.connect()
     bench.twin.stuck = True
     with pytest.raises(
@@ -101,10 +142,10 @@ def test_a_unit_that_gets_stuck_or_hits_a_limit_is_halted(bench: Bench) -> None:
     ):
         unit.move_to(at(10, 0), check=goes_on)
     bench.twin.stuck = False
-    threading.Timer(0.3, lambda: bench.twin.hit_limit("T", bench.server.now_s())).start()
+    clock.after(0.3, lambda: bench.twin.hit_limit("T", clock.now()))
     with pytest.raises(DeviceError, match=r"hit its tilt limit though"):
         unit.move_to(at(60, 0), check=goes_on)
-    assert bench.await_halt()
+    assert bench.is_still()
 
 
 @pytest.mark.parametrize("failure", ["silent", "rubbish"])
@@ -117,24 +158,33 @@ def test_a_unit_that_answers_nothing_or_rubbish_is_an_error(bench: Bench, failur
     assert unit.move_to(at(2, 0), check=goes_on)
 
 
-def test_a_cable_that_is_pulled_and_put_back_is_noticed_and_survived(bench: Bench) -> None:
+def test_a_cable_that_is_pulled_and_put_back_is_noticed_and_survived(bench: Bench, clock: SimulatedClock) -> None:
     unit = bench.connect()
     bench.server.unplug(bench.twin.name)
-    threading.Timer(0.5, lambda: bench.server.plug(bench.twin.name)).start()
+    clock.after(0.5, lambda: bench.server.plug(bench.twin.name))
     assert math.degrees(unit.move_to(at(2, 0), check=goes_on).pan_rad) == pytest.approx(2, abs=0.02)
     bench.server.unplug(bench.twin.name)
     with pytest.raises(DeviceError, match="disappeared"):
         unit.position()
 
 
-def test_the_speed_of_the_plan_is_set(bench: Bench) -> None:
+def test_a_real_port_that_is_pulled_and_put_back_is_noticed_and_survived(real_bench: Bench) -> None:
+    unit, server = real_bench.connect(), real_bench.server
+    server.unplug(real_bench.twin.name)
+    server.plug(real_bench.twin.name)  # under another name of the system, or with the connection lost
+    assert math.degrees(unit.move_to(at(2, 0), check=goes_on).pan_rad) == pytest.approx(2, abs=0.02)
+    server.unplug(real_bench.twin.name)
+    with pytest.raises(DeviceError, match="disappeared"):
+        unit.position()
+
+
+def test_the_speed_of_the_plan_is_set(bench: Bench, clock: SimulatedClock) -> None:
     unit = bench.connect(speed_deg_s=6.0)
     assert math.degrees(unit.identity.speed_rad_s.pan_rad) == pytest.approx(6.0)
     unit.start_move(PanTilt(math.radians(12), 0))
-    begun = bench.server.now_s()
-    while bench.twin.moving(bench.server.now_s()):
-        time.sleep(0.005)
-    assert bench.server.now_s() - begun > 1  # by the twin's own clock; at its usual speed it takes .4 s
+    begun = clock.now()
+    assert clock.wait_until(bench.is_still, 10)
+    assert clock.now() - begun == pytest.approx(2, abs=0.2)  # at its usual speed it takes .4 s
     unit.close()
 
 

@@ -26,7 +26,7 @@ from ladarreg_core.errors import Cancelled, DeviceError
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
 STOP = b"\rH "
-LONGEST_S = 5.0  # it takes tenths of a second, which benchmarks measure; a machine that runs tests is busy
+LONGEST_S = 30.0  # it takes tenths of a second, which benchmarks measure; a machine that runs tests is busy
 CHECKOUT = Path(__file__).resolve().parents[3]
 
 
@@ -99,12 +99,14 @@ def test_an_exchange_drops_what_was_stale_and_keeps_what_follows(terminal: Termi
         port = ports.open(terminal.address, 9600, stop=STOP, name="unit")
         link = Link(port, device="the unit")
         terminal.say(b"!P\r\n")
-        time.sleep(0.2)
-        assert link.exchange(b"PP ", complete=ended, deadline_s=2) == b"* 17\r\n"
+        while not link._buffer.endswith(b"\n"):
+            link.require_present()  # receives what has come
+            time.sleep(0.01)
+        assert link.exchange(b"PP ", complete=ended, deadline_s=LONGEST_S) == b"* 17\r\n"
         assert [each.reply for each in link.exchanges] == [b"!P\r\n", b"* 17\r\n"]
         terminal.say(b"one\ntwo\n")
-        assert link.receive(complete=ended, deadline_s=2) == b"one\n"
-        assert link.receive(complete=ended, deadline_s=2) == b"two\n"
+        assert link.receive(complete=ended, deadline_s=LONGEST_S) == b"one\n"
+        assert link.receive(complete=ended, deadline_s=LONGEST_S) == b"two\n"
         with pytest.raises(DeviceError, match=r'no complete answer within 0.2 s .*sent "TT "'):
             link.exchange(b"TT ", complete=ended, deadline_s=0.2)
     assert terminal.await_bytes(STOP, LONGEST_S)
@@ -113,11 +115,11 @@ def test_an_exchange_drops_what_was_stale_and_keeps_what_follows(terminal: Termi
 def test_a_halt_does_not_wait_for_the_exchange_that_is_going_on(terminal: Terminal) -> None:
     with Ports(guarded=False) as ports:
         link = Link(ports.open(terminal.address, 9600, stop=STOP, name="unit"), device="the unit")
-        waiting = threading.Thread(target=lambda: link.exchange(b"A ", complete=ended, deadline_s=10))
+        waiting = threading.Thread(target=lambda: link.exchange(b"A ", complete=ended, deadline_s=60))
         waiting.start()
-        assert terminal.await_bytes(b"A ", 2)
+        assert terminal.await_bytes(b"A ", LONGEST_S)
         link.urgent(b"H ")
-        assert terminal.await_bytes(b"H ", 1)
+        assert terminal.await_bytes(b"H ", LONGEST_S)
         assert waiting.is_alive()
         terminal.say(b"*\r\n")
         waiting.join()
@@ -137,10 +139,10 @@ def test_an_exchange_is_cancelled_at_once(terminal: Terminal) -> None:
 def test_an_unplugged_device_is_said_to_be_so(terminal: Terminal, guarded: bool) -> None:
     with Ports(guarded=guarded) as ports:
         link = Link(ports.open(terminal.address, 9600, stop=STOP, name="unit"), device="the unit")
-        assert link.exchange(b"PP ", complete=ended, deadline_s=2)
+        assert link.exchange(b"PP ", complete=ended, deadline_s=LONGEST_S)
         terminal.unplug()
         with pytest.raises(PortLostError, match="disappeared"):
-            link.exchange(b"PP ", complete=ended, deadline_s=5)
+            link.exchange(b"PP ", complete=ended, deadline_s=LONGEST_S)
 
 
 @pytest.mark.parametrize("guarded", [True, False])
@@ -190,11 +192,11 @@ def test_closing_ends_the_exchange_that_is_going_on_and_frees_the_port(terminal:
         link = Link(ports.open(terminal.address, 9600, stop=STOP, name="unit"), device="the unit")
         waiting = threading.Thread(target=wait_for_the_answer, args=(link,), daemon=True)
         waiting.start()
-        assert terminal.await_bytes(b"A ", 2)
+        assert terminal.await_bytes(b"A ", LONGEST_S)
         link.close()
-        waiting.join(5)
+        waiting.join(LONGEST_S)
         assert failed
-        until = time.monotonic() + 2
+        until = time.monotonic() + LONGEST_S
         while True:
             try:
                 others.open(terminal.address, 9600, stop=STOP, name="unit")
@@ -209,7 +211,7 @@ def test_a_port_is_closed_before_it_is_opened_again(terminal: Terminal) -> None:
         port = ports.open(terminal.address, 9600, stop=STOP, name="unit")
         for _ in range(3):
             port.reopen()
-        assert Link(port, device="the unit").exchange(b"PP ", complete=ended, deadline_s=2) == b"* 17\r\n"
+        assert Link(port, device="the unit").exchange(b"PP ", complete=ended, deadline_s=LONGEST_S) == b"* 17\r\n"
         assert terminal.received.count(STOP) == 3
 
 
@@ -254,13 +256,13 @@ def test_a_connection_that_is_not_answered_holds_up_no_other_device(terminal: Te
             connecting.start()
             until = time.monotonic() + 2 * LONGEST_SILENCE_S
             while time.monotonic() < until:
-                assert link.exchange(b"PP ", complete=ended, deadline_s=1) == b"* 17\r\n"
+                assert link.exchange(b"PP ", complete=ended, deadline_s=LONGEST_S) == b"* 17\r\n"
                 time.sleep(0.05)
             assert connecting.is_alive()
             assert STOP not in terminal.received
             for one in (deaf, *waiting):
                 one.close()
-            connecting.join(10)
+            connecting.join(LONGEST_S)
         assert "cannot be opened" in refused[0]
     finally:
         for one in (deaf, *waiting):
@@ -281,7 +283,7 @@ PROGRAM = """
 
 # All of its group: as a terminal does by Ctrl-C and Ctrl-Z, and as the end of a session does.
 @pytest.mark.parametrize("end", ["SIGKILL", "SIGSTOP", "SIGINT", "SIGTERM"])
-def test_the_device_stops_within_a_second_of_the_programs_end(terminal: Terminal, end: str) -> None:
+def test_the_device_stops_soon_after_the_programs_end(terminal: Terminal, end: str) -> None:
     program = subprocess.Popen(
         [sys.executable, "-c", textwrap.dedent(PROGRAM), terminal.address],
         stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=CHECKOUT, start_new_session=True,
@@ -289,7 +291,7 @@ def test_the_device_stops_within_a_second_of_the_programs_end(terminal: Terminal
     try:
         assert program.stdout is not None
         guard = int(program.stdout.readline().split()[1])
-        assert terminal.await_bytes(b"PP1000 ", 5)
+        assert terminal.await_bytes(b"PP1000 ", LONGEST_S)
         assert STOP not in terminal.received
         os.killpg(program.pid, getattr(signal, end))
         stopped = terminal.await_bytes(STOP, LONGEST_S)
@@ -297,7 +299,7 @@ def test_the_device_stops_within_a_second_of_the_programs_end(terminal: Terminal
     finally:
         program.kill()
         program.wait(10)
-    until = time.monotonic() + 5
+    until = time.monotonic() + LONGEST_S
     while Path(f"/proc/{guard}").exists() and time.monotonic() < until:
         time.sleep(0.05)
     assert not Path(f"/proc/{guard}").exists(), "the guard has ended"
@@ -309,17 +311,17 @@ def test_the_end_of_the_guard_is_said_before_another_one_takes_over(terminal: Te
         link = Link(ports.open(terminal.address, 9600, stop=STOP, name="unit"), device="the unit")
         set_up: list[bool] = []
         link.when_connected(lambda: set_up.append(True))
-        assert link.exchange(b"PP ", complete=ended, deadline_s=2)
+        assert link.exchange(b"PP ", complete=ended, deadline_s=LONGEST_S)
         os.kill(ports.guard().pid, getattr(signal, end))
         why = {"SIGKILL": "has ended unexpectedly", "SIGTERM": "because it was told to end"}[end]
         with pytest.raises(GuardEndedError, match=f"process that holds the ports has ended.*{why.split()[-1]}"):
-            link.receive(complete=ended, deadline_s=5)
+            link.receive(complete=ended, deadline_s=LONGEST_S)
         with pytest.raises(GuardEndedError):
-            link.exchange(b"PP ", complete=ended, deadline_s=2)
+            link.exchange(b"PP ", complete=ended, deadline_s=LONGEST_S)
         if end == "SIGTERM":
             assert terminal.await_bytes(STOP, LONGEST_S)
         assert not set_up
-        assert link.exchange(b"PP ", complete=ended, deadline_s=5) == b"* 17\r\n"
+        assert link.exchange(b"PP ", complete=ended, deadline_s=LONGEST_S) == b"* 17\r\n"
         assert set_up
 
 
@@ -333,7 +335,7 @@ HANGING_PROGRAM = """
         print("ready", flush=True)
         for line in sys.stdin:
             try:
-                print(link.exchange(b"PP ", complete=lambda data: data.find(b"\\n") + 1, deadline_s=3), flush=True)
+                print(link.exchange(b"PP ", complete=lambda data: data.find(b"\\n") + 1, deadline_s=30), flush=True)
             except DeviceError as error:
                 print(error, flush=True)
 """
@@ -356,7 +358,7 @@ def test_a_program_that_hung_is_told_that_its_devices_were_stopped(terminal: Ter
         assert "because this program hung for more than 0.7 s" in program.stdout.readline()
         assert "* 17" in program.stdout.readline()
         program.stdin.close()
-        assert program.wait(10) == 0
+        assert program.wait(LONGEST_S) == 0
     finally:
         program.kill()
         program.wait(10)
@@ -380,7 +382,7 @@ def test_a_port_whose_device_did_not_answer_can_be_used_again(tmp_path: Path, gu
             first.close()
             again = ports.open(terminal.address, 9600, stop=STOP, name="scanner")
             again.write(b"hello")
-            terminal.await_bytes(b"hello", LONGEST_S)
+            assert terminal.await_bytes(b"hello", LONGEST_S)
     finally:
         terminal.unplug()
 

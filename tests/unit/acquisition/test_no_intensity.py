@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -19,23 +20,27 @@ from ladarreg_core.scan import NO_INTENSITY_NOTE
 from ladarreg_core.twins.devices import TwinDevices
 from ladarreg_core.twins.scip_twin import URG_04LX
 from ladarreg_core.twins.world import LINE_MOUNT
+from testing.devices.simulated_clock import SimulatedClock
+from testing.devices.simulated_ports import MemoryPorts, MemoryServer
 from testing.workbench.workbench_driver import open_bench
 
 QUICK = replace(URG_04LX, turns_a_minute=2400)
 
 
+@pytest.mark.slow
 def test_a_scanner_without_intensity_goes_through_the_whole_chain(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run, out = tmp_path / "run", tmp_path / "panorama"
-    with TwinDevices("office", 1, model=QUICK) as twins:
+    clock = SimulatedClock()
+    with TwinDevices("office", 1, model=QUICK, serve=partial(MemoryServer, clock=clock)) as twins:
         at = twins.addresses
         plan = Plan(
             UnitPlan(at["flir-ptu"], baud=115_200), ScannerPlan("scip2", at["scip2"]), "sweep",
             pan=Axis(-2, 2, 1), tilt=Axis(0, 0, 0), mount=LINE_MOUNT, settle_s=0.0,
         )  # fmt: skip
         folder = RunWriter.begin(run, plan, resume=False)
-        with connected(plan) as devices:
+        with connected(plan, ports=partial(MemoryPorts, twins.server)) as devices:
             assert devices.line_scanner is not None
             assert not devices.line_scanner.identity.has_intensity
             assert devices.run(plan, folder, lambda event: None).go()

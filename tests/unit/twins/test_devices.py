@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -29,6 +29,8 @@ from ladarreg_core.twins.devices import CAMERA, SCANNER, TwinDevices
 from ladarreg_core.twins.folder_twin import CAMERA as CAMERA_MODEL
 from ladarreg_core.twins.folder_twin import FRAME
 from ladarreg_core.twins.world import FRAME_MOUNT, Bench
+from testing.devices.simulated_clock import SimulatedClock
+from testing.devices.simulated_ports import MemoryPorts, MemoryServer
 
 GEOMETRY = AzimuthElevation(35, 50, np.radians(1.1), np.radians(1.1))
 
@@ -37,29 +39,27 @@ def goes_on() -> None:
     pass
 
 
-def awaited(what: Callable[[], bool], seconds: float = 5.0) -> bool:
-    until = time.monotonic() + seconds
-    while not (done := what()) and time.monotonic() < until:
-        time.sleep(0.005)
-    return done
+@pytest.fixture(scope="module")
+def clock() -> SimulatedClock:
+    return SimulatedClock()
 
 
 @pytest.fixture(scope="module")
-def devices() -> Iterator[TwinDevices]:
-    with TwinDevices("plain", 1, geometry=GEOMETRY) as served:
+def devices(clock: SimulatedClock) -> Iterator[TwinDevices]:
+    with TwinDevices("plain", 1, geometry=GEOMETRY, serve=partial(MemoryServer, clock=clock)) as served:
         yield served
 
 
 @pytest.fixture(scope="module")
 def unit(devices: TwinDevices) -> Iterator[FlirUnit]:
-    with Ports(guarded=False) as ports:
+    with MemoryPorts(devices.server) as ports:
         yield FlirUnit.connect(ports, UnitPlan(devices.addresses["flir-ptu"], baud=devices.unit.baud))
 
 
 def test_lines_are_true_where_the_unit_stands_and_the_same_when_it_is_back(
     devices: TwinDevices, unit: FlirUnit
 ) -> None:
-    with Ports(guarded=False) as ports:
+    with MemoryPorts(devices.server) as ports:
         scanner = ScipScanner.connect(ports, ScannerPlan("scip2", port=devices.addresses["scip2"]))
         at = unit.move_to(PanTilt(0.2, -0.1), check=goes_on)
         assert not devices.bench.moving
@@ -78,24 +78,24 @@ def test_lines_are_true_where_the_unit_stands_and_the_same_when_it_is_back(
 
 
 def test_files_appear_when_the_unit_has_arrived_and_not_when_it_was_halted(
-    devices: TwinDevices, unit: FlirUnit
+    devices: TwinDevices, unit: FlirUnit, clock: SimulatedClock
 ) -> None:
     def written(name: str) -> int:
         return int(devices.state()["files"][name])
 
     unit.move_to(PanTilt(0.0, 0.0), check=goes_on)
-    time.sleep(0.3)
+    clock.sleep(0.5)
     assert written(SCANNER) == written(CAMERA) == 0, "they are switched off"
     for name in (SCANNER, CAMERA):
         devices.switch_on(name)
     unit.start_move(PanTilt(1.0, 0.0))
-    assert awaited(lambda: devices.bench.moving)
+    assert clock.wait_until(lambda: devices.bench.moving, 1.0)
     unit.halt()
-    assert awaited(lambda: not devices.bench.moving, 1.0)
-    time.sleep(0.3)
+    assert clock.wait_until(lambda: not devices.bench.moving, 1.0)
+    clock.sleep(0.5)
     assert written(SCANNER) == 0
     at = unit.move_to(PanTilt(0.1, 0.05), check=goes_on)
-    assert awaited(lambda: written(SCANNER) == written(CAMERA) == 1)
+    assert clock.wait_until(lambda: written(SCANNER) == written(CAMERA) == 1, 5.0)
     (scan,) = [lr.read_scan(path) for path in sorted(Path(devices.addresses[SCANNER]).glob("*.npz"))[-1:]]
     key = tuple(round(angle / 1e-5) for angle in (at.pan_rad, at.tilt_rad))
     true = devices.bench.scan_frame(at, GEOMETRY, noise_key=key)
@@ -110,12 +110,13 @@ def test_folders_fail_in_their_own_ways_only(devices: TwinDevices) -> None:
             devices.fail(device, kind)
 
 
+@pytest.mark.slow  # in real time: the devices have a process of their own
 def test_a_mosaic_is_recorded_by_the_addresses_of_twins(tmp_path: Path) -> None:
     at = "?seed=3&scene=plain"
     fields = {
         "version": 1,
         "unit": {"port": f"twin:flir-ptu{at}", "baud": 115200},
-        "scanner": {"kind": "folder", "folder": f"twin:scanner{at}", "timeout_s": 20},
+        "scanner": {"kind": "folder", "folder": f"twin:scanner{at}", "timeout_s": 120},
         "camera": {"folder": f"twin:camera{at}"},
         "mode": "mosaic",
         "pan_deg": [0, 40, 40],
@@ -130,7 +131,10 @@ def test_a_mosaic_is_recorded_by_the_addresses_of_twins(tmp_path: Path) -> None:
             faults.append(event.reason)
             run.stop()
 
-    with closing(RunWriter.begin(tmp_path / "run", plan)) as folder, connected(plan, guarded=False) as found:
+    with (
+        closing(RunWriter.begin(tmp_path / "run", plan)) as folder,
+        connected(plan, ports=partial(Ports, guarded=False)) as found,
+    ):
         run = found.run(plan, folder, note)
         assert run.go(), faults
     bench = Bench("plain", 3)

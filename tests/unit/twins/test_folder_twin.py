@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,25 +16,28 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.twins.folder_twin import ScanFormat, camera_twin, scanner_twin
 from ladarreg_core.twins.world import Angles, Bench
+from testing.devices.simulated_clock import SimulatedClock
 
 GEOMETRY = AzimuthElevation(35, 50, np.radians(1.1), np.radians(1.1))
 
 
-def awaited(what: Callable[[], bool], seconds: float = 5.0) -> bool:
-    until = time.monotonic() + seconds
-    while not (done := what()) and time.monotonic() < until:
-        time.sleep(0.005)
-    return done
+@pytest.fixture
+def clock() -> SimulatedClock:
+    return SimulatedClock()
 
 
 @pytest.mark.parametrize("file_format", ["npz", "ptx", "e57"])
-def test_scans_of_every_format_are_read_as_they_were_measured(tmp_path: Path, file_format: ScanFormat) -> None:
+def test_scans_of_every_format_are_read_as_they_were_measured(
+    tmp_path: Path, file_format: ScanFormat, clock: SimulatedClock
+) -> None:
     if file_format == "e57":
         pytest.importorskip("pye57")
-    b = Bench("boxes", 1)
-    with scanner_twin(b, tmp_path, geometry=GEOMETRY, file_format=file_format, delay_s=0, writing_s=0.02) as twin:
+    b = Bench("boxes", 1, clock=clock.now)
+    with scanner_twin(
+        b, tmp_path, geometry=GEOMETRY, file_format=file_format, delay_s=0, writing_s=0.02, clock=clock
+    ) as twin:
         b.place_unit(PanTilt(0.3, 0.1))
-        assert awaited(lambda: twin.written == 1)
+        assert clock.wait_until(lambda: twin.written == 1, 5)
     (file,) = tmp_path.iterdir()
     scan, true = lr.read_scan(file), b.scan_frame(PanTilt(0.3, 0.1), GEOMETRY, noise_key=(30_000, 10_000))
     returned = np.isfinite(true.ranges)
@@ -50,10 +51,11 @@ def correlation(scan: Scan, true: Scan, where: np.ndarray) -> float:
     return float(np.corrcoef(scan.intensity[where], np.minimum(true.intensity, 4)[where])[0, 1])
 
 
-def test_files_come_in_several_ways_and_fail_on_request(tmp_path: Path) -> None:
-    b = Bench("boxes", 1)
+def test_files_come_in_several_ways_and_fail_on_request(tmp_path: Path, clock: SimulatedClock) -> None:
+    b = Bench("boxes", 1, clock=clock.now)
+    small = lr.Camera.from_focal(64, 48, 50.0)
     seen: dict[str, set[int]] = {}
-    with camera_twin(b, tmp_path, camera=lr.Camera.from_focal(64, 48, 50.0), file_format="png", delay_s=0) as twin:
+    with camera_twin(b, tmp_path, camera=small, file_format="png", delay_s=0, clock=clock) as twin:
 
         def place() -> None:
             b.place_unit(PanTilt(0.1, 0.0))
@@ -64,10 +66,10 @@ def test_files_come_in_several_ways_and_fail_on_request(tmp_path: Path) -> None:
 
         for number in range(1, 7):
             place()
-            until = time.monotonic() + 5
-            while twin.written < number and time.monotonic() < until:
+            until = clock.now() + 5
+            while twin.written < number and clock.now() < until:
                 look()
-                time.sleep(0.002)
+                clock.sleep(0.002)
         assert twin.written == 6
         assert any(name.endswith(".part") for name in seen), "none under a temporary name"
         assert any(len(sizes) > 2 for name, sizes in seen.items() if name.endswith(".png")), "none grew"
@@ -79,12 +81,12 @@ def test_files_come_in_several_ways_and_fail_on_request(tmp_path: Path) -> None:
         for kind in ("never", "truncated", "wrong-format", "two-files"):
             twin.fail(kind)  # type: ignore[arg-type]
         place()
-        time.sleep(0.3)
+        clock.sleep(0.3)
         assert len(list(tmp_path.iterdir())) == 6
         for total in (7, 8, 10):
             place()
-            assert awaited(lambda n=total: len(list(tmp_path.glob("*.png"))) == n)
-            time.sleep(0.4)
+            assert clock.wait_until(lambda n=total: len(list(tmp_path.glob("*.png"))) == n, 5)
+            clock.sleep(0.4)
     contents = [path.read_bytes() for path in sorted(tmp_path.iterdir())][6:]
     good = whole[0].read_bytes()
     assert contents[0] == good[: len(good) * 2 // 3]
@@ -92,24 +94,26 @@ def test_files_come_in_several_ways_and_fail_on_request(tmp_path: Path) -> None:
     assert contents[2] == contents[3] == good
 
 
-def test_a_unit_that_was_halted_or_is_sent_elsewhere_meanwhile_gives_no_file(tmp_path: Path) -> None:
+def test_a_unit_that_was_halted_or_is_sent_elsewhere_meanwhile_gives_no_file(
+    tmp_path: Path, clock: SimulatedClock
+) -> None:
     now = [0.0]
     b = Bench("boxes", 1, clock=lambda: now[0])
 
     def rest(times: FloatArray) -> Angles:
         return 0 * times, 0 * times
 
-    with scanner_twin(b, tmp_path, geometry=GEOMETRY, delay_s=0.1, writing_s=0.02) as twin:
+    with scanner_twin(b, tmp_path, geometry=GEOMETRY, delay_s=0.1, writing_s=0.02, clock=clock) as twin:
         b.publish_motion(rest, from_s=0.0, rest_s=1.0)
         now[0] = 0.5
         b.publish_motion(rest, from_s=0.5, rest_s=0.5, arrives=False)
         now[0] = 2.0
-        time.sleep(0.1)
+        clock.sleep(0.1)
         b.publish_motion(rest, from_s=2.0, rest_s=3.0)
         now[0] = 2.9
         b.publish_motion(rest, from_s=2.9, rest_s=4.0)
         now[0] = 3.5
-        time.sleep(0.1)
+        clock.sleep(0.1)
         assert list(tmp_path.iterdir()) == []
         now[0] = 4.2
-        assert awaited(lambda: twin.written == 1)
+        assert clock.wait_until(lambda: twin.written == 1, 5)

@@ -49,6 +49,7 @@ def test_a_sweep_in_motion_is_true_with_its_latency_and_not_without() -> None:
         assert rms(recorded.points_in_world(sweep.bench.mount) - true) > 0.008
 
 
+@pytest.mark.slow
 def test_pieces_of_a_mosaic_agree_in_the_world_by_their_true_poses_only() -> None:
     geometry = AzimuthElevation(70, 100, np.radians(0.55), np.radians(0.55))
     mosaic = simulate_mosaic("office", 2, columns=2, rows=1, overlap=0.5, geometry=geometry)

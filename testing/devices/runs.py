@@ -1,0 +1,74 @@
+"""Runs on simulated devices, and what they have kept."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ladarreg_core.acquisition.flir_unit import FlirUnit
+from ladarreg_core.acquisition.line_sweep import LineSweep
+from ladarreg_core.acquisition.plan import Axis, Plan, ScannerPlan, UnitPlan
+from ladarreg_core.acquisition.ports import PortSource
+from ladarreg_core.acquisition.run_folder import RunFolder, RunWriter
+from ladarreg_core.acquisition.runner import Paused, Run, RunEvent
+from ladarreg_core.acquisition.scip_scanner import ScipScanner
+from ladarreg_core.twins.devices import TwinDevices
+from ladarreg_core.twins.world import LINE_MOUNT
+
+CHECKOUT = Path(__file__).resolve().parents[3]
+
+
+class Devices:
+    """Connected drivers of the simulated devices.
+
+    Args:
+        twins: the devices.
+        ports: to reach them by.
+    """
+
+    def __init__(self, twins: TwinDevices, ports: PortSource) -> None:
+        self.twins, self.clock = twins, ports.clock
+        at = twins.addresses
+        self.unit_plan = UnitPlan(at["flir-ptu"], baud=115_200)
+        self.scanner_plan = ScannerPlan("scip2", at["scip2"], lines=2)
+        self.unit = FlirUnit.connect(ports, self.unit_plan)
+        self.scanner = ScipScanner.connect(ports, self.scanner_plan)
+
+    def plan(self, **changes: Any) -> Plan:
+        fields: dict[str, Any] = {"pan": Axis(-4, 4, 1), "tilt": Axis(0, 0, 0), "settle_s": 0.0, **changes}
+        return Plan(self.unit_plan, self.scanner_plan, "sweep", mount=LINE_MOUNT, **fields)
+
+    def run(self, folder: RunWriter, events: list[RunEvent], on_event: Any = None, *, fails: bool = False) -> Run:
+        def report(event: RunEvent) -> None:
+            events.append(event)
+            assert fails or not (isinstance(event, Paused) and event.fault), event  # it would wait for ever
+            if on_event is not None:
+                on_event(event)
+
+        return Run(folder.plan, folder, unit=self.unit, line_scanner=self.scanner, report=report, clock=self.clock)
+
+    def are_at_rest(self) -> bool:
+        state = self.twins.state()
+        return not state["moving"] and not state["laser_on"]
+
+    def come_to_rest(self) -> bool:
+        """Return whether the devices come to rest; how soon is measured by a benchmark."""
+        until = self.clock.now() + 30
+        while not (rest := self.are_at_rest()) and self.clock.now() < until:
+            self.clock.sleep(0.01)
+        return rest
+
+
+def pieces_of(folder: Path) -> list[LineSweep]:
+    run = RunFolder.open(folder)
+    return [piece for k in sorted(run.records) if isinstance(piece := run.piece(k), LineSweep)]
+
+
+def same(a: list[LineSweep], b: list[LineSweep]) -> bool:
+    return len(a) == len(b) and all(
+        np.array_equal(x.ranges_m, y.ranges_m, equal_nan=True) and np.array_equal(x.intensity, y.intensity)
+        and np.array_equal(x.pan_rad, y.pan_rad)
+        for x, y in zip(a, b, strict=True)
+    )  # fmt: skip
