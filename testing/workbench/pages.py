@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, BrowserContext, Page, Route
 
 SIZE = (1280, 720)
+ROUND_TRIP = "import('./js/net/connection.js').then(({ ask }) => ask('list_served').then(() => null))"
+"""Its answer follows that of every command that the page has sent before, and all messages of before."""
 FAILED = pytest.StashKey[bool]()
 
 
@@ -95,12 +97,17 @@ def pixels(page: Page) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB"))
 
 
+def two_frames(page: Page) -> None:
+    """Wait until everything is drawn that was due when this was called."""
+    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+
 def wait_for_pixels(page: Page, wanted: Callable[[np.ndarray], bool], *, what: str, seconds: float = 60) -> np.ndarray:
     """Return the first screenshot that satisfies `wanted` and no longer changes, since new things fade in."""
     end = time.monotonic() + seconds
     before = pixels(page)
     while time.monotonic() < end:
-        page.wait_for_timeout(500)
+        page.wait_for_timeout(200)  # a fade is slower than two frames
         shown = pixels(page)
         if wanted(shown) and np.array_equal(shown, before):
             return shown

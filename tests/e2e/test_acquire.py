@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -102,9 +101,6 @@ def test_a_newcomer_scans_all_around(browser: Browser, address: str) -> None:
     page.get_by_role("button", name="Open as the scan").click()
     page.locator("#scan-pane canvas").first.wait_for()
     wait_for_store(page, "store.get('scan')?.name === 'run-001.npz'")
-    until = time.monotonic() + 5
-    while page.locator(".live-scan").is_visible() and time.monotonic() < until:
-        time.sleep(0.1)
-    assert page.locator(".live-scan").is_hidden()
+    page.locator(".live-scan").wait_for(state="hidden")
     assert not errors
     assert not more

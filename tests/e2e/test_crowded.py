@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import select
+import socket
 import sys
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,16 @@ if TYPE_CHECKING:
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="no kill to send")]
 
 
+def wait_for_first_message(line: socket.socket) -> None:
+    """Wait until a websocket is not only open: the first message is sent to a page that has its place."""
+    while True:
+        assert select.select([line], [], [], 60)[0]
+        head, _, message = line.recv(4096, socket.MSG_PEEK).partition(b"\r\n\r\n")
+        assert head.startswith(b"HTTP/1.1 101")
+        if message:
+            return
+
+
 def test_a_page_beyond_the_limit_shows_the_reason_and_connects_when_another_closes(
     browser: Browser, tmp_path: Path
 ) -> None:
@@ -26,7 +37,8 @@ def test_a_page_beyond_the_limit_shows_the_reason_and_connects_when_another_clos
         views = HeldConnections("viser", 64, found.host, found.port, found.cookie)
         others.fill()
         views.fill()
-        time.sleep(1)
+        for line in (*others.open, *views.open):
+            wait_for_first_message(line)
         context = browser.new_context(viewport={"width": 1280, "height": 720})
         page = context.new_page()
         try:

@@ -14,8 +14,9 @@ import pytest
 from PIL import Image
 
 from benchmarks.throttling_proxy import ThrottlingProxy
-from testing.workbench.pages import without_model
-from testing.workbench.served import Served, served
+from testing.workbench.pages import two_frames, without_model
+from testing.workbench.served import Served
+from testing.workbench.shared import SharedWorkbench
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page, Route
@@ -29,10 +30,10 @@ CANVAS = """
 """
 
 
-@pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    with served(tmp_path_factory.mktemp("workbench") / "project") as (found, _):
-        yield found
+@pytest.fixture
+def server(workbench: SharedWorkbench) -> Served:
+    workbench.look_at("sample")
+    return workbench.server
 
 
 @pytest.fixture
@@ -129,11 +130,12 @@ def test_dragging_the_contrast_loads_nothing_until_it_is_released(tab: Page, ser
     tab.mouse.down()
     for share in np.linspace(0.95, 0.5, 12):
         tab.mouse.move(box["x"] + share * box["width"], y)
-        tab.wait_for_timeout(40)
+        two_frames(tab)
     preview = until(
         tab, lambda: s if np.abs((s := shown(tab, "scan")) - before).mean() > 3 else None, "the preview follows"
     )
-    tab.wait_for_timeout(400)  # more than the pictures' interval
+    # a request begins when the pictures' interval has passed, which a timer of the page tells
+    tab.evaluate("new Promise((done) => setTimeout(done, 400))")
     assert requested == []
     white = float(slider.input_value())
     tab.mouse.up()
