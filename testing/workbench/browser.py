@@ -20,6 +20,8 @@ FLAGS = (
     "--disable-component-update",
     "--disable-sync",
 )
+CHEAP = ("--disable-gpu-rasterization", "--disable-accelerated-2d-canvas", "--disable-gpu-compositing")
+"""Only WebGL is drawn by the emulated graphics card; the rest without it takes half of the processor's time."""
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _MAC = "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome"
 

@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from testing.workbench.pages import FAILED, without_model
+from testing.workbench.pages import FAILED, LONGEST_MS, without_model
 from testing.workbench.served import CHECKOUT, Served
 from testing.workbench.served import Page as Socket
 
@@ -130,6 +130,7 @@ def at_work(
     context = browser.new_context(
         viewport={"width": size[0], "height": size[1]}, bypass_csp=True, accept_downloads=True, color_scheme="dark"
     )
+    context.set_default_timeout(LONGEST_MS)
     page = context.new_page()
     without_model(page)
     errors: list[str] = []
@@ -177,6 +178,7 @@ def started(project: Path, port: int = 0) -> Iterator[Served]:
 
 def opened(context: BrowserContext, server: Served) -> Page:
     """A tab at the workbench."""
+    context.set_default_timeout(LONGEST_MS)
     page = context.new_page()
     without_model(page)
     page.goto(f"{server.address}?token={server.token}")

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.formats.npz import write_npz_panorama
+from testing.workbench.pages import LONGEST_MS
 from testing.workbench.shared import SharedWorkbench
 from tests.unit.surface.test_grid_block import room_scan
 
@@ -30,7 +31,7 @@ SURFACES = """() => {
 
 def surfaces(page: Page, wanted: Any) -> dict[str, list[Any]]:
     """Return the surfaces that are drawn, once they are as wanted."""
-    end = time.monotonic() + 60
+    end = time.monotonic() + 90
     while True:
         found: dict[str, list[Any]] = page.evaluate(SURFACES)
         if wanted(found):
@@ -45,10 +46,11 @@ def test_the_surface_is_finer_where_somebody_looks(
     write_npz_panorama(tmp_path / "scan.npz", room_scan((1000, 2000)))
     workbench.open_files([tmp_path / "scan.npz"]).socket.close()
     page = browser.new_context(viewport={"width": 1024, "height": 640}, bypass_csp=True).new_page()
+    page.set_default_timeout(LONGEST_MS)
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.goto(f"{workbench.server.address}?token={workbench.server.token}")
-    page.locator("#model-pane [data-model=drawn]").wait_for(timeout=60_000)
+    page.locator("#model-pane [data-model=drawn]").wait_for()
     page.get_by_role("button", name="Scanner", exact=True).click()
     first = surfaces(page, lambda found: found["block"])
     ((vertices, faces, _, _),) = first["whole"]

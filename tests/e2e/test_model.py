@@ -17,7 +17,7 @@ from PIL import Image
 from ladarreg_core.palette import VISIBILITY
 from ladarreg_core.simulate.sample import sample_folder
 from testing.scenes.true_matches import true_points
-from testing.workbench.pages import two_frames
+from testing.workbench.pages import LONGEST_MS, two_frames
 from testing.workbench.served import Page as Socket
 from testing.workbench.served import Served
 from testing.workbench.shared import SharedWorkbench
@@ -77,6 +77,7 @@ class Visit:
     def __init__(self, browser: Browser, server: Served) -> None:
         # The driver evaluates text in frames, which the policy of the 3-D page rightly forbids.
         self.context = browser.new_context(viewport=SIZE, bypass_csp=True)  # type: ignore[arg-type]
+        self.context.set_default_timeout(LONGEST_MS)
         self.context.add_init_script("localStorage.setItem('ladarreg-software-drawing', 'dismissed')")
         self.page: Page = self.context.new_page()
         self.errors: list[str] = []
@@ -103,7 +104,7 @@ class Visit:
         shot = self.page.locator("#model-pane .pane-body").screenshot()
         return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)[60:]
 
-    def until(self, true: Any, what: str, seconds: int = 60) -> None:
+    def until(self, true: Any, what: str, seconds: int = 90) -> None:
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             if true(self.pixels()):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from testing.workbench.pages import without_model
+from testing.workbench.pages import LONGEST_MS, without_model
 from testing.workbench.shared import SharedWorkbench
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ def operator(browser: Browser, workbench: SharedWorkbench, tmp_path: Path) -> It
         assert socket.ask("set_camera", photo=photo["id"], focal_px=focal)["ok"]
     socket.socket.close()
     page = browser.new_context(viewport={"width": 1280, "height": 720}, bypass_csp=True).new_page()
+    page.set_default_timeout(LONGEST_MS)
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
     without_model(page)

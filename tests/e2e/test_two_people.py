@@ -14,7 +14,7 @@ import pytest
 
 from ladarreg_core.simulate.sample import sample_folder
 from testing.workbench.operator import Operator
-from testing.workbench.pages import without_model
+from testing.workbench.pages import LONGEST_MS, without_model
 from testing.workbench.served import Served, served
 from testing.workbench.shared import SharedWorkbench
 
@@ -37,6 +37,7 @@ class Person(Operator):
 
     def __init__(self, browser: Browser, server: Served, name: str, *, token: str = "") -> None:
         self.context = browser.new_context(viewport=SIZE, bypass_csp=True)
+        self.context.set_default_timeout(LONGEST_MS)
         self.page, self.server = self.context.new_page(), server
         without_model(self.page)
         self.errors: list[str] = []

@@ -154,7 +154,7 @@ def test_the_whole_workflow(operator: Operator, browser: Browser, tmp_path: Path
     operator.wait(rejected, "matches above the threshold are disabled, those below enabled")
     page.keyboard.press("Control+z")
 
-    page.get_by_role("button", name="Automatic", exact=False).first.wait_for(timeout=5000)
+    page.get_by_role("button", name="Automatic", exact=False).first.wait_for()
     operator.socket.ask("use_stage", photo="p1", stage="auto")
     page.get_by_label("Texture of the model").select_option("range")
     page.wait_for_function("document.querySelector('[aria-label=\"Texture of the model\"]').value === 'range'")
