@@ -6,6 +6,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pytest
+
 from ladarreg_core.formats.npz import write_npz_panorama
 from testing.workbench.pages import LONGEST_MS
 from testing.workbench.shared import SharedWorkbench
@@ -14,6 +16,7 @@ from tests.unit.surface.test_grid_block import room_scan
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
+pytestmark = pytest.mark.slow
 MOST_VERTICES = 400_000
 SURFACES = """() => {
   const { scene } = document.querySelector("iframe.model-frame").contentWindow.__viserMutable;

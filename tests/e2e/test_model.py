@@ -25,6 +25,7 @@ from testing.workbench.shared import SharedWorkbench
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Frame, Page, Request
 
+pytestmark = pytest.mark.slow
 SIZE = {"width": 1024, "height": 640}
 DRAWN = "#model-pane [data-model=drawn]"
 TEXTURE = "Texture of the model"

@@ -22,6 +22,8 @@ def operator(browser: Browser, workbench: SharedWorkbench, request: pytest.Fixtu
     """An operator whose photograph was solved from 16 right points."""
     workbench.open("solved")
     with at_work(browser, workbench.server, request) as found:
+        assert found.socket.ask("run", photo="p1", job="robust")["ok"]  # the page tells of the last job
+        found.wait(lambda: (found.slice("job") or {}).get("state") == "done", "solved")
         found.open()
         yield found
 

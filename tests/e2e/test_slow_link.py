@@ -21,7 +21,7 @@ from testing.workbench.shared import SharedWorkbench
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page, Route
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="the proxy needs a Unix loop")]
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the proxy needs a Unix loop")
 SLOW_BYTES_PER_S = 400_000
 PICTURE = re.compile("^Loading the picture")
 SIZE: Any = {"width": 1600, "height": 900}

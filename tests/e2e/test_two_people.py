@@ -84,6 +84,7 @@ def shown_photo(page: Page) -> str:
     return page.locator("[role=tab][aria-selected=true].photo-tab").inner_text().strip()
 
 
+@pytest.mark.slow
 def test_a_colleague_who_adds_a_photograph_does_not_disturb_a_line_that_is_being_drawn(
     ann: Person, ben: Person, tmp_path: Path
 ) -> None:
@@ -109,6 +110,7 @@ def test_a_colleague_who_adds_a_photograph_does_not_disturb_a_line_that_is_being
     assert shown_photo(ben.page).startswith("second.png")
 
 
+@pytest.mark.slow
 def test_undo_takes_back_ones_own_edit_and_a_conflict_says_whose(ann: Person, ben: Person) -> None:
     ann.page.get_by_role("tab", name=PHOTO).click()
     ben.page.get_by_role("tab", name=PHOTO).click()
@@ -158,6 +160,7 @@ POINTER_SEEN = """() => {
 }"""
 
 
+@pytest.mark.slow
 def test_one_sees_the_others_pointer_and_follows_the_others_view(ann: Person, ben: Person) -> None:
     for person in (ann, ben):
         person.page.get_by_role("tab", name=PHOTO).click()
