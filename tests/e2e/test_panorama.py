@@ -18,21 +18,29 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page
 
 pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
+pytestmark = pytest.mark.slow
 STRIP = "Overview of the scan: look around"
 SLICE = "(name) => import('./js/net/store.js').then(({ store }) => store.get(name))"
 AXIS = """() => Promise.all([import('./js/net/store.js'), import('./js/state/view.js')]).then(([{ store }, { view }]) =>
   store.get('scan').views[view.get().scan.view].rotation.slice(6, 9))"""
 
 
-@pytest.fixture
-def operator(browser: Browser, workbench: SharedWorkbench, tmp_path: Path) -> Iterator[Page]:
-    """A page with the room and its two photographs."""
+@pytest.fixture(scope="session")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, float]:
+    """Folder of the room's scan and photographs, and their focal length in pixels."""
     from testing.scenes.whole_room import whole_room
 
+    folder = tmp_path_factory.mktemp("panorama")
     room = whole_room(step_deg=0.25)
-    room.write(tmp_path)
-    focal = next(iter(room.photos.values())).camera.focal_px
-    socket = workbench.open_files([tmp_path / name for name in ("scan.npz", "behind.png", "ahead.png")])
+    room.write(folder)
+    return folder, next(iter(room.photos.values())).camera.focal_px
+
+
+@pytest.fixture
+def operator(browser: Browser, workbench: SharedWorkbench, simulated: tuple[Path, float]) -> Iterator[Page]:
+    """A page with the room and its two photographs."""
+    folder, focal = simulated
+    socket = workbench.open_files([folder / name for name in ("scan.npz", "behind.png", "ahead.png")])
     for photo in socket.slices["photos"]:
         assert socket.ask("set_camera", photo=photo["id"], focal_px=focal)["ok"]
     socket.socket.close()
