@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
+pytestmark = pytest.mark.slow
 
 
 def test_a_station_is_added_registered_and_shown(browser: Browser, workbench: SharedWorkbench, tmp_path: Path) -> None:
