@@ -60,7 +60,7 @@ class SharedWorkbench:
 
     def open_new(self) -> None:
         """Open a project in which there is nothing yet."""
-        self._ask("new_project", name="project", sure=True)
+        self._ask("new_project", sure=True)
 
     def open_files(self, files: Sequence[Path]) -> Socket:
         """Open a project with these files; also return a connection to it."""
