@@ -13,10 +13,11 @@ from hypothesis import settings
 # Helpers that assert explain their failures as tests do.
 pytest.register_assert_rewrite("testing")
 
-# One browser for all tests of a process: two would each want the process's only event loop.
+# One browser and one workbench for all tests of a process: two browsers would each want the process's only event loop.
 from testing.workbench.pages import browser, page, pytest_runtest_makereport  # noqa: E402
+from testing.workbench.shared import workbench  # noqa: E402
 
-__all__ = ["browser", "page", "pytest_runtest_makereport"]
+__all__ = ["browser", "page", "pytest_runtest_makereport", "workbench"]
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 

@@ -63,6 +63,7 @@ class JobContext:
         self._resumed = threading.Event()
         self._resumed.set()
         self._single_steps = 0
+        self._changing = threading.Lock()
 
     @property
     def stop_wanted(self) -> bool:
@@ -120,8 +121,21 @@ class JobContext:
         """Pause, resume, stop, step or change the speed of the job.
 
         Raises:
-            OptionError: if the job does not support it.
+            OptionError: if the job does not support it, or has ended.
         """
+        with self._changing:  # a job that has just ended would be paused for ever
+            if not self.job.runs:
+                raise OptionError("no job is running")
+            self._control(action, value)
+        self.publish(now=True)
+
+    def end(self, state: State, message: str) -> None:
+        """Record how the job ended, which no later control changes."""
+        with self._changing:
+            self.job.message, self.job.state = message, state
+        self.publish(now=True)
+
+    def _control(self, action: str, value: object) -> None:
         can = {"resume": "pause"}.get(action, action)
         if can not in self.job.can:
             raise OptionError(f"'{self.job.label}' does not support {action!r}")
@@ -142,7 +156,6 @@ class JobContext:
             self._resumed.clear()
             self.job.state = "paused"
             self._single_steps += 1
-        self.publish(now=True)
 
 
 Work = Callable[[JobContext], str]
@@ -200,7 +213,7 @@ class JobRunner:
             OptionError: if none is running, or it does not support that.
         """
         context = self._context
-        if context is None or not context.job.runs:
+        if context is None:
             raise OptionError("no job is running")
         context.control(action, value)
 
@@ -224,19 +237,17 @@ class JobRunner:
         job = context.job
         context.publish(now=True)
         try:
-            job.message = work(context)
-            job.state = "stopped" if context.stop_wanted else "done"
+            message = work(context)
+            context.end("stopped" if context.stop_wanted else "done", message)
         except Cancelled:
-            job.state, job.message = "stopped", "Stopped; nothing was changed."
+            context.end("stopped", "Stopped; nothing was changed.")
         except LadarregError as error:
-            job.state, job.message = "failed", _sentence(str(error))
+            context.end("failed", _sentence(str(error)))
         except MemoryError:
-            job.state, job.message = "failed", "Not enough memory; use a smaller scan or photograph."
+            context.end("failed", "Not enough memory; use a smaller scan or photograph.")
         except Exception as error:
             log.exception("job %s", job.kind)
-            job.state = "failed"
-            job.message = internal_error(error, go_on="nothing was changed, try again")
-        context.publish(now=True)
+            context.end("failed", internal_error(error, go_on="nothing was changed, try again"))
 
 
 def _sentence(text: str) -> str:

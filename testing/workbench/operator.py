@@ -15,12 +15,12 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from testing.workbench.pages import without_model
+from testing.workbench.pages import FAILED, LONGEST_MS, without_model
+from testing.workbench.served import CHECKOUT, Served
 from testing.workbench.served import Page as Socket
-from testing.workbench.served import Served
 
 if TYPE_CHECKING:
-    from playwright.sync_api import BrowserContext, Locator, Page
+    from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Locator, Page
 
 TOKEN = "a-newcomers-token"
 DROP = """([selector, files]) => {
@@ -63,6 +63,11 @@ class Operator:
         pytest.fail(f"it did not happen: {what}")
 
     def shot(self, name: str) -> None:
+        """Save a screenshot of the page if LADARREG_SHOTS is set."""
+        if os.environ.get("LADARREG_SHOTS"):
+            self.keep(name)
+
+    def keep(self, name: str) -> None:
         """Save a screenshot of the page."""
         self.pictures.mkdir(parents=True, exist_ok=True)
         self._shots += 1
@@ -104,6 +109,55 @@ class Operator:
 
 
 @contextmanager
+def at_work(
+    browser: Browser,
+    server: Served,
+    request: pytest.FixtureRequest,
+    *,
+    size: tuple[int, int] = (1600, 900),
+    expected: str = "",
+) -> Iterator[Operator]:
+    """An operator with a tab that has not opened the workbench yet; an error in the page's console fails the test.
+
+    Args:
+        browser: the browser.
+        server: the workbench.
+        request: of the test, which leaves a screenshot if it fails.
+        size: of the window.
+        expected: part of errors that the test provokes.
+    """
+    # The driver evaluates text in frames, which the policy of the 3-D page rightly forbids.
+    context = browser.new_context(
+        viewport={"width": size[0], "height": size[1]}, bypass_csp=True, accept_downloads=True, color_scheme="dark"
+    )
+    context.set_default_timeout(LONGEST_MS)
+    page = context.new_page()
+    without_model(page)
+    errors: list[str] = []
+
+    def complained(message: ConsoleMessage) -> None:
+        if message.type == "error":
+            errors.append(f"{message.text} {message.location.get('url', '')}".strip())
+
+    page.on("console", complained)
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    found = Operator(page, server, CHECKOUT / "artifacts" / request.node.name)
+    try:
+        yield found
+    except BaseException:
+        request.node.stash[FAILED] = True
+        raise
+    finally:
+        if request.node.stash.get(FAILED, False):
+            found.keep("failed")
+        found.slice("photos")  # unread messages would delay the end of the connection
+        found.socket.socket.close()
+        context.close()
+    errors = [text for text in errors if not expected or expected not in text]
+    assert not errors, f"the page's console: {errors}"
+
+
+@contextmanager
 def started(project: Path, port: int = 0) -> Iterator[Served]:
     """A workbench on a new or existing project, with a small upload limit."""
     surroundings = {**os.environ, "LADARREG_HOME": str(project.parent), "OMP_NUM_THREADS": "1"}
@@ -124,6 +178,7 @@ def started(project: Path, port: int = 0) -> Iterator[Served]:
 
 def opened(context: BrowserContext, server: Served) -> Page:
     """A tab at the workbench."""
+    context.set_default_timeout(LONGEST_MS)
     page = context.new_page()
     without_model(page)
     page.goto(f"{server.address}?token={server.token}")

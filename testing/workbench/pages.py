@@ -13,12 +13,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from testing.workbench.browser import FLAGS, find_chromium
+from testing.workbench.browser import CHEAP, FLAGS, find_chromium
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, BrowserContext, Page, Route
 
 SIZE = (1280, 720)
+LONGEST_MS = 90_000
+"""What a browser may take for anything on a busy computer."""
+ROUND_TRIP = "import('./js/net/connection.js').then(({ ask }) => ask('list_served').then(() => null))"
+"""Its answer follows that of every command that the page has sent before, and all messages of before."""
 FAILED = pytest.StashKey[bool]()
 
 
@@ -30,7 +34,7 @@ def browser() -> Iterator[Browser]:
     if path is None:
         pytest.skip("no Chromium: install chromium, or name one in LADARREG_CHROMIUM")
     with sync_api.sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=path, args=list(FLAGS))
+        chromium = playwright.chromium.launch(executable_path=path, args=[*FLAGS, *CHEAP])
         yield chromium
         chromium.close()
 
@@ -39,6 +43,7 @@ def browser() -> Iterator[Browser]:
 def page(browser: Browser, request: pytest.FixtureRequest, checkout: Path) -> Iterator[Page]:
     """A new page; an error in its console fails the test."""
     tab = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
+    tab.set_default_timeout(LONGEST_MS)
     errors: list[str] = []
     tab.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
     tab.on("pageerror", lambda error: errors.append(str(error)))
@@ -73,7 +78,7 @@ def keep(page: Page, checkout: Path, name: str) -> None:
     page.screenshot(path=folder / f"{name}.png")
 
 
-def wait_for_store(page: Page, wanted: str, *, seconds: float = 60) -> None:
+def wait_for_store(page: Page, wanted: str, *, seconds: float = 90) -> None:
     """Wait until an expression of `store` holds in the page; `wait_for_function` awaits no promise.
 
     A page that is loading another document meanwhile is asked again.
@@ -95,12 +100,17 @@ def pixels(page: Page) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB"))
 
 
-def wait_for_pixels(page: Page, wanted: Callable[[np.ndarray], bool], *, what: str, seconds: float = 60) -> np.ndarray:
+def two_frames(page: Page) -> None:
+    """Wait until everything is drawn that was due when this was called."""
+    page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+
+def wait_for_pixels(page: Page, wanted: Callable[[np.ndarray], bool], *, what: str, seconds: float = 90) -> np.ndarray:
     """Return the first screenshot that satisfies `wanted` and no longer changes, since new things fade in."""
     end = time.monotonic() + seconds
     before = pixels(page)
     while time.monotonic() < end:
-        page.wait_for_timeout(500)
+        page.wait_for_timeout(200)  # a fade is slower than two frames
         shown = pixels(page)
         if wanted(shown) and np.array_equal(shown, before):
             return shown

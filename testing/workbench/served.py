@@ -15,13 +15,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
 
 from ladarreg.gateway.delta import apply_change
 from websockets.sync.client import ClientConnection, connect
 
 from ladarreg_core.simulate.sample import sample_folder
 
+CHECKOUT = Path(__file__).parents[2]
 _CLIENTS, _MOST_PICKS = 10, 12
 _SHORT_PAUSE_S, _LONG_PAUSE_S, _SHORT_MIN = (0.1, 0.5), (0.5, 3.0), 5.0  # between the edits of one client
 
@@ -47,6 +48,16 @@ class Served:
         body = reply.read()
         connection.close()
         return reply.status, body, {name.lower(): value for name, value in reply.getheaders()}
+
+    def upload(self, path: Path) -> str:
+        """Upload a file, which then waits to be opened; return its id."""
+        connection = http.client.HTTPConnection(self.host, self.port, timeout=60)
+        headers = {"Cookie": self.cookie, "Origin": self.address.rstrip("/"), "X-File-Name": quote(path.name)}
+        connection.request("POST", "/upload?what=any", path.read_bytes(), headers)
+        reply = json.loads(connection.getresponse().read())
+        connection.close()
+        assert reply["ok"], reply
+        return str(reply["id"])
 
     def enter(self) -> None:
         status, _, headers = self.get(f"?token={self.token}")
@@ -104,17 +115,20 @@ def served(
     folder = sample_folder()
     photo = photo or next(folder.glob("photo.*"))
     begun = time.perf_counter()
-    process = subprocess.Popen(
-        [sys.executable, *program, "serve", str(folder / "scan.npz"), str(photo),
-         "--project", str(project), "--port", str(port), "--no-browser"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"},
-    )  # fmt: skip
+    errors = project.parent / "errors.txt"  # a pipe that nobody reads would fill up
+    with errors.open("ab") as stderr:
+        process = subprocess.Popen(
+            [sys.executable, *program, "serve", str(folder / "scan.npz"), str(photo),
+             "--project", str(project), "--port", str(port), "--no-browser"],
+            stdout=subprocess.PIPE, stderr=stderr, text=True,
+            env={**os.environ, "LADARREG_HOME": str(project.parent / "home"), "OMP_NUM_THREADS": "1"},
+        )  # fmt: skip
     try:
         assert process.stdout is not None
         line = process.stdout.readline()
         address = next((word for word in line.split() if "://" in word), None)
         if address is None:
-            raise SystemExit(process.communicate()[1])
+            raise SystemExit(errors.read_text())
         parts = urlsplit(address)
         found = Served(process, parts.hostname or "", parts.port or 0, parts.query.removeprefix("token="))
         found.enter()

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from ladarreg_core.formats.npz import write_npz_panorama
+from testing.workbench.pages import LONGEST_MS
+from testing.workbench.shared import SharedWorkbench
 from tests.unit.surface.test_grid_block import room_scan
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="the server is ended by a signal")]
+pytestmark = pytest.mark.slow
 MOST_VERTICES = 400_000
 SURFACES = """() => {
   const { scene } = document.querySelector("iframe.model-frame").contentWindow.__viserMutable;
@@ -32,24 +32,9 @@ SURFACES = """() => {
 }"""
 
 
-@pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    folder = tmp_path_factory.mktemp("finer")
-    write_npz_panorama(folder / "scan.npz", room_scan((1000, 2000)))
-    process = subprocess.Popen(
-        [sys.executable, "-m", "ladarreg", "serve", str(folder / "scan.npz"), "--project", str(folder / "project"),
-         "--port", "0", "--no-browser"],
-        stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    assert process.stdout is not None
-    yield next(word for word in process.stdout.readline().split() if "://" in word)
-    process.terminate()
-    process.wait(60)
-
-
 def surfaces(page: Page, wanted: Any) -> dict[str, list[Any]]:
     """Return the surfaces that are drawn, once they are as wanted."""
-    end = time.monotonic() + 60
+    end = time.monotonic() + 90
     while True:
         found: dict[str, list[Any]] = page.evaluate(SURFACES)
         if wanted(found):
@@ -58,12 +43,17 @@ def surfaces(page: Page, wanted: Any) -> dict[str, list[Any]]:
         page.wait_for_timeout(200)
 
 
-def test_the_surface_is_finer_where_somebody_looks(browser: Browser, address: str) -> None:
-    page = browser.new_context(viewport={"width": 1280, "height": 720}, bypass_csp=True).new_page()
+def test_the_surface_is_finer_where_somebody_looks(
+    browser: Browser, workbench: SharedWorkbench, tmp_path: Path
+) -> None:
+    write_npz_panorama(tmp_path / "scan.npz", room_scan((1000, 2000)))
+    workbench.open_files([tmp_path / "scan.npz"]).socket.close()
+    page = browser.new_context(viewport={"width": 1024, "height": 640}, bypass_csp=True).new_page()
+    page.set_default_timeout(LONGEST_MS)
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
-    page.goto(address)
-    page.locator("#model-pane [data-model=drawn]").wait_for(timeout=60_000)
+    page.goto(f"{workbench.server.address}?token={workbench.server.token}")
+    page.locator("#model-pane [data-model=drawn]").wait_for()
     page.get_by_role("button", name="Scanner", exact=True).click()
     first = surfaces(page, lambda found: found["block"])
     ((vertices, faces, _, _),) = first["whole"]

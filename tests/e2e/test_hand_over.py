@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import sys
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,45 +16,26 @@ import ladarreg_core as lr
 from ladarreg_core.simulate.sample import sample_folder
 from testing.scenes.true_matches import true_points
 from testing.workbench.audits import hard_to_read
-from testing.workbench.operator import Operator
-from testing.workbench.pages import without_model
-from testing.workbench.served import Served, served
+from testing.workbench.operator import Operator, at_work
+from testing.workbench.shared import SharedWorkbench
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="needs the served sample")]
-SIZE: Any = {"width": 1280, "height": 720}
 DESCRIBED = """(box) => box.getAttribute("aria-describedby").split(" ")
   .map((id) => document.getElementById(id).textContent).join(" ")"""
 ENABLED_BOXES = "[...document.querySelectorAll('.target-list input')].filter((box) => !box.disabled).length"
 
 
-@pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    with served(tmp_path_factory.mktemp("programs") / "project") as (found, _):
-        yield found
-
-
 @pytest.fixture
-def operator(browser: Browser, server: Served, checkout: Path, request: pytest.FixtureRequest) -> Iterator[Operator]:
+def operator(browser: Browser, workbench: SharedWorkbench, request: pytest.FixtureRequest) -> Iterator[Operator]:
     """An operator at the step Export of a photograph that was not solved yet."""
-    context = browser.new_context(viewport=SIZE, bypass_csp=True, color_scheme="dark", accept_downloads=True)
-    page = context.new_page()
-    without_model(page)
-    faults: list[str] = []
-    page.on("pageerror", lambda error: faults.append(str(error)))
-    found = Operator(page, server, checkout / "artifacts" / request.node.name)
-    camera = json.loads((sample_folder() / "camera.json").read_text())
-    found.socket.ask("set_camera", photo="p1", focal_px=camera["fx"])
-    assert found.socket.ask("set_settings", solve_automatically=False)["ok"]
-    found.open()
-    found.step("Export")
-    yield found
-    found.slice("photos")  # unread messages would delay the end of the connection
-    found.socket.socket.close()
-    context.close()
-    assert not faults
+    workbench.open("camera")
+    with at_work(browser, workbench.server, request, size=(1280, 720)) as found:
+        assert found.socket.ask("set_settings", solve_automatically=False)["ok"]
+        found.open()
+        found.step("Export")
+        yield found
 
 
 def test_two_targets_in_a_zip_are_read_by_other_programs(operator: Operator, tmp_path: Path) -> None:

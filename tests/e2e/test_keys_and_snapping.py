@@ -7,9 +7,7 @@ from typing import Any
 import numpy as np
 
 from testing.workbench.operator import Operator
-from tests.e2e.test_workbench import operator, server
-
-__all__ = ["operator", "server"]  # fixtures
+from testing.workbench.pages import ROUND_TRIP, two_frames
 
 
 def beside_an_edge(operator: Operator) -> tuple[list[list[float]], list[list[float]]]:
@@ -84,5 +82,6 @@ def test_keys_act_on_what_is_selected_and_under_the_pointer(operator: Operator) 
     assert moved["scan"] == before["scan"], "only the side under the pointer moves"
     page.keyboard.press("l")
     page.keyboard.press("ArrowRight")
-    page.wait_for_timeout(300)
+    two_frames(page)
+    page.evaluate(ROUND_TRIP)  # a nudge would have been sent before
     assert operator.slice("picks:p1")[-1] == moved, "a match drawn before is forgotten by the line tool"

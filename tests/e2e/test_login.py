@@ -13,12 +13,11 @@ from urllib.parse import quote
 import pytest
 
 from testing.workbench.gateway_driver import TOKEN, Running, running
-from testing.workbench.pages import SIZE
+from testing.workbench.pages import LONGEST_MS, SIZE
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, BrowserContext, Page
 
-pytestmark = pytest.mark.slow
 WRONG = "not-the-token-of-it"
 HOSTILE = """<!doctype html><title>elsewhere</title><script>
 const ways = 14;
@@ -53,6 +52,7 @@ def run(tmp_path: Path) -> Iterator[Running]:
 @pytest.fixture
 def context(browser: Browser) -> Iterator[BrowserContext]:
     found = browser.new_context(viewport={"width": SIZE[0], "height": SIZE[1]})
+    found.set_default_timeout(LONGEST_MS)
     yield found
     found.close()
 

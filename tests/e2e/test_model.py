@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,14 +16,17 @@ from PIL import Image
 
 from ladarreg_core.palette import VISIBILITY
 from ladarreg_core.simulate.sample import sample_folder
+from testing.scenes.true_matches import true_points
+from testing.workbench.pages import LONGEST_MS, two_frames
 from testing.workbench.served import Page as Socket
-from testing.workbench.served import Served, served
+from testing.workbench.served import Served
+from testing.workbench.shared import SharedWorkbench
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Frame, Page, Request
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="the server is ended by a signal")]
-SIZE = {"width": 1280, "height": 720}
+pytestmark = pytest.mark.slow
+SIZE = {"width": 1024, "height": 640}
 DRAWN = "#model-pane [data-model=drawn]"
 TEXTURE = "Texture of the model"
 MESHES = """() => {
@@ -63,22 +65,11 @@ LAYER = """() => {
 }"""
 
 
-@pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    """A workbench with the registered sample."""
-    with served(tmp_path_factory.mktemp("model") / "project") as (found, _):
-        register(found)
-        yield found
-
-
-def register(server: Served, *, finer: int = 1) -> None:
-    """Register the sample's photograph, or one of it that has `finer` times the pixels in both directions."""
-    socket = Socket(server)
-    camera = json.loads((sample_folder() / "camera.json").read_text())
-    assert socket.ask("set_camera", photo="p1", focal_px=finer * camera["fx"])["ok"]
-    assert socket.ask("run", photo="p1", job="auto")["ok"]
-    socket.until(lambda slices: slices["photos"][0]["state"] == "accepted", 240)
-    socket.socket.close()
+@pytest.fixture
+def server(workbench: SharedWorkbench) -> Served:
+    """A workbench with the solved sample, for those who change nothing."""
+    workbench.look_at("solved")
+    return workbench.server
 
 
 class Visit:
@@ -87,6 +78,7 @@ class Visit:
     def __init__(self, browser: Browser, server: Served) -> None:
         # The driver evaluates text in frames, which the policy of the 3-D page rightly forbids.
         self.context = browser.new_context(viewport=SIZE, bypass_csp=True)  # type: ignore[arg-type]
+        self.context.set_default_timeout(LONGEST_MS)
         self.context.add_init_script("localStorage.setItem('ladarreg-software-drawing', 'dismissed')")
         self.page: Page = self.context.new_page()
         self.errors: list[str] = []
@@ -113,7 +105,7 @@ class Visit:
         shot = self.page.locator("#model-pane .pane-body").screenshot()
         return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)[60:]
 
-    def until(self, true: Any, what: str, seconds: int = 60) -> None:
+    def until(self, true: Any, what: str, seconds: int = 90) -> None:
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             if true(self.pixels()):
@@ -157,7 +149,9 @@ def test_only_the_scene_is_seen_of_viser_and_textures_follow_each_other_without_
     page.get_by_label(TEXTURE).select_option("label")
     visit.until(lambda _: held, "the request for the texture")
     before = visit.pixels()
-    page.wait_for_timeout(500)
+    for _ in range(5):
+        two_frames(page)
+        frame.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
     assert frame.evaluate(MESHES) == 1
     assert np.abs(visit.pixels() - before).max() <= 2, "nothing changes while the texture is on its way"
     held.pop().continue_()
@@ -194,7 +188,7 @@ def test_the_camera_sees_the_textures_own_colours_and_matches_can_be_clicked(vis
     ]
     u, v = min(inside, key=lambda at: abs(at[0] - box["width"] / 2) + abs(at[1] - box["height"] / 2))
     page.mouse.move(box["x"] + u + 1, box["y"] + v)
-    page.wait_for_timeout(200)
+    frame.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
     page.mouse.click(box["x"] + u, box["y"] + v)
     frame.wait_for_function("() => window.__viserMutable.nodeRefFromName['/highlight/point']")
 
@@ -217,8 +211,11 @@ def test_two_people_have_their_own_textures_and_views(browser: Browser, server: 
         other.context.close()
 
 
-def test_the_view_serves_as_a_rough_pose(visit: Visit, server: Served) -> None:
+def test_the_view_serves_as_a_rough_pose(browser: Browser, workbench: SharedWorkbench) -> None:
     """The registration starts from where the person looks from in the 3-D view."""
+    workbench.open("solved")
+    server = workbench.server
+    visit = Visit(browser, server)
     visit.drawn()
     page, socket = visit.page, Socket(server)
     page.get_by_role("button", name="Scanner", exact=True).click()
@@ -230,9 +227,13 @@ def test_the_view_serves_as_a_rough_pose(visit: Visit, server: Served) -> None:
     socket.until(lambda slices: (slices["job"]["kind"], slices["job"]["state"]) == ("refine", "done"), 240)
     socket.until(lambda slices: slices["photos"][0]["state"] == "accepted", 60)
     socket.socket.close()
+    visit.context.close()
+    assert not visit.errors
 
 
-def test_a_finer_photograph_is_drawn_with_its_own_pixels(browser: Browser, tmp_path: Path) -> None:
+def test_a_finer_photograph_is_drawn_with_its_own_pixels(
+    browser: Browser, workbench: SharedWorkbench, tmp_path: Path
+) -> None:
     """All of its pixels are where the camera saw them, and are what is seen: a test card in its place appears."""
     finer = 3
     pixels = np.asarray(Image.open(next(sample_folder().glob("photo.*"))).convert("RGB"))
@@ -244,37 +245,45 @@ def test_a_finer_photograph_is_drawn_with_its_own_pixels(browser: Browser, tmp_p
     card = colors[(row + 2 * column) % 4]
     encoded = io.BytesIO()
     Image.fromarray(card).save(encoded, "PNG")
-    with served(tmp_path / "project", photo=tmp_path / "finer.png") as (server, _):
-        register(server, finer=finer)
-        visit = Visit(browser, server)
-        visit.page.route(
-            "**/picture/model/photo*", lambda route: route.fulfill(body=encoded.getvalue(), content_type="image/png")
-        )
-        page, frame = visit.page, visit.drawn()
-        page.get_by_role("button", name="Display", exact=True).click()
-        page.get_by_role("checkbox", name="Legend").uncheck()
-        page.keyboard.press("Escape")
-        page.keyboard.press("m")
-        page.get_by_role("button", name="Camera", exact=True).click()
-        frame.wait_for_function(LAYER)
+    socket = workbench.open_files([sample_folder() / "scan.npz", tmp_path / "finer.png"])
+    focal_px = json.loads((sample_folder() / "camera.json").read_text())["fx"]
+    assert socket.ask("set_camera", photo="p1", focal_px=finer * focal_px)["ok"]
+    assert socket.ask("set_settings", solve_automatically=False)["ok"]
+    for point in true_points(16):
+        ((u, v),) = point["photo_uv"]
+        there = [[finer * (u + 0.5) - 0.5, finer * (v + 0.5) - 0.5]]
+        assert socket.ask("add_pick", photo="p1", **(point | {"photo_uv": there}))["ok"]
+    assert socket.ask("run", photo="p1", job="robust")["ok"]
+    socket.until(lambda slices: slices["photos"][0]["state"] == "accepted")
+    socket.socket.close()
+    server = workbench.server
+    visit = Visit(browser, server)
+    visit.page.route(
+        "**/picture/model/photo*", lambda route: route.fulfill(body=encoded.getvalue(), content_type="image/png")
+    )
+    page, frame = visit.page, visit.drawn()
+    page.get_by_role("button", name="Display", exact=True).click()
+    page.get_by_role("checkbox", name="Legend").uncheck()
+    page.keyboard.press("Escape")
+    page.keyboard.press("m")
+    page.get_by_role("button", name="Camera", exact=True).click()
+    frame.wait_for_function(LAYER)
 
-        def card_is_seen(_: np.ndarray) -> bool:
-            shot = np.asarray(Image.open(io.BytesIO(page.locator(".model-frame").screenshot())).convert("RGB"))
-            on_screen, uv, size = (np.array(part) for part in frame.evaluate(LAYER))
-            assert size.tolist() == [width, height]
-            warp, near = cv2.findHomography(uv * size - 0.5, on_screen, cv2.RANSAC, 1.0)
-            if near.mean() < 0.98:  # the view still flies to the camera, from which the photograph is undistorted
-                return False
-            inside = on_screen[
-                (on_screen > 40).all(axis=1) & (on_screen < np.array(shot.shape[1::-1]) - 40).all(axis=1)
-            ]
-            places = cv2.perspectiveTransform(inside[None], np.linalg.inv(warp))[0].round().astype(int)
-            clear = ((places % 128 > 24) & (places % 128 < 104)).all(axis=1)
-            u, v = inside[clear].round().astype(int).T
-            off = np.abs(shot[v, u].astype(int) - card[places[clear, 1], places[clear, 0]].astype(int)).max(axis=1)
-            return bool(
-                clear.sum() > 300 and (off < 12).mean() > 0.8
-            )  # vertices at edges of the surface show what is beside it
+    def card_is_seen(_: np.ndarray) -> bool:
+        shot = np.asarray(Image.open(io.BytesIO(page.locator(".model-frame").screenshot())).convert("RGB"))
+        on_screen, uv, size = (np.array(part) for part in frame.evaluate(LAYER))
+        assert size.tolist() == [width, height]
+        warp, near = cv2.findHomography(uv * size - 0.5, on_screen, cv2.RANSAC, 1.0)
+        if near.mean() < 0.98:  # the view still flies to the camera, from which the photograph is undistorted
+            return False
+        inside = on_screen[(on_screen > 40).all(axis=1) & (on_screen < np.array(shot.shape[1::-1]) - 40).all(axis=1)]
+        places = cv2.perspectiveTransform(inside[None], np.linalg.inv(warp))[0].round().astype(int)
+        clear = ((places % 128 > 24) & (places % 128 < 104)).all(axis=1)
+        u, v = inside[clear].round().astype(int).T
+        off = np.abs(shot[v, u].astype(int) - card[places[clear, 1], places[clear, 0]].astype(int)).max(axis=1)
+        return bool(
+            clear.sum() > 300 and (off < 12).mean() > 0.8
+        )  # vertices at edges of the surface show what is beside it
 
-        visit.until(card_is_seen, "the test card where the photograph's pixels belong")
-        visit.context.close()
+    visit.until(card_is_seen, "the test card where the photograph's pixels belong")
+    visit.context.close()

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import pytest
+import itertools
 
 from testing.workbench.operator import Operator
-from tests.e2e.test_workbench import operator, server
 
-__all__ = ["operator", "server"]  # fixtures
 CLIPPED = """
 () => [...document.querySelectorAll("button, h2, h3, label, th, select, [role=tab]")]
   .filter((each) => each.checkVisibility({visibilityProperty: true}) && each.innerText.trim())
@@ -16,14 +14,13 @@ CLIPPED = """
 """
 
 
-@pytest.mark.parametrize("width", [1024, 1280, 1440])
-def test_no_label_is_clipped(operator: Operator, width: int) -> None:
-    page = operator.page
-    page.set_viewport_size({"width": width, "height": 800})
-    for step in ("Match", "Solve", "Judge", "Export"):
-        operator.step(step)
-        operator.shot(f"{width}-{step.lower()}")
-        assert page.evaluate(CLIPPED) == [], step
+def test_no_label_is_clipped(onlooker: Operator) -> None:
+    page = onlooker.page
+    for width, step in itertools.product((1024, 1280, 1440), ("Match", "Solve", "Judge", "Export")):
+        page.set_viewport_size({"width": width, "height": 800})
+        onlooker.step(step)
+        onlooker.shot(f"{width}-{step.lower()}")
+        assert page.evaluate(CLIPPED) == [], (width, step)
 
 
 def test_one_part_at_a_time_on_a_narrow_screen(operator: Operator) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from ladarreg_core.simulate.sample import sample_folder
 from testing.workbench.operator import SLICE, draw, drop, opened, pinch, started, touch_line
+from testing.workbench.pages import two_frames, wait_for_store
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -68,9 +69,7 @@ def test_a_first_hour(browser: Browser, tmp_path: Path) -> None:
         film.fill("45,6")
         page.keyboard.press("Enter")
         form.wait_for(state="hidden")
-        page.wait_for_function(
-            "import('./js/net/store.js').then(({ store }) => Math.abs(store.photo().camera?.fx - 972.8) < 1)"
-        )
+        wait_for_store(page, "Math.abs(store.photo().camera?.fx - 972.8) < 1")
 
         for side in ("scan", "photo"):
             touch_line(page, side)
@@ -86,8 +85,8 @@ def test_a_first_hour(browser: Browser, tmp_path: Path) -> None:
         for _ in range(5):  # on a busy machine a tap may last so long that the browser takes it for a long press
             if discard.is_visible():
                 discard.tap()
-                page.wait_for_timeout(400)
-        assert page.locator(".awaits-partner").count() == 0
+                two_frames(page)
+        page.locator(".awaits-partner").wait_for(state="hidden")
 
         draw(page, "scan")
         page.locator("#photo-pane .awaits-partner").wait_for()

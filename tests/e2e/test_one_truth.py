@@ -2,62 +2,30 @@
 
 from __future__ import annotations
 
-import json
 import re
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from ladarreg_core.simulate.sample import sample_folder
-from testing.scenes.true_matches import true_points
-from testing.workbench.operator import Operator
-from testing.workbench.pages import without_model
-from testing.workbench.served import Served, served
+from testing.workbench.operator import Operator, at_work
+from testing.workbench.shared import SharedWorkbench
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="needs the served sample")]
-SIZE: Any = {"width": 1600, "height": 900}
 TICK = ".sign.ok"
 
 
-@pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    """A running workbench on the sample, with its camera set."""
-    with served(tmp_path_factory.mktemp("truth") / "project") as (found, _):
-        yield found
-
-
 @pytest.fixture
-def operator(browser: Browser, server: Served, checkout: Path, request: pytest.FixtureRequest) -> Iterator[Operator]:
+def operator(browser: Browser, workbench: SharedWorkbench, request: pytest.FixtureRequest) -> Iterator[Operator]:
     """An operator whose photograph was solved from 16 right points."""
-    context = browser.new_context(viewport=SIZE, bypass_csp=True, color_scheme="dark", accept_downloads=True)
-    page = context.new_page()
-    without_model(page)
-    faults: list[str] = []
-    page.on("pageerror", lambda error: faults.append(str(error)))
-    found = Operator(page, server, checkout / "artifacts" / request.node.name)
-    camera = json.loads((sample_folder() / "camera.json").read_text())
-    found.socket.ask("set_camera", photo="p1", focal_px=camera["fx"])
-    assert found.socket.ask("set_settings", solve_automatically=False)["ok"]
-    left = [pick["id"] for pick in found.slice("picks:p1")]
-    if left:
-        found.socket.ask("remove_picks", photo="p1", picks=left)
-    for point in true_points(16):
-        assert found.socket.ask("add_pick", photo="p1", **point)["ok"]
-    assert found.socket.ask("run", photo="p1", job="robust")["ok"]
-    found.wait(lambda: found.slice("photos")[0]["state"] == "accepted", "solved")
-    found.open()
-    yield found
-    found.shot("end")
-    found.slice("photos")  # unread messages would delay the end of the connection
-    found.socket.socket.close()
-    context.close()
-    assert not faults
+    workbench.open("solved")
+    with at_work(browser, workbench.server, request) as found:
+        assert found.socket.ask("run", photo="p1", job="robust")["ok"]  # the page tells of the last job
+        found.wait(lambda: (found.slice("job") or {}).get("state") == "done", "solved")
+        found.open()
+        yield found
 
 
 def verdict(page: Page) -> Any:

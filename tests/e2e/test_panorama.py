@@ -3,56 +3,53 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
-from testing.workbench.pages import without_model
+from testing.workbench.pages import LONGEST_MS, without_model
+from testing.workbench.shared import SharedWorkbench
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page
 
 pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="the server is ended by a signal")]
+pytestmark = pytest.mark.slow
 STRIP = "Overview of the scan: look around"
 SLICE = "(name) => import('./js/net/store.js').then(({ store }) => store.get(name))"
 AXIS = """() => Promise.all([import('./js/net/store.js'), import('./js/state/view.js')]).then(([{ store }, { view }]) =>
   store.get('scan').views[view.get().scan.view].rotation.slice(6, 9))"""
 
 
-@pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Address of a workbench on the room and its two photographs."""
+@pytest.fixture(scope="session")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, float]:
+    """Folder of the room's scan and photographs, and their focal length in pixels."""
     from testing.scenes.whole_room import whole_room
 
     folder = tmp_path_factory.mktemp("panorama")
     room = whole_room(step_deg=0.25)
     room.write(folder)
-    files = [str(folder / name) for name in ("scan.npz", "behind.png", "ahead.png")]
-    focal = next(iter(room.photos.values())).camera.focal_px
-    process = subprocess.Popen(
-        [sys.executable, "-m", "ladarreg", "serve", *files, "--focal-px", str(focal), "--project",
-         str(folder / "project"), "--port", "0", "--no-browser"],
-        stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    assert process.stdout is not None
-    yield next(word for word in process.stdout.readline().split() if "://" in word)
-    process.terminate()
-    process.wait(60)
+    return folder, next(iter(room.photos.values())).camera.focal_px
 
 
 @pytest.fixture
-def operator(browser: Browser, address: str) -> Iterator[Page]:
+def operator(browser: Browser, workbench: SharedWorkbench, simulated: tuple[Path, float]) -> Iterator[Page]:
+    """A page with the room and its two photographs."""
+    folder, focal = simulated
+    socket = workbench.open_files([folder / name for name in ("scan.npz", "behind.png", "ahead.png")])
+    for photo in socket.slices["photos"]:
+        assert socket.ask("set_camera", photo=photo["id"], focal_px=focal)["ok"]
+    socket.socket.close()
     page = browser.new_context(viewport={"width": 1280, "height": 720}, bypass_csp=True).new_page()
+    page.set_default_timeout(LONGEST_MS)
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
     without_model(page)
-    page.goto(address)
+    page.goto(f"{workbench.server.address}?token={workbench.server.token}")
     page.get_by_role("slider", name=STRIP).wait_for()
     page.locator("#scan-pane .pane-zoom", has_text="%").wait_for()
     yield page

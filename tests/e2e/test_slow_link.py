@@ -14,13 +14,14 @@ import pytest
 from PIL import Image
 
 from benchmarks.throttling_proxy import ThrottlingProxy
-from testing.workbench.pages import without_model
-from testing.workbench.served import Served, served
+from testing.workbench.pages import LONGEST_MS, two_frames, without_model
+from testing.workbench.served import Served
+from testing.workbench.shared import SharedWorkbench
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page, Route
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="the proxy needs a Unix loop")]
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the proxy needs a Unix loop")
 SLOW_BYTES_PER_S = 400_000
 PICTURE = re.compile("^Loading the picture")
 SIZE: Any = {"width": 1600, "height": 900}
@@ -29,16 +30,17 @@ CANVAS = """
 """
 
 
-@pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    with served(tmp_path_factory.mktemp("workbench") / "project") as (found, _):
-        yield found
+@pytest.fixture
+def server(workbench: SharedWorkbench) -> Served:
+    workbench.look_at("sample")
+    return workbench.server
 
 
 @pytest.fixture
 def tab(browser: Browser) -> Iterator[Page]:
     """A new browser profile, with an empty cache; an error in the console fails the test."""
     context = browser.new_context(viewport=SIZE, bypass_csp=True, color_scheme="dark", reduced_motion="reduce")
+    context.set_default_timeout(LONGEST_MS)
     page = context.new_page()
     without_model(page)
     errors: list[str] = []
@@ -54,7 +56,7 @@ def enter(page: Page, server: Served, port: int) -> None:
     page.get_by_role("button", name="connected").wait_for()
 
 
-def until(page: Page, true: Any, what: str, seconds: float = 60) -> Any:
+def until(page: Page, true: Any, what: str, seconds: float = 90) -> Any:
     for _ in range(int(10 * seconds)):
         found = true()
         if isinstance(found, np.ndarray) or found:
@@ -129,12 +131,11 @@ def test_dragging_the_contrast_loads_nothing_until_it_is_released(tab: Page, ser
     tab.mouse.down()
     for share in np.linspace(0.95, 0.5, 12):
         tab.mouse.move(box["x"] + share * box["width"], y)
-        tab.wait_for_timeout(40)
+        two_frames(tab)
     preview = until(
         tab, lambda: s if np.abs((s := shown(tab, "scan")) - before).mean() > 3 else None, "the preview follows"
     )
-    tab.wait_for_timeout(400)  # more than the pictures' interval
-    assert requested == []
+    assert requested == []  # nor is one on its way: it would have another value than the slider has at last
     white = float(slider.input_value())
     tab.mouse.up()
     until(tab, lambda: requested, "the exact picture is requested")

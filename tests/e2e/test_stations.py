@@ -3,48 +3,30 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 from testing.workbench.pages import without_model
+from testing.workbench.shared import SharedWorkbench
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="the server is ended by a signal")]
+pytestmark = pytest.mark.slow
 
 
-@pytest.fixture(scope="module")
-def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
-    """Address of a workbench on one station's scan, and the scan of the other."""
+def test_a_station_is_added_registered_and_shown(browser: Browser, workbench: SharedWorkbench, tmp_path: Path) -> None:
     from testing.scenes.station_scans import write_station_scans
 
-    folder = tmp_path_factory.mktemp("stations")
-    (first, second), photo, camera = write_station_scans(folder)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "ladarreg", "serve", str(first), str(photo), "--camera", str(camera), "--project",
-         str(folder / "project"), "--port", "0", "--no-browser"],
-        stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    assert process.stdout is not None
-    lines = iter(process.stdout.readline, "")
-    yield next(found.group(0) for line in lines if (found := re.search(r"http://\S+", line))), second
-    process.terminate()
-    process.wait(30)
-
-
-def test_a_station_is_added_registered_and_shown(browser: Browser, served: tuple[str, Path]) -> None:
-    address, second = served
+    (first, second), photo, camera = write_station_scans(tmp_path)
+    workbench.open_files([first, photo, camera]).socket.close()
     page = browser.new_page(viewport={"width": 1000, "height": 620})
     page.set_default_timeout(120_000)
     without_model(page)
-    page.goto(address)
+    page.goto(f"{workbench.server.address}?token={workbench.server.token}")
     page.get_by_role("tab", name="Stations").click()
     part = page.get_by_role("region", name="Stations", exact=True)
     part.get_by_text("Add scans of the same place").wait_for()

@@ -14,29 +14,22 @@ import pytest
 
 from ladarreg_core.simulate.sample import sample_folder
 from testing.workbench.operator import Operator
-from testing.workbench.pages import without_model
+from testing.workbench.pages import LONGEST_MS, without_model
 from testing.workbench.served import Served, served
+from testing.workbench.shared import SharedWorkbench
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="as in test_workbench")]
 SIZE: Any = {"width": 1366, "height": 768}
 PHOTO = next(sample_folder().glob("photo.*")).name
 SLICE = "(name) => import('./js/net/store.js').then(({ store }) => store.get(name))"
 
 
-@pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    with served(tmp_path_factory.mktemp("two") / "project") as (found, _):
-        line = found.process.stdout.readline() if found.process.stdout else ""
-        assert line.startswith("Read-only: "), line
-        LINKS[found.token] = line.split()[-1].partition("token=")[2]
-        yield found
-
-
-LINKS: dict[str, str] = {}
-"""The read-only token of a server, by its other token."""
+@pytest.fixture
+def server(workbench: SharedWorkbench) -> Served:
+    workbench.open("sample")
+    return workbench.server
 
 
 class Person(Operator):
@@ -44,6 +37,7 @@ class Person(Operator):
 
     def __init__(self, browser: Browser, server: Served, name: str, *, token: str = "") -> None:
         self.context = browser.new_context(viewport=SIZE, bypass_csp=True)
+        self.context.set_default_timeout(LONGEST_MS)
         self.page, self.server = self.context.new_page(), server
         without_model(self.page)
         self.errors: list[str] = []
@@ -90,6 +84,7 @@ def shown_photo(page: Page) -> str:
     return page.locator("[role=tab][aria-selected=true].photo-tab").inner_text().strip()
 
 
+@pytest.mark.slow
 def test_a_colleague_who_adds_a_photograph_does_not_disturb_a_line_that_is_being_drawn(
     ann: Person, ben: Person, tmp_path: Path
 ) -> None:
@@ -115,6 +110,7 @@ def test_a_colleague_who_adds_a_photograph_does_not_disturb_a_line_that_is_being
     assert shown_photo(ben.page).startswith("second.png")
 
 
+@pytest.mark.slow
 def test_undo_takes_back_ones_own_edit_and_a_conflict_says_whose(ann: Person, ben: Person) -> None:
     ann.page.get_by_role("tab", name=PHOTO).click()
     ben.page.get_by_role("tab", name=PHOTO).click()
@@ -164,6 +160,7 @@ POINTER_SEEN = """() => {
 }"""
 
 
+@pytest.mark.slow
 def test_one_sees_the_others_pointer_and_follows_the_others_view(ann: Person, ben: Person) -> None:
     for person in (ann, ben):
         person.page.get_by_role("tab", name=PHOTO).click()
@@ -193,8 +190,9 @@ def test_one_sees_the_others_pointer_and_follows_the_others_view(ann: Person, be
     ben.wait(lambda: not ben.page.get_by_text("Following Ann").is_visible(), "the mark is gone")
 
 
-def test_a_read_only_page_looks_and_changes_nothing(browser: Browser, server: Served, ann: Person) -> None:
-    eve = Person(browser, server, "Eve", token=LINKS[server.token])
+def test_a_read_only_page_looks_and_changes_nothing(browser: Browser, workbench: SharedWorkbench, ann: Person) -> None:
+    server, token = workbench.server, workbench.look_token
+    eve = Person(browser, server, "Eve", token=token)
     try:
         page = eve.page
         page.get_by_text("Read only", exact=True).first.wait_for()
@@ -222,15 +220,14 @@ def test_a_read_only_page_looks_and_changes_nothing(browser: Browser, server: Se
         ann.page.get_by_role("button", name="Copy read-only link").click()
         ann.page.get_by_text("The read-only link was copied", exact=False).wait_for()
         link = ann.page.evaluate("navigator.clipboard.readText()")
-        assert link == f"{server.address}?token={LINKS[server.token]}"
+        assert link == f"{server.address}?token={token}"
     finally:
         eve.context.close()
 
 
-def test_a_page_outlives_a_restart_of_the_workbench(
-    browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("LADARREG_HOME", str(tmp_path / "home"))
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="the server is ended by a signal")
+def test_a_page_outlives_a_restart_of_the_workbench(browser: Browser, tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     with served(tmp_path / "project", port=port) as (first, _):

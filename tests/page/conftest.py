@@ -9,7 +9,7 @@ import threading
 from collections.abc import Iterator
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -18,6 +18,9 @@ from PIL import Image
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import rotation_from_rotvec
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
 
 VIEW_CAMERA = Camera.from_focal(400, 260, 320.0)
 VIEW_FROM_SCANNER = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]) @ rotation_from_rotvec((0.05, -0.1, 0.2))
@@ -75,3 +78,20 @@ def modules(checkout: Path) -> Iterator[str]:
     server.shutdown()
     server.server_close()
     thread.join()
+
+
+@pytest.fixture(scope="session")
+def blank(browser: Browser, modules: str) -> Iterator[Page]:
+    """An empty page of the same origin, for modules without DOM."""
+    tab = browser.new_page()
+    tab.goto(f"{modules}/blank.html")
+    yield tab
+    tab.close()
+
+
+@pytest.fixture
+def panes(page: Page, modules: str) -> Page:
+    """The bare page with both pictures shown."""
+    page.goto(f"{modules}/bare.html")
+    page.wait_for_function("window.ready")
+    return page

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from testing.workbench.pages import two_frames
+
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
@@ -52,7 +54,7 @@ def mount(page: Page, extra: Any = None) -> None:
 
 def numbers(page: Page) -> list[int]:
     """Return the matches in the order of the table, whatever the order of their elements."""
-    page.wait_for_timeout(60)
+    two_frames(page)
     rows = page.evaluate("""[...document.querySelectorAll('.row-line[data-pick]')]
         .map((row) => [row.getBoundingClientRect().top, Number(row.dataset.pick.slice(1))])""")
     return [number for _, number in sorted(rows)]

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tests.page.test_panes import blank, run
+from tests.page.two_panes import run
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-__all__ = ["blank"]
 SHAPE = [4000, 7000]
 
 

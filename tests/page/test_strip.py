@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,19 +11,10 @@ import pytest
 from ladarreg_core.frames import look_along
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Page
 
 EXTENT = {"low": -1.0, "high": 1.5}
 SIZE = [600, 250]
-
-
-@pytest.fixture(scope="module")
-def blank(browser: Browser, modules: str) -> Iterator[Page]:
-    """An empty page of the same origin."""
-    tab = browser.new_page()
-    tab.goto(f"{modules}/blank.html")
-    yield tab
-    tab.close()
 
 
 def run(page: Page, module: str, body: str, given: Any = None) -> Any:

@@ -106,6 +106,8 @@ export class Pane {
   setExtent(extent) {
     const same = extent && this.extent && extent[0] === this.extent[0] && extent[1] === this.extent[1];
     this.extent = extent;
+    // the observer reports the first size after the first frame; a press may come before it
+    if (this.size[0] === 0) this.size = [this.body.clientWidth, this.body.clientHeight];
     if (extent && !same) this.fit("page");
     this.invalidate(...LAYERS);
     for (const listen of this.#listeners) listen(this, "page");

@@ -1,0 +1,32 @@
+"""An operator at the workbench that all tests share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+
+from testing.workbench.operator import Operator, at_work
+from testing.workbench.shared import SharedWorkbench
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+
+@pytest.fixture
+def operator(browser: Browser, workbench: SharedWorkbench, request: pytest.FixtureRequest) -> Iterator[Operator]:
+    """An operator at a project of his or her own: the sample, with its camera."""
+    workbench.open("camera")
+    with at_work(browser, workbench.server, request) as found:
+        found.open()
+        yield found
+
+
+@pytest.fixture
+def onlooker(browser: Browser, workbench: SharedWorkbench, request: pytest.FixtureRequest) -> Iterator[Operator]:
+    """An operator who changes nothing in the sample with its camera."""
+    workbench.look_at("camera")
+    with at_work(browser, workbench.server, request) as found:
+        found.open()
+        yield found
