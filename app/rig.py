@@ -53,6 +53,7 @@ def run_rig(arguments: RigArguments) -> ExitCode:
     from ladarreg_core.export.folder import check_folder
     from ladarreg_core.formats.pose_file import read_initial
     from ladarreg_core.formats.rig_file import read_rig_table
+    from ladarreg_core.manifest import visible_files
     from ladarreg_core.rig.options import RigOptions
     from ladarreg_core.rig.registration import register_rig
     from ladarreg_core.rig_folder import read_rig, write_rig
@@ -69,7 +70,7 @@ def run_rig(arguments: RigArguments) -> ExitCode:
         )
         result = register_rig(pairs, initial=initial, options=RigOptions(seed=arguments.seed), report=bar.step)
         fields = write_rig(arguments.out, result, inputs=inputs, force=arguments.force, report=bar.progress)
-    files = sorted(path.name for path in arguments.out.iterdir())
+    files = visible_files(arguments.out)
     if arguments.json:
         from .json_output import print_json
 

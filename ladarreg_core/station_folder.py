@@ -94,7 +94,7 @@ def write_stations(
         ExportError: if the folder exists and must not be replaced, or cannot be written.
     """
     from ladarreg_core.export.folder import write_folder
-    from ladarreg_core.export.json import write_document
+    from ladarreg_core.export.json import write_result
     from ladarreg_core.export.replacement import STATIONS_FILE
     from ladarreg_core.formats.npz import write_npz_xyz
 
@@ -108,7 +108,7 @@ def write_stations(
     write_folder(
         folder,
         lambda: [
-            (STATIONS_FILE, lambda path: write_document(path, fields)),
+            (STATIONS_FILE, lambda path: write_result(path, fields)),
             *((fields["stations"][index]["scan"], writer(index)) for index in placed),
         ],
         inputs=sorted({one.path for one in stations}), force=force, report=report,

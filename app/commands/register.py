@@ -172,6 +172,7 @@ def _export(
     smoothed: SmoothedScan | None,
 ) -> list[str]:
     from ladarreg_core.export.folder import export_registration
+    from ladarreg_core.manifest import visible_files
 
     export_registration(
         arguments.out,
@@ -187,4 +188,4 @@ def _export(
         force=arguments.force,
         report=bar.progress,
     )
-    return sorted(path.name for path in arguments.out.iterdir())
+    return visible_files(arguments.out)

@@ -87,6 +87,7 @@ class ExportJobs:
     def into_folder(self, folder: Path, *, force: bool, frame: FrameName = "scanner") -> Work:
         """Return the work of a job that exports into a folder."""
         from ladarreg_core.export.folder import write_folder
+        from ladarreg_core.manifest import visible_files
 
         def work(inputs: Inputs, context: JobContext) -> str:
             write_folder(
@@ -97,7 +98,7 @@ class ExportJobs:
                 force=force,
                 report=context.progress,
             )
-            return f"Wrote {', '.join(sorted(path.name for path in folder.iterdir()))}."
+            return f"Wrote {', '.join(visible_files(folder))}."
 
         return work
 

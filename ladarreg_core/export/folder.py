@@ -18,7 +18,7 @@ from ladarreg_core.export.images import (
     write_uncertainty_png,
     write_visibility_png,
 )
-from ladarreg_core.export.json import InputFile, registration_document, write_document
+from ladarreg_core.export.json import InputFile, registration_document, write_result
 from ladarreg_core.export.output_frame import FrameName, OutputFrame
 from ladarreg_core.export.ply import write_ply
 from ladarreg_core.export.rejected_overlay import write_rejected_overlay
@@ -33,6 +33,7 @@ from ladarreg_core.export.replacement import (
 )
 from ladarreg_core.export.report import write_report
 from ladarreg_core.export.staging import clear_leftovers, put_in_place, staging_folder
+from ladarreg_core.manifest import write_manifest
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.quality.assessment import Assessment, assess
@@ -147,8 +148,8 @@ def write_folder(
 ) -> None:
     """Write files into a new folder atomically.
 
-    Everything is written to a temporary folder next to the target, which is renamed at the end, so that an error, an
-    interruption or a `report` that raises leaves the previous state. Leftovers of killed programs are removed first.
+    Its manifest lists them. Everything is written to a temporary folder next to the target, which is renamed at the end,
+    so that an error, an interruption or a `report` that raises leaves the previous state. Leftovers of killed programs are removed first.
 
     Args:
         folder: output folder; missing parents are created.
@@ -171,6 +172,7 @@ def write_folder(
         target.parent.mkdir(parents=True, exist_ok=True)
         with staging_folder(target, more_names=more_names) as new:
             _write_all(new, files(), report, together=together)
+            write_manifest(new)
             _sync(new)
             _require_free(target, force, inputs, apart_from, more_names)  # it may have been created meanwhile
             put_in_place(
@@ -323,7 +325,7 @@ def registration_files(
         texture = None
     mark = registration.mark
     jobs: list[FileJob] = [
-        ("registration.json", lambda path: write_document(path, document())),
+        ("registration.json", lambda path: write_result(path, document())),
         (REPORT_FILE, lambda path: write_report(path, registration, scan, photo, document(), texture=texture)),
     ]
     if texture is None:

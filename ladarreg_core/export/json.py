@@ -16,6 +16,7 @@ import numpy as np
 
 from ladarreg_core.atomic_write import write_bytes
 from ladarreg_core.camera import Camera
+from ladarreg_core.checksums import sealed
 from ladarreg_core.errors import ExportError
 from ladarreg_core.frames import ThesisParameters
 from ladarreg_core.picks.lengths import lengths_by_end
@@ -57,6 +58,19 @@ def write_document(path: str | Path, document: Mapping[str, Any]) -> None:
     """
     text = json.dumps(plain(document), indent=1, ensure_ascii=False, allow_nan=False)
     write_bytes(path, (_join_short_lists(text) + "\n").encode("utf-8"))
+
+
+def write_result(path: str | Path, document: Mapping[str, Any]) -> None:
+    """Write a document of results with its checksum; see `write_document`.
+
+    Raises:
+        ExportError: if the file cannot be written, or a number in it has no place in JSON.
+    """
+    try:
+        checked = sealed(plain(document))
+    except ValueError as error:
+        raise ExportError(f"cannot write {path}: {error}; give options within the usual ranges") from None
+    write_document(path, checked)
 
 
 def registration_document(

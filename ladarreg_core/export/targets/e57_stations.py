@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.folder import write_folder
-from ladarreg_core.export.json import software_document, write_document
+from ladarreg_core.export.json import software_document, write_result
 from ladarreg_core.export.replacement import EXPORT_FILE
 from ladarreg_core.export.targets.e57_new import append_scan, start_tree
 from ladarreg_core.export.targets.e57_tree import library, new_e57
@@ -47,7 +47,7 @@ def export_stations(
     write_folder(
         folder,
         lambda: [
-            (EXPORT_FILE, lambda path: write_document(path, document)),
+            (EXPORT_FILE, lambda path: write_result(path, document)),
             (_FILE, lambda path: write_stations_e57(path, scans, report=report)),
         ],
         inputs=inputs, force=force, report=report,
