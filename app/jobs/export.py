@@ -92,7 +92,7 @@ class ExportJobs:
         def work(inputs: Inputs, context: JobContext) -> str:
             write_folder(
                 folder,
-                lambda: self._files(inputs, frame),
+                lambda: self._files(inputs, frame, folder),
                 inputs=self._sources(inputs.document),
                 apart_from=self._projects,
                 force=force,
@@ -102,7 +102,7 @@ class ExportJobs:
 
         return work
 
-    def _files(self, inputs: Inputs, frame: FrameName) -> list[FileJob]:
+    def _files(self, inputs: Inputs, frame: FrameName, folder: Path | None = None) -> list[FileJob]:
         from ladarreg_core.export.folder import registration_files
         from ladarreg_core.export.replacement import MATCHES_FILE
         from ladarreg_core.formats.matches_file import write_matches
@@ -122,6 +122,7 @@ class ExportJobs:
             assessment=pose.assessment,
             rests_on=pose.rests_on,
             frame=frame,
+            folder=folder,
         )
         return [*files, (MATCHES_FILE, lambda path: write_matches(path, pose.picks))] if pose.picks else files
 

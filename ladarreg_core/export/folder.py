@@ -86,7 +86,8 @@ def export_registration(
         photo: the photograph.
         assessment: assessment of the result; None: it is computed here.
         smoothed: the scan used for `model.glb` and `cloud.ply`; None: `scan`.
-        inputs: the files that scan and photo were read from, recorded in `registration.json`.
+        inputs: the files that scan and photo were read from, recorded in `registration.json`; empty: those that
+            `read_scan` and `read_photo` read them from, as far as they are still there.
         read_with: the options that they were read with, see `json.input_documents`; recorded, too.
         apart_from: as in `write_folder`.
         more: additional files, such as the picks.
@@ -100,6 +101,8 @@ def export_registration(
         ExportError: if the folder exists and must not be replaced, see `check_folder`, or if something cannot be
             written.
     """
+    if not inputs:
+        inputs, read_with = _read_from(scan, photo)
     write_folder(
         folder,
         lambda: [
@@ -113,6 +116,7 @@ def export_registration(
                 read_with=read_with,
                 frame=frame,
                 open_command=open_command,
+                folder=_resolve_parent(folder),
             ),
             *more,
         ],
@@ -123,6 +127,17 @@ def export_registration(
         together=scan.ranges.size <= _MOST_CELLS_TOGETHER,
         report=report,
     )
+
+
+def _read_from(scan: Scan, photo: Photo) -> tuple[list[Path], list[Mapping[str, Any]]]:
+    """Return the files that scan and photograph were read from, and the options; empty where one of both is gone."""
+    if scan.source is None or photo.source is None:
+        return [], []
+    (first, *more), (picture, *camera) = scan.source.files, photo.source.files
+    files = [first, picture, *camera, *more]
+    if not all(path.is_file() for path in files):
+        return [], []
+    return files, [scan.source.options, *([photo.source.options] if photo.source.options else [])]
 
 
 def prepare_export(scan: Scan) -> None:
@@ -148,8 +163,9 @@ def write_folder(
 ) -> None:
     """Write files into a new folder atomically.
 
-    Its manifest lists them. Everything is written to a temporary folder next to the target, which is renamed at the end,
-    so that an error, an interruption or a `report` that raises leaves the previous state. Leftovers of killed programs are removed first.
+    Their manifest is written with them, all to a temporary folder next to the target, which is renamed at the end, so
+    that an error, an interruption or a `report` that raises leaves the previous state. Leftovers of killed programs are
+    removed first.
 
     Args:
         folder: output folder; missing parents are created.
@@ -298,10 +314,12 @@ def registration_files(
     read_with: Sequence[Mapping[str, Any]] = (),
     frame: FrameName = "scanner",
     open_command: str | None = None,
+    folder: Path | None = None,
 ) -> list[FileJob]:
     """Return the names and writers of a registration's files; the arguments are those of `export_registration`.
 
-    `rests_on` states the matches that the pose was solved on, where they are known.
+    `rests_on` states the matches that the pose was solved on, where they are known; `folder` is where they are put;
+    None: that is not known, as of a zip file.
     """
     placed = OutputFrame.of(scan, frame)
     found = assess(scan, registration) if assessment is None else assessment
@@ -309,7 +327,7 @@ def registration_files(
     @cache  # hashing the inputs takes longest
     def document() -> dict[str, Any]:
         described = registration_document(
-            registration, assessment=found, smoothed=smoothed, inputs=inputs, read_with=read_with
+            registration, assessment=found, smoothed=smoothed, inputs=inputs, read_with=read_with, folder=folder
         )
         if registration.is_shown:
             described["models"] = placed.as_dict()

@@ -1,4 +1,4 @@
-"""Documents of results: they hold their own checksum, and are refused where they were changed after they were written."""
+"""Documents of results: they hold their own checksum, and are refused where they were changed since."""
 
 from __future__ import annotations
 
