@@ -135,7 +135,7 @@ def update_manifest(folder: Path, names: Sequence[str]) -> None:
 
 
 def manifest_fault(file: Path) -> str:
-    """Return why a file is not the one that the manifest beside it lists, after its name; empty: it is, or has no entry.
+    """Return in what a file differs from the manifest beside it; empty: in nothing, or it is not listed.
 
     Raises:
         FormatError: if the manifest is damaged.

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from ladarreg_core.checksums import checksum_state
-from ladarreg_core.errors import FormatError
-from ladarreg_core.formats.json_file import read_json_object
+from ladarreg_core.errors import FormatError, LadarregError
+from ladarreg_core.formats.json_file import begins_with_brace, read_json_object
+from ladarreg_core.formats.untrusted import PathLike, reading, shown_name
 from ladarreg_core.manifest import MANIFEST_FILE, manifest_fault
 
 TRUST_OPTION = "take the file as it was written, or go on with it as given, not verified, by `trust_edited=True`"
@@ -66,3 +67,16 @@ def checksum_words(file: Path, fields: Mapping[str, Any]) -> str:
     if was_edited(file, fields):
         return "wrong: the file was changed after it was written"
     return "no checksum" if checksum_state(fields) == "no checksum" else "right"
+
+
+def edited_note(path: PathLike) -> str:
+    """Return a note on a file with a pose to begin with that was changed after it was written; empty: it was not.
+
+    Such a file is as good as a pose that was typed: the pose is only where the search begins.
+    """
+    try:
+        with reading(path) as file:
+            fault = edited_fault(file, read_json_object(file, "a pose file")) if begins_with_brace(file) else ""
+    except LadarregError:  # whoever reads it says why
+        return ""
+    return f"{shown_name(path)}: {fault}; its pose was taken all the same, as one that was typed" if fault else ""

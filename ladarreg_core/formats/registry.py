@@ -394,12 +394,14 @@ def describe(
     columns: Sequence[str] = (),
     topic: str | None = None,
     seconds: float | None = None,
+    trust_edited: bool = False,
 ) -> FileInfo:
     """Describe a file of any supported format: scan, photograph, camera, pose, matches or results.
 
     Args:
         path: the file.
         scan_index: as `read_scan`, and so are the other options.
+        trust_edited: describe results that were changed after they were written, too.
 
     Raises:
         LadarregError: if it cannot be read.
@@ -408,7 +410,7 @@ def describe(
         scan_index=scan_index, origin=origin, intensity=intensity, columns=columns, topic=topic, seconds=seconds
     )
     with parsed_once():
-        results = describe_results(Path(path))
+        results = describe_results(Path(path), trust_edited=trust_edited)
         if results is not None:
             asked.require_only((), results.format)
             return results
