@@ -16,7 +16,7 @@ _RESULTS = {
     "registration.json": "result", "stations.json": "stations", "rig.json": "rig", "export.json": "export",
     "comparison.json": "comparison", "panorama.json": "panorama", "truth.json": "simulation",
 }  # fmt: skip
-_NO_MANIFEST = f"no manifest ({MANIFEST_FILE}), as of earlier versions: the sizes and SHA-256 of the other files are not known"
+_NO_MANIFEST = f"no manifest ({MANIFEST_FILE}), as of earlier versions: sizes and SHA-256 of the files are unknown"
 
 
 @dataclass(frozen=True, slots=True)
