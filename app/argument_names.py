@@ -25,6 +25,7 @@ _FLAGS = {
     "sensor_mm": "--sensor-mm",
     "temperature_unit": "--temperature-unit",
     "topic": "--topic",
+    "trust_edited": "--trust-edited",
 }
 _FIELDS = {
     "calibrate_mount": "ladarreg panorama --calibrate-mount",
@@ -45,6 +46,7 @@ _FIELDS = {
     "sensor_mm": "the sensor width",
     "temperature_unit": "'Unit of its temperatures'",
     "topic": "'Topic'",
+    "trust_edited": "ladarreg export --trust-edited",
 }
 _SHOWN_ON_PAGE = {"columns", "scan_index", "temperature_unit"}
 

@@ -24,6 +24,7 @@ COMMANDS = {
     "export": "Hand results to other programs: COLMAP, E57, LAZ, ROS ...",
     "report": "Write the report of a result or project: one HTML file.",
     "info": "Describe a scan, photo, camera, pose, matches or results.",
+    "check": "Say whether a project, result, run or export is damaged.",
     "selftest": "Estimate how well a scan and a camera will register.",
     "devices": "List serial ports, and the pan/tilt unit or scanner there.",
     "acquire": "Scan all around: drive pan/tilt unit and scanner by a plan.",

@@ -47,7 +47,8 @@ def read_inputs(
             "Read scan", bar, lambda: lr.read_scan(arguments.scan, report=bar.loading, **arguments.scan_options)
         )
         suit_heap(scan)
-        missing = _missing_scans(arguments, *filter(None, results))
+        given = list(filter(None, results))
+        missing = [*_missing_scans(arguments, *given), *_edited(*given)]
         scan = replace(scan, notes=(*scan.notes, *missing)) if missing else scan
         photo = timed("Read photo", bar, of_photo.result)
     return scan, photo
@@ -60,6 +61,15 @@ def _missing_scans(arguments: PhotoArguments, *results: Path) -> list[str]:
     from ladarreg_core.saved_results import missing_scans
 
     return [said for path in results if (said := missing_scans(path, arguments.scan, arguments.more or ()))]
+
+
+def _edited(*results: Path) -> list[str]:
+    """Return notes on results that were changed after they were written, and whose pose is taken all the same."""
+    if not results:
+        return []
+    from ladarreg_core.formats.own_results import edited_note
+
+    return [said for path in results if (said := edited_note(path))]
 
 
 def with_recorded_options(arguments: A, *results: Path | None) -> A:

@@ -22,7 +22,8 @@ def print_json(document: Mapping[str, Any]) -> None:
 
 def print_written(folder: Path, document: str, scan: Scan, photo: Photo) -> None:
     """Print a document that was written into a folder, with the folder's files and the readers' notes."""
+    from ladarreg_core.manifest import visible_files
+
     fields = json.loads((folder / document).read_text(encoding="utf-8"))
-    files = sorted(path.name for path in folder.iterdir())
-    output = {"folder": os.path.abspath(folder), "files": files}
+    output = {"folder": os.path.abspath(folder), "files": visible_files(folder)}
     print_json({**fields, "notes": [*scan.notes, *photo.notes], "output": output})

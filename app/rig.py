@@ -51,8 +51,10 @@ class RigArguments(CameraArguments):
 def run_rig(arguments: RigArguments) -> ExitCode:
     """Read the pairs, register them together, write the results, and print the verdict."""
     from ladarreg_core.export.folder import check_folder
+    from ladarreg_core.formats.own_results import edited_note
     from ladarreg_core.formats.pose_file import read_initial
     from ladarreg_core.formats.rig_file import read_rig_table
+    from ladarreg_core.manifest import visible_files
     from ladarreg_core.rig.options import RigOptions
     from ladarreg_core.rig.registration import register_rig
     from ladarreg_core.rig_folder import read_rig, write_rig
@@ -63,22 +65,25 @@ def run_rig(arguments: RigArguments) -> ExitCode:
     inputs = list(dict.fromkeys([arguments.rig, *common, *(path for row in rows for path in row.files)]))
     check_folder(arguments.out, force=arguments.force, inputs=inputs)
     initial = None if arguments.initial is None else read_initial(arguments.initial, None)
+    said = "" if arguments.initial is None else edited_note(arguments.initial)
     with progress_bar(quiet=arguments.quiet or arguments.json) as bar:
         pairs = read_rig(
             rows, scan_options=arguments.scan_options, photo_options=arguments.photo_options, report=bar.progress
         )
         result = register_rig(pairs, initial=initial, options=RigOptions(seed=arguments.seed), report=bar.step)
         fields = write_rig(arguments.out, result, inputs=inputs, force=arguments.force, report=bar.progress)
-    files = sorted(path.name for path in arguments.out.iterdir())
+    files, edited = visible_files(arguments.out), [said] if said else []
     if arguments.json:
         from .json_output import print_json
 
         notes = [f"{pair.name}: {note}" for pair in pairs for note in (*pair.scan.notes, *pair.photo.notes)]
-        print_json({**fields, "notes": notes, "output": {"folder": os.path.abspath(arguments.out), "files": files}})
+        print_json(
+            {**fields, "notes": [*edited, *notes], "output": {"folder": os.path.abspath(arguments.out), "files": files}}
+        )
     elif arguments.quiet:
         print(_verdict(result))
     else:
-        print("\n".join(_lines(result)))
+        print("\n".join([*(f"Note     {one_line(note)}" for note in edited), *_lines(result)]))
         print(f"Wrote    {', '.join(files)} in {arguments.out}")
         print(f"Took     {time.perf_counter() - started:.1f} s")
     return ExitCode.ACCEPTED if result.accepted else ExitCode.NOT_ACCEPTED

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from ladarreg_core.arrays import ByteArray, FloatArray, read_only
 from ladarreg_core.camera import Camera, CameraModel, describe_in_short, require_camera, require_pinhole
 from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.source import Source
 from ladarreg_core.validation import require_number, require_positive
 
 
@@ -41,6 +42,8 @@ class Photo:
     that of the image or of the whole sensor; what differs is then uncertain to that extent."""
     temperature_k: FloatArray | None = None
     """(H, W) float32, of a thermal image: apparent temperature, K; `pixels` are then gray levels for display."""
+    source: Source | None = None
+    """The file that `read_photo` read it from; None: it was made otherwise."""
 
     @property
     def pinhole(self) -> Camera:

@@ -82,14 +82,14 @@ def write_rig(
         ExportError: if the folder exists and must not be replaced, or cannot be written.
     """
     from ladarreg_core.export.folder import FileJob, write_folder
-    from ladarreg_core.export.json import write_document
+    from ladarreg_core.export.json import write_result
     from ladarreg_core.export.replacement import RIG_FILE
     from ladarreg_core.export.targets.kalibr import lidar_chain
     from ladarreg_core.export.targets.photo_files import text_writer
     from ladarreg_core.export.targets.ros import rig_files
 
     fields = rig_document(result, inputs=inputs)
-    jobs: list[FileJob] = [(RIG_FILE, lambda path: write_document(path, fields))]
+    jobs: list[FileJob] = [(RIG_FILE, lambda path: write_result(path, fields))]
     pose = result.camera_from_scanner
     if result.accepted and pose is not None:
         words = [

@@ -67,6 +67,8 @@ class SavedResult:
     """The recorded arguments of `read_scan`; empty in results of earlier versions."""
     photo_options: Mapping[str, Any] | None
     """The recorded arguments of `read_photo`, a camera file by its name; None in results of earlier versions."""
+    within: Sequence[Path] | None = None
+    """Folders that inputs are found in by the paths that the result states; None: anywhere."""
 
     @property
     def photo_name(self) -> str:
@@ -82,9 +84,19 @@ class SavedResult:
             ExportError: if one is not found, or only files of its name with another content.
         """
         near = self._near(folders)
-        (scan,) = find_inputs(self.inputs[:1], near if scan_file is None else [scan_file], option=option)
-        (photo,) = find_inputs(self.inputs[1:2], near, option=option)
-        return scan, photo
+        if scan_file is None:
+            scan = self._find(self.inputs[0], near, option=option)
+        else:
+            (scan,) = find_inputs(self.inputs[:1], [scan_file], option=option)
+        return scan, self._find(self.inputs[1], near, option=option)
+
+    def _find(self, record: Mapping[str, Any], near: Sequence[Path], *, option: str = "`inputs`") -> Path:
+        """Return the file of an input, which lies in a folder or where the result states it.
+
+        Raises:
+            ExportError: if it is not found.
+        """
+        return find_inputs([record], near, beside=self.file.parent, within=self.within, option=option)[0]
 
     def camera_file(self, folders: Sequence[Path]) -> Path | None:
         """Return the camera file, if there was one and it is found."""
@@ -93,7 +105,7 @@ class SavedResult:
         if name is None or record is None:
             return None
         try:
-            return find_inputs([record], self._near(folders))[0]
+            return self._find(record, self._near(folders))
         except ExportError:
             return None
 
@@ -123,7 +135,8 @@ class SavedResult:
         """
         found = {**self.scan_options, **_changed(given)}
         if found.get("more"):
-            found["more"] = tuple(find_inputs(self._further_scans, self._near_scan(scan_file)))
+            near = self._near_scan(scan_file)
+            found["more"] = tuple(self._find(record, near) for record in self._further_scans)
         return found
 
     def further_scans(self, scan_file: Path) -> tuple[list[Path], list[str]]:
@@ -139,7 +152,7 @@ class SavedResult:
         missing: list[str] = []
         for record in self._further_scans:
             try:
-                found += find_inputs([record], self._near_scan(scan_file))
+                found.append(self._find(record, self._near_scan(scan_file)))
             except ExportError:
                 missing.append(str(record.get("name")))
         return found, missing
@@ -190,14 +203,21 @@ def is_saved_result(folder: Path) -> bool:
     return (folder / RESULT_FILE).is_file()
 
 
-def read_saved_result(folder: str | Path) -> SavedResult:
+def read_saved_result(
+    folder: str | Path, *, trust_edited: bool = False, within: Sequence[Path] | None = None
+) -> SavedResult:
     """Read a folder of results, or its `registration.json`.
 
+    Args:
+        folder: the folder or the file.
+        trust_edited: read a result that was changed after it was written, as a pose that was given.
+        within: as `SavedResult.within`.
+
     Raises:
-        FormatError: if it is none, or damaged.
+        FormatError: if it is none, is damaged, or was changed after it was written.
     """
     file = Path(folder) / RESULT_FILE if Path(folder).is_dir() else Path(folder)
-    registration, document = read_result(file)
+    registration, document = read_result(file, trust_edited=trust_edited)
     inputs = document.get("inputs")
     if not isinstance(inputs, list) or len(inputs) < 2 or not all(isinstance(one, dict) for one in inputs):
         raise FormatError(f"{file} does not name the scan and the photo that it was made of")
@@ -206,7 +226,7 @@ def read_saved_result(folder: str | Path) -> SavedResult:
         photo = _recorded(inputs[1], _PhotoReading)
     except msgspec.ValidationError as error:
         raise FormatError(f"{file}: the options of an input are damaged ({error}); {_DAMAGED}") from None
-    return SavedResult(file, registration, document, inputs, scan or {}, photo)
+    return SavedResult(file, registration, document, inputs, scan or {}, photo, within)
 
 
 def recorded_options(result: Path, scan: Path, photo: Path) -> dict[str, Any]:
@@ -222,7 +242,7 @@ def recorded_options(result: Path, scan: Path, photo: Path) -> dict[str, Any]:
         `recorded_scans`; those of a file with another content than the recorded one are left out.
     """
     try:
-        saved = read_saved_result(result)
+        saved = read_saved_result(result, trust_edited=True)
         found = dict(saved.scan_options) if is_recorded(scan, saved.inputs[0]) else {}
         if is_recorded(photo, saved.inputs[1]):
             found |= saved.photo_options or {}
@@ -231,32 +251,34 @@ def recorded_options(result: Path, scan: Path, photo: Path) -> dict[str, Any]:
     return {name: value for name, value in found.items() if name not in ("camera", "camera_name", "more")}
 
 
-def recorded_scans(result: Path, scan: Path) -> tuple[list[Path], list[str]]:
+def recorded_scans(result: Path, scan: Path, *, within: Sequence[Path] | None = None) -> tuple[list[Path], list[str]]:
     """Return the further files that a result records as accumulated with a scan, if it was made of that scan.
 
     Args:
         result: a `registration.json`; any other file, such as a pose, records none.
         scan: the scan's file.
+        within: as `SavedResult.within`.
 
     Returns:
         See `SavedResult.further_scans`.
     """
     try:
-        saved = read_saved_result(result)
+        saved = read_saved_result(result, trust_edited=True, within=within)
         return saved.further_scans(scan) if is_recorded(scan, saved.inputs[0]) else ([], [])
     except (LadarregError, OSError):  # as in `recorded_options`
         return [], []
 
 
-def missing_scans(result: Path, scan: Path, more: Sequence[Path]) -> str:
+def missing_scans(result: Path, scan: Path, more: Sequence[Path], *, within: Sequence[Path] | None = None) -> str:
     """Return a sentence on the clouds that a result was made of and that are not found; empty: none is missing.
 
     Args:
         result: a file that may be a result.
         scan: the scan's file.
         more: the further clouds that are read with it.
+        within: as `SavedResult.within`.
     """
-    found, missing = recorded_scans(result, scan)
+    found, missing = recorded_scans(result, scan, within=within)
     if not missing or len(more) >= len(found) + len(missing):
         return ""
     clouds = "this cloud is" if not more else f"{1 + len(more)} clouds are"

@@ -14,6 +14,7 @@ from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scanner.grid_window import GridWindow, grid_rays
 from ladarreg_core.scanner.grids import ScanGeometry
+from ladarreg_core.source import Source
 from ladarreg_core.validation import require_choice
 
 IntensityKind = Literal["raw", "range_normalised"]
@@ -53,6 +54,8 @@ class Scan:
     """Display name."""
     notes: tuple[str, ...] = field(default=())
     """Remarks on the file for the operator, e.g. that its unit may be millimetres."""
+    source: Source | None = None
+    """The files that `read_scan` read it from; None: it was made otherwise."""
 
     def __post_init__(self) -> None:
         shape = self.geometry.shape

@@ -94,7 +94,7 @@ def write_stations(
         ExportError: if the folder exists and must not be replaced, or cannot be written.
     """
     from ladarreg_core.export.folder import write_folder
-    from ladarreg_core.export.json import write_document
+    from ladarreg_core.export.json import write_result
     from ladarreg_core.export.replacement import STATIONS_FILE
     from ladarreg_core.formats.npz import write_npz_xyz
 
@@ -108,7 +108,7 @@ def write_stations(
     write_folder(
         folder,
         lambda: [
-            (STATIONS_FILE, lambda path: write_document(path, fields)),
+            (STATIONS_FILE, lambda path: write_result(path, fields)),
             *((fields["stations"][index]["scan"], writer(index)) for index in placed),
         ],
         inputs=sorted({one.path for one in stations}), force=force, report=report,
@@ -146,21 +146,25 @@ def is_station_folder(folder: str | Path) -> bool:
     return (Path(folder) / STATIONS_FILE).is_file()
 
 
-def station_files(folder: str | Path) -> dict[Path, Rigid]:
+def station_files(folder: str | Path, *, trust_edited: bool = False) -> dict[Path, Rigid]:
     """Return the scans of a folder of stations that were registered, each with its stated `world_from_scanner`.
 
+    Args:
+        folder: the folder.
+        trust_edited: take a document that was changed after it was written.
+
     Raises:
-        FormatError: if its document is damaged or of another version, or a scan is missing.
+        FormatError: if its document is damaged, changed or of another version, or a scan is missing.
     """
     from ladarreg_core.errors import FormatError
     from ladarreg_core.export.replacement import STATIONS_FILE, is_file_name
-    from ladarreg_core.formats.json_file import read_json_object
+    from ladarreg_core.formats.own_results import read_own_result
     from ladarreg_core.formats.stations_info import stated_poses
     from ladarreg_core.formats.untrusted import reading
 
     home = Path(folder)
     with reading(home / STATIONS_FILE) as file:
-        poses = stated_poses(read_json_object(file, "stations"))
+        poses = stated_poses(read_own_result(file, "stations", trust_edited=trust_edited))
         if not all(is_file_name(name) for name in poses):
             raise FormatError("it names scans outside its folder; register the stations again")
         missing = [name for name in poses if not (home / name).is_file()]
@@ -170,36 +174,76 @@ def station_files(folder: str | Path) -> dict[Path, Rigid]:
 
 
 def export_station_folder(
-    folder: str | Path, out: str | Path, *, force: bool = False, report: Report | None = None
-) -> None:
+    folder: str | Path,
+    out: str | Path,
+    *,
+    trust_edited: bool = False,
+    force: bool = False,
+    report: Report | None = None,
+) -> bool:
     """Write the scans of a folder of stations with their poses into one E57.
 
     Args:
         folder: what `write_stations` wrote.
         out: output folder.
+        trust_edited: take the poses that the folder states even if it was changed after it was written; the export then
+            says that they were given.
         force: replace an earlier export and nothing else.
         report: receives the progress; may raise `Cancelled`.
 
+    Returns:
+        whether the poses are marked as given.
+
     Raises:
-        FormatError: if the folder is damaged.
+        FormatError: if the folder is damaged, or was changed.
         ExportError: if the output cannot be written.
     """
     from functools import partial
 
+    from ladarreg_core.errors import FormatError
     from ladarreg_core.export.targets.e57_stations import export_stations
     from ladarreg_core.formats import read_scan
+    from ladarreg_core.formats.own_results import TRUST_OPTION
+    from ladarreg_core.results import GIVEN_MARK
 
-    files = station_files(folder)
-    named = [partial(_named_scan, read_scan, path, pose) for path, pose in files.items()]
-    export_stations(out, named, inputs=list(files), force=force, report=report)
+    files = station_files(folder, trust_edited=trust_edited)
+    changed = _changed_file(Path(folder), list(files))
+    if changed and not trust_edited:
+        raise FormatError(f"{changed}; {TRUST_OPTION}")
+    named = [partial(_named_scan, read_scan, path, pose, trusted=bool(changed)) for path, pose in files.items()]
+    export_stations(out, named, mark=GIVEN_MARK if changed else "", inputs=list(files), force=force, report=report)
+    return bool(changed)
 
 
-def _named_scan(read: Any, path: Path, stated: Rigid) -> Scan:
+def _changed_file(folder: Path, scans: Sequence[Path]) -> str:
+    """Return which file of a folder of stations was changed after it was written, and how; empty: none."""
+    from ladarreg_core.errors import FormatError
+    from ladarreg_core.export.replacement import STATIONS_FILE
+    from ladarreg_core.formats.json_file import read_json_object
+    from ladarreg_core.formats.own_results import edited_fault
+    from ladarreg_core.manifest import read_manifest
+
+    try:
+        listed = read_manifest(folder) or {}
+        fault = edited_fault(folder / STATIONS_FILE, read_json_object(folder / STATIONS_FILE, "stations"))
+    except FormatError as error:
+        return f"{folder}: {error}"
+    if fault:
+        return f"{folder / STATIONS_FILE}: {fault}"
+    for path in scans:
+        if path.name in listed and (fault := listed[path.name].fault(folder)):
+            return f"{path} {fault}"
+    return ""
+
+
+def _named_scan(read: Any, path: Path, stated: Rigid, *, trusted: bool = False) -> Scan:
     from ladarreg_core.errors import FormatError
     from ladarreg_core.export.replacement import STATIONS_FILE
 
     scan: Scan = read(path)
     own = scan.world_from_scanner
+    if trusted:
+        return replace(scan, name=path.stem, world_from_scanner=stated)
     if own is None or own.distance_to(stated) > _SAME_M or own.angle_to(stated) > _SAME_RAD:
         raise FormatError(
             f"{path}: {STATIONS_FILE} states another pose for it than the file itself; register the stations again"

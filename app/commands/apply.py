@@ -40,6 +40,7 @@ def run(arguments: Arguments) -> ExitCode:
     from ladarreg_core.export.output_frame import OutputFrame
     from ladarreg_core.formats.pose_file import read_initial
     from ladarreg_core.given import given_pose
+    from ladarreg_core.manifest import visible_files
     from ladarreg_core.quality.assessment import assess
 
     started = time.perf_counter()
@@ -65,6 +66,6 @@ def run(arguments: Arguments) -> ExitCode:
     else:
         print_notes(scan, photo)
         print(report(result))
-        print(f"Wrote    {', '.join(sorted(path.name for path in arguments.out.iterdir()))} in {arguments.out}")
+        print(f"Wrote    {', '.join(visible_files(arguments.out))} in {arguments.out}")
         print(f"Took     {time.perf_counter() - started:.1f} s")
     return ExitCode.ACCEPTED

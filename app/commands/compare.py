@@ -65,6 +65,7 @@ def _compare(arguments: Arguments, scan: Scan, photo: Photo, bar: ProgressBar) -
 
 def _export(arguments: Arguments, comparison: Comparison, scan: Scan, photo: Photo, bar: ProgressBar) -> list[str]:
     from ladarreg_core.export.comparison import export_comparison
+    from ladarreg_core.manifest import visible_files
 
     export_comparison(
         arguments.out,
@@ -76,4 +77,4 @@ def _export(arguments: Arguments, comparison: Comparison, scan: Scan, photo: Pho
         force=arguments.force,
         report=bar.progress,
     )
-    return sorted(path.name for path in arguments.out.iterdir())
+    return visible_files(arguments.out)

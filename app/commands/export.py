@@ -61,6 +61,8 @@ class Arguments(ScanArguments):
     """Write whole meshes instead of those reduced by error."""
     crop: Literal["none", "photo"] = "none"
     """photo: leave out of models what no photo covers."""
+    trust_edited: bool = False
+    """Go on with results that were changed after they were written: given, not verified."""
     last_solved: bool = False
     """Of a project: export poses that are out of date, as they were solved."""
     temperature_unit: Literal["K", "C", "none"] | None = None
@@ -145,7 +147,11 @@ def _stations(arguments: Arguments, folder: Path, targets: Sequence[str]) -> Exi
         raise OptionError("a folder of stations is exported by itself and to e57 only; for photos, give their results")
     started = time.perf_counter()
     with progress_bar(quiet=arguments.quiet) as bar:
-        export_station_folder(folder, arguments.out, force=arguments.force, report=bar.progress)
+        given = export_station_folder(
+            folder, arguments.out, trust_edited=arguments.trust_edited, force=arguments.force, report=bar.progress
+        )
+    if given:
+        print("Poses    given, not verified: the folder was changed after it was written")
     if not arguments.quiet:
         print(f"Wrote    e57 in {arguments.out}")
         print(f"Took     {time.perf_counter() - started:.1f} s")
@@ -175,7 +181,7 @@ def _of_results(arguments: Arguments, targets: Sequence[Target], bar: ProgressBa
     for file in [*files, *([arguments.scan] if arguments.scan else [])]:
         if not file.is_file():
             raise OptionError(f"{file}: file not found; --photo and --scan give the files that results were made of")
-    saved = [read_saved_result(path) for path in arguments.results]
+    saved = [read_saved_result(path, trust_edited=arguments.trust_edited) for path in arguments.results]
     require_shown([one.photo_name for one in saved if not one.registration.is_shown], targets)
     return timed(
         "Read inputs",

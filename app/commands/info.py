@@ -20,7 +20,7 @@ EXAMPLES = (
     "# the images that a scanner took, with their cameras and poses:",
     "ladarreg info room.e57 --scan 1 --extract images",
 )
-_DOCUMENTS = ("registration.json", "comparison.json", "export.json", "panorama.json", "stations.json")
+_DOCUMENTS = ("registration.json", "comparison.json", "export.json", "panorama.json", "stations.json", "rig.json")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +32,8 @@ class Arguments(ScanArguments):
     extract: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Extract the images of an E57 file to this folder, with their cameras, and their poses relative to the
     scan (--scan) for --initial."""
+    trust_edited: bool = False
+    """Describe results, too, that were changed after they were written: given, not verified."""
     json: bool = False
     """Print the description as one JSON document, and nothing else, on stdout; errors, too."""
     debug: bool = False
@@ -49,7 +51,7 @@ def run(arguments: Arguments) -> ExitCode:
         from ladarreg_core.panorama import describe_run
 
         return _print(describe_run(file), as_json=arguments.json)
-    info = describe(file, **arguments.scan_options)
+    info = describe(file, trust_edited=arguments.trust_edited, **arguments.scan_options)
     facts = list(_facts(info))
     extracted: list[str] = []
     if arguments.extract is not None:

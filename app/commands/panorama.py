@@ -56,6 +56,7 @@ def run(arguments: Arguments) -> ExitCode:
     """Compose the pieces and write `scan.npz`, `panorama.json` and `provenance.png`."""
     from ladarreg_core.export.folder import check_folder
     from ladarreg_core.formats.panorama_info import panorama_lines
+    from ladarreg_core.manifest import visible_files
     from ladarreg_core.panorama import compose, write_panorama
 
     started = time.perf_counter()
@@ -69,7 +70,7 @@ def run(arguments: Arguments) -> ExitCode:
     if arguments.json:
         from ..json_output import print_json
 
-        files = sorted(path.name for path in arguments.out.iterdir())
+        files = visible_files(arguments.out)
         print_json({**made.fields, "output": {"folder": os.path.abspath(arguments.out), "files": files}})
         return ExitCode.ACCEPTED
     for name, value in panorama_lines(made.fields):

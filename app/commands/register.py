@@ -138,7 +138,10 @@ def _register(arguments: Arguments, scan: Scan, photo: Photo, bar: ProgressBar) 
         from ladarreg_core.carry import carry_over
         from ladarreg_core.formats.registration_file import read_offset, read_registration
 
-        first, offset = read_registration(arguments.carry), read_offset(arguments.offset)
+        first = read_registration(
+            arguments.carry, option="register that photo again, or give the file as it was written"
+        )
+        offset = read_offset(arguments.offset)
         carried = timed("Carry over", bar, lambda: carry_over(first, offset, photo))
         return replace(carried, world_from_scanner=scan.world_from_scanner)  # it stands in this scan's world
     picks, initial = read_start(arguments, scan)
@@ -172,6 +175,7 @@ def _export(
     smoothed: SmoothedScan | None,
 ) -> list[str]:
     from ladarreg_core.export.folder import export_registration
+    from ladarreg_core.manifest import visible_files
 
     export_registration(
         arguments.out,
@@ -187,4 +191,4 @@ def _export(
         force=arguments.force,
         report=bar.progress,
     )
-    return sorted(path.name for path in arguments.out.iterdir())
+    return visible_files(arguments.out)

@@ -51,6 +51,7 @@ def run(arguments: Arguments) -> ExitCode:
     """Register the scans and write `stations.json` and the scans with their poses."""
     from ladarreg_core.export.folder import check_folder
     from ladarreg_core.formats.stations_info import station_lines
+    from ladarreg_core.manifest import visible_files
     from ladarreg_core.station_folder import read_stations, write_stations
     from ladarreg_core.stations.registration import register_scans
 
@@ -67,11 +68,11 @@ def run(arguments: Arguments) -> ExitCode:
     if arguments.json:
         from ..json_output import print_json
 
-        files = sorted(path.name for path in arguments.out.iterdir())
+        files = visible_files(arguments.out)
         print_json({**fields, "output": {"folder": os.path.abspath(arguments.out), "files": files}})
         return code
     for name, value in station_lines(fields):
         print(f"{name.capitalize():<10} {one_line(value)}")
-    print(f"Wrote      {', '.join(sorted(path.name for path in arguments.out.iterdir()))} in {arguments.out}")
+    print(f"Wrote      {', '.join(visible_files(arguments.out))} in {arguments.out}")
     print(f"Took       {time.perf_counter() - started:.1f} s")
     return code

@@ -37,6 +37,8 @@ class Arguments(ScanArguments):
     """Photo of a project with several: its file name, or its id such as p2."""
     temperature_unit: Literal["K", "C", "none"] | None = None
     """Unit of the pixels of a thermal photo whose file does not state it, as it was registered with."""
+    trust_edited: bool = False
+    """Go on with results that were changed after they were written: given, not verified."""
     force: bool = False
     """Replace FILE if it exists."""
     quiet: bool = False
@@ -72,12 +74,13 @@ def _of_results(arguments: Arguments, bar: ProgressBar) -> Path:
     from ladarreg_core.errors import FormatError, OptionError
     from ladarreg_core.export.replacement import REPORT_FILE
     from ladarreg_core.export.report import write_report
+    from ladarreg_core.manifest import update_manifest
     from ladarreg_core.saved_results import read_saved_result
 
     folder = arguments.source
     if arguments.photo is not None:
         raise OptionError("--photo chooses a photo of a project; a folder of results has one only")
-    saved = read_saved_result(folder)
+    saved = read_saved_result(folder, trust_edited=arguments.trust_edited)
     scan_path, photo_path = timed("Find inputs", bar, lambda: saved.find(arguments.inputs))
     out = _target(arguments, folder / REPORT_FILE)
     given, unit = arguments.scan_options, arguments.temperature_unit
@@ -88,6 +91,8 @@ def _of_results(arguments: Arguments, bar: ProgressBar) -> Path:
             timed("Write report", bar, lambda: write_report(new, saved.registration, scan, photo, saved.document))
         except (KeyError, TypeError, ValueError, AttributeError):  # fields of other types than those that are written
             raise FormatError(f"{folder / 'registration.json'} is damaged; give an unmodified one") from None
+    if out == folder / REPORT_FILE and not arguments.trust_edited:
+        update_manifest(folder, [REPORT_FILE])
     return out
 
 

@@ -51,11 +51,12 @@ class Arguments:
 def run(arguments: Arguments) -> ExitCode:
     """Simulate and write `scan.npz`, `photo.png`, `camera.json` and `truth.json`."""
     from ladarreg_core.export.folder import check_folder, write_folder
+    from ladarreg_core.manifest import visible_files
 
     check_folder(arguments.out, force=arguments.force)  # before the simulation, which takes time
     files = _files(arguments)
     write_folder(arguments.out, lambda: files, force=arguments.force)
-    names = sorted(path.name for path in arguments.out.iterdir())
+    names = visible_files(arguments.out)
     print(f"Wrote {', '.join(names)} in {arguments.out}")
     return ExitCode.ACCEPTED
 

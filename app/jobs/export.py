@@ -87,21 +87,22 @@ class ExportJobs:
     def into_folder(self, folder: Path, *, force: bool, frame: FrameName = "scanner") -> Work:
         """Return the work of a job that exports into a folder."""
         from ladarreg_core.export.folder import write_folder
+        from ladarreg_core.manifest import visible_files
 
         def work(inputs: Inputs, context: JobContext) -> str:
             write_folder(
                 folder,
-                lambda: self._files(inputs, frame),
+                lambda: self._files(inputs, frame, folder),
                 inputs=self._sources(inputs.document),
                 apart_from=self._projects,
                 force=force,
                 report=context.progress,
             )
-            return f"Wrote {', '.join(sorted(path.name for path in folder.iterdir()))}."
+            return f"Wrote {', '.join(visible_files(folder))}."
 
         return work
 
-    def _files(self, inputs: Inputs, frame: FrameName) -> list[FileJob]:
+    def _files(self, inputs: Inputs, frame: FrameName, folder: Path | None = None) -> list[FileJob]:
         from ladarreg_core.export.folder import registration_files
         from ladarreg_core.export.replacement import MATCHES_FILE
         from ladarreg_core.formats.matches_file import write_matches
@@ -121,6 +122,7 @@ class ExportJobs:
             assessment=pose.assessment,
             rests_on=pose.rests_on,
             frame=frame,
+            folder=folder,
         )
         return [*files, (MATCHES_FILE, lambda path: write_matches(path, pose.picks))] if pose.picks else files
 

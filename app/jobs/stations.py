@@ -139,7 +139,7 @@ class StationJobs:
 
     def export(self, context: JobContext) -> str:
         """Write a zip of what `register-scans` writes, and all stations in one E57."""
-        from ladarreg_core.export.json import write_document
+        from ladarreg_core.export.json import write_result
         from ladarreg_core.export.replacement import STATIONS_FILE
         from ladarreg_core.export.targets.e57_stations import write_stations_e57
         from ladarreg_core.export.targets.e57_tree import library
@@ -163,7 +163,7 @@ class StationJobs:
             return lambda path: write_npz_xyz(path, read(k))
 
         files: list[tuple[str, Callable[[Path], Any]]] = [
-            (STATIONS_FILE, lambda path: write_document(path, fields)),
+            (STATIONS_FILE, lambda path: write_result(path, fields)),
             *((fields["stations"][k]["scan"], writer(k)) for k in placed),
         ]
         note = ""

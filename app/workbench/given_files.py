@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from ladarreg_core.errors import LadarregError
+from ladarreg_core.formats.own_results import edited_note
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import CameraGiven, Source
 from ladarreg_core.project.history import NOBODY
@@ -72,9 +73,12 @@ def add_files(workbench: Workbench, files: Sequence[Path], reading: Reading, che
     clouds, photos = _sorted(files)
     said: list[str] = []
     if reading.initial is not None and len(clouds) == 1:
-        more, _ = recorded_scans(reading.initial, clouds[0])
+        within = [path.parent for path in (*files, reading.initial)]
+        more, _ = recorded_scans(reading.initial, clouds[0], within=within)
         clouds += [Path(os.path.abspath(path)) for path in more]
-        said = list(filter(None, [missing_scans(reading.initial, clouds[0], more)]))
+        said = list(filter(None, [missing_scans(reading.initial, clouds[0], more, within=within)]))
+    if reading.initial is not None:
+        said += filter(None, [edited_note(reading.initial)])
     there = document.scan
     known = [] if there is None else folder.source_files(there)
     further = [path for path in clouds if path not in known]

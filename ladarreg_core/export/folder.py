@@ -18,7 +18,7 @@ from ladarreg_core.export.images import (
     write_uncertainty_png,
     write_visibility_png,
 )
-from ladarreg_core.export.json import InputFile, registration_document, write_document
+from ladarreg_core.export.json import InputFile, registration_document, write_result
 from ladarreg_core.export.output_frame import FrameName, OutputFrame
 from ladarreg_core.export.ply import write_ply
 from ladarreg_core.export.rejected_overlay import write_rejected_overlay
@@ -33,6 +33,7 @@ from ladarreg_core.export.replacement import (
 )
 from ladarreg_core.export.report import write_report
 from ladarreg_core.export.staging import clear_leftovers, put_in_place, staging_folder
+from ladarreg_core.manifest import write_manifest
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.quality.assessment import Assessment, assess
@@ -85,7 +86,8 @@ def export_registration(
         photo: the photograph.
         assessment: assessment of the result; None: it is computed here.
         smoothed: the scan used for `model.glb` and `cloud.ply`; None: `scan`.
-        inputs: the files that scan and photo were read from, recorded in `registration.json`.
+        inputs: the files that scan and photo were read from, recorded in `registration.json`; empty: those that
+            `read_scan` and `read_photo` read them from, as far as they are still there.
         read_with: the options that they were read with, see `json.input_documents`; recorded, too.
         apart_from: as in `write_folder`.
         more: additional files, such as the picks.
@@ -99,6 +101,8 @@ def export_registration(
         ExportError: if the folder exists and must not be replaced, see `check_folder`, or if something cannot be
             written.
     """
+    if not inputs:
+        inputs, read_with = _read_from(scan, photo)
     write_folder(
         folder,
         lambda: [
@@ -112,6 +116,7 @@ def export_registration(
                 read_with=read_with,
                 frame=frame,
                 open_command=open_command,
+                folder=_resolve_parent(folder),
             ),
             *more,
         ],
@@ -122,6 +127,17 @@ def export_registration(
         together=scan.ranges.size <= _MOST_CELLS_TOGETHER,
         report=report,
     )
+
+
+def _read_from(scan: Scan, photo: Photo) -> tuple[list[Path], list[Mapping[str, Any]]]:
+    """Return the files that scan and photograph were read from, and the options; empty where one of both is gone."""
+    if scan.source is None or photo.source is None:
+        return [], []
+    (first, *more), (picture, *camera) = scan.source.files, photo.source.files
+    files = [first, picture, *camera, *more]
+    if not all(path.is_file() for path in files):
+        return [], []
+    return files, [scan.source.options, *([photo.source.options] if photo.source.options else [])]
 
 
 def prepare_export(scan: Scan) -> None:
@@ -147,8 +163,9 @@ def write_folder(
 ) -> None:
     """Write files into a new folder atomically.
 
-    Everything is written to a temporary folder next to the target, which is renamed at the end, so that an error, an
-    interruption or a `report` that raises leaves the previous state. Leftovers of killed programs are removed first.
+    Their manifest is written with them, all to a temporary folder next to the target, which is renamed at the end, so
+    that an error, an interruption or a `report` that raises leaves the previous state. Leftovers of killed programs are
+    removed first.
 
     Args:
         folder: output folder; missing parents are created.
@@ -171,6 +188,7 @@ def write_folder(
         target.parent.mkdir(parents=True, exist_ok=True)
         with staging_folder(target, more_names=more_names) as new:
             _write_all(new, files(), report, together=together)
+            write_manifest(new)
             _sync(new)
             _require_free(target, force, inputs, apart_from, more_names)  # it may have been created meanwhile
             put_in_place(
@@ -296,10 +314,12 @@ def registration_files(
     read_with: Sequence[Mapping[str, Any]] = (),
     frame: FrameName = "scanner",
     open_command: str | None = None,
+    folder: Path | None = None,
 ) -> list[FileJob]:
     """Return the names and writers of a registration's files; the arguments are those of `export_registration`.
 
-    `rests_on` states the matches that the pose was solved on, where they are known.
+    `rests_on` states the matches that the pose was solved on, where they are known; `folder` is where they are put;
+    None: that is not known, as of a zip file.
     """
     placed = OutputFrame.of(scan, frame)
     found = assess(scan, registration) if assessment is None else assessment
@@ -307,7 +327,7 @@ def registration_files(
     @cache  # hashing the inputs takes longest
     def document() -> dict[str, Any]:
         described = registration_document(
-            registration, assessment=found, smoothed=smoothed, inputs=inputs, read_with=read_with
+            registration, assessment=found, smoothed=smoothed, inputs=inputs, read_with=read_with, folder=folder
         )
         if registration.is_shown:
             described["models"] = placed.as_dict()
@@ -323,7 +343,7 @@ def registration_files(
         texture = None
     mark = registration.mark
     jobs: list[FileJob] = [
-        ("registration.json", lambda path: write_document(path, document())),
+        ("registration.json", lambda path: write_result(path, document())),
         (REPORT_FILE, lambda path: write_report(path, registration, scan, photo, document(), texture=texture)),
     ]
     if texture is None:

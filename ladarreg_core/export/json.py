@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 import platform
 import re
 from collections.abc import Mapping, Sequence
@@ -16,6 +17,7 @@ import numpy as np
 
 from ladarreg_core.atomic_write import write_bytes
 from ladarreg_core.camera import Camera
+from ladarreg_core.checksums import sealed
 from ladarreg_core.errors import ExportError
 from ladarreg_core.frames import ThesisParameters
 from ladarreg_core.picks.lengths import lengths_by_end
@@ -44,6 +46,7 @@ REJECTED_GUESS_IS = (
 """Explanation of `rejected_guess`."""
 _REGISTRATION_VERSION = 1
 _READ_BYTES = 1 << 20
+_LONGEST_HINT = 4096
 _UPLOAD = re.compile(r"[0-9a-f]{32}")
 InputFile = str | Path | tuple[Path, str]
 """An input file, or one with the name that its user knows it by."""
@@ -59,6 +62,19 @@ def write_document(path: str | Path, document: Mapping[str, Any]) -> None:
     write_bytes(path, (_join_short_lists(text) + "\n").encode("utf-8"))
 
 
+def write_result(path: str | Path, document: Mapping[str, Any]) -> None:
+    """Write a document of results with its checksum; see `write_document`.
+
+    Raises:
+        ExportError: if the file cannot be written, or a number in it has no place in JSON.
+    """
+    try:
+        checked = sealed(plain(document))
+    except ValueError as error:
+        raise ExportError(f"cannot write {path}: {error}; give options within the usual ranges") from None
+    write_document(path, checked)
+
+
 def registration_document(
     registration: Registration,
     *,
@@ -66,6 +82,7 @@ def registration_document(
     smoothed: SmoothedScan | None = None,
     inputs: Sequence[InputFile] = (),
     read_with: Sequence[Mapping[str, Any]] = (),
+    folder: Path | None = None,
 ) -> dict[str, Any]:
     """Return a registration as a JSON-ready document; undefined numbers are None.
 
@@ -75,6 +92,7 @@ def registration_document(
         smoothed: the scan used for the models, if spikes were searched for.
         inputs: the input files; their names, sizes and SHA-256 are recorded, without their folders.
         read_with: how the first of them were read, see `input_documents`.
+        folder: where the document will stand; the inputs' paths from there are then recorded, too.
 
     Raises:
         ExportError: if an input file cannot be read.
@@ -143,7 +161,7 @@ def registration_document(
         else {"cells_replaced": smoothed.cells_replaced, "sentence": smoothed.sentence},
         "options": r.options,
         "seed": r.seed,
-        "inputs": input_documents(inputs, read_with),
+        "inputs": input_documents(inputs, read_with, folder=folder),
         "software": software_document(),
     }
     ready = plain(document)
@@ -239,7 +257,9 @@ def software_document() -> dict[str, str]:
     }
 
 
-def input_documents(inputs: Sequence[InputFile], read_with: Sequence[Mapping[str, Any]] = ()) -> list[dict[str, Any]]:
+def input_documents(
+    inputs: Sequence[InputFile], read_with: Sequence[Mapping[str, Any]] = (), *, folder: Path | None = None
+) -> list[dict[str, Any]]:
     """Return the documents of input files.
 
     Args:
@@ -247,6 +267,7 @@ def input_documents(inputs: Sequence[InputFile], read_with: Sequence[Mapping[str
         read_with: the options that the first of them were read with, in the same order: the arguments of `read_scan`
             and `read_photo`, recorded as `read_with` so that nobody need repeat them. Files among them are recorded by
             their names; options that were not given are left out.
+        folder: where the document will stand: the path of each file from there becomes its `path_hint`.
 
     Raises:
         ExportError: if a file cannot be read.
@@ -254,7 +275,8 @@ def input_documents(inputs: Sequence[InputFile], read_with: Sequence[Mapping[str
     found = []
     for each in inputs:
         path, name = each if isinstance(each, tuple) else (Path(each), Path(each).name)
-        found.append({**input_document(path), "name": name})
+        hint = None if folder is None else _path_hint(path, folder)
+        found.append({**input_document(path), "name": name, **({} if hint is None else {"path_hint": hint})})
     for document, options in zip(found, read_with, strict=False):
         given = {name: value for name, value in options.items() if value is not None and value != ()}
         document["read_with"] = {name: plain(_name_of(value)) for name, value in given.items()}
@@ -286,8 +308,47 @@ def input_document(path: Path) -> dict[str, Any]:
     return {"name": path.name, "size": size, "sha256": digest.hexdigest()}
 
 
+def _path_hint(path: Path, folder: Path) -> str | None:
+    """Return a file's path relative to a folder; None: they are on different drives."""
+    real = os.path.join(os.path.realpath(path.parent), path.name)
+    try:
+        return Path(os.path.relpath(real, os.path.realpath(folder))).as_posix()
+    except ValueError:
+        return None
+
+
+def hinted_file(record: Mapping[str, Any], folder: Path, within: Sequence[Path] | None = None) -> Path | None:
+    """Return the file at the `path_hint` of an input document, if it is that input by its size and SHA-256.
+
+    Args:
+        record: the input document.
+        folder: where the document that states it stands.
+        within: folders that it must lie in, links followed; None: it may lie anywhere. What lies outside is not
+            looked at, and gives the same answer as a file that does not exist.
+    """
+    hint = record.get("path_hint")
+    if not isinstance(hint, str) or not 0 < len(hint) <= _LONGEST_HINT or not isinstance(record.get("size"), int):
+        return None
+    if "\0" in hint or Path(hint).is_absolute() or Path(hint).drive:
+        return None
+    try:
+        there = Path(os.path.realpath(folder), hint)
+        real = Path(os.path.realpath(there))
+        if within is not None and not any(real.is_relative_to(os.path.realpath(one)) for one in within):
+            return None
+        named = Path(os.path.realpath(there.parent), there.name)  # a link keeps its name
+        return named if real.is_file() and is_recorded(real, record) else None
+    except (OSError, ExportError, ValueError):
+        return None
+
+
 def find_inputs(
-    recorded: Sequence[Mapping[str, Any]], folders: Sequence[Path], *, option: str = "`inputs`"
+    recorded: Sequence[Mapping[str, Any]],
+    folders: Sequence[Path],
+    *,
+    beside: Path | None = None,
+    within: Sequence[Path] | None = None,
+    option: str = "`inputs`",
 ) -> list[Path]:
     """Return the files of input documents, found in folders by their names and recognised by their SHA-256.
 
@@ -295,6 +356,8 @@ def find_inputs(
         recorded: the input documents.
         folders: the folders; an entry that is a file stands for itself, but files of the
             recorded name precede it.
+        beside: folder of the document that states them, for their `path_hint`, which is followed last; None: it is not.
+        within: as in `hinted_file`.
         option: how to give a folder, for messages.
 
     Raises:
@@ -309,6 +372,8 @@ def find_inputs(
         if path is None:  # a file that was uploaded to a project lies there under a random name
             uploads = (path for folder in dict.fromkeys(folders) for path in _uploads(folder))
             path = next((path for path in uploads if is_recorded(path, record)), None)
+        if path is None and beside is not None:
+            path = hinted_file(record, beside, within)
         if path is None:
             why = f"{there[0]} differs from it (another SHA-256)" if there else "there is no such file"
             raise ExportError(f"the input {name} is needed, but {why}; give its folder with {option}")

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ladarreg_core.errors import ExportError
+from ladarreg_core.manifest import MANIFEST_FILE
 
 REPORT_FILE = "report.html"
 """The report next to a registration, accepted or not."""
@@ -59,7 +60,7 @@ _LONGEST_SHOWN = 160
 
 @dataclass(frozen=True, slots=True)
 class FolderContent:
-    """Content of a folder, without the files that file managers create."""
+    """Content of a folder, without its manifest and the files that file managers create."""
 
     names: tuple[str, ...]
     """All entries, sorted."""
@@ -72,7 +73,7 @@ class FolderContent:
 
 
 def folder_content(folder: Path, *, more_names: Collection[str] = ()) -> FolderContent:
-    """Return the content of a folder.
+    """Return the content of a folder, without its manifest.
 
     Args:
         folder: the folder.
@@ -83,7 +84,7 @@ def folder_content(folder: Path, *, more_names: Collection[str] = ()) -> FolderC
     """
     with os.scandir(folder) as listed:
         entries = {entry.name: entry.is_file(follow_symlinks=False) for entry in listed}
-    for name in _FILE_MANAGER_FILES:
+    for name in (MANIFEST_FILE, *_FILE_MANAGER_FILES):
         entries.pop(name, None)
     names = tuple(sorted(entries))
     for document, files_of in _DOCUMENTS.items():
@@ -173,7 +174,7 @@ def is_project(folder: Path) -> bool:
 
 def remove_results(folder: Path, *, more_names: Collection[str] = ()) -> None:
     """Remove the files that exports write into a folder, and the folder if it is empty then."""
-    registration = {*REGISTRATION_FILES, *REFUSED_FILES, OFFSET_FILE, MATCHES_FILE, EXPORT_FILE}
+    registration = {*REGISTRATION_FILES, *REFUSED_FILES, OFFSET_FILE, MATCHES_FILE, EXPORT_FILE, MANIFEST_FILE}
     own = {*registration, *_COMPARISON_FILES, *_SIMULATION_FILES, *PANORAMA_FILES, *_FILE_MANAGER_FILES, *more_names}
     with contextlib.suppress(OSError):
         with os.scandir(folder) as listed:

@@ -10,11 +10,12 @@ from pathlib import Path
 from ladarreg_core.atomic_write import cannot_write, sync_folder
 from ladarreg_core.export.folder import FileJob
 from ladarreg_core.export.staging import clear_leftovers, staging_folder
+from ladarreg_core.manifest import MANIFEST_FILE, ListedFile, manifest_bytes
 from ladarreg_core.progress import Progress, Report
 
 
 def write_zip(path: str | Path, files: Callable[[], Sequence[FileJob]], *, report: Report | None = None) -> None:
-    """Write files into a zip file, replacing any of that name.
+    """Write files, and their manifest, into a zip file, replacing any of that name.
 
     It is written to a temporary folder first, so that an error, an interruption or a `report` that raises leaves the
     previous state.
@@ -31,6 +32,7 @@ def write_zip(path: str | Path, files: Callable[[], Sequence[FileJob]], *, repor
     clear_leftovers(target.parent, more_names=[target.name])
     try:
         jobs = files()
+        listed: list[ListedFile] = []
         with staging_folder(target, more_names=[target.name, *(name for name, _ in jobs)]) as folder:
             packed = folder / target.name
             with zipfile.ZipFile(packed, "w", compression=zipfile.ZIP_DEFLATED, compresslevel=1) as file:
@@ -40,7 +42,9 @@ def write_zip(path: str | Path, files: Callable[[], Sequence[FileJob]], *, repor
                     (folder / name).parent.mkdir(parents=True, exist_ok=True)
                     write(folder / name)
                     file.write(folder / name, name)
+                    listed.append(ListedFile.of(folder / name, name))
                     (folder / name).unlink()
+                file.writestr(MANIFEST_FILE, manifest_bytes(listed))
             if report is not None:
                 report(Progress(len(jobs), len(jobs), "written"))
             os.replace(packed, target)

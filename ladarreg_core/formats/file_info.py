@@ -17,6 +17,7 @@ from ladarreg_core.formats.camera_in_file import FileCamera
 from ladarreg_core.formats.e57 import read_e57
 from ladarreg_core.formats.e57_header import E57ImageInfo, E57Info, E57ScanInfo, read_e57_info
 from ladarreg_core.formats.e57_images import camera_of_image
+from ladarreg_core.formats.e57_pages import require_intact_pages
 from ladarreg_core.formats.exif import (
     edited_since,
     exif_facts,
@@ -105,6 +106,8 @@ class FileInfo:
     """Files that results were made of."""
     made_by: str | None = None
     """Software that wrote results."""
+    checksum: str | None = None
+    """Whether a document of results is as it was written, in words."""
     notes: tuple[str, ...] = ()
     """Remarks that the operator should read."""
 
@@ -147,15 +150,16 @@ def describe_e57(path: Path, asked: ScanRequest) -> FileInfo:
         lists: dict[str, Any] = {"scans": scans, "images": tuple(_image_line(image, info) for image in info.images)}
         if asked.scan_index and asked.scan_index >= len(info.scans):
             raise OptionError(f"there is no scan {asked.scan_index}; the file contains {len(info.scans)}")
+        looked_at = require_intact_pages(file)
     # Files with images only, and scans that cannot be used, are still described.
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = (looked_at,) if looked_at else ()
     if len(info.scans) == 1 or asked.given():
         try:
             return _describe_scan(path, read_e57(path, **_e57_options(asked)), "E57", **lists)
         except (ShapeError, FormatError) as error:
             if "intensity" in info.scans[asked.scan_index].field_names and isinstance(error, FormatError):
                 raise
-            notes = (str(error),)
+            notes = (*notes, str(error))
     return FileInfo(file=shown_name(path), bytes=path.stat().st_size, kind="scan", format="E57", notes=notes, **lists)
 
 
@@ -198,7 +202,7 @@ def describe_las(path: Path, asked: ScanRequest) -> FileInfo:
         try:
             scan = read_las(path, origin=asked.origin, intensity=asked.intensity, report=asked.report)
         except (ShapeError, UnderspecifiedError) as error:
-            notes = (str(error),)
+            notes = (*notes, str(error))
         else:
             return _describe_scan(path, scan, facts["format"], scans=about)
     return FileInfo(

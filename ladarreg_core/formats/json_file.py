@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, NoReturn
 
+from ladarreg_core.checksums import CHECKSUM_FIELD
 from ladarreg_core.errors import ExportError, FormatError
 from ladarreg_core.formats.untrusted import PathLike, one_line, shown_name
 
@@ -68,7 +69,12 @@ def _parse(path: Path) -> dict[str, Any] | str:
     if size > LARGEST_BYTES:
         return f"it has {size:,} bytes; {_WHAT} has at most {LARGEST_BYTES:,}: give the right file"
     try:
-        value = json.loads(path.read_text(encoding="utf-8-sig"), parse_constant=_no_constant)
+        twice: list[str] = []
+        value = json.loads(
+            path.read_text(encoding="utf-8-sig"),
+            parse_constant=_no_constant,
+            object_pairs_hook=lambda pairs: _object(pairs, twice),
+        )
     except FormatError as error:
         return str(error)
     except UnicodeDecodeError:
@@ -81,7 +87,17 @@ def _parse(path: Path) -> dict[str, Any] | str:
         return f"its JSON cannot be used ({one_line(error, 80)})"
     if not isinstance(value, dict):
         return f"its JSON is a {type(value).__name__}; {_WHAT} is an object in braces"
+    if twice and CHECKSUM_FIELD in value:  # readers would disagree on what its checksum is of
+        return f"its JSON states {one_line(twice[0], 40)!r} twice; give the file as it was written"
     return value
+
+
+def _object(pairs: Sequence[tuple[str, Any]], twice: list[str]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice.append(next(name for name in names if names.count(name) > 1))
+    return found
 
 
 def _no_constant(name: str) -> NoReturn:

@@ -26,6 +26,7 @@ from ladarreg_core.formats.image_file import ImageData, as_rgb, read_image
 from ladarreg_core.formats.radiometric import radiometric_kelvin, radiometric_maker
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading
 from ladarreg_core.photo import Photo
+from ladarreg_core.source import with_source
 from ladarreg_core.thermal import TemperatureUnit, kelvin_of, may_be_celsius, thermal_photo
 
 _FREEZING_K = 273.15
@@ -88,6 +89,31 @@ def read_photo(
         UnderspecifiedError: if the pixels may be temperatures whose unit is unknown.
         OptionError: if the options contradict each other or are not positive.
     """
+    options: dict[str, Any] = {
+        "focal_px": focal_px, "focal_mm": focal_mm, "sensor_mm": sensor_mm, "camera_model": camera_model,
+        "temperature_unit": temperature_unit,
+    }  # fmt: skip
+    photo = _read(path, camera, camera_name, camera_notes, memory_bytes=memory_bytes, **options)
+    if camera is None:
+        return with_source(photo, [path], options)
+    if isinstance(camera, str | os.PathLike):
+        return with_source(photo, [path, camera], {**options, "camera": Path(camera), "camera_name": camera_name})
+    return with_source(photo, [path], {})  # the camera itself cannot be stated in an option
+
+
+def _read(
+    path: PathLike,
+    camera: CameraModel | PathLike | None,
+    camera_name: str | None,
+    camera_notes: Sequence[str],
+    *,
+    focal_px: float | None,
+    focal_mm: float | None,
+    sensor_mm: float | None,
+    camera_model: PhotoModel | None,
+    temperature_unit: TemperatureUnit | None,
+    memory_bytes: int | None,
+) -> Photo:
     _check_options(camera, focal_px, focal_mm, sensor_mm)
     _check_model(camera_model, camera, focal_px or focal_mm or sensor_mm)
     if camera_name is not None and not isinstance(camera, str | os.PathLike):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, cast, get_args
 
@@ -12,11 +13,19 @@ from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import FormatError, ShapeError
 from ladarreg_core.formats.camera_file import camera_from_fields
 from ladarreg_core.formats.json_file import choice, number, parsed_once, read_json_object
+from ladarreg_core.formats.own_results import EDITED_REASON, TRUST_OPTION, read_own_result, was_edited
 from ladarreg_core.formats.pose_file import GUESS_FIELD, POSE_FIELD, read_pose
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
-from ladarreg_core.results import STATED_OFFSET_SIGMA_M, STATED_OFFSET_SIGMA_RAD, Evidence, Offset, Registration
+from ladarreg_core.results import (
+    GIVEN_MARK,
+    STATED_OFFSET_SIGMA_M,
+    STATED_OFFSET_SIGMA_RAD,
+    Evidence,
+    Offset,
+    Registration,
+)
 
 _ASYMMETRY = 1e-6
 _UNKNOWN = np.full((6, 6), np.nan)
@@ -26,18 +35,25 @@ _MATCH_COLUMNS: dict[str, tuple[int, ...]] = {
 }  # fmt: skip
 
 
-def read_registration(path: PathLike) -> Registration:
+def read_registration(path: PathLike, *, trust_edited: bool = False, option: str = TRUST_OPTION) -> Registration:
     """Read a `registration.json`: pose, camera, covariance and verdict, without its matches and steps.
 
     Of a refused registration, `camera_from_scanner` is its best guess, as in the result that was written; `accepted` is
     False, and `has_pose` says whether there was one. The covariance of a pose that was given is NaN.
 
+    Args:
+        path: the file.
+        trust_edited: read a file that was changed after it was written; its pose then is `given`.
+        option: what can be done about such a file, for messages.
+
     Raises:
-        FormatError: if it is not such a file, or a number in it is invalid.
+        FormatError: if it is not such a file, was changed after it was written, or a number in it is invalid.
         CameraError: if its camera is invalid.
     """
     with reading(path) as file, parsed_once():
-        fields = read_json_object(file, "a registration")
+        fields = read_own_result(file, "a registration", trust_edited=trust_edited, option=option)
+        if trust_edited and was_edited(file, fields):
+            fields = as_given(fields)
         refused = fields.get("accepted") is False and fields.get("evidence") != "given"  # a given pose is shown
         refused = refused and fields.get(POSE_FIELD) is None and GUESS_FIELD in fields
         has_pose = not refused or fields[GUESS_FIELD] is not None
@@ -75,16 +91,38 @@ def read_registration(path: PathLike) -> Registration:
         )
 
 
-def read_result(path: PathLike) -> tuple[Registration, dict[str, Any]]:
+def as_given(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a registration that was changed: its pose is given, not verified; a refused one stays so."""
+    found = {**fields, "accepted": False}
+    if fields.get(POSE_FIELD) is None:
+        return {**found, "evidence": "none"}
+    reasons = fields.get("reasons")
+    found.pop("camera_uncertainty", None)
+    return {
+        **found,
+        "evidence": "given",
+        "mark": GIVEN_MARK,
+        "covariance": None,
+        "reasons": [EDITED_REASON, *(reasons if isinstance(reasons, list) else [])],
+    }
+
+
+def read_result(path: PathLike, *, trust_edited: bool = False) -> tuple[Registration, dict[str, Any]]:
     """Read a `registration.json` with its matches, and return the whole document, too.
 
+    Args:
+        path: the file.
+        trust_edited: as in `read_registration`; the document then says `given`, too.
+
     Raises:
-        FormatError: if it is not such a file, or a number in it is invalid.
+        FormatError: if it is not such a file, was changed after it was written, or a number in it is invalid.
         CameraError: if its camera is invalid.
     """
-    registration = read_registration(path)
-    with reading(path) as file:
+    with parsed_once(), reading(path) as file:
+        registration = read_registration(path, trust_edited=trust_edited)
         document = read_json_object(file, "a registration")
+        if trust_edited and was_edited(file, document):
+            document = as_given(document)
         try:
             listed = document["matches"]
             columns = {

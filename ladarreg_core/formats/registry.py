@@ -52,6 +52,7 @@ from ladarreg_core.formats.text_cloud import read_text_cloud, sniff_pts, sniff_t
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading
 from ladarreg_core.progress import Report
 from ladarreg_core.scan import Scan
+from ladarreg_core.source import with_source
 
 _HEAD_BYTES = 4096
 _UNSUPPORTED = (
@@ -368,10 +369,12 @@ def read_scan(
         report=report,
     )
     if more:
-        return read_accumulated(
+        scan = read_accumulated(
             [Path(file) for file in (path, *more)], lambda file: _read_one(file, asked), memory_bytes=memory_bytes
         )
-    return _read_one(path, asked)
+    else:
+        scan = _read_one(path, asked)
+    return with_source(scan, [path, *more], {**asked.given(), "more": tuple(Path(file) for file in more)})
 
 
 def _read_one(path: PathLike, asked: ScanRequest) -> Scan:
@@ -391,12 +394,14 @@ def describe(
     columns: Sequence[str] = (),
     topic: str | None = None,
     seconds: float | None = None,
+    trust_edited: bool = False,
 ) -> FileInfo:
     """Describe a file of any supported format: scan, photograph, camera, pose, matches or results.
 
     Args:
         path: the file.
         scan_index: as `read_scan`, and so are the other options.
+        trust_edited: describe results that were changed after they were written, too.
 
     Raises:
         LadarregError: if it cannot be read.
@@ -405,7 +410,7 @@ def describe(
         scan_index=scan_index, origin=origin, intensity=intensity, columns=columns, topic=topic, seconds=seconds
     )
     with parsed_once():
-        results = describe_results(Path(path))
+        results = describe_results(Path(path), trust_edited=trust_edited)
         if results is not None:
             asked.require_only((), results.format)
             return results

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ladarreg_core.camera import CameraModel
+from ladarreg_core.checksums import CHECKSUM_FIELD
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.camera_file import camera_from_fields, describe_camera
 from ladarreg_core.formats.file_info import FileInfo
 from ladarreg_core.formats.json_file import begins_with_brace, parsed_once, read_json_object
+from ladarreg_core.formats.own_results import TRUST_OPTION, checksum_words, edited_fault, was_edited
 from ladarreg_core.formats.panorama_info import panorama_lines
 from ladarreg_core.formats.pose_file import GUESS_FIELD, POSE_FIELD, WORLD_FIELD, read_pose
+from ladarreg_core.formats.registration_file import as_given
 from ladarreg_core.formats.stations_info import station_lines
 from ladarreg_core.formats.untrusted import one_line, reading, shown_name
 from ladarreg_core.frames import Rigid, ThesisParameters, describe_direction, describe_position
+from ladarreg_core.manifest import DOCUMENTS
 from ladarreg_core.results import verdict_words
 
 _MOST_LISTED = 50
@@ -25,11 +30,15 @@ _LONGEST = 400
 Fields = Mapping[str, Any]
 
 
-def describe_results(path: Path) -> FileInfo | None:
+def describe_results(path: Path, *, trust_edited: bool = False) -> FileInfo | None:
     """Describe a registration, comparison, export, panorama or offset JSON; None for any other file.
 
+    Args:
+        path: the file.
+        trust_edited: describe a file that was changed after it was written; a registration then is a given pose.
+
     Raises:
-        FormatError: if it is such a file, but damaged.
+        FormatError: if it is such a file, but damaged, or changed after it was written.
     """
     with reading(path) as file, parsed_once():
         if not begins_with_brace(file):
@@ -41,10 +50,21 @@ def describe_results(path: Path) -> FileInfo | None:
         describe = _describer(fields)
         if describe is None:
             return None
+        fault = edited_fault(file, fields) if not trust_edited else ""
+        if fault:
+            raise FormatError(f"{fault}; {TRUST_OPTION}")
+        if trust_edited and describe is _registration and was_edited(file, fields):
+            fields = as_given(fields)
         try:
-            return describe(path, fields)
+            return replace(describe(path, fields), checksum=_checksum(file))
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise FormatError(f"it is damaged ({one_line(error, 60)}); give an unmodified file") from None
+
+
+def _checksum(file: Path) -> str | None:
+    fields = read_json_object(file, "a document")
+    own = file.name in DOCUMENTS or CHECKSUM_FIELD in fields
+    return checksum_words(file, fields) if own else None
 
 
 def _describer(fields: Fields) -> Callable[[Path, Fields], FileInfo] | None:

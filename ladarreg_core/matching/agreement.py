@@ -62,7 +62,7 @@ class Agreement:
         """Return the sub-pixel peaks (W, 2) as (u, v) in level pixels, their heights (W,) in standard deviations of
         the window's map, and a mask (W,) of those on the border of the map."""
         side = 2 * self.radius + 1
-        flat = self.maps.reshape(len(self.maps), -1)
+        flat = self.maps.reshape(len(self.maps), side * side)
         best = flat.argmax(axis=1)
         row, column = np.divmod(best, side)
         border = (row == 0) | (row == side - 1) | (column == 0) | (column == side - 1)

@@ -15,7 +15,7 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 
 GROUND_FLOOR = {
     "errors", "arrays", "validation", "formatting", "palette", "progress",
-    "frames", "camera", "scanner", "scan", "photo", "matches",
+    "frames", "camera", "scanner", "scan", "photo", "matches", "source",
 }  # fmt: skip
 DATA = GROUND_FLOOR | {"results"}
 NEVER_IN_CORE = {"app", "ladarreg", "viser", "starlette", "uvicorn", "rich", "tyro", "websockets"}

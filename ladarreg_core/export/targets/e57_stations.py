@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.folder import write_folder
-from ladarreg_core.export.json import software_document, write_document
+from ladarreg_core.export.json import software_document, write_result
 from ladarreg_core.export.replacement import EXPORT_FILE
 from ladarreg_core.export.targets.e57_new import append_scan, start_tree
 from ladarreg_core.export.targets.e57_tree import library, new_e57
@@ -23,6 +23,7 @@ def export_stations(
     folder: str | Path,
     scans: Sequence[ScanReader],
     *,
+    mark: str = "",
     inputs: Sequence[str | Path] = (),
     force: bool = False,
     report: Report | None = None,
@@ -32,6 +33,7 @@ def export_stations(
     Args:
         folder: output folder.
         scans: readers of the scans, each with its `world_from_scanner`.
+        mark: what every file must say of poses that were not verified; empty: they were.
         inputs: files that they are read from; their folder is not replaced.
         force: replace an earlier export and nothing else.
         report: receives the progress; may raise `Cancelled`.
@@ -43,21 +45,25 @@ def export_stations(
     library()
     document = {
         "version": 1, "kind": "export", "software": software_document(), "targets": ["e57"], "files": [_FILE],
+        "mark": mark or None,
     }  # fmt: skip
     write_folder(
         folder,
         lambda: [
-            (EXPORT_FILE, lambda path: write_document(path, document)),
-            (_FILE, lambda path: write_stations_e57(path, scans, report=report)),
+            (EXPORT_FILE, lambda path: write_result(path, document)),
+            (_FILE, lambda path: write_stations_e57(path, scans, mark=mark, report=report)),
         ],
         inputs=inputs, force=force, report=report,
     )  # fmt: skip
 
 
-def write_stations_e57(path: Path, scans: Sequence[ScanReader], *, report: Report | None = None) -> None:
+def write_stations_e57(
+    path: Path, scans: Sequence[ScanReader], *, mark: str = "", report: Report | None = None
+) -> None:
     """Write an E57 with all scans and their poses; arguments and errors as of `export_stations`."""
     software = software_document()
-    note = f"stations registered to each other by their ranges with {software['name']} {software['version']}"
+    how = f"whose poses were {mark}, written" if mark else "registered to each other by their ranges"
+    note = f"stations {how} with {software['name']} {software['version']}"
     with new_e57(path) as file:
         data3d = start_tree(file, note)
         for number, read in enumerate(scans):

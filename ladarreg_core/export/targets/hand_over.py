@@ -8,7 +8,7 @@ from typing import Any
 
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.folder import FileJob, write_folder
-from ladarreg_core.export.json import input_document, software_document, write_document
+from ladarreg_core.export.json import input_document, software_document, write_result
 from ladarreg_core.export.replacement import EXPORT_FILE
 from ladarreg_core.export.targets.registered_scan import RegisteredScan
 from ladarreg_core.export.targets.registry import targets_of
@@ -74,7 +74,7 @@ def export_files(
     for target in chosen:
         jobs += [(f"{target.name}/{name}", write) for name, write in target.files(handed, options, report)]
     names = [name for name, _ in jobs]
-    return [(EXPORT_FILE, lambda path: write_document(path, _document(handed, chosen, options, names))), *jobs]
+    return [(EXPORT_FILE, lambda path: write_result(path, _document(handed, chosen, options, names))), *jobs]
 
 
 def require_shown(refused: Sequence[str], targets: Sequence[Target]) -> None:

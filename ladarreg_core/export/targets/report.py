@@ -9,7 +9,7 @@ from typing import Any
 
 from ladarreg_core.errors import FormatError
 from ladarreg_core.export.folder import FileJob
-from ladarreg_core.export.json import registration_document, write_document
+from ladarreg_core.export.json import registration_document, write_result
 from ladarreg_core.export.report import write_report
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.target import ExportOptions
@@ -47,4 +47,4 @@ def _of(handed: RegisteredScan, one: RegisteredPhoto, k: int | None) -> list[Fil
             # fields of other types than those that are written
             raise FormatError(f"the registration.json of {one.photo.name} is damaged; give an unmodified one") from None
 
-    return [(f"{one.id}.html", write), (f"{one.id}.json", lambda path: write_document(path, document()))]
+    return [(f"{one.id}.html", write), (f"{one.id}.json", lambda path: write_result(path, document()))]

@@ -19,6 +19,7 @@ from ladarreg_core.comparison import Comparison
 from ladarreg_core.errors import Cancelled, DegenerateGeometryError
 from ladarreg_core.export.comparison_table import Table
 from ladarreg_core.formats.pose_file import read_pose
+from ladarreg_core.manifest import visible_files
 from ladarreg_core.progress import Step
 from ladarreg_core.simulate.sample import sample_folder
 from tests.unit.export.comparisons import NOTE, STAGES, comparison_of
@@ -69,7 +70,7 @@ def test_the_table_is_printed_and_the_files_are_written(
     (alpha,) = (line for line in lines if line.startswith("alpha, deg"))
     assert len(alpha.split()) == 7
     assert f"  {NOTE}" in lines
-    names = {path.name for path in out.iterdir()}
+    names = {*visible_files(out)}
     assert names == {
         "comparison.json", "table.md", "contact_sheet.png", "not_accepted_linear.png",
         "not_accepted_constrained_linear.png", "not_accepted_simplex_outliers_removed.png", "registered_default.png",

@@ -13,6 +13,7 @@ from ladarreg.exit_codes import ExitCode
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.export.json import registration_document, write_document
 from ladarreg_core.formats import describe
+from ladarreg_core.manifest import visible_files
 from ladarreg_core.simulate.sample import sample_folder
 from testing.scenes.small_registration import sample_registration
 
@@ -32,7 +33,7 @@ def test_register_prints_the_registration_and_where_it_is(tmp_path: Path, capsys
     assert main(["register", *INPUTS, "-o", str(out), "--json"]) == ExitCode.ACCEPTED
     found = document(capsys)
     output = found.pop("output")
-    assert output == {"folder": str(out), "files": sorted(path.name for path in out.iterdir())}
+    assert output == {"folder": str(out), "files": visible_files(out)}
     notes = found.pop("notes")
     assert isinstance(notes, list)
     assert found == json.loads((out / "registration.json").read_text())

@@ -27,6 +27,7 @@ from ladarreg_core.export.folder import check_folder
 from ladarreg_core.export.rejected_overlay import rejected_overlay
 from ladarreg_core.formats import describe, read_photo, read_scan
 from ladarreg_core.formats.registration_file import read_result
+from ladarreg_core.manifest import visible_files
 from ladarreg_core.simulate.sample import sample_folder
 
 SAMPLE = sample_folder()
@@ -54,7 +55,7 @@ def refused(other_scene: Path) -> Path:
 
 
 def test_a_refused_result_has_no_pose_and_a_guess(refused: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert {path.name for path in refused.iterdir()} == {"registration.json", "report.html", "rejected_overlay.png"}
+    assert {*visible_files(refused)} == {"registration.json", "report.html", "rejected_overlay.png"}
     path = refused / "registration.json"
     fields = json.loads(path.read_text())
     for name in ("camera_from_scanner", "scanner_from_camera", "camera_from_world", "thesis_parameters"):

@@ -17,6 +17,7 @@ from ladarreg_core.errors import Cancelled, ExportError, ShapeError
 from ladarreg_core.export.comparison import comparison_document, export_comparison, table_text
 from ladarreg_core.export.comparison_table import comparison_table, differences, markdown_table, rms_depth_m, rms_px
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
+from ladarreg_core.manifest import visible_files
 from testing.scenes.small_registration import POSE, sample_photo, sample_scan
 from tests.unit.export.comparisons import NOTE, comparison_of
 from tests.unit.export.test_contact_sheet import hostile
@@ -31,7 +32,7 @@ def comparison() -> Comparison:
 
 
 def names(path):
-    return sorted(entry.name for entry in path.iterdir())
+    return visible_files(path)
 
 
 def strict(text):

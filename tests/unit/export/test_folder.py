@@ -10,13 +10,14 @@ from ladarreg_core.errors import Cancelled, ExportError
 from ladarreg_core.export import staging
 from ladarreg_core.export.folder import FILE_NAMES, export_registration, write_folder
 from ladarreg_core.export.json import registration_document, write_document
+from ladarreg_core.manifest import visible_files
 from ladarreg_core.palette import UNKNOWN
 from ladarreg_core.quality.smoothing import SmoothedScan
 from testing.scenes.small_registration import sample_registration
 
 
 def names(path):
-    return sorted(entry.name for entry in path.iterdir())
+    return visible_files(path)
 
 
 def earlier(out, *, accepted=True, **more):
