@@ -272,7 +272,7 @@ def _beside_calibration(
         f"{free.verification.fraction:.0%} of the regions agree with a focal length of {free.camera.focal_px:.1f} +- "
         f"{sigma_px:.1f} px instead of {fixed.camera.focal_px:.1f} and k1 {_k1(free.camera):.3f} +- {sigma_k1:.3f} "
         f"instead of {_k1(fixed.camera):.3f}, {1000 * apart_m:.0f} mm from here. Check that the calibration belongs to "
-        "this photo (zoom, focus, crop, turn), or have focal length and k1 estimated (`intrinsics`)."
+        "this photo (zoom, focus, crop, turn), or have focal length and k1 estimated with the pose."
     )
     return _inflated(_refused(fixed, sentence), pose)
 
