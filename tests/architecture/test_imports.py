@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from functools import cache
@@ -163,3 +164,11 @@ def test_importing_the_core_costs_nothing() -> None:
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=CHECKOUT)
     assert result.returncode == 0, result.stderr
+
+
+def test_benchmarks_and_what_they_share_with_tests_import_no_tests() -> None:
+    checkout = Path(__file__).resolve().parents[2]
+    statement = re.compile(r"^\s*(?:from|import) tests\b", re.MULTILINE)
+    files = [*(checkout / "benchmarks").rglob("*.py"), *(checkout / "testing").rglob("*.py")]
+    assert len(files) > 50
+    assert not [str(file) for file in files if statement.search(file.read_text(encoding="utf-8"))]
