@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from testing.workbench.pages import FAILED, LONGEST_MS, without_model
+from testing.workbench.pages import FAILED, LONGEST_MS, two_frames, without_model
 from testing.workbench.served import CHECKOUT, Served
 from testing.workbench.served import Page as Socket
 
@@ -46,6 +46,9 @@ class Operator:
         """Open the page at the address that the server printed."""
         self.page.goto(f"{self.server.address}?token={self.server.token}")
         self.page.get_by_role("button", name="connected").wait_for()
+        two_frames(self.page)
+        for told in self.page.locator(".notice").filter(has_text="Reopened").all():  # it lies over the pictures
+            told.get_by_role("button").first.click()
 
     def slice(self, name: str) -> Any:
         """Return the current value of a slice."""
@@ -83,6 +86,7 @@ class Operator:
 
     def place(self, side: str, uv: tuple[float, float]) -> tuple[float, float]:
         """Return the window position of a pixel while the whole picture is shown."""
+        two_frames(self.page)  # a pane that has just been shown is fitted in its first frame
         body = self.page.locator(f"#{side}-pane .pane-body")
         box = body.bounding_box()
         assert box is not None

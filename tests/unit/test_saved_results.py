@@ -17,6 +17,7 @@ from ladarreg_core.export.folder import export_registration
 from ladarreg_core.export.targets.hand_over import export_to
 from ladarreg_core.formats import read_photo, read_scan
 from ladarreg_core.saved_results import SavedResult, read_saved_result, recorded_options, registered_scan
+from testing.files.rewritten import rewrite
 from testing.scenes.small_registration import sample_photo, sample_registration, sample_scan
 from tests.formats.test_ptx import block
 
@@ -69,7 +70,7 @@ def test_the_options_of_reading_are_recorded_and_used_again(inputs: Path, tmp_pa
     for record in old["inputs"]:
         del record["read_with"]
     (tmp_path / "old").mkdir()
-    (tmp_path / "old" / "registration.json").write_text(json.dumps(old))
+    rewrite(tmp_path / "old" / "registration.json", old)
     before = read_saved_result(tmp_path / "old")
     first = registered_scan([before], folders=[inputs])
     assert not np.allclose(np.nanmax(first.scan.ranges), np.nanmax(handed.scan.ranges))
@@ -88,7 +89,7 @@ def test_several_results_on_one_scan_are_one_hand_over(inputs: Path, tmp_path: P
     document = dict(two.document)
     document["inputs"] = [{**document["inputs"][0], "sha256": "0" * 64}, document["inputs"][1]]
     (tmp_path / "d").mkdir()
-    (tmp_path / "d" / "registration.json").write_text(json.dumps(document))
+    rewrite(tmp_path / "d" / "registration.json", document)
     with pytest.raises(OptionError, match="the results are on different scans"):
         registered_scan([one, read_saved_result(tmp_path / "d")], folders=[inputs])
     with pytest.raises(OptionError, match="no result"):
@@ -110,7 +111,7 @@ def test_the_unit_of_a_thermal_photograph_is_recorded(inputs: Path, tmp_path: Pa
 
 
 def test_inputs_are_found_in_a_folder_beside_the_results(inputs: Path, tmp_path: Path) -> None:
-    saved = results(tmp_path / "out", inputs)
+    saved = replace(results(tmp_path / "out", inputs), within=())  # no paths are followed
     kept = Path(shutil.copytree(inputs, tmp_path / "kept"))
     assert registered_scan([saved]).scan_file == kept / "two.ptx"
     kept.rename(tmp_path / ".hidden")
@@ -119,7 +120,7 @@ def test_inputs_are_found_in_a_folder_beside_the_results(inputs: Path, tmp_path:
 
 
 def test_inputs_are_recognised_by_their_content(inputs: Path, tmp_path: Path) -> None:
-    saved = results(tmp_path / "out", inputs)
+    saved = replace(results(tmp_path / "out", inputs), within=())  # no paths are followed
     with pytest.raises(
         ExportError, match=r"two\.ptx is needed, but there is no such file; give its folder with --root"
     ):
@@ -135,7 +136,7 @@ def test_inputs_are_recognised_by_their_content(inputs: Path, tmp_path: Path) ->
 def test_a_refused_result_is_shown_by_its_report_only(inputs: Path, tmp_path: Path) -> None:
     saved = results(tmp_path / "out", inputs)
     path = tmp_path / "out" / "registration.json"
-    path.write_text(json.dumps({**saved.document, "accepted": False, "evidence": "none", "reasons": ["No."]}))
+    rewrite(path, {**saved.document, "accepted": False, "evidence": "none", "reasons": ["No."]})
     handed = registered_scan([read_saved_result(tmp_path / "out")], folders=[inputs])
     assert (len(handed.photos), len(handed.refused)) == (0, 1)
     export_to(tmp_path / "report", handed, ["report"])
@@ -156,7 +157,7 @@ def test_a_refused_result_is_shown_by_its_report_only(inputs: Path, tmp_path: Pa
 )
 def test_damaged_records_are_refused(inputs: Path, tmp_path: Path, broken: dict[str, object]) -> None:
     saved = results(tmp_path / "out", inputs)
-    (tmp_path / "out" / "registration.json").write_text(json.dumps({**saved.document, **broken}))
+    rewrite(tmp_path / "out" / "registration.json", {**saved.document, **broken})
     with pytest.raises(FormatError):
         read_saved_result(tmp_path / "out")
 

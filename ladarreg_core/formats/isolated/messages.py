@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.errors import ShapeError
+from ladarreg_core.source import Source
 
 _MARK = "#"
 _LENGTH_BYTES = 8
@@ -104,6 +105,8 @@ def _encode(value: Any, arrays: list[NDArray[Any]]) -> Any:
     if isinstance(value, Mapping):
         items = [[_encode(key, arrays), _encode(item, arrays)] for key, item in value.items()]
         return {_MARK: "dict", "items": items}
+    if isinstance(value, Source):  # the parent knows its files; a reader that was taken over must not name others
+        return None
     name = type(value).__name__
     if _records().get(name) is not type(value):
         raise TypeError(f"a {name} cannot be sent between a reader process and its parent")
@@ -254,6 +257,7 @@ def _field_types() -> dict[str, Callable[[Any], bool]]:
         "CameraModel": is_a(Camera, EquirectangularCamera, FisheyeCamera),
         "Rigid": is_a(Rigid),
         "ScanGeometry": is_a(*_geometries()),
+        "Source": lambda value: False,  # only None is received
         "tuple[str, ...]": is_tuple_of(str),
         "tuple[tuple[int, int], ...]": is_tuple_of(tuple),
         "tuple[float, ...]": is_tuple_of(int, float),

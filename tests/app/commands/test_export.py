@@ -16,6 +16,7 @@ from ladarreg.exit_codes import ExitCode
 
 from ladarreg_core.export.targets.registry import TARGETS
 from ladarreg_core.simulate.sample import sample_folder
+from testing.files.rewritten import rewrite
 from testing.scenes.true_matches import true_points
 from testing.workbench.workbench_driver import WorkbenchDriver, open_bench
 
@@ -167,7 +168,7 @@ def test_a_refused_result_is_refused_before_anything_is_read(
     document = json.loads((results / "one" / "registration.json").read_bytes())
     document |= {"accepted": False, "evidence": "none", "reasons": ["No."], "camera_from_scanner": None}
     document["rejected_guess"] = np.eye(4).tolist()
-    (tmp_path / "refused" / "registration.json").write_text(json.dumps(document))
+    rewrite(tmp_path / "refused" / "registration.json", document)
     others = next(target.name for target in TARGETS if not target.shows_refused)
     said = complaint(capsys, str(tmp_path / "refused"), "--to", f"report,{others}", "-o", str(tmp_path / "out"))
     assert f"{others} cannot be written: the pose of one.png was refused" in said

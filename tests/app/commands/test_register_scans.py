@@ -84,7 +84,9 @@ def test_the_scans_are_written_with_their_poses(
         assert again.world_from_scanner.distance_to(scan.world_from_scanner) < 1e-6
         assert int(again.valid.sum()) == int(scan.valid.sum())
     for name, damage, said in DAMAGE:
-        document = damage(json.loads((out / "stations.json").read_text()))
+        written = json.loads((out / "stations.json").read_text())
+        del written["sha256"]  # as of earlier versions: what follows is said without a checksum, too
+        document = damage(written)
         bad = tmp_path / name
         bad.mkdir()
         for scan_file in () if name == "missing" else ("hall.npz", "office.npz"):

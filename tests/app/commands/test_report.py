@@ -12,6 +12,7 @@ from ladarreg.cli import main
 from ladarreg.exit_codes import ExitCode
 
 from ladarreg_core.simulate.sample import sample_folder
+from testing.files.rewritten import rewrite, without_hints
 from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 
 
@@ -75,7 +76,7 @@ def test_the_page_writes_the_same_report(bench: WorkbenchDriver, results: Path) 
 def test_a_refused_result_has_a_report_too(moved: Path) -> None:
     path = moved / "registration.json"
     document = json.loads(path.read_bytes())
-    path.write_text(json.dumps({**document, "accepted": False, "evidence": "none", "reasons": ["No."]}))
+    rewrite(path, {**document, "accepted": False, "evidence": "none", "reasons": ["No."]})
     assert main(["report", str(moved), "--inputs", str(sample_folder()), "--quiet"]) == ExitCode.ACCEPTED
     text = (moved / "report.html").read_text(encoding="utf-8")
     assert "not accepted</span>" in text
@@ -85,6 +86,7 @@ def test_a_refused_result_has_a_report_too(moved: Path) -> None:
 def test_inputs_that_are_missing_or_changed_are_refused(
     moved: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    without_hints(moved / "registration.json")
     assert "the input scan.npz is needed, but there is no such file" in complaint(capsys, str(moved))
     other = tmp_path / "other"
     other.mkdir()
@@ -121,7 +123,7 @@ def test_a_damaged_registration_is_refused(
     moved: Path, capsys: pytest.CaptureFixture[str], change: dict[str, object], said: str
 ) -> None:
     path = moved / "registration.json"
-    path.write_text(json.dumps({**json.loads(path.read_bytes()), **change}))
+    rewrite(path, {**json.loads(path.read_bytes()), **change})
     assert said in complaint(capsys, str(moved), "--inputs", str(sample_folder()))
     assert [entry.name for entry in moved.iterdir()] == ["registration.json"]
 
