@@ -11,6 +11,8 @@ from hypothesis import settings
 # Helpers that assert explain their failures as tests do.
 pytest.register_assert_rewrite("testing")
 
+from testing.scenes import kept  # noqa: E402
+
 # One browser for all tests of a process: two would each want the process's only event loop.
 from testing.workbench.pages import browser, page, pytest_runtest_makereport  # noqa: E402
 
@@ -33,6 +35,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return next((k for k, start in enumerate(LONGEST_FIRST) if item.nodeid.startswith(start)), len(LONGEST_FIRST))
 
     items.sort(key=rank)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _scenes_are_shared(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """What one worker has made, the others of the run read."""
+    own = tmp_path_factory.getbasetemp()
+    kept.share((own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "kept")
 
 
 @pytest.fixture(scope="session")

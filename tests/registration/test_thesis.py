@@ -13,8 +13,9 @@ from ladarreg_core.frames import rotation_about
 from ladarreg_core.matching.thesis.chain import ThesisOptions, solve_thesis
 from ladarreg_core.progress import StepLog
 from ladarreg_core.registration import RegisterOptions
-from ladarreg_core.simulate import SimulatedCase, simulate_case
+from ladarreg_core.simulate import SimulatedCase
 from testing.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.simulated import simulated
 
 STAGES = ["linear", "constrained_linear", "simplex", "simplex_outliers_removed"]
 
@@ -34,7 +35,7 @@ def room() -> PaintedRoom:
 
 @pytest.fixture(scope="module")
 def case() -> SimulatedCase:
-    return simulate_case("boxes", seed=41)
+    return simulated("boxes")
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +147,7 @@ def test_a_large_roll_is_detected_and_reported(case: SimulatedCase) -> None:
 
 
 def test_a_vanishing_baseline_is_detected_and_reported() -> None:
-    case = simulate_case("boxes", set_name="identical", seed=41)
+    case = simulated("boxes", set_name="identical", seed=41)
     literal = RegisterOptions(thesis=ThesisOptions(residual="stereo"))
     result = lr.register(case.scan, case.photo, method="thesis", options=literal)
     assert any("nearly at the same position" in reason for reason in result.reasons), result.reasons

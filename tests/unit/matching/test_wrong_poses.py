@@ -30,8 +30,9 @@ from ladarreg_core.matching.wrong_poses import (
     wrong_poses,
     wrong_poses_decide,
 )
-from ladarreg_core.simulate.outdoor_case import OutdoorCase, simulate_outdoors
+from ladarreg_core.simulate.outdoor_case import OutdoorCase
 from testing.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.simulated import outdoors
 
 _COUNT = TURNED + MIRRORED
 _GATE = GateOptions()
@@ -40,13 +41,13 @@ _GATE = GateOptions()
 @pytest.fixture(scope="module")
 def street() -> OutdoorCase:
     pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
-    return simulate_outdoors("street", lidar="64 lines", seed=701)
+    return outdoors("street", lidar="64 lines", seed=701)
 
 
 @pytest.fixture(scope="module")
 def elsewhere() -> OutdoorCase:
     pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
-    return simulate_outdoors("street", lidar="64 lines", seed=703)
+    return outdoors("street", lidar="64 lines", seed=703)
 
 
 @pytest.fixture(scope="module")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import pytest
 
@@ -13,12 +11,12 @@ from ladarreg_core.errors import OptionError
 from ladarreg_core.simulate.outdoor_case import OutdoorCase, simulate_outdoors
 from ladarreg_core.simulate.outdoors import EYE_M, build_outdoors
 from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.simulate.robot_lidar import BEAM_NOISE, BeamNoise, lidar_rays, scan_points
+from ladarreg_core.simulate.robot_lidar import BEAM_NOISE, BeamNoise, LidarName, lidar_rays, scan_points
+from testing.scenes.simulated import outdoors
 
 
-@cache
-def case(scene: str, lidar: str, seed: int = 4) -> OutdoorCase:
-    return simulate_outdoors(scene, lidar=lidar, seed=seed)  # type: ignore[arg-type]
+def case(scene: str, lidar: LidarName, seed: int = 4) -> OutdoorCase:
+    return outdoors(scene, lidar=lidar, seed=seed)
 
 
 def angles_deg(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -84,10 +82,10 @@ def test_petals_report_no_intensity_and_lines_do() -> None:
 
 
 def test_a_case_is_reproducible_and_another_seed_another_place() -> None:
-    first, again = (simulate_outdoors("courtyard", lidar="64 lines", seed=5) for _ in range(2))
+    first, again = case("courtyard", "128 lines"), simulate_outdoors("courtyard", lidar="128 lines", seed=4)
     assert (first.cloud.points == again.cloud.points).all()
     assert (first.photo.pixels == again.photo.pixels).all()
-    other = simulate_outdoors("courtyard", lidar="64 lines", seed=6)
+    other = case("courtyard", "128 lines", 5)
     assert (first.photo.pixels != other.photo.pixels).mean() > 0.5
 
 

@@ -16,15 +16,21 @@ from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.stations import scan_stations, station_room, upright_pose
+from testing.scenes.kept import kept
 
 pytest.importorskip("embreex")
 FIRST = upright_pose([-1.3, -0.5, 0.0], 0.7, (0.01, -0.008))
 SECOND = upright_pose([1.4, 0.8, 0.15], -2.1, (-0.012, 0.004))
 
 
+@kept
+def _office() -> list[Scan]:
+    return scan_stations(station_room("office", 3), [FIRST, SECOND], seed=1, step_deg=0.9)
+
+
 @pytest.fixture(scope="module")
 def office() -> list[Scan]:
-    return scan_stations(station_room("office", 3), [FIRST, SECOND], seed=1, step_deg=0.9)
+    return _office()
 
 
 @pytest.fixture(scope="module")
