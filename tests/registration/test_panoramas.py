@@ -13,6 +13,8 @@ from ladarreg_core.camera import EquirectangularCamera
 from ladarreg_core.simulate.panorama import PanoramaCase, PanoramaOptions
 from testing.scenes.simulated import all_around
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def case() -> PanoramaCase:

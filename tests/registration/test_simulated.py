@@ -11,6 +11,8 @@ from ladarreg_core.registration import RegisterOptions
 from ladarreg_core.simulate import SimulatedCase
 from testing.scenes.simulated import simulated
 
+pytestmark = pytest.mark.slow
+
 SCENES = ("boxes", "desk", "office", "people")
 
 

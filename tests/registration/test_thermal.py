@@ -9,6 +9,8 @@ import ladarreg_core as lr
 from ladarreg_core.simulate import SimulatedCase
 from testing.scenes.simulated import simulated
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def office() -> SimulatedCase:

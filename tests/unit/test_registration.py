@@ -120,6 +120,7 @@ print(register(scan, photo).camera_from_scanner.matrix.tobytes().hex())
 """
 
 
+@pytest.mark.slow
 def test_the_answer_does_not_depend_on_threads(
     room: PaintedRoom, registration: lr.Registration, tmp_path: Path
 ) -> None:
@@ -134,6 +135,7 @@ def test_the_answer_does_not_depend_on_threads(
         assert run.stdout.strip() == here
 
 
+@pytest.mark.slow
 def test_a_distorted_photo_is_matched_as_well() -> None:
     room = painted_room(seed=5, distortion=(-0.25, 0.08, 0.001, -0.0005))
     result = register(room.scan, room.photo)
@@ -141,6 +143,7 @@ def test_a_distorted_photo_is_matched_as_well() -> None:
     assert room.error_px(result.camera_from_scanner) < 0.5
 
 
+@pytest.mark.slow
 def test_the_same_place_is_no_failure() -> None:
     room = painted_room(seed=6, baseline_m=0.0)
     result = register(room.scan, room.photo)

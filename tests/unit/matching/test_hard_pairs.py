@@ -8,6 +8,8 @@ import pytest
 import ladarreg_core as lr
 from testing.scenes.simulated import simulated
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("seed", [0, 10, 19, 28, 31])
 def test_a_room_with_the_same_bricks_is_refused(seed: int) -> None:

@@ -99,6 +99,7 @@ def test_roll_is_detected_with_its_sign(angle_deg: float, seed: int) -> None:
         assert ("counter-clockwise" in roll.summary()) == (roll.angle_rad < 0)
 
 
+@pytest.mark.slow
 def test_roll_of_a_simulated_camera_is_detected() -> None:
     pytest.importorskip("embreex")
     case = simulated("people", set_name="rotated", seed=4)

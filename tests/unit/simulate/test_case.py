@@ -53,6 +53,7 @@ def case_of(scene: str) -> SimulatedCase:
 
 
 @pytest.mark.parametrize("scene", sorted(SCENES))
+@pytest.mark.slow
 def test_a_case_has_enough_to_register(scene: str) -> None:
     case = case_of(scene)
     assert case.scan.shape == (700, 1000)
@@ -92,6 +93,7 @@ def test_scan_and_photograph_show_the_same_thing_at_the_true_pose() -> None:
     assert max(scores, key=lambda shift: scores[shift]) == (0, 0)
 
 
+@pytest.mark.slow
 def test_the_same_arguments_give_the_same_bytes_whatever_the_threads_and_hashes() -> None:
     child = (
         "import hashlib, os, cv2, numpy as np\n"
@@ -236,6 +238,7 @@ def test_the_embedded_sample_is_complete_and_small() -> None:
     assert sum(path.stat().st_size for path in folder.iterdir()) <= 3_000_000
 
 
+@pytest.mark.slow
 def test_the_command_reproduces_the_embedded_sample() -> None:
     folder, case = sample_folder(), case_of(sample.SCENE)
     truth = Rigid.from_matrix(json.loads((folder / "truth.json").read_text())["camera_from_scanner"])

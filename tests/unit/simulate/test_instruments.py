@@ -88,6 +88,7 @@ def people() -> SimulatedCase:
     return simulated("people", set_name="thermal", seed=4, k1=-0.1, k1_error=0.02, focal_error=0.05)
 
 
+@pytest.mark.slow
 def test_people_are_warm_in_a_room(people: SimulatedCase) -> None:
     kelvin = people.photo.temperature_k
     assert kelvin is not None
@@ -101,6 +102,7 @@ def test_people_are_warm_in_a_room(people: SimulatedCase) -> None:
     assert people.true_camera.distortion[0] == -0.1
 
 
+@pytest.mark.slow
 def test_a_thermal_case_is_read_as_it_was_written(people: SimulatedCase, tmp_path: Path) -> None:
     for name, write in case_files(people):
         write(tmp_path / name)

@@ -68,6 +68,7 @@ def test_two_stations_are_registered_from_nothing(office: list[Scan]) -> None:
     assert np.array_equal(pose, network.stations[1].world_from_scanner.matrix)  # type: ignore[union-attr]
 
 
+@pytest.mark.slow
 def test_scans_without_intensity_are_registered_by_their_ranges(office: list[Scan]) -> None:
     dark = [replace(scan, intensity=np.zeros(scan.shape, np.float32)) for scan in office]
     network = lr.register_scans(dark)
@@ -76,6 +77,7 @@ def test_scans_without_intensity_are_registered_by_their_ranges(office: list[Sca
     assert off(network, 1, FIRST.inverse @ SECOND)[0] < 1.0
 
 
+@pytest.mark.slow
 def test_another_room_stays_out(office: list[Scan], boxes: Scan) -> None:
     network = lr.register_scans([office[0], boxes])
     assert not network.accepted
@@ -88,6 +90,7 @@ def test_another_room_stays_out(office: list[Scan], boxes: Scan) -> None:
     assert len(network.placed([office[0], boxes])) == 1
 
 
+@pytest.mark.slow
 def test_poses_in_the_files_are_where_it_begins_and_wrong_ones_are_overcome(office: list[Scan]) -> None:
     world = Rigid.from_rotvec([0, 0, 1.0], [4000.0, -300.0, 20.0])
     rough = Rigid.from_rotvec([0, 0, 0.03], [0.15, -0.1, 0.02])

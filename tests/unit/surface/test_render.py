@@ -100,7 +100,7 @@ def test_hostile_input_is_named():
 
 @pytest.mark.parametrize("distortion", [(), (-0.2, 0.05, 0.0, 0.0)])
 def test_a_picture_to_be_looked_at_is_nearly_the_exact_one(distortion: tuple[float, ...]) -> None:
-    case = simulated("office")
+    case = simulated("boxes")
     camera = replace(case.true_camera, distortion=distortion)
     gray = intensity_picture(case.scan)
     inverse = np.nan_to_num(255 / (1 + case.scan.ranges)).astype(np.uint8)

@@ -46,6 +46,7 @@ def search(room: PaintedRoom) -> ThesisSearch:
     return thesis_search(room.scan, room.photo)
 
 
+@pytest.mark.slow
 def test_few_matches_nearly_all_correct() -> None:
     """At T1 = .2 and T2 = 20 px, the values of the thesis; one case of each scene."""
     ratios = []
