@@ -13,6 +13,8 @@ from hypothesis import settings
 # Helpers that assert explain their failures as tests do.
 pytest.register_assert_rewrite("testing")
 
+from testing.scenes import kept  # noqa: E402
+
 # One browser and one workbench for all tests of a process: two browsers would each want the process's only event loop.
 from testing.workbench.pages import browser, page, pytest_runtest_makereport  # noqa: E402
 from testing.workbench.shared import workbench  # noqa: E402
@@ -85,6 +87,13 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
     if str(config.getoption("--long")).startswith("share:"):
         drawn = config.stash.get(SHARE, [])
         terminalreporter.write_line("\n".join([f"long tests drawn: {len(drawn)}", *(f"  {name}" for name in drawn)]))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _scenes_are_shared(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """What one worker has made, the others of the run read."""
+    own = tmp_path_factory.getbasetemp()
+    kept.share((own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "kept")
 
 
 @pytest.fixture(scope="session")

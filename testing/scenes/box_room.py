@@ -21,13 +21,19 @@ WIDE_LINE = np.radians(np.arange(-135.0, 135.1, 1.5))
 def distances(origins: FloatArray, rays: FloatArray) -> NDArray[np.float64]:
     """Return the ranges (...,) at which rays (..., 3) from within the room meet it."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        out = np.where(rays > 0, (ROOM[1] - origins) / rays, (ROOM[0] - origins) / rays)
-        nearest = np.nanmin(np.where(rays == 0, np.inf, out), axis=-1)
+        out = np.where(rays > 0, ROOM[1] - origins, ROOM[0] - origins) / rays
+        nearest = _along_last(np.fmin, np.where(rays == 0, np.inf, out))
         for box in (PILLAR, BOARD):
-            ends = np.stack([(side - origins) / rays for side in box])
-            enter, leave = ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
+            ends = [(side - origins) / rays for side in box]
+            enter = _along_last(np.maximum, np.minimum(*ends))
+            leave = _along_last(np.minimum, np.maximum(*ends))
             nearest = np.where((enter < leave) & (enter > 0), np.minimum(nearest, enter), nearest)
     return np.asarray(nearest)
+
+
+def _along_last(of_two: np.ufunc, values: FloatArray) -> NDArray[np.float64]:
+    """Return the reduction along the last axis of three; numpy's own is ten times slower along so short an axis."""
+    return np.asarray(of_two(of_two(values[..., 0], values[..., 1]), values[..., 2]))
 
 
 def off_surface(points: FloatArray) -> NDArray[np.float64]:

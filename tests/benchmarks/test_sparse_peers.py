@@ -6,6 +6,7 @@ import math
 
 import cv2
 import numpy as np
+import pytest
 
 from benchmarks.edge_aligner import align_by_edges, cloud_edges
 from benchmarks.matching_report import sections
@@ -52,6 +53,7 @@ def test_edges_of_a_cloud_are_where_its_walls_meet() -> None:
     assert np.sort(np.abs(edges.directions), axis=1)[:, 2].min() > 0.99
 
 
+@pytest.mark.slow
 def test_the_edge_aligner_finds_a_pose_one_degree_off() -> None:
     points, pixels = room()
     for seed in range(3):
@@ -63,6 +65,7 @@ def test_the_edge_aligner_finds_a_pose_one_degree_off() -> None:
     assert align_by_edges(points, np.full_like(pixels, 90), CAMERA, TRUTH) is None
 
 
+@pytest.mark.slow
 def test_the_information_distance_finds_a_pose_one_degree_off() -> None:
     case = painted_room(seed=2)
     start = off_by(case.camera_from_scanner, 1, degrees=1.0, metres=0.02)

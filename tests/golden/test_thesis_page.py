@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,11 @@ import pytest
 CHECKOUT = Path(__file__).resolve().parents[2]
 PAGE = (CHECKOUT / "docs" / "thesis.md").read_text(encoding="utf-8")
 QUOTED = sorted(set(re.findall(r"`([^`\n]+)`", PAGE)) | set(re.findall(r"\((ladarreg_core\.[\w.]+)\)", PAGE)))
-TESTS = "\n".join(path.read_text(encoding="utf-8") for path in (CHECKOUT / "tests").rglob("test_*.py"))
+
+
+@cache
+def all_tests() -> str:
+    return "\n".join(path.read_text(encoding="utf-8") for path in (CHECKOUT / "tests").rglob("test_*.py"))
 
 
 @pytest.mark.parametrize("name", [word for word in QUOTED if word.startswith("ladarreg_core.")])
@@ -30,7 +35,7 @@ def test_the_code_it_names_exists(name: str) -> None:
 
 @pytest.mark.parametrize("name", [word for word in QUOTED if word.startswith("test_")])
 def test_the_checks_it_names_exist(name: str) -> None:
-    assert f"def {name}(" in TESTS
+    assert f"def {name}(" in all_tests()
 
 
 @pytest.mark.parametrize("name", [word for word in QUOTED if re.fullmatch(r"[\w/]+\.(py|md|png)", word)])

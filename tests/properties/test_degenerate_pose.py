@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 
@@ -332,5 +333,6 @@ def right(result: PoseResult, problem: Problem) -> None:
 
 @given(problem=problems())
 @settings(max_examples=1000)
+@pytest.mark.slow
 def test_a_thousand_degenerate_problems_end_honestly(problem: Problem) -> None:
     event(verify(problem))

@@ -10,13 +10,16 @@ import ladarreg_core as lr
 pytest.importorskip("embreex")
 
 from ladarreg_core.camera import EquirectangularCamera
-from ladarreg_core.simulate.panorama import PanoramaCase, PanoramaOptions, simulate_panorama
+from ladarreg_core.simulate.panorama import PanoramaCase, PanoramaOptions
+from testing.scenes.simulated import all_around
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
 def case() -> PanoramaCase:
     # the seam of this panorama runs through the subject
-    return simulate_panorama("boxes", seed=3, options=PanoramaOptions(width=1024, step_deg=0.3, seam=True))
+    return all_around("boxes", seed=3, options=PanoramaOptions(width=1024, step_deg=0.3, seam=True))
 
 
 def test_a_panorama_is_registered_in_its_own_pixels(case: PanoramaCase) -> None:
@@ -36,7 +39,7 @@ def test_a_panorama_is_registered_in_its_own_pixels(case: PanoramaCase) -> None:
 
 
 def test_a_panorama_of_another_room_is_refused(case: PanoramaCase) -> None:
-    room = simulate_panorama("desk", seed=8, options=PanoramaOptions(width=64, step_deg=0.3))
+    room = all_around("desk", seed=8, options=PanoramaOptions(width=64, step_deg=0.3))
     result = lr.register(room.scan, case.photo)
     assert not result.accepted
     assert result.evidence == "none"

@@ -14,14 +14,22 @@ from ladarreg_core.matching.auto import AutoOptions
 from ladarreg_core.quality.assessment import assess
 from ladarreg_core.registration import RegisterOptions
 from ladarreg_core.surface.render import render_scan_colors
+from testing.scenes.kept import kept
+
+pytestmark = pytest.mark.slow
 
 
 def truth_of(folder: Path) -> lr.Rigid:
     return lr.Rigid.from_matrix(json.loads((folder / "truth.json").read_text())["camera_from_scanner"])
 
 
+@kept
+def read(file: Path) -> lr.Scan:
+    return lr.read_scan(file)
+
+
 def capture(folder: Path, scan: str, photo: str) -> tuple[lr.Scan, lr.Photo]:
-    return lr.read_scan(folder / scan), lr.read_photo(folder / photo, camera=folder / "camera.json")
+    return read(folder / scan), lr.read_photo(folder / photo, camera=folder / "camera.json")
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +39,7 @@ def kinect(real_data: Path) -> tuple[lr.Scan, lr.Photo]:
 
 @pytest.fixture(scope="module")
 def pump(real_data: Path) -> lr.Scan:
-    return lr.read_scan(real_data / "pump" / "pumpAVisualReferenceImage.e57")
+    return read(real_data / "pump" / "pumpAVisualReferenceImage.e57")
 
 
 def test_kinect_agrees_with_its_factory_calibration(kinect: tuple[lr.Scan, lr.Photo], real_data: Path) -> None:

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.frames import rotation_from_rotvec
 from ladarreg_core.registration import RegisterOptions
-from ladarreg_core.simulate import SimulatedCase, simulate_case
+from ladarreg_core.simulate import SimulatedCase
+from testing.scenes.simulated import simulated
+
+pytestmark = pytest.mark.slow
 
 SCENES = ("boxes", "desk", "office", "people")
-
-
-@cache
-def case(scene: str, seed: int) -> SimulatedCase:
-    return simulate_case(scene, seed=seed)
 
 
 def displacement_px(made: SimulatedCase, pose: lr.Rigid) -> float:
@@ -30,7 +26,7 @@ def displacement_px(made: SimulatedCase, pose: lr.Rigid) -> float:
 @pytest.mark.parametrize("scene", SCENES)
 @pytest.mark.parametrize("seed", [101, 202])
 def test_the_standard_set(scene: str, seed: int) -> None:
-    made = case(scene, seed)
+    made = simulated(scene, seed=seed)
     result = lr.register(made.scan, made.photo)
     assert result.accepted, result.reasons
     assert displacement_px(made, result.camera_from_scanner) < 0.6
@@ -38,7 +34,7 @@ def test_the_standard_set(scene: str, seed: int) -> None:
 
 @pytest.mark.parametrize(("scene", "seed"), [("boxes", 105), ("people", 107), ("office", 108)])
 def test_a_rolled_camera(scene: str, seed: int) -> None:
-    made = simulate_case(scene, set_name="rotated", seed=seed)
+    made = simulated(scene, set_name="rotated", seed=seed)
     result = lr.register(made.scan, made.photo)
     assert result.accepted, result.reasons
     assert displacement_px(made, result.camera_from_scanner) < 0.6
@@ -49,7 +45,7 @@ def test_a_rolled_camera(scene: str, seed: int) -> None:
 
 @pytest.mark.parametrize("quarters", [1, 2, 3])
 def test_a_photo_rotated_by_quarter_turns_gives_the_same_camera_position(quarters: int) -> None:
-    made = case("desk", 101)
+    made = simulated("desk", seed=101)
     pixels = np.ascontiguousarray(np.rot90(made.photo.pixels, quarters))
     camera = lr.Camera.from_focal(pixels.shape[1], pixels.shape[0], made.photo.camera.focal_px)
     result = lr.register(made.scan, lr.Photo(pixels, camera))
@@ -62,7 +58,7 @@ def test_a_photo_rotated_by_quarter_turns_gives_the_same_camera_position(quarter
 def test_a_wrong_focal_length_is_found_where_the_distance_nearly_compensates(
     scene: str, case_seed: int, seed: int
 ) -> None:
-    made = simulate_case(scene, seed=case_seed, focal_error=-0.05)
+    made = simulated(scene, seed=case_seed, focal_error=-0.05)
     result = lr.register(made.scan, made.photo, options=RegisterOptions(seed=seed))
     assert result.accepted, result.reasons
     assert abs(result.camera.focal_px / made.true_camera.focal_px - 1) < 0.005
@@ -71,7 +67,7 @@ def test_a_wrong_focal_length_is_found_where_the_distance_nearly_compensates(
 
 @pytest.mark.parametrize("scene", ["boxes", "desk"])
 def test_an_approximate_initial_pose_is_sufficient(scene: str) -> None:
-    made = case(scene, 202)
+    made = simulated(scene, seed=202)
     truth = made.camera_from_scanner
     turn = rotation_from_rotvec(np.deg2rad([3.0, -3.5, 2.0]))
     rough = lr.Rigid.from_centre(turn @ truth.rotation, truth.centre + np.array([0.12, -0.2, 0.18]))
@@ -84,7 +80,7 @@ def test_an_approximate_initial_pose_is_sufficient(scene: str) -> None:
 @pytest.mark.parametrize("scene", SCENES)
 def test_photographs_of_other_rooms_are_refused(scene: str, seed: int) -> None:
     other = SCENES[(SCENES.index(scene) + 1) % len(SCENES)]
-    result = lr.register(case(scene, seed).scan, case(other, seed).photo)
+    result = lr.register(simulated(scene, seed=seed).scan, simulated(other, seed=seed).photo)
     assert not result.accepted
     assert result.evidence == "none"
     assert result.reasons

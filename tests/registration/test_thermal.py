@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 import ladarreg_core as lr
-from ladarreg_core.simulate import SimulatedCase, simulate_case
+from ladarreg_core.simulate import SimulatedCase
+from testing.scenes.simulated import simulated
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
 def office() -> SimulatedCase:
-    return simulate_case("office", set_name="thermal", seed=101)
+    return simulated("office", set_name="thermal", seed=101)
 
 
 def test_a_thermal_image_is_registered_and_labelled_coarse(office: SimulatedCase) -> None:
@@ -25,7 +28,7 @@ def test_a_thermal_image_is_registered_and_labelled_coarse(office: SimulatedCase
 
 
 def test_a_thermal_image_of_another_room_is_refused(office: SimulatedCase) -> None:
-    other = simulate_case("boxes", set_name="thermal", seed=101)
+    other = simulated("boxes", set_name="thermal", seed=101)
     result = lr.register(office.scan, other.photo)
     assert not result.accepted
     assert result.evidence == "none"

@@ -13,8 +13,9 @@ from ladarreg_core.frames import rotation_about
 from ladarreg_core.matching.thesis.chain import ThesisOptions, solve_thesis
 from ladarreg_core.progress import StepLog
 from ladarreg_core.registration import RegisterOptions
-from ladarreg_core.simulate import SimulatedCase, simulate_case
+from ladarreg_core.simulate import SimulatedCase
 from testing.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.simulated import simulated
 
 STAGES = ["linear", "constrained_linear", "simplex", "simplex_outliers_removed"]
 
@@ -34,7 +35,7 @@ def room() -> PaintedRoom:
 
 @pytest.fixture(scope="module")
 def case() -> SimulatedCase:
-    return simulate_case("boxes", seed=41)
+    return simulated("boxes")
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +43,7 @@ def default(case: SimulatedCase) -> lr.Registration:
     return lr.register(case.scan, case.photo)
 
 
+@pytest.mark.slow
 def test_the_chain_registers_a_pair(case: SimulatedCase) -> None:
     result = lr.register(case.scan, case.photo, method="thesis")
     assert result.accepted, result.reasons
@@ -58,6 +60,7 @@ def test_the_chain_registers_a_pair(case: SimulatedCase) -> None:
 
 
 @pytest.mark.parametrize("residual", ["epipolar", "stereo"])
+@pytest.mark.slow
 def test_from_good_matches_the_chain_ends_where_the_default_does(
     case: SimulatedCase, default: lr.Registration, residual: str
 ) -> None:
@@ -138,6 +141,7 @@ def turned_photo(case: SimulatedCase) -> lr.Photo:
     return lr.Photo(np.ascontiguousarray(case.photo.pixels[::-1, ::-1]), camera)
 
 
+@pytest.mark.slow
 def test_a_large_roll_is_detected_and_reported(case: SimulatedCase) -> None:
     result = lr.register(case.scan, turned_photo(case), method="thesis")
     assert not result.accepted
@@ -145,8 +149,9 @@ def test_a_large_roll_is_detected_and_reported(case: SimulatedCase) -> None:
     assert any(found and abs(int(found[1]) - 180) <= 5 for found in said), result.reasons
 
 
+@pytest.mark.slow
 def test_a_vanishing_baseline_is_detected_and_reported() -> None:
-    case = simulate_case("boxes", set_name="identical", seed=41)
+    case = simulated("boxes", set_name="identical", seed=41)
     literal = RegisterOptions(thesis=ThesisOptions(residual="stereo"))
     result = lr.register(case.scan, case.photo, method="thesis", options=literal)
     assert any("nearly at the same position" in reason for reason in result.reasons), result.reasons
@@ -167,6 +172,7 @@ def test_a_photo_without_matches_is_refused(room: PaintedRoom, picture: str) -> 
     assert result.reasons
 
 
+@pytest.mark.slow
 def test_an_initial_pose_guides_the_matching(case: SimulatedCase) -> None:
     truth = case.camera_from_scanner
     rough = lr.Rigid.from_centre(rotation_about("y", np.deg2rad(1.0)) @ truth.rotation, truth.centre + 0.03)

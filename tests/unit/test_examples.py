@@ -14,6 +14,7 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.simulate import write_case
+from testing.scenes.simulated import simulated
 
 FOLDER = Path(__file__).resolve().parents[2] / "docs" / "examples"
 
@@ -21,7 +22,7 @@ FOLDER = Path(__file__).resolve().parents[2] / "docs" / "examples"
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     folder = tmp_path_factory.mktemp("examples") / "case"
-    case = lr.simulate_case("boxes", seed=3)
+    case = simulated("boxes")
     write_case(case, folder)
     names = {"scan": "scan.npz", "photo": "photo.png", "camera": "camera.json", "truth": "truth.json"}
     return SimpleNamespace(case=case, folder=folder, **{key: str(folder / name) for key, name in names.items()})
@@ -40,6 +41,7 @@ def test_every_script_is_run_here() -> None:
     assert {name for name in names if f'run("{name}"' in here or f'"{name}",' in here} == names
 
 
+@pytest.mark.slow
 def test_a_folder_of_photographs(files: SimpleNamespace, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     photos = tmp_path / "photos"
     photos.mkdir()
@@ -52,6 +54,7 @@ def test_a_folder_of_photographs(files: SimpleNamespace, tmp_path: Path, capsys:
     assert list((tmp_path / "out" / "together" / "ply").glob("*.ply"))
 
 
+@pytest.mark.slow
 def test_matches_of_ones_own(files: SimpleNamespace, tmp_path: Path) -> None:
     out = tmp_path / "r.json"
     assert run("own_matcher", files.scan, files.photo, "--camera", files.camera, "--json", out) == 0
@@ -60,6 +63,7 @@ def test_matches_of_ones_own(files: SimpleNamespace, tmp_path: Path) -> None:
     assert result.camera_from_scanner.distance_to(files.case.camera_from_scanner) < 0.01
 
 
+@pytest.mark.slow
 def test_a_las_file_is_coloured(files: SimpleNamespace, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     case = files.case
     away = np.array([100.0, 200.0, 10.0])
@@ -90,6 +94,7 @@ def test_a_las_file_is_coloured(files: SimpleNamespace, tmp_path: Path, capsys: 
     assert off(case.photo.camera.width - 1 - u) > 15, "the control: a mirrored photograph"
 
 
+@pytest.mark.slow
 def test_coordinates_of_clicked_pixels(files: SimpleNamespace, capsys: pytest.CaptureFixture[str]) -> None:
     case = files.case
     words = (files.scan, files.photo, "--camera", files.camera)
@@ -105,6 +110,7 @@ def test_coordinates_of_clicked_pixels(files: SimpleNamespace, capsys: pytest.Ca
     assert "no surface" in said
 
 
+@pytest.mark.slow
 def test_compared_with_solvepnp(files: SimpleNamespace, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     case, rng = files.case, np.random.default_rng(0)
     labels = lr.texture_scan(case.scan, case.photo, case.camera_from_scanner).labels

@@ -20,11 +20,12 @@ from ladarreg_core.errors import OptionError, ShapeError, UnderspecifiedError
 from ladarreg_core.formats.registration_file import read_registration
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.simulate import SimulatedCase
+from testing.scenes.simulated import simulated
 
 
 @pytest.fixture(scope="module")
 def case() -> SimulatedCase:
-    return lr.simulate_case("boxes", seed=5)
+    return simulated("boxes")
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from functools import cache
 
 import cv2
 import numpy as np
@@ -41,13 +40,13 @@ from ladarreg_core.pose.estimate import solve_pose
 from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid
-from ladarreg_core.simulate import SimulatedCase, simulate_case
+from ladarreg_core.simulate import SimulatedCase
 from ladarreg_core.surface.texture import Label, texture_scan
+from testing.scenes.simulated import simulated
 
 
-@cache
 def the_case() -> SimulatedCase:
-    return simulate_case("desk", seed=3)
+    return simulated("boxes")
 
 
 def wall(turns: float = 1.0, columns: int = 120) -> Scan:

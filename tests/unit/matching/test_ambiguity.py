@@ -16,6 +16,7 @@ from ladarreg_core.matching.verification import GateOptions
 from ladarreg_core.registration import RegisterOptions, register
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.remap import look_up
+from testing.scenes.kept import kept
 from testing.scenes.painted_room import PaintedRoom, painted_room, paintings
 from testing.scenes.panorama import Panorama, panorama
 
@@ -41,6 +42,7 @@ class Wall:
         return float(np.median(off))
 
 
+@kept
 def wall(seed: int, *, period_m: float, doors: str = "none") -> Wall:
     """Make a wall painted the same every `period_m`; with `doors` it has a recess in each period."""
     picture = paintings(seed)

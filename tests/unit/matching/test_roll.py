@@ -21,9 +21,9 @@ from ladarreg_core.matching.roll import Roll, describe_rotated, detect_roll, rot
 from ladarreg_core.matching.views import rolled_view
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
-from ladarreg_core.simulate.case import simulate_case
 from ladarreg_core.surface.perspective import perspective_view
 from testing.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.simulated import simulated
 
 CORNERS = CornerOptions(count=400)
 NO_CORNERS = np.zeros((0, 2))
@@ -99,9 +99,10 @@ def test_roll_is_detected_with_its_sign(angle_deg: float, seed: int) -> None:
         assert ("counter-clockwise" in roll.summary()) == (roll.angle_rad < 0)
 
 
+@pytest.mark.slow
 def test_roll_of_a_simulated_camera_is_detected() -> None:
     pytest.importorskip("embreex")
-    case = simulate_case("people", set_name="rotated", seed=4)
+    case = simulated("people", set_name="rotated", seed=4)
     gamma = np.degrees(ThesisParameters.from_pose(case.camera_from_scanner).gamma)
     scan, photo = sides(case.scan, case.photo)
     roll = roll_of(scan, photo)

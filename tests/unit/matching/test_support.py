@@ -28,6 +28,7 @@ from ladarreg_core.self_test.synthetic_photo import random_pose, render_photo
 from ladarreg_core.surface.perspective import perspective_view
 from ladarreg_core.surface.uncertainty import pixel_sigma
 from testing.scenes.painted_room import painted_room
+from testing.scenes.simulated import outdoors
 from testing.scenes.thinned_scan import thinned
 
 STEP_RAD = np.radians(0.2)
@@ -267,11 +268,10 @@ def test_lines_far_apart_make_a_pose_less_certain_than_its_regions_say() -> None
     assert few_px > 4 * whole_px
 
 
+@pytest.mark.slow
 def test_petals_without_intensity_are_registered_and_another_place_is_refused() -> None:
     pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
-    from ladarreg_core.simulate.outdoor_case import simulate_outdoors
-
-    case = simulate_outdoors("courtyard", lidar="petals", seed=102)
+    case = outdoors("courtyard", lidar="petals", seed=102)
     result = lr.register(case.scan, case.photo)
     points = case.cloud.points[::50]
     true = case.true_camera.project(case.camera_from_scanner @ points)
@@ -280,7 +280,7 @@ def test_petals_without_intensity_are_registered_and_another_place_is_refused() 
     assert result.accepted, result.reasons
     assert float(np.median(off)) < 4
     assert any("only its shape" in reason for reason in result.reasons)
-    other = simulate_outdoors("courtyard", lidar="petals", seed=103)
+    other = outdoors("courtyard", lidar="petals", seed=103)
     refused = lr.register(case.scan, other.photo)
     assert not refused.accepted
     assert any("accumulate longer" in reason for reason in refused.reasons), refused.reasons

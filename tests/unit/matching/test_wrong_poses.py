@@ -30,8 +30,9 @@ from ladarreg_core.matching.wrong_poses import (
     wrong_poses,
     wrong_poses_decide,
 )
-from ladarreg_core.simulate.outdoor_case import OutdoorCase, simulate_outdoors
+from ladarreg_core.simulate.outdoor_case import OutdoorCase
 from testing.scenes.painted_room import PaintedRoom, painted_room
+from testing.scenes.simulated import outdoors
 
 _COUNT = TURNED + MIRRORED
 _GATE = GateOptions()
@@ -40,13 +41,13 @@ _GATE = GateOptions()
 @pytest.fixture(scope="module")
 def street() -> OutdoorCase:
     pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
-    return simulate_outdoors("street", lidar="64 lines", seed=701)
+    return outdoors("street", lidar="64 lines", seed=701)
 
 
 @pytest.fixture(scope="module")
 def elsewhere() -> OutdoorCase:
     pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
-    return simulate_outdoors("street", lidar="64 lines", seed=703)
+    return outdoors("street", lidar="64 lines", seed=703)
 
 
 @pytest.fixture(scope="module")
@@ -120,6 +121,7 @@ def test_the_mirror_image_is_that_of_a_mirrored_camera(room: PaintedRoom) -> Non
     np.testing.assert_array_equal(again.planes[1][0], levels.planes[1][0])
 
 
+@pytest.mark.slow
 def test_the_true_pose_of_a_sparse_scan_stands_out(street: OutdoorCase) -> None:
     truth = street.camera_from_scanner
     aligner = aligner_of(street.scan, street.photo, truth)
@@ -130,6 +132,7 @@ def test_the_true_pose_of_a_sparse_scan_stands_out(street: OutdoorCase) -> None:
     assert wrong.false_alarm(gain, tried=20) < 1e-6
 
 
+@pytest.mark.slow
 def test_wrong_poses_do_not_stand_out_from_others(street: OutdoorCase, elsewhere: OutdoorCase) -> None:
     rng, alarms = np.random.default_rng(8), []
     truth = street.camera_from_scanner
@@ -142,6 +145,7 @@ def test_wrong_poses_do_not_stand_out_from_others(street: OutdoorCase, elsewhere
     assert min(alarms) > 1e-3
 
 
+@pytest.mark.slow
 def test_equal_pairs_have_equal_wrong_poses(street: OutdoorCase) -> None:
     truth = street.camera_from_scanner
     first, second = (wrong_poses(aligner_of(street.scan, street.photo, truth), truth).gains for _ in range(2))
@@ -199,6 +203,7 @@ def test_thresholds_of_what_wrong_poses_decide_on(looser: dict[str, float]) -> N
     assert [rests_on_number(verdict, options) for options in (_GATE, GateOptions(**looser))] == [False, True]
 
 
+@pytest.mark.slow
 def test_wrong_poses_decide_on_coarse_scans_only(street: OutdoorCase) -> None:
     aligner = aligner_of(street.scan, street.photo, street.camera_from_scanner)
     assert wrong_poses_decide(few_regions(), aligner)
@@ -208,6 +213,7 @@ def test_wrong_poses_decide_on_coarse_scans_only(street: OutdoorCase) -> None:
     assert not wrong_poses_decide(few_regions(), aligner)
 
 
+@pytest.mark.slow
 def test_the_verdict_states_its_false_alarm(street: OutdoorCase) -> None:
     truth = street.camera_from_scanner
     aligner = aligner_of(street.scan, street.photo, truth)

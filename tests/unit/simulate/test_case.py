@@ -8,7 +8,6 @@ import json
 import os
 import subprocess
 import sys
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,8 @@ from ladarreg_core.simulate.ladar import GEOMETRY, LadarImages
 from ladarreg_core.simulate.materials import InkMixer
 from ladarreg_core.simulate.sample import SAMPLE_FILES, sample_folder
 from ladarreg_core.simulate.scenes import build_scene
+from testing.scenes.kept import kept
+from testing.scenes.simulated import COMMON_SEED, simulated
 
 
 def digest(case: SimulatedCase) -> str:
@@ -35,17 +36,24 @@ def digest(case: SimulatedCase) -> str:
     return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()
 
 
-TOLD: dict[str, list[Progress]] = {}
-
-
-@cache
-def case_of(scene: str) -> SimulatedCase:
+@kept
+def told_case(scene: str) -> tuple[SimulatedCase, tuple[Progress, ...]]:
+    """Return a case, and the progress that was reported."""
     pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
-    seed = sample.SEED if scene == sample.SCENE else 0
-    return simulate_case(scene, seed=seed, report=TOLD.setdefault(scene, []).append)
+    told: list[Progress] = []
+    case = simulate_case(scene, report=told.append)
+    return case, tuple(told)
+
+
+def case_of(scene: str) -> SimulatedCase:
+    if scene == "boxes":
+        return told_case(scene)[0]
+    pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
+    return simulated(scene, seed=sample.SEED if scene == sample.SCENE else COMMON_SEED)
 
 
 @pytest.mark.parametrize("scene", sorted(SCENES))
+@pytest.mark.slow
 def test_a_case_has_enough_to_register(scene: str) -> None:
     case = case_of(scene)
     assert case.scan.shape == (700, 1000)
@@ -85,6 +93,7 @@ def test_scan_and_photograph_show_the_same_thing_at_the_true_pose() -> None:
     assert max(scores, key=lambda shift: scores[shift]) == (0, 0)
 
 
+@pytest.mark.slow
 def test_the_same_arguments_give_the_same_bytes_whatever_the_threads_and_hashes() -> None:
     child = (
         "import hashlib, os, cv2, numpy as np\n"
@@ -187,8 +196,7 @@ def test_a_missing_ray_caster_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_progress_runs_to_the_end_and_can_be_cancelled() -> None:
-    case_of("boxes")
-    told = TOLD["boxes"]
+    _, told = told_case("boxes")
     done = [step.done for step in told]
     assert done == sorted(done)
     assert (done[0], done[-1], told[-1].total) == (0, 100, 100)
@@ -230,6 +238,7 @@ def test_the_embedded_sample_is_complete_and_small() -> None:
     assert sum(path.stat().st_size for path in folder.iterdir()) <= 3_000_000
 
 
+@pytest.mark.slow
 def test_the_command_reproduces_the_embedded_sample() -> None:
     folder, case = sample_folder(), case_of(sample.SCENE)
     truth = Rigid.from_matrix(json.loads((folder / "truth.json").read_text())["camera_from_scanner"])

@@ -25,6 +25,7 @@ from ladarreg_core.simulate.ray_cast import RayCaster
 from ladarreg_core.simulate.scenes import build_scene
 from ladarreg_core.simulate.thermal import THERMAL_CAMERA, take_thermal_image
 from ladarreg_core.simulate.world import Texture, WorldBuilder
+from testing.scenes.simulated import simulated
 
 AHEAD = Rigid(CAMERA_AXES_FROM_SCANNER, np.zeros(3))
 
@@ -84,9 +85,10 @@ def test_the_noise_is_what_is_stated(seed: int) -> None:
 
 @pytest.fixture(scope="module")
 def people() -> SimulatedCase:
-    return simulate_case("people", set_name="thermal", seed=4, k1=-0.1, k1_error=0.02, focal_error=0.05)
+    return simulated("people", set_name="thermal", seed=4, k1=-0.1, k1_error=0.02, focal_error=0.05)
 
 
+@pytest.mark.slow
 def test_people_are_warm_in_a_room(people: SimulatedCase) -> None:
     kelvin = people.photo.temperature_k
     assert kelvin is not None
@@ -100,6 +102,7 @@ def test_people_are_warm_in_a_room(people: SimulatedCase) -> None:
     assert people.true_camera.distortion[0] == -0.1
 
 
+@pytest.mark.slow
 def test_a_thermal_case_is_read_as_it_was_written(people: SimulatedCase, tmp_path: Path) -> None:
     for name, write in case_files(people):
         write(tmp_path / name)

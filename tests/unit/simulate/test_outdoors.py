@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import pytest
 
@@ -13,12 +11,12 @@ from ladarreg_core.errors import OptionError
 from ladarreg_core.simulate.outdoor_case import OutdoorCase, simulate_outdoors
 from ladarreg_core.simulate.outdoors import EYE_M, build_outdoors
 from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.simulate.robot_lidar import BEAM_NOISE, BeamNoise, lidar_rays, scan_points
+from ladarreg_core.simulate.robot_lidar import BEAM_NOISE, BeamNoise, LidarName, lidar_rays, scan_points
+from testing.scenes.simulated import outdoors
 
 
-@cache
-def case(scene: str, lidar: str, seed: int = 4) -> OutdoorCase:
-    return simulate_outdoors(scene, lidar=lidar, seed=seed)  # type: ignore[arg-type]
+def case(scene: str, lidar: LidarName, seed: int = 4) -> OutdoorCase:
+    return outdoors(scene, lidar=lidar, seed=seed)
 
 
 def angles_deg(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -50,6 +48,7 @@ def test_lines_are_lines_and_half_of_the_seeds_space_them_unevenly() -> None:
     assert 4 <= sum(uneven) <= 16  # of 20 fair draws, all but 1 in 400 times; the seeds are fixed
 
 
+@pytest.mark.slow
 def test_the_photo_shows_what_the_lidar_meets() -> None:
     """The points are where the true pose sees their surfaces: the ground is flat, `EYE_M` below."""
     from_above = case("courtyard", "128 lines").cloud.points
@@ -65,6 +64,7 @@ def test_the_photo_shows_what_the_lidar_meets() -> None:
     assert sky.mean() < 0.02, "hardly any return lies in front of the sky"
 
 
+@pytest.mark.slow
 def test_ranges_end_and_have_the_stated_noise() -> None:
     far = np.linalg.norm(case("street", "128 lines").cloud.points, axis=1)
     assert 90 < far.max() <= BEAM_NOISE.farthest_m + 0.1
@@ -77,17 +77,19 @@ def test_ranges_end_and_have_the_stated_noise() -> None:
     assert float(off.std()) == pytest.approx(0.05, rel=0.05)
 
 
+@pytest.mark.slow
 def test_petals_report_no_intensity_and_lines_do() -> None:
     assert not case("street", "petals").scan.has_intensity
     assert case("street", "128 lines").scan.has_intensity
     assert any("128 rings" in note for note in case("street", "128 lines").scan.notes)
 
 
+@pytest.mark.slow
 def test_a_case_is_reproducible_and_another_seed_another_place() -> None:
-    first, again = (simulate_outdoors("courtyard", lidar="64 lines", seed=5) for _ in range(2))
+    first, again = case("courtyard", "128 lines"), simulate_outdoors("courtyard", lidar="128 lines", seed=4)
     assert (first.cloud.points == again.cloud.points).all()
     assert (first.photo.pixels == again.photo.pixels).all()
-    other = simulate_outdoors("courtyard", lidar="64 lines", seed=6)
+    other = case("courtyard", "128 lines", 5)
     assert (first.photo.pixels != other.photo.pixels).mean() > 0.5
 
 

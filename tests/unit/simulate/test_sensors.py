@@ -223,6 +223,7 @@ def test_a_mixed_neighbourhood_is_any_difference_within_three_by_three(values: N
 
 @settings(max_examples=4, deadline=None)
 @given(st.integers(0, 2**31))
+@pytest.mark.slow
 def test_casting_only_where_it_matters_changes_next_to_nothing(seed: int) -> None:
     world = build_scene("desk", layout=np.random.default_rng(seed))
     caster = RayCaster(world.triangles)

@@ -51,6 +51,7 @@ def share_that_differs(ranges: FloatArray, image: FloatArray) -> float:
 
 
 @pytest.mark.parametrize("scene", SURROUNDINGS)
+@pytest.mark.slow
 def test_a_room_is_closed_roomy_and_furnished_and_printed_on_every_side(scene: str) -> None:
     world, grid = room(scene, 2), dome_grid(STEP_RAD)
     ranges, intensity = scan_around(world, RayCaster(world.triangles), grid, rng=np.random.default_rng(0), noise=QUIET)

@@ -89,10 +89,12 @@ def assert_stays(name: str, found: Mapping[str, Print]) -> None:
 
 
 @pytest.mark.parametrize(("scene", "set_name"), ROOMS)
+@pytest.mark.slow
 def test_rooms_stay(scene: str, set_name: str) -> None:
     assert_stays(f"{scene}, {set_name}", prints_of_world(case_world(scene, set_name=set_name, seed=3)))
 
 
+@pytest.mark.slow
 def test_cases_stay() -> None:
     pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
     assert_stays("case", prints_of_case())
@@ -103,6 +105,7 @@ def test_dome_scans_stay() -> None:
     assert_stays("dome", prints_of_dome())
 
 
+@pytest.mark.slow
 def test_another_seed_is_another_room() -> None:
     """The comparison sees what it is for: rooms of other seeds differ in their faces and inks."""
     one, two = (prints_of_world(case_world("desk", set_name="standard", seed=seed)) for seed in (3, 4))

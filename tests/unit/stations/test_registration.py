@@ -16,15 +16,21 @@ from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.stations import scan_stations, station_room, upright_pose
+from testing.scenes.kept import kept
 
 pytest.importorskip("embreex")
 FIRST = upright_pose([-1.3, -0.5, 0.0], 0.7, (0.01, -0.008))
 SECOND = upright_pose([1.4, 0.8, 0.15], -2.1, (-0.012, 0.004))
 
 
+@kept
+def _office() -> list[Scan]:
+    return scan_stations(station_room("office", 3), [FIRST, SECOND], seed=1, step_deg=0.9)
+
+
 @pytest.fixture(scope="module")
 def office() -> list[Scan]:
-    return scan_stations(station_room("office", 3), [FIRST, SECOND], seed=1, step_deg=0.9)
+    return _office()
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +68,7 @@ def test_two_stations_are_registered_from_nothing(office: list[Scan]) -> None:
     assert np.array_equal(pose, network.stations[1].world_from_scanner.matrix)  # type: ignore[union-attr]
 
 
+@pytest.mark.slow
 def test_scans_without_intensity_are_registered_by_their_ranges(office: list[Scan]) -> None:
     dark = [replace(scan, intensity=np.zeros(scan.shape, np.float32)) for scan in office]
     network = lr.register_scans(dark)
@@ -70,6 +77,7 @@ def test_scans_without_intensity_are_registered_by_their_ranges(office: list[Sca
     assert off(network, 1, FIRST.inverse @ SECOND)[0] < 1.0
 
 
+@pytest.mark.slow
 def test_another_room_stays_out(office: list[Scan], boxes: Scan) -> None:
     network = lr.register_scans([office[0], boxes])
     assert not network.accepted
@@ -82,6 +90,7 @@ def test_another_room_stays_out(office: list[Scan], boxes: Scan) -> None:
     assert len(network.placed([office[0], boxes])) == 1
 
 
+@pytest.mark.slow
 def test_poses_in_the_files_are_where_it_begins_and_wrong_ones_are_overcome(office: list[Scan]) -> None:
     world = Rigid.from_rotvec([0, 0, 1.0], [4000.0, -300.0, 20.0])
     rough = Rigid.from_rotvec([0, 0, 0.03], [0.15, -0.1, 0.02])

@@ -36,6 +36,7 @@ def walls(rng: np.random.Generator, faces: int, together_m: float) -> NDArray[np
 
 
 @pytest.mark.parametrize("together_m", [0.0, 0.0005])
+@pytest.mark.slow
 def test_errors_are_as_large_as_stated(together_m: float) -> None:
     distances = []
     for seed in range(30):

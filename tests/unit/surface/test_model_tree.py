@@ -73,6 +73,7 @@ def test_tiles_partition_the_triangles_and_keep_within_their_boxes(parts: list[M
     assert drawn == count
 
 
+@pytest.mark.slow
 def test_a_coarse_level_of_a_connected_surface_has_no_cracks_between_tiles() -> None:
     cells = 700
     above = soup(1, 1, spread_m=1, size_m=1)  # so that the sheet is in the lower half of the cube

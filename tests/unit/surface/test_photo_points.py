@@ -89,11 +89,12 @@ def test_predicted_and_real_spread_agree() -> None:
     known = np.isfinite(exact[:, 0])
     assert known.sum() > 30
     errors, predicted = [], []
+    stated = result(camera, covariance=covariance)
     for _ in range(60):
         change = np.linalg.cholesky(covariance) @ rng.normal(size=6)
         # the estimate is off such that R_true = exp([w]x) R and C_true = C + c
         turned = lr.Rigid.from_rotvec(-change[:3]).rotation @ POSE.rotation
-        made = result(camera, lr.Rigid.from_centre(turned, POSE.centre - change[3:]), covariance=covariance)
+        made = replace(stated, camera_from_scanner=lr.Rigid.from_centre(turned, POSE.centre - change[3:]))
         scan = scan_of(ranges + rng.normal(0, noise, ranges.shape))
         clicked = at + rng.normal(0, click, at.shape)
         found = lr.xyz_of_photo(scan, made, at=clicked, sigma_range_m=noise, sigma_uv_px=click)

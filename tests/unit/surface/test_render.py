@@ -10,9 +10,9 @@ from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.simulate import simulate_case
 from ladarreg_core.surface.render import render_scan_colors, render_scan_picture
 from ladarreg_core.surface.texture import intensity_picture
+from testing.scenes.simulated import simulated
 
 LENSES = [(), (0.12, -0.04, 0.002, -0.001), (-0.25, 0.08, 0.001, 0.0005, -0.01)]
 
@@ -100,7 +100,7 @@ def test_hostile_input_is_named():
 
 @pytest.mark.parametrize("distortion", [(), (-0.2, 0.05, 0.0, 0.0)])
 def test_a_picture_to_be_looked_at_is_nearly_the_exact_one(distortion: tuple[float, ...]) -> None:
-    case = simulate_case("office", seed=3)
+    case = simulated("boxes")
     camera = replace(case.true_camera, distortion=distortion)
     gray = intensity_picture(case.scan)
     inverse = np.nan_to_num(255 / (1 + case.scan.ranges)).astype(np.uint8)
