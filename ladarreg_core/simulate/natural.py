@@ -71,7 +71,7 @@ class NaturalPrinter(Printer):
         by_laser = np.float32(_SHARED) * seen + np.float32(np.sqrt(1 - _SHARED**2)) * own
         gains = [np.maximum(1 + np.float32(strength) * field, np.float32(_LEAST_GAIN)) for field in (seen, by_laser)]
         worn = picture * cv2.merge([gains[0]] * 3 + [gains[1]])
-        return np.clip(np.rint(worn), 0, 255).astype(np.uint8)
+        return np.asarray(np.clip(np.rint(worn), 0, 255), dtype=np.uint8)
 
     def _foliage(self, width_m: float, height_m: float) -> Texture:
         """Return leaves of all sizes, those of the front last, on a worn ground."""
