@@ -26,10 +26,10 @@ class Arguments:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="DIR")]
     """Output folder; an existing one is refused, but see --force."""
     set: Literal[
-        "standard", "hard", "wide", "rotated", "identical", "thermal", "gamma", "equirectangular", "fisheye"
+        "standard", "hard", "wide", "rotated", "identical", "thermal", "gamma", "natural", "equirectangular", "fisheye"
     ] = "standard"
-    """Difficulty of the registration; thermal and gamma are other instruments, equirectangular and fisheye wide cameras
-    beside a scan of the whole room."""
+    """Difficulty of the registration; thermal and gamma are other instruments, natural has textures of stone, dense
+    print and foliage, equirectangular and fisheye are wide cameras beside a scan of the whole room."""
     seed: int = 0
     """Random seed of the scene, the noise and the camera pose."""
     k1: float = 0.0

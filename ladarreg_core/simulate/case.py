@@ -55,6 +55,8 @@ class CaseSet:
     rolls_deg: tuple[float, ...] = (0.0,)
     """Rolls of the photograph, one chosen by the seed."""
     independent_inks: bool = False
+    natural: bool = False
+    """Whether textures have the spectrum of natural images."""
     speckle: float = 0.06
     noise: float = 1.0
     lighting: Lighting = field(default_factory=Lighting)
@@ -76,6 +78,7 @@ SETS = {
     "identical": CaseSet(baseline_m=(0.0, 0.0), other_axes_m=0.0, toe_in_limit_deg=0.0, tilt_deg=0.0),
     "thermal": CaseSet(instrument="thermal"),
     "gamma": CaseSet(instrument="gamma"),
+    "natural": CaseSet(natural=True),
 }
 """The sets by name."""
 
@@ -116,7 +119,7 @@ def simulate_case(
 
     Args:
         scene: boxes, desk, office or people.
-        set_name: standard, hard, wide, rotated, identical, thermal or gamma.
+        set_name: standard, hard, wide, rotated, identical, thermal, gamma or natural.
         seed: not negative; every seed gives another room and pose.
         k1: radial distortion of the true lens.
         k1_error: excess of the stated k1 over the true one.
@@ -260,7 +263,8 @@ def _streams(scene: str, set_name: str, seed: int) -> list[np.random.Generator]:
 
 def _build(scene: str, case_set: CaseSet, layout: np.random.Generator) -> World:
     heated = case_set.instrument == "thermal"
-    return build_scene(scene, layout=layout, independent_inks=case_set.independent_inks, heated=heated)
+    inks = case_set.independent_inks
+    return build_scene(scene, layout=layout, independent_inks=inks, heated=heated, natural=case_set.natural)
 
 
 def _take_photo(

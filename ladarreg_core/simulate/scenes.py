@@ -10,6 +10,7 @@ import numpy as np
 from ladarreg_core.simulate import furniture as make
 from ladarreg_core.simulate.furniture import Workshop
 from ladarreg_core.simulate.materials import InkMixer
+from ladarreg_core.simulate.natural import NaturalPrinter
 from ladarreg_core.simulate.surroundings import SURROUNDINGS
 from ladarreg_core.simulate.textures import Printer
 from ladarreg_core.simulate.world import Placement, World, WorldBuilder
@@ -22,6 +23,7 @@ def build_scene(
     independent_inks: bool = False,
     heated: bool = False,
     all_around: bool = False,
+    natural: bool = False,
 ) -> World:
     """Return the world of a scene.
 
@@ -31,9 +33,10 @@ def build_scene(
         independent_inks: laser albedo and visible colour are unrelated.
         heated: whether heating pipes run along the far wall.
         all_around: furnished and printed on all sides, for scanners that turn; otherwise ahead only.
+        natural: textures have the spectrum of natural images: stone, dense print and foliage.
     """
     inks = InkMixer(layout, independent=independent_inks)
-    shop = Workshop(WorldBuilder(), Printer(layout, inks), heated=heated)
+    shop = Workshop(WorldBuilder(), (NaturalPrinter if natural else Printer)(layout, inks), heated=heated)
     return SURROUNDINGS[scene](shop) if all_around else SCENES[scene](shop)
 
 
