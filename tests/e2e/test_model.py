@@ -224,7 +224,9 @@ def test_the_view_serves_as_a_rough_pose(browser: Browser, workbench: SharedWork
     sheet.get_by_text("until it looks like the photograph").wait_for()
     sheet.get_by_role("button", name="Refine from here").click()
     sheet.wait_for(state="hidden")
-    socket.until(lambda slices: (slices["job"]["kind"], slices["job"]["state"]) == ("refine", "done"), 240)
+    socket.until(
+        lambda slices: [(slices["job"] or {}).get(key) for key in ("kind", "state")] == ["refine", "done"], 240
+    )
     socket.until(lambda slices: slices["photos"][0]["state"] == "accepted", 60)
     socket.socket.close()
     visit.context.close()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
+import pytest
 from ladarreg.gateway.viser_backend import close_server
 
 from ladarreg_core.camera import Camera
@@ -34,6 +35,7 @@ def pattern(size_px: int = 40) -> np.ndarray:
     return np.asarray(cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC))
 
 
+@pytest.mark.slow
 def test_tiles_are_drawn_where_the_photograph_shows_them(page: Page, tmp_path: Path) -> None:
     pixels = pattern()
     one = photograph(CAMERA, POSES[0], "photo", pixels=pixels)

@@ -166,10 +166,10 @@ def test_a_given_pose_that_is_missing_is_not_taken_for_a_refused_one(inputs: Pat
     """Otherwise the identity would be exported as the pose."""
     given = {**results(tmp_path / "out", inputs).document, "accepted": False, "evidence": "given"}
     file = tmp_path / "out" / "registration.json"
-    file.write_text(json.dumps(given))
+    rewrite(file, given)
     assert registered_scan([read_saved_result(tmp_path / "out")], folders=[inputs]).marks
     for guess in (None, given["camera_from_scanner"]):
-        file.write_text(json.dumps({**given, "camera_from_scanner": None, "rejected_guess": guess}))
+        rewrite(file, {**given, "camera_from_scanner": None, "rejected_guess": guess})
         with pytest.raises(FormatError, match="camera_from_scanner"):
             read_saved_result(tmp_path / "out")
 

@@ -76,7 +76,9 @@ def documents(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, A
         ("refused", refused, {"open_command": "ladarreg serve"}),
         ("given", given_pose(scan, photo, truth, check_images=False), {}),
     ):
-        jobs = registration_files(result, scan, photo, [sample / "scan.npz"], read_with=[{"scan_index": 0}], **more)  # type: ignore[arg-type]
+        jobs = registration_files(
+            result, scan, photo, [sample / "scan.npz"], read_with=[{"scan_index": 0}], folder=path.parent, **more
+        )  # type: ignore[arg-type]
         jobs[0][1](path)
         found[name] = json.loads(path.read_text(encoding="utf-8"))
         found[name]["written files"] = [job for job, _ in jobs]

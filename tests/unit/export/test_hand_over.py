@@ -13,6 +13,7 @@ from ladarreg_core.errors import Cancelled, ExportError, OptionError
 from ladarreg_core.export.targets.hand_over import export_files, export_to
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan, photo_id
 from ladarreg_core.export.zip_file import write_zip
+from ladarreg_core.manifest import MANIFEST_FILE
 from ladarreg_core.progress import Progress
 from testing.scenes.small_registration import sample_photo, sample_registration, sample_scan
 
@@ -26,7 +27,7 @@ def test_every_file_stands_in_its_targets_folder_and_in_the_list(handed: Registe
     export_to(tmp_path / "out", handed, ["report"])
     listed = json.loads((tmp_path / "out" / "export.json").read_text())
     there = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*") if path.is_file()}
-    assert there == {"export.json", *listed["files"]}
+    assert there == {"export.json", MANIFEST_FILE, *listed["files"]}
     assert "report/one.html" in there
     assert [one["mark"] for one in listed["photos"]] == [None]
 
@@ -90,7 +91,7 @@ def test_a_cancelled_export_leaves_the_state_before_it(handed: RegisteredScan, t
 def test_the_same_files_go_into_a_zip(handed: RegisteredScan, tmp_path: Path) -> None:
     write_zip(tmp_path / "out.zip", lambda: export_files(handed, ["report"]))
     with zipfile.ZipFile(tmp_path / "out.zip") as file:
-        assert set(file.namelist()) == {"export.json", "report/one.html", "report/one.json"}
+        assert set(file.namelist()) == {"export.json", "report/one.html", "report/one.json", MANIFEST_FILE}
     assert [path.name for path in tmp_path.iterdir()] == ["out.zip"]
 
 
