@@ -22,7 +22,7 @@ FOLDER = Path(__file__).resolve().parents[2] / "docs" / "examples"
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     folder = tmp_path_factory.mktemp("examples") / "case"
-    case = simulated("boxes")
+    case = simulated("boxes", seed=3)
     write_case(case, folder)
     names = {"scan": "scan.npz", "photo": "photo.png", "camera": "camera.json", "truth": "truth.json"}
     return SimpleNamespace(case=case, folder=folder, **{key: str(folder / name) for key, name in names.items()})

@@ -69,6 +69,7 @@ def test_the_covariance_covers_the_disagreement_of_channels(warm: lr.Registratio
             assert d @ np.linalg.solve(warm.covariance, d) <= len(ends)
 
 
+@pytest.mark.slow
 def test_a_thermal_image_of_another_room_is_refused(room: PaintedRoom) -> None:
     other = painted_room(seed=6)
     mirrored = gray_of(other)[::-1, ::-1]

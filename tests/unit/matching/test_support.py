@@ -246,6 +246,7 @@ def test_few_regions_of_a_coarse_scan_are_to_stand_out_more() -> None:
     assert coarse_gate(replace(usual, few_contrast=5.0)).few_contrast == 5
 
 
+@pytest.mark.slow
 def test_lines_far_apart_make_a_pose_less_certain_than_its_regions_say() -> None:
     room = painted_room()
 

@@ -58,6 +58,7 @@ def test_the_view_is_directed_at_the_overlap(room: PaintedRoom) -> None:
 
 
 @pytest.mark.parametrize("start", ["none", "truth"])
+@pytest.mark.slow
 def test_a_sparse_scan_is_refused_for_that_reason(room: PaintedRoom, start: str) -> None:
     sparse = thinned(room.scan, 6)
     result = register(sparse, room.photo, initial=room.camera_from_scanner if start == "truth" else None)

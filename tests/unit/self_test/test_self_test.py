@@ -57,6 +57,7 @@ def test_an_unrelated_photo_has_other_pixels_and_the_same_size(room: PaintedRoom
         assert np.abs(other.pixels.astype(int) - room.photo.pixels).mean() > 5
 
 
+@pytest.mark.slow
 def test_the_room_is_registered_and_unrelated_photos_are_refused(room: PaintedRoom) -> None:
     reported: list[Progress] = []
     found = self_test(
