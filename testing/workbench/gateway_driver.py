@@ -156,9 +156,9 @@ class Running:
     ) -> tuple[int, dict[str, str], bytes]:
         """Send a request as our own page would; headers with an empty value are omitted."""
         connection = (
-            http.client.HTTPSConnection("127.0.0.1", self.port, timeout=20, context=self.tls)
+            http.client.HTTPSConnection("127.0.0.1", self.port, timeout=60, context=self.tls)
             if self.tls
-            else http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)
+            else http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
         )
         sent = {"Origin": self.origin, "Cookie": self.cookie if known else ""} | dict(headers or {})
         try:
@@ -241,7 +241,7 @@ def running(
 
 def hear(socket: ClientConnection) -> dict[str, Any]:
     """Return the next message."""
-    message = json.loads(socket.recv(timeout=10))
+    message = json.loads(socket.recv(timeout=60))
     assert isinstance(message, dict)
     return message
 
@@ -250,12 +250,12 @@ def closing_code(socket: ClientConnection) -> int:
     """Receive until the other side closes, and return its code; 1006 if there is none."""
     try:
         while True:
-            socket.recv(timeout=10)
+            socket.recv(timeout=60)
     except ConnectionClosed as closed:
         return closed.rcvd.code if closed.rcvd else 1006
 
 
-def soon(what: Callable[[], bool], *, seconds: float = 5.0) -> bool:
+def soon(what: Callable[[], bool], *, seconds: float = 60.0) -> bool:
     """Return whether a condition becomes true in time."""
     until = time.monotonic() + seconds
     while not what():
