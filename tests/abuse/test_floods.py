@@ -18,9 +18,12 @@ from ladarreg_core.simulate.sample import sample_folder
 from testing.attacks.held_connections import HeldConnections, Starvation, descriptors, edits_until, newcomers_until
 from testing.workbench.served import Page, Served, with_camera_and_picks
 
-pytestmark = pytest.mark.skipif(
-    not sys.platform.startswith("linux"), reason="counts descriptors and memory in /proc, which only Linux has"
-)
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(
+        not sys.platform.startswith("linux"), reason="counts descriptors and memory in /proc, which only Linux has"
+    ),
+]
 DESCRIPTORS = 256
 EDITED_S = 1.5
 LEAST_NEWCOMERS = 3

@@ -25,7 +25,7 @@ _NAMED_ONLY = {  # name spaces, and examples in the text
     "http://www.w3.org", "http://www.sitemaps.org", "http://127.0.0.1", "https://scans.example.org",
 }  # fmt: skip
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 
 @pytest.fixture(scope="module")

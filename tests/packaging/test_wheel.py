@@ -62,7 +62,7 @@ def run(command: list[str], *, cwd: Path | None = None) -> str:
     return result.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_wheel_holds_its_page_and_its_sample(installed: Path, checkout: Path, tmp_path: Path) -> None:
     code = (
         "from ladarreg.gateway.pages import static_folder; from ladarreg_core.simulate import sample_folder\n"
@@ -76,7 +76,7 @@ def test_the_wheel_holds_its_page_and_its_sample(installed: Path, checkout: Path
     assert sum(path.stat().st_size for path in sample.iterdir()) <= 3_000_000
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_installed_command_runs(installed: Path, tmp_path: Path) -> None:
     from ladarreg_core import __version__
 
@@ -87,7 +87,7 @@ def test_the_installed_command_runs(installed: Path, tmp_path: Path) -> None:
     assert "1000" in run([command, "info", str(sample / "scan.npz")], cwd=tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_wheel_installs_two_packages_and_no_other(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     top = {name.split("/")[0] for name in names}
@@ -95,7 +95,7 @@ def test_the_wheel_installs_two_packages_and_no_other(wheel: Path) -> None:
     assert {"ladarreg/py.typed", "ladarreg_core/py.typed"} <= set(names)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_wheel_works_in_a_folder_with_an_app_of_its_own(installed: Path, own_app: Path) -> None:
     for command in ([str(installed / "ladarreg")], [str(installed / "python"), "-m", "ladarreg"]):
         assert run([*command, "--version"], cwd=own_app).startswith("ladarreg ")
