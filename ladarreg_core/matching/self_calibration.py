@@ -42,6 +42,11 @@ _WRONG_CAMERA = (
     "The image contradicts the stated focal length or lens distortion, and no values that fit were found; "
     "give a camera file."
 )
+_MOST_FALSE_ALARM_WITH_CAMERA = 1e-3  # more free parameters agree with more regions of a repeated pattern
+_BY_CHANCE = (
+    "With the camera estimated as well, as many regions agree by chance, as in a repeated pattern: probability {:.1g}, "
+    f"and at most {_MOST_FALSE_ALARM_WITH_CAMERA:g} is allowed. Give a camera file."
+)
 _MAX_LOG_FOCAL_SIGMA = 0.02
 _ROUNDS = 4
 _SETTLED_LOG_FOCAL, _SETTLED_K1 = 0.003, 0.02
@@ -183,7 +188,10 @@ def verify_finished(
         lambda: aligner.regions(pose, free=free, anchor=anchor),
     )
     fine, fits, coarse, regions = side_by_side(lambda part: part(), parts)
-    return FinishedPose(aligner, camera, pose, verify(coarse, fine, aligner.gate), fine, regions, free, fits)
+    verdict = verify(coarse, fine, aligner.gate)
+    if free and verdict.accepted and verdict.false_alarm > _MOST_FALSE_ALARM_WITH_CAMERA:
+        verdict = replace(verdict, accepted=False, reasons=(_BY_CHANCE.format(verdict.false_alarm),))
+    return FinishedPose(aligner, camera, pose, verdict, fine, regions, free, fits)
 
 
 def may_estimate_camera(photo: Photo, intrinsics: FreeCamera) -> bool:
