@@ -17,12 +17,13 @@ docs: $(VENV)/.installed-dev
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet && echo "build/docs/index.html"
 
 # Everything runs even where an earlier check fails, so that pytest's closing line is always the last; any failure fails.
-# mypy is one of the tests (tests/architecture/test_types.py), so that it works beside the others.
+# mypy is one of the tests (tests/architecture/test_types.py), so that it works beside the others. Compiled files are kept:
+# without them every worker rewrites the assertions of all tests again.
 define run_checks
 	@status=0; \
 	echo "ruff check"; $(BIN)/ruff check . || status=1; \
 	echo "ruff format --check"; $(BIN)/ruff format --check --quiet . || status=1; \
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(1) || status=1; \
+	env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal $(1) || status=1; \
 	exit $$status
 endef
 

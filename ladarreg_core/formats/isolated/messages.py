@@ -259,6 +259,7 @@ def _field_types() -> dict[str, Callable[[Any], bool]]:
         "ScanGeometry": is_a(*_geometries()),
         "Source": lambda value: False,  # only None is received
         "tuple[str, ...]": is_tuple_of(str),
+        "tuple[CameraModel, ...]": is_tuple_of(Camera, EquirectangularCamera, FisheyeCamera),
         "tuple[tuple[int, int], ...]": is_tuple_of(tuple),
         "tuple[float, ...]": is_tuple_of(int, float),
         "tuple[float, float]": is_tuple_of(int, float),
