@@ -9,7 +9,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
 from ladarreg_core.simulate.textures import COARSE_M, Printer
 from ladarreg_core.simulate.world import Picture, Texture
@@ -22,6 +21,8 @@ _LEAST_GAIN = 0.1
 
 def natural_noise(rng: np.random.Generator, height: int, width: int) -> NDArray[np.float32]:
     """Return noise (height, width) with mean 0 and deviation 1, whose amplitudes fall as 1 / f."""
+    from scipy import fft
+
     h, w = fft.next_fast_len(height, real=True), fft.next_fast_len(width, real=True)
     spectrum = fft.rfft2(rng.standard_normal((h, w), dtype=np.float32))
     # Frequencies in cycles per texel, equal in both directions: the spectrum of a narrow picture is not stretched.

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import ladarreg_core as lr
+from ladarreg_core.manifest import MANIFEST_FILE
 from ladarreg_core.simulate.sample import sample_folder
 from testing.scenes.true_matches import true_points
 from testing.workbench.audits import hard_to_read
@@ -70,7 +71,9 @@ def test_two_targets_in_a_zip_are_read_by_other_programs(operator: Operator, tmp
     with zipfile.ZipFile(path) as file:
         assert file.testzip() is None
         names = file.namelist()
-        assert json.loads(file.read("export.json"))["files"] == [name for name in names if name != "export.json"]
+        assert json.loads(file.read("export.json"))["files"] == [
+            name for name in names if name not in ("export.json", MANIFEST_FILE)
+        ]
         check_with_opencv(file.read("opencv/photo.yaml"), tmp_path)
         check_with_laspy(file.read(next(name for name in names if name.endswith(".laz"))))
 
