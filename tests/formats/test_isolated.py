@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -150,11 +151,12 @@ def test_readers_return_the_same_as_in_this_process(readers: IsolatedReaders, tm
     folder = sample_folder()
     photo = next(folder.glob("photo.*"))
     scan = readers.run(read_scan, folder / "scan.npz", scan_index=0)
-    assert fields_of(scan) == fields_of(read_scan(folder / "scan.npz"))
+    assert fields_of(scan) == fields_of(replace(read_scan(folder / "scan.npz"), source=None))  # the caller knows it
     camera = readers.run(read_camera, folder / "camera.json")
     assert camera == read_camera(folder / "camera.json")
     for options in ({"camera": camera}, {"camera": folder / "camera.json"}, {"focal_px": 500.0}):
-        assert fields_of(readers.run(read_photo, photo, **options)) == fields_of(read_photo(photo, **options))
+        here = replace(read_photo(photo, **options), source=None)
+        assert fields_of(readers.run(read_photo, photo, **options)) == fields_of(here)
     for path in (folder / "scan.npz", photo, folder / "camera.json"):
         assert fields_of(readers.run(describe, path)) == fields_of(describe(path))
     matches = {"kind": "line", "scan": [[10.5, 11], [20, 30.25]], "photo": [[1.5, 2], [3, 4]], "weight": 2.5}
