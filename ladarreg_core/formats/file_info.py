@@ -202,7 +202,7 @@ def describe_las(path: Path, asked: ScanRequest) -> FileInfo:
         try:
             scan = read_las(path, origin=asked.origin, intensity=asked.intensity, report=asked.report)
         except (ShapeError, UnderspecifiedError) as error:
-            notes = (*notes, str(error))
+            notes = (str(error),)
         else:
             return _describe_scan(path, scan, facts["format"], scans=about)
     return FileInfo(
