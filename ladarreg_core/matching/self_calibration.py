@@ -42,7 +42,7 @@ _WRONG_CAMERA = (
     "The image contradicts the stated focal length or lens distortion, and no values that fit were found; "
     "give a camera file."
 )
-_MOST_FALSE_ALARM_WITH_CAMERA = 1e-3  # more free parameters agree with more regions of a repeated pattern
+_MOST_FALSE_ALARM_WITH_CAMERA = 0.05  # a wall of the same bricks .26, a real capture .004, most 1e-7 and less
 _BY_CHANCE = (
     "With the camera estimated as well, as many regions agree by chance, as in a repeated pattern: probability {:.1g}, "
     f"and at most {_MOST_FALSE_ALARM_WITH_CAMERA:g} is allowed. Give a camera file."
