@@ -48,7 +48,7 @@ def generation_of(folder: Path) -> object:
     (found,) = {json.loads((folder / "registration.json").read_text())["seed"]} | {
         int((folder / name).read_text()) for name in PARTS
     }
-    assert len(list(folder.iterdir())) == 1 + len(PARTS)
+    assert len(list(folder.iterdir())) == 2 + len(PARTS), "registration.json and the manifest, too"
     return found
 
 
