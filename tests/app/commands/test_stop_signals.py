@@ -16,6 +16,7 @@ from ladarreg.stop_signals import ONE_REQUEST_S
 
 from ladarreg_core.simulate import sample_folder
 from testing.workbench.gateway_driver import soon
+from testing.workbench.processes import restore_ctrl_c
 from testing.workbench.serve_process import ask, begin_upload, name_of, serving, start
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
@@ -37,6 +38,7 @@ def test_a_closed_terminal_ends_the_server(tmp_path: Path) -> None:
     project = tmp_path / "project"
     process, terminal = pty.fork()
     if process == 0:
+        restore_ctrl_c()
         os.environ |= {"LADARREG_TOKEN": "a-token-of-tests", "LADARREG_HOME": str(tmp_path)}
         words = ["-m", "ladarreg", "serve", "--project", str(project), "--port", "0", "--no-browser"]
         os.execv(sys.executable, [sys.executable, *words])

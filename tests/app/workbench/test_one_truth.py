@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from ladarreg_core.manifest import MANIFEST_FILE
 from testing.scenes.true_matches import true_points
 from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 
@@ -124,7 +125,7 @@ def test_matches_without_a_pose_are_exported(fresh: WorkbenchDriver) -> None:
     assert job.state == "done", job.message
     path, _ = fresh.workbench.export_file("p1") or (Path(), "")
     with zipfile.ZipFile(path) as file:
-        assert file.namelist() == ["matches.json"]
+        assert file.namelist() == ["matches.json", MANIFEST_FILE]
         assert len(json.loads(file.read("matches.json"))["matches"]) == 2
 
 
