@@ -23,6 +23,7 @@ from PIL import Image
 
 from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.formats import read_scan
+from ladarreg_core.manifest import MANIFEST_FILE
 from ladarreg_core.project.history import NOBODY
 from ladarreg_core.simulate.sample import sample_folder
 from testing.workbench.workbench_driver import WorkbenchDriver, open_bench, sample_bench
@@ -307,7 +308,7 @@ def test_a_zip_holds_the_files_of_the_command_line(registered: WorkbenchDriver) 
         assert set(file.namelist()) == {
             "registration.json", "report.html", "registered.png", "labels.png", "visibility.png", "uncertainty.png",
             "model.glb", "cloud.ply",
-            "matches.json",
+            "matches.json", MANIFEST_FILE,
         }  # fmt: skip
         told = json.loads(file.read("registration.json"))
     assert told["accepted"]
