@@ -294,7 +294,8 @@ def _with_assumed_camera(fixed: FinishedPose, photo: Photo, start: Rigid, prior:
     stated = photo.pinhole
     sigma = np.maximum(_sigmas_of_change(prior, stated), _EXACT)
     best = _settled(fixed, photo, fixed, sigma) if fixed.verification.accepted else None
-    if best is None or not best.verification.accepted or _conflicts(best, stated, sigma).any():
+    doubtful = best is None or (best.verification.fine_fraction or 0) < _SUFFICIENT_FINE_FRACTION
+    if best is None or doubtful or not best.verification.accepted or _conflicts(best, stated, sigma).any():
         coarse = _estimate(fixed, photo, start, NO_CHANGE, free=_FREE["auto"], coarsely=True)
         again = None if coarse is None else _settled(coarse, photo, fixed, sigma)
         if again is not None and (best is None or _rank(again) > _rank(best)):
