@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ladarreg.gateway.options import GatewayOptions
+from ladarreg.gateway.options import ConnectionLimits, GatewayOptions
 from ladarreg.gateway.protocol import Message, Picture, Visitor
 from ladarreg.gateway.routes import build_site
 from ladarreg.gateway.server import Gateway
@@ -28,6 +28,8 @@ from ladarreg_core.errors import FormatError, OptionError
 
 TOKEN = "a-token-of-tests"
 LOOK_TOKEN = "a-read-only-token-of-tests"
+PATIENT = ConnectionLimits(header_s=60.0)
+"""A crowded machine may take more than the usual ten seconds over a TLS handshake."""
 PNG = b"\x89PNG\r\n\x1a\n" + bytes(range(256))
 
 
@@ -156,9 +158,9 @@ class Running:
     ) -> tuple[int, dict[str, str], bytes]:
         """Send a request as our own page would; headers with an empty value are omitted."""
         connection = (
-            http.client.HTTPSConnection("127.0.0.1", self.port, timeout=20, context=self.tls)
+            http.client.HTTPSConnection("127.0.0.1", self.port, timeout=60, context=self.tls)
             if self.tls
-            else http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)
+            else http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
         )
         sent = {"Origin": self.origin, "Cookie": self.cookie if known else ""} | dict(headers or {})
         try:
@@ -201,6 +203,7 @@ class Running:
                     additional_headers={"Origin": self.origin, "Cookie": self.cookie},
                     ssl=self.tls,
                     proxy=None,
+                    open_timeout=60,
                     **({"max_size": None, "compression": None} | more),
                 ) as page,
             ):
@@ -216,7 +219,7 @@ def running(
 ) -> Iterator[Running]:
     """Run a gateway, and log in to it."""
     tls = options.pop("context", None)
-    settings = GatewayOptions(**({"port": 0} | options))
+    settings = GatewayOptions(**({"port": 0, "limits": PATIENT} | options))
     bench = CountingWorkbench(room)
     where = viser or ViserAddress("127.0.0.1", 9, "no server")
     gateway = Gateway(
@@ -241,7 +244,7 @@ def running(
 
 def hear(socket: ClientConnection) -> dict[str, Any]:
     """Return the next message."""
-    message = json.loads(socket.recv(timeout=10))
+    message = json.loads(socket.recv(timeout=60))
     assert isinstance(message, dict)
     return message
 
@@ -250,12 +253,12 @@ def closing_code(socket: ClientConnection) -> int:
     """Receive until the other side closes, and return its code; 1006 if there is none."""
     try:
         while True:
-            socket.recv(timeout=10)
+            socket.recv(timeout=60)
     except ConnectionClosed as closed:
         return closed.rcvd.code if closed.rcvd else 1006
 
 
-def soon(what: Callable[[], bool], *, seconds: float = 5.0) -> bool:
+def soon(what: Callable[[], bool], *, seconds: float = 60.0) -> bool:
     """Return whether a condition becomes true in time."""
     until = time.monotonic() + seconds
     while not what():

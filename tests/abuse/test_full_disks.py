@@ -9,7 +9,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -29,6 +28,7 @@ from ladarreg_core.project.rescue import write_rescue_copy
 from ladarreg_core.simulate.sample import sample_folder
 from testing.attacks.drawing import begin, draw, work_until_killed
 from testing.attacks.full_disk import DiskNotMounted, fill, free, largest_file, small_disk
+from testing.workbench.gateway_driver import soon
 from testing.workbench.processes import restore_ctrl_c
 from testing.workbench.served import Page, Served
 
@@ -123,6 +123,9 @@ def test_full_disks_and_kills_lose_no_edit_reported_as_saved(tmp_path: Path) -> 
 def test_queued_edits_are_saved_once_the_disk_has_space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ladarreg.session.session.RETRY_S", 0.1)
     session = begin(tmp_path / "p")
+    tried: list[None] = []
+    settle = session.folder.settle
+    monkeypatch.setattr(session.folder, "settle", lambda: tried.append(None) or settle())
     reported = []
     session.subscribe(lambda change: reported.append(session.unsaved))
     assert draw(session, 0)
@@ -130,13 +133,11 @@ def test_queued_edits_are_saved_once_the_disk_has_space(tmp_path: Path, monkeypa
         assert [draw(session, k) for k in range(1, 5)] == [False] * 4
         session.undo()
         session.redo()
-        time.sleep(0.5)
+        before = len(tried)
+        assert soon(lambda: len(tried) >= before + 3), "it tries again and again"
         assert "cannot write" in session.unsaved
-    end = time.monotonic() + 20
-    while session.unsaved and time.monotonic() < end:
-        time.sleep(0.02)
-    assert not session.unsaved, "nobody did anything"
-    assert reported[-1] == "", "listeners are notified once the disk has everything"
+    assert soon(lambda: not session.unsaved), "nobody did anything"
+    assert soon(lambda: reported[-1] == ""), "listeners are notified once the disk has everything"
     shutil.copytree(tmp_path / "p", tmp_path / "copy")
     assert drawn(tmp_path / "copy") == list(range(5))
     session.close()

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from ladarreg.jobs import automatic
+from ladarreg.jobs.automatic import AutomaticSolver
 from msgspec.structs import replace
 
 from ladarreg_core.project.document import Document
@@ -16,9 +18,20 @@ from testing.scenes.true_matches import true_points
 from testing.workbench.workbench_driver import WorkbenchDriver, open_bench, sample_bench
 
 
+class Requests(dict[str, float]):
+    """What an automatic solver was asked for, with the number of requests that it has taken up."""
+
+    taken = 0
+
+    def __delitem__(self, photo: str) -> None:
+        self.taken += 1
+        super().__delitem__(photo)
+
+
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[WorkbenchDriver]:
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[WorkbenchDriver]:
     """A workbench that solves by itself."""
+    monkeypatch.setattr(automatic, "PAUSE_S", 0.05)
     found = sample_bench(tmp_path / "project", solve_automatically=True)
     yield found
     found.workbench.close()
@@ -41,10 +54,30 @@ def labels(bench: WorkbenchDriver) -> list[str]:
     return [entry["label"] for entry in bench.slice("history")["entries"]]
 
 
-def settled(bench: WorkbenchDriver) -> None:
-    """Wait until automatic solving had its chance."""
-    time.sleep(0.5)
-    bench.eventually(lambda: not bench.slice("solving:p1")["busy"])
+def watched(bench: WorkbenchDriver) -> tuple[AutomaticSolver, Requests, list[bool]]:
+    """Return the solver, its requests, and a list that gets an item when it is done with one: whether a job ran."""
+    solver = bench.workbench.jobs._automatic
+    assert solver is not None
+    requests, done, solve = Requests(), list[bool](), solver._solve_photo
+
+    def solve_photo(photo: str) -> None:
+        busy = bench.workbench.runner.is_busy
+        try:
+            solve(photo)
+        finally:
+            done.append(busy)
+
+    with solver._changed:
+        assert not solver._wanted
+        solver._wanted, solver._solve_photo = requests, solve_photo  # type: ignore[method-assign]
+    return solver, requests, done
+
+
+def settled(bench: WorkbenchDriver, seen: tuple[AutomaticSolver, Requests, list[bool]]) -> None:
+    """Wait until the automatic solver has done, or declined, everything that it was asked for by now."""
+    _, requests, done = seen
+    bench.eventually(lambda: not requests and requests.taken == len(done))
+    assert not bench.slice("solving:p1")["busy"]
 
 
 def test_drawn_matches_are_solved_and_verified_quietly(bench: WorkbenchDriver) -> None:
@@ -67,46 +100,55 @@ def test_drawn_matches_are_solved_and_verified_quietly(bench: WorkbenchDriver) -
 
 
 def test_below_the_minimum_and_above_the_limit_nothing_is_solved(bench: WorkbenchDriver) -> None:
+    seen = watched(bench)
     draw(bench, 3)
-    settled(bench)
+    settled(bench, seen)
+    assert seen[1].taken
     assert stages(bench) == []
     bench.do("set_settings", solve_up_to=4)
     draw(bench, 2, begin=3)
-    settled(bench)
+    settled(bench, seen)
     assert stages(bench) == []
     bench.do("set_settings", solve_automatically=False, solve_up_to=200)
     draw(bench, 1, begin=5)
-    settled(bench)
+    settled(bench, seen)
     assert stages(bench) == []
 
 
 def test_a_pose_below_the_minimum_is_out_of_date(bench: WorkbenchDriver) -> None:
     names = draw(bench, 7)
     solved(bench)
+    bench.eventually(lambda: not bench.slice("solving:p1")["busy"])
+    seen = watched(bench)
     bench.do("remove_picks", photo="p1", picks=names[:5])
-    settled(bench)
+    settled(bench, seen)
     assert [stage["stale"] for stage in stages(bench)] == ["5 matches changed since: solve again"]
 
 
 def test_a_job_goes_first(bench: WorkbenchDriver) -> None:
     draw(bench, 7)
     solved(bench)
+    bench.eventually(lambda: not bench.slice("solving:p1")["busy"])
+    _, requests, done = watched(bench)
     bench.do("run", photo="p1", job="simplex")
     bench.do("job_control", action="pause")
     bench.do("set_pick", photo="p1", pick="1", weight=2)
-    settled(bench)
+    bench.eventually(lambda: requests["p1"] < time.monotonic())
     assert [stage["stale"] == "" for stage in stages(bench)] == [False], "it waits for the paused job"
     bench.do("job_control", action="stop")
     assert solved(bench)["stage"] == "robust"
+    bench.eventually(lambda: len(done) == requests.taken)
+    assert not any(done), "nothing was solved while the job ran"
 
 
 def test_a_stage_that_the_operator_chose_stays(bench: WorkbenchDriver) -> None:
     bench.do("set_settings", solve_automatically=False)
     draw(bench, 12)
     assert bench.job("linear").state == "done"
+    seen = watched(bench)
     bench.do("set_settings", solve_automatically=True)
     bench.do("set_pick", photo="p1", pick="1", weight=2)
-    settled(bench)
+    settled(bench, seen)
     assert [(s["stage"], s["stale"] == "") for s in stages(bench)] == [("linear", False)]
 
 
