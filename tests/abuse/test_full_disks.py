@@ -33,7 +33,6 @@ from testing.workbench.processes import restore_ctrl_c
 from testing.workbench.served import Page, Served
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="no limit of file sizes and no kill -9 on Windows")
-ROUNDS = 20
 TOKEN = "a-token-for-full-disks"
 
 
@@ -91,12 +90,14 @@ def test_remains_of_a_failed_append_are_truncated_before_the_next(
 
 
 @POSIX
-def test_full_disks_and_kills_lose_no_edit_reported_as_saved(tmp_path: Path) -> None:
+@pytest.mark.slow
+@pytest.mark.parametrize("rounds", [4, pytest.param(20, marks=pytest.mark.long)])
+def test_full_disks_and_kills_lose_no_edit_reported_as_saved(tmp_path: Path, rounds: int) -> None:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["testing.attacks.drawing"])
     rng = random.Random(1)
     not_saved = 0
-    for round_ in range(ROUNDS):
+    for round_ in range(rounds):
         place = tmp_path / str(round_)
         mine, theirs = context.Pipe(duplex=False)
         process = context.Process(target=work_until_killed, args=(str(place), round_, theirs))
@@ -105,7 +106,7 @@ def test_full_disks_and_kills_lose_no_edit_reported_as_saved(tmp_path: Path) -> 
         answers = [mine.recv() for _ in range(rng.randrange(10, 40))]
         assert process.pid is not None
         os.kill(process.pid, signal.SIGKILL)
-        process.join(30)
+        process.join(60)
         while True:
             try:
                 answers.append(mine.recv())
@@ -116,7 +117,7 @@ def test_full_disks_and_kills_lose_no_edit_reported_as_saved(tmp_path: Path) -> 
         assert found == list(range(len(found)))
         assert len(found) > last, "every edit before one that was saved is saved, too"
         not_saved += sum(not saved for _, saved in answers)
-    assert not_saved > ROUNDS, "the disks were full"
+    assert not_saved > rounds, "the disks were full"
 
 
 @POSIX
@@ -249,6 +250,7 @@ def test_a_full_disk(disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a folder that is open cannot be moved there, nor Ctrl-C be sent")
+@pytest.mark.slow
 def test_a_server_that_cannot_save_says_so_and_ends_with_1(tmp_path: Path) -> None:
     sample = sample_folder()
     surroundings = {**os.environ, "LADARREG_HOME": str(tmp_path / "home"), "OMP_NUM_THREADS": "1"}

@@ -1,4 +1,4 @@
-"""Ten kills while three clients edit."""
+"""Kills while three clients edit."""
 
 from __future__ import annotations
 
@@ -13,6 +13,15 @@ from testing.attacks.kill_rounds import KillRound, kill_rounds
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="no kill -9 to send")
 
 
+@pytest.mark.slow
+def test_two_kills_lose_no_saved_edit(tmp_path: Path) -> None:
+    rounds = list(kill_rounds(tmp_path, 2, seed=1, scan=False))
+    assert [text for found in rounds for text in found.lost] == []
+    assert len(rounds) == 2
+    assert sum(found.answered for found in rounds) > 10
+
+
+@pytest.mark.long
 def test_ten_kills_lose_no_saved_edit(tmp_path: Path) -> None:
     def five(k: int) -> list[KillRound]:
         return list(kill_rounds(tmp_path / str(k), 5, seed=k, scan=k == 0))
