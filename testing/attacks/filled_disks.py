@@ -17,7 +17,7 @@ from testing.attacks.kill_rounds import with_photo
 from testing.attacks.server_process import Editor, Server, ServerGone, matches_of, start_server
 
 _DISK_MB = 8
-_RETRIED_S = 8.0
+_RETRIED_S = 60.0
 """Time within which a server that waits for free space tries again."""
 
 

@@ -56,18 +56,23 @@ def readers_of(kind: str, name: str, folder: Path) -> dict[str, Callable[[Path],
     return found
 
 
-def main(folder: str, name: str, first: str, last: str, patience_s: str, keep: str = "") -> None:
-    """Read the damaged files of a range of numbers.
+def main(folder: str, names: str, first: str, last: str, patience_s: str, keep: str = "") -> None:
+    """Read the damaged files of a range of numbers, of one format after the other.
 
     Args:
         folder: contains the seeds.
-        name: of the format.
-        first: number of the first damaged file.
-        last: number after the last.
+        names: of the formats, as a JSON list.
+        first: number of the first damaged file of the first format; the others begin with 0.
+        last: number after the last of each.
         patience_s: wall time after which the process ends itself.
         keep: folder that files are copied to which cost too much or raise what they should not.
     """
-    home = Path(folder)
+    for name in json.loads(names):
+        _read_format(Path(folder), name, range(int(first), int(last)), float(patience_s), keep)
+        first = "0"
+
+
+def _read_format(home: Path, name: str, numbers: range, patience_s: float, keep: str) -> None:
     seeds = [seed for seed in seeds_in(home) if seed.format == name]
     kind = next(known.kind for known in FORMATS if known.name == name)
     readers = readers_of(kind, name, home)
@@ -77,14 +82,13 @@ def main(folder: str, name: str, first: str, last: str, patience_s: str, keep: s
                 reader(seed.file)
     _limit_address_space()
     room = home / f"work-{os.getpid()}"
-    for number in range(int(first), int(last)):
+    for number in numbers:
         seed = seeds[number % len(seeds)]
         shutil.copytree(seed.file.parent, room)
         data = mutated(seed.damaged.read_bytes(), seed=f"{seed.name} {number}")
         (room / seed.damaged.name).write_bytes(data)
-        row = {"number": number, "seed": seed.name, "bytes": len(data)} | _read(
-            room / seed.file.name, readers, float(patience_s)
-        )
+        row = {"format": name, "number": number, "seed": seed.name, "bytes": len(data)}
+        row |= _read(room / seed.file.name, readers, patience_s)
         if row["faults"] and keep:
             Path(keep).mkdir(parents=True, exist_ok=True)
             shutil.copyfile(room / seed.damaged.name, Path(keep) / f"{number}-{seed.damaged.name}")

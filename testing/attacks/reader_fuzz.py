@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -30,35 +31,57 @@ class Readings:
 
 
 def read_damaged(
-    folder: Path, name: str, first: int, last: int, *, patience_s: float = 30.0, keep: Path | None = None
+    folder: Path, name: str, first: int, last: int, *, patience_s: float = 120.0, keep: Path | None = None
 ) -> Readings:
-    """Read damaged files in a child process; if it dies, another continues with the next file.
+    """Read damaged files of a format in a child process; as `read_damaged_formats`."""
+    (found,) = read_damaged_formats(folder, [name], last, first=first, patience_s=patience_s, keep=keep)
+    return found
+
+
+def read_damaged_formats(
+    folder: Path,
+    names: Sequence[str],
+    last: int,
+    *,
+    first: int = 0,
+    patience_s: float = 120.0,
+    keep: Path | None = None,
+) -> list[Readings]:
+    """Read damaged files in one child process; if it dies, another continues with the next file.
 
     Args:
         folder: contains the seeds.
-        name: of the format.
-        first: number of the first damaged file.
-        last: number after the last.
+        names: of the formats.
+        last: number after the last damaged file of each format.
+        first: number of the first one of the first format; the others begin with 0.
         patience_s: wall time after which a reader is taken to hang.
         keep: folder that files at fault are copied to.
     """
-    found = Readings(name)
-    while first < last:
-        words = ["testing.attacks.reader_child", folder, name, first, last, patience_s, *([keep] if keep else [])]
+    found, left = [Readings(name) for name in names], [*names]
+    while left:
+        words = ["testing.attacks.reader_child", folder, json.dumps(left), first, last, patience_s]
         done = subprocess.run(
-            [sys.executable, "-m", *map(str, words)], capture_output=True, text=True, check=False, cwd=CHECKOUT,
+            [sys.executable, "-m", *map(str, [*words, *([keep] if keep else [])])],
+            capture_output=True, text=True, check=False, cwd=CHECKOUT,
             env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(CHECKOUT)},
         )  # fmt: skip
         rows = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
         for row in rows:
-            _add(found, row)
-        first += len(rows)
-        if first < last:
+            _add(found[names.index(row["format"])], row)
+        first = max((row["number"] + 1 for row in rows if row["format"] == left[0]), default=first)
+        while left and first >= last:
+            del left[0]
+            first = max((row["number"] + 1 for row in rows if left and row["format"] == left[0]), default=0)
+        if left:
             if not rows and done.returncode == 1 and "Timeout" not in done.stderr:  # the harness itself failed
                 raise RuntimeError(done.stderr[-2000:])
-            found.files += 1
-            found.faults.append(f"file {first}: {_death(done.returncode, done.stderr, patience_s)}")
+            died = found[names.index(left[0])]
+            died.files += 1
+            died.faults.append(f"file {first}: {_death(done.returncode, done.stderr, patience_s)}")
             first += 1
+            if first >= last:
+                del left[0]
+                first = 0
     return found
 
 

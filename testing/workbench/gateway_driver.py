@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ladarreg.gateway.options import GatewayOptions
+from ladarreg.gateway.options import ConnectionLimits, GatewayOptions
 from ladarreg.gateway.protocol import Message, Picture, Visitor
 from ladarreg.gateway.routes import build_site
 from ladarreg.gateway.server import Gateway
@@ -28,6 +28,8 @@ from ladarreg_core.errors import FormatError, OptionError
 
 TOKEN = "a-token-of-tests"
 LOOK_TOKEN = "a-read-only-token-of-tests"
+PATIENT = ConnectionLimits(header_s=60.0)
+"""A crowded machine may take more than the usual ten seconds over a TLS handshake."""
 PNG = b"\x89PNG\r\n\x1a\n" + bytes(range(256))
 
 
@@ -201,6 +203,7 @@ class Running:
                     additional_headers={"Origin": self.origin, "Cookie": self.cookie},
                     ssl=self.tls,
                     proxy=None,
+                    open_timeout=60,
                     **({"max_size": None, "compression": None} | more),
                 ) as page,
             ):
@@ -216,7 +219,7 @@ def running(
 ) -> Iterator[Running]:
     """Run a gateway, and log in to it."""
     tls = options.pop("context", None)
-    settings = GatewayOptions(**({"port": 0} | options))
+    settings = GatewayOptions(**({"port": 0, "limits": PATIENT} | options))
     bench = CountingWorkbench(room)
     where = viser or ViserAddress("127.0.0.1", 9, "no server")
     gateway = Gateway(

@@ -5,11 +5,7 @@ from __future__ import annotations
 import signal
 
 
-def restore_ctrl_c() -> None:
-    """Restore Ctrl-C in a new process: a shell makes its background jobs, and they their children, ignore it.
-
-    Likewise the end of a terminal, which `nohup` makes them ignore.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    if hasattr(signal, "SIGHUP"):
-        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+def restore_stop_signals() -> None:
+    """Restore Ctrl-C and SIGHUP in a new process: under `nohup`, tests and their children ignore SIGHUP, too."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)

@@ -7,7 +7,7 @@ import os
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 from websockets.sync.client import ClientConnection
 
 from testing.workbench.gateway_driver import TOKEN, Running, hear
-from testing.workbench.processes import restore_ctrl_c
+from testing.workbench.processes import restore_stop_signals
 
 CHECKOUT = Path(__file__).parents[2]
 
@@ -45,23 +45,35 @@ class Server:
         return self.process.communicate(timeout=seconds)[1]
 
 
-def start(project: Path, *words: str, **surroundings: str) -> subprocess.Popen[str]:
+PATIENT_PROGRAM = """
+from ladarreg import stop_signals
+from ladarreg.gateway import server
+stop_signals.ONE_REQUEST_S, server._GRACE_S = {one_request_s}, {grace_s}
+from ladarreg.cli import entry_point
+entry_point()
+"""
+"""The program with other times: within which stop signals are one request, and for which requests are waited for."""
+
+
+def start(
+    project: Path, *words: str, program: Sequence[str] = ("-m", "ladarreg"), **surroundings: str
+) -> subprocess.Popen[str]:
     """Start the program on a project, new or not."""
     return subprocess.Popen(
-        [sys.executable, "-m", "ladarreg", "serve", "--project", str(project), "--port", "0", "--no-browser", *words],
+        [sys.executable, *program, "serve", "--project", str(project), "--port", "0", "--no-browser", *words],
         cwd=CHECKOUT,
         env=os.environ | {"LADARREG_TOKEN": TOKEN, "LADARREG_HOME": str(project.parent)} | surroundings,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=restore_ctrl_c if os.name == "posix" else None,
+        preexec_fn=restore_stop_signals if os.name == "posix" else None,
     )
 
 
 @contextmanager
-def serving(project: Path, *words: str) -> Iterator[Server]:
+def serving(project: Path, *words: str, program: Sequence[str] = ("-m", "ladarreg")) -> Iterator[Server]:
     """Run the program on a project, and kill it at the end if it is still running."""
-    process = start(project, *words)
+    process = start(project, *words, program=program)
     try:
         yield Server(process)
     finally:
@@ -82,9 +94,18 @@ def name_of(project: Path) -> str:
     return str(json.loads((project / "project.json").read_bytes())["name"])
 
 
+def is_listening(there: Running) -> bool:
+    """Whether a gateway accepts connections."""
+    try:
+        socket.create_connection(("127.0.0.1", there.port), timeout=60).close()
+    except OSError:
+        return False
+    return True
+
+
 def begin_upload(there: Running) -> socket.socket:
     """Begin an upload that is never completed."""
-    line = socket.create_connection(("127.0.0.1", there.port), timeout=10)
+    line = socket.create_connection(("127.0.0.1", there.port), timeout=60)
     head = "POST /upload?what=scan HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localhost\r\nX-File-Name: a.e57\r\n"
     line.sendall(f"{head}Cookie: {there.cookie}\r\nContent-Length: 100000\r\n\r\nabc".encode())
     return line

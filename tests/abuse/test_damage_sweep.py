@@ -8,10 +8,8 @@ import pytest
 
 from testing.attacks.project_damage import Reference, flipped, make_project, missing, opened_by_the_workbench
 
-_FLIPS = 40
 
-
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def reference(tmp_path_factory: pytest.TempPathFactory) -> Reference:
     return make_project(tmp_path_factory.mktemp("reference") / "project")
 
@@ -21,8 +19,11 @@ def own_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("LADARREG_HOME", str(tmp_path / "home"))
 
 
-def test_one_flipped_bit_loses_only_what_it_hit(reference: Reference, tmp_path: Path) -> None:
-    damaged = [flipped(reference, tmp_path, seed=str(k)) for k in range(_FLIPS)]
+@pytest.mark.parametrize(
+    "flips", [range(10), pytest.param(range(10, 200), marks=pytest.mark.long)], ids=["few", "many"]
+)
+def test_one_flipped_bit_loses_only_what_it_hit(reference: Reference, tmp_path: Path, flips: range) -> None:
+    damaged = [flipped(reference, tmp_path, seed=str(k)) for k in flips]
     assert [f"{found.what}: {text}" for found in damaged for text in found.losses] == []
 
 

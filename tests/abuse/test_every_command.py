@@ -226,7 +226,7 @@ class Page:
         assert all(a.document == b.document for a, b in zip(found.entries, kept.entries, strict=True))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     """A workbench with matches, a pose, a served folder and three photographs."""
     home, sample = tmp_path_factory.mktemp("commands"), sample_folder()
@@ -269,14 +269,17 @@ def test_the_sweep_knows_every_command() -> None:
 
 
 @pytest.mark.parametrize("do", sorted(SOUND))
-def test_a_command_is_refused_or_saved(page: Page, tmp_path: Path, do: str) -> None:
+@pytest.mark.parametrize("share", [5, pytest.param(1, marks=pytest.mark.long)], ids=["some", "all"])
+def test_a_command_is_refused_or_saved(page: Page, tmp_path: Path, do: str, share: int) -> None:
+    """With every fifth hostile value, another fifth for every argument; or with all of them."""
     page.bench.do("go_to", n=max(entry["n"] for entry in page.bench.slice("history")["entries"]))
     last = page.bench.workbench.session.history.present.number
     for sound in SOUND[do]:
         fields = as_json(sound, tmp_path / "results")
         page.try_it(message(do, fields))
-        for name in fields:
-            for hostile in FEW.get((do, name), HOSTILE):
+        for k, name in enumerate(fields):
+            values = FEW.get((do, name), HOSTILE)
+            for hostile in values[(k + len(do)) % min(share, len(values)) :: share]:
                 if name == "folder":
                     hostile = json.dumps(f"{tmp_path}/out/")[:-1] + hostile[1:]
                 page.try_it(message(do, {**fields, name: hostile}))

@@ -9,9 +9,10 @@ import random
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from functools import partial
+from multiprocessing.connection import Connection
+from multiprocessing.synchronize import Barrier
 from pathlib import Path
 
 import pytest
@@ -263,7 +264,7 @@ killing = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system
 PROCESSES = multiprocessing.get_context("spawn" if sys.platform == "win32" else "forkserver")
 
 
-@pytest.fixture(scope="module", autouse=True)
+@pytest.fixture(scope="session", autouse=True)
 def _loaded_once() -> None:
     if sys.platform != "win32":
         PROCESSES.set_forkserver_preload([__name__, "ladarreg_core.export.folder", "testing.scenes.small_registration"])
@@ -343,11 +344,12 @@ def killed(process: multiprocessing.process.BaseProcess) -> None:
     assert process.exitcode == -signal.SIGKILL
 
 
-def export_for_ever(out: Path, exchange: bool) -> None:
+def export_for_ever(out: Path, exchange: bool, told: Connection) -> None:
     if not exchange:
         staging._exchange = lambda first, second: False
     for k in range(1, 10**9):
         write_folder(out, lambda k=k: results(k), force=True)
+        told.send(k)
 
 
 @killing
@@ -356,9 +358,15 @@ def test_killed_again_and_again_nothing_is_lost_and_nothing_stays(tmp_path: Path
     out, draw = tmp_path / "out", random.Random(exchange)
     write_folder(out, lambda: results(0))
     for _ in range(8):
-        process = PROCESSES.Process(target=export_for_ever, args=(out, exchange))
+        heard, told = PROCESSES.Pipe(duplex=False)
+        process = PROCESSES.Process(target=export_for_ever, args=(out, exchange, told))
         process.start()
-        time.sleep(0.1 + 0.1 * draw.random())
+        told.close()
+        for _ in range(draw.randrange(1, 8)):
+            heard.recv()
+        if draw.random() < 0.7:  # in the middle of the next one
+            while len(list(tmp_path.iterdir())) < 2:
+                pass
         process.kill()
         process.join()
         check_folder(tmp_path / "beside")
@@ -366,11 +374,11 @@ def test_killed_again_and_again_nothing_is_lost_and_nothing_stays(tmp_path: Path
         assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def export_beside_others(out: Path, seconds: float, exchange: bool) -> None:
+def export_beside_others(out: Path, times: int, exchange: bool, together: Barrier) -> None:
     if not exchange:
         staging._exchange = lambda first, second: False
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
+    together.wait(60)
+    for _ in range(times):
         try:
             write_folder(out, lambda: results(os.getpid()), force=True)
         except ExportError:
@@ -381,7 +389,8 @@ def export_beside_others(out: Path, seconds: float, exchange: bool) -> None:
 def test_concurrent_programs_leave_one_complete_result(tmp_path: Path, exchange: bool) -> None:
     out = tmp_path / "out"
     write_folder(out, lambda: results(0))
-    processes = [PROCESSES.Process(target=export_beside_others, args=(out, 0.7, exchange)) for _ in range(3)]
+    together = PROCESSES.Barrier(3)
+    processes = [PROCESSES.Process(target=export_beside_others, args=(out, 30, exchange, together)) for _ in range(3)]
     for process in processes:
         process.start()
     for process in processes:

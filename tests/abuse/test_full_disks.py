@@ -9,7 +9,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -29,11 +28,11 @@ from ladarreg_core.project.rescue import write_rescue_copy
 from ladarreg_core.simulate.sample import sample_folder
 from testing.attacks.drawing import begin, draw, work_until_killed
 from testing.attacks.full_disk import DiskNotMounted, fill, free, largest_file, small_disk
-from testing.workbench.processes import restore_ctrl_c
+from testing.workbench.gateway_driver import soon
+from testing.workbench.processes import restore_stop_signals
 from testing.workbench.served import Page, Served
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="no limit of file sizes and no kill -9 on Windows")
-ROUNDS = 20
 TOKEN = "a-token-for-full-disks"
 
 
@@ -91,12 +90,14 @@ def test_remains_of_a_failed_append_are_truncated_before_the_next(
 
 
 @POSIX
-def test_full_disks_and_kills_lose_no_edit_reported_as_saved(tmp_path: Path) -> None:
+@pytest.mark.slow
+@pytest.mark.parametrize("rounds", [4, pytest.param(20, marks=pytest.mark.long)])
+def test_full_disks_and_kills_lose_no_edit_reported_as_saved(tmp_path: Path, rounds: int) -> None:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["testing.attacks.drawing"])
     rng = random.Random(1)
     not_saved = 0
-    for round_ in range(ROUNDS):
+    for round_ in range(rounds):
         place = tmp_path / str(round_)
         mine, theirs = context.Pipe(duplex=False)
         process = context.Process(target=work_until_killed, args=(str(place), round_, theirs))
@@ -105,7 +106,7 @@ def test_full_disks_and_kills_lose_no_edit_reported_as_saved(tmp_path: Path) -> 
         answers = [mine.recv() for _ in range(rng.randrange(10, 40))]
         assert process.pid is not None
         os.kill(process.pid, signal.SIGKILL)
-        process.join(30)
+        process.join(60)
         while True:
             try:
                 answers.append(mine.recv())
@@ -116,13 +117,16 @@ def test_full_disks_and_kills_lose_no_edit_reported_as_saved(tmp_path: Path) -> 
         assert found == list(range(len(found)))
         assert len(found) > last, "every edit before one that was saved is saved, too"
         not_saved += sum(not saved for _, saved in answers)
-    assert not_saved > ROUNDS, "the disks were full"
+    assert not_saved > rounds, "the disks were full"
 
 
 @POSIX
 def test_queued_edits_are_saved_once_the_disk_has_space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ladarreg.session.session.RETRY_S", 0.1)
     session = begin(tmp_path / "p")
+    tried: list[None] = []
+    settle = session.folder.settle
+    monkeypatch.setattr(session.folder, "settle", lambda: tried.append(None) or settle())
     reported = []
     session.subscribe(lambda change: reported.append(session.unsaved))
     assert draw(session, 0)
@@ -130,13 +134,11 @@ def test_queued_edits_are_saved_once_the_disk_has_space(tmp_path: Path, monkeypa
         assert [draw(session, k) for k in range(1, 5)] == [False] * 4
         session.undo()
         session.redo()
-        time.sleep(0.5)
+        before = len(tried)
+        assert soon(lambda: len(tried) >= before + 3), "it tries again and again"
         assert "cannot write" in session.unsaved
-    end = time.monotonic() + 20
-    while session.unsaved and time.monotonic() < end:
-        time.sleep(0.02)
-    assert not session.unsaved, "nobody did anything"
-    assert reported[-1] == "", "listeners are notified once the disk has everything"
+    assert soon(lambda: not session.unsaved), "nobody did anything"
+    assert soon(lambda: reported[-1] == ""), "listeners are notified once the disk has everything"
     shutil.copytree(tmp_path / "p", tmp_path / "copy")
     assert drawn(tmp_path / "copy") == list(range(5))
     session.close()
@@ -248,13 +250,14 @@ def test_a_full_disk(disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a folder that is open cannot be moved there, nor Ctrl-C be sent")
+@pytest.mark.slow
 def test_a_server_that_cannot_save_says_so_and_ends_with_1(tmp_path: Path) -> None:
     sample = sample_folder()
     surroundings = {**os.environ, "LADARREG_HOME": str(tmp_path / "home"), "OMP_NUM_THREADS": "1"}
     process = subprocess.Popen(
         [sys.executable, "-m", "ladarreg", "serve", str(sample / "scan.npz"), str(next(sample.glob("photo.*"))),
          "--project", str(tmp_path / "p"), "--port", "0", "--no-browser", "--token", TOKEN],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=surroundings, preexec_fn=restore_ctrl_c,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=surroundings, preexec_fn=restore_stop_signals,
     )  # fmt: skip
     try:
         assert process.stdout is not None

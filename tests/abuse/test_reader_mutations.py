@@ -9,34 +9,44 @@ import pytest
 
 from ladarreg_core.formats import FORMATS
 from testing.attacks.mutations import LARGEST, mutated
-from testing.attacks.reader_fuzz import read_damaged
+from testing.attacks.reader_fuzz import read_damaged, read_damaged_formats
 from testing.files.seed_files import Seed, write_seeds
 
 _FEW, _MANY = 10, 50
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def seeds(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Seed]]:
     folder = tmp_path_factory.mktemp("seeds")
     return folder, write_seeds(folder)
 
 
-@pytest.mark.parametrize("name", [known.name for known in FORMATS])
-@pytest.mark.parametrize(
-    "count", [pytest.param(_FEW, marks=pytest.mark.slow), pytest.param(_MANY, marks=pytest.mark.long)]
-)
-def test_damaged_files_only_cause_errors(seeds: tuple[Path, list[Seed]], name: str, count: int) -> None:
+def is_installed(name: str) -> bool:
+    package = {"E57": "pye57", "ROS bag": "rosbags"}.get(name)
+    return package is None or importlib.util.find_spec(package) is not None
+
+
+@pytest.mark.slow
+def test_damaged_files_only_cause_errors(seeds: tuple[Path, list[Seed]]) -> None:
     folder, known = seeds
-    if name == "E57" and importlib.util.find_spec("pye57") is None:
-        pytest.skip("pye57 is not installed")
-    if name == "ROS bag" and importlib.util.find_spec("rosbags") is None:
-        pytest.skip("rosbags is not installed")
-    assert any(seed.format == name for seed in known), f"add seed_files(folder) to the tests of {name}"
-    found = read_damaged(folder, name, 0, count)
+    names = [known.name for known in FORMATS if is_installed(known.name)]
+    for name in names:
+        assert any(seed.format == name for seed in known), f"add seed_files(folder) to the tests of {name}"
+    readings = read_damaged_formats(folder, names, _FEW)
+    assert [(found.format, found.files, found.faults) for found in readings] == [(name, _FEW, []) for name in names]
+    assert all(found.refused for found in readings)
+    assert sum(found.refused for found in readings) < _FEW * len(names), "some are so little damaged that they are read"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", [known.name for known in FORMATS])
+def test_many_damaged_files_only_cause_errors(seeds: tuple[Path, list[Seed]], name: str) -> None:
+    if not is_installed(name):
+        pytest.skip("its package is not installed")
+    found = read_damaged(seeds[0], name, 0, _MANY)
     assert found.faults == []
-    assert found.files == count
-    assert found.refused > 0
-    assert count == _FEW or found.refused < count, "some are refused, and some are so little damaged that they are read"
+    assert found.files == _MANY
+    assert 0 < found.refused < _MANY, "some are refused, and some are so little damaged that they are read"
 
 
 def test_the_same_seed_gives_the_same_damage(seeds: tuple[Path, list[Seed]]) -> None:

@@ -12,6 +12,7 @@ from testing.attacks.filled_disks import LimitedDisk, full_disk
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="no limit of file sizes can be set from outside")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "ends"), [(1, "torn"), (2, "stop")])
 def test_edits_reported_as_saved_survive_a_truncated_record(tmp_path: Path, seed: int, ends: str) -> None:
     (tmp_path / "disk").mkdir()

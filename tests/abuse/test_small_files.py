@@ -14,6 +14,7 @@ _MOST_BYTES, _MOST_SECONDS = 1_000_000_000, 5.0
 _QUICKLY_BYTES, _QUICKLY_SECONDS = 150_000_000, 1.0
 
 
+@pytest.mark.slow
 def test_claims_are_refused_before_anything_is_allocated(tmp_path: Path) -> None:
     pytest.importorskip("pye57")
     refused = {
@@ -43,6 +44,7 @@ def test_claims_are_refused_before_anything_is_allocated(tmp_path: Path) -> None
         assert cost.seconds < _QUICKLY_SECONDS, (name, cost)
 
 
+@pytest.mark.slow
 def test_the_largest_permitted_expansion_of_small_files(tmp_path: Path) -> None:
     largest = [
         ("scan", bombs.compressed_pcd(tmp_path / "a.pcd", width=1_900_000, height=1)),
@@ -56,6 +58,7 @@ def test_the_largest_permitted_expansion_of_small_files(tmp_path: Path) -> None:
         assert cost.seconds < _MOST_SECONDS, (path.name, cost)
 
 
+@pytest.mark.slow
 def test_large_text_files_are_refused_by_their_size(tmp_path: Path) -> None:
     jobs = [
         ("matches", bombs.matches_json(tmp_path / "a.json", count=400_000)),

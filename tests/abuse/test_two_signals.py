@@ -1,39 +1,46 @@
-"""Two different stop signals in quick succession, to a real server: a clean end for all signals and gaps."""
+"""Two different stop signals in quick succession, to a real server: a clean end for all signals and moments."""
 
 from __future__ import annotations
 
 import signal
 import sys
-import time
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from websockets.sync.client import ClientConnection
 
-from testing.workbench.serve_process import ask, name_of, serving
+from testing.workbench.gateway_driver import Running, closing_code, soon
+from testing.workbench.serve_process import PATIENT_PROGRAM, ask, is_listening, name_of, serving
 
-TRIES = 6
-TOGETHER = 2
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")]
+PAIRS = ((signal.SIGINT, signal.SIGTERM), (signal.SIGTERM, signal.SIGHUP))
+MOMENTS: dict[str, Callable[[Running, ClientConnection], bool]] = {
+    "at once": lambda there, page: True,
+    "when pages are closed": lambda there, page: closing_code(page) == 1012,
+    "when it no longer listens": lambda there, page: soon(lambda: not is_listening(there)),
+}
+USUAL = {(PAIRS[0], "at once"), (PAIRS[1], "when pages are closed")}
+"""The others are tried by `make test-all` only."""
 
 
-def try_once(project: Path, first: signal.Signals, second: signal.Signals, gap_s: float) -> tuple[int | None, str, str]:
-    """Return the exit code, stderr and the project's name after two signals."""
-    with serving(project) as server, server.there.socket() as page:
-        assert ask(page, "rename", name=project.parent.name)["ok"]
-        server.process.send_signal(first)
-        time.sleep(gap_s)
-        server.process.send_signal(second)
+@pytest.mark.parametrize(
+    ("signals", "moment"),
+    [
+        pytest.param(pair, moment, marks=() if (pair, moment) in USUAL else pytest.mark.long)
+        for pair in PAIRS
+        for moment in MOMENTS
+    ],
+)
+def test_two_stop_signals_end_the_server_as_one_does(
+    tmp_path: Path, signals: tuple[signal.Signals, signal.Signals], moment: str
+) -> None:
+    project = tmp_path / "project"
+    program = ("-c", PATIENT_PROGRAM.format(one_request_s=600, grace_s=2))
+    with serving(project, program=program) as server, server.there.socket() as page:
+        assert ask(page, "rename", name="kept")["ok"]
+        server.process.send_signal(signals[0])
+        assert MOMENTS[moment](server.there, page)
+        server.process.send_signal(signals[1])
         said = server.end()
-        return server.process.returncode, said.strip(), name_of(project)
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
-def test_two_stop_signals_end_the_server_as_one_does(tmp_path: Path) -> None:
-    pairs = [(signal.SIGINT, signal.SIGTERM), (signal.SIGTERM, signal.SIGHUP)]
-    with ThreadPoolExecutor(TOGETHER) as pool:
-        tries = [
-            pool.submit(try_once, tmp_path / f"try {n}" / "project", *pairs[n % 2], (n // 2) * 0.06)
-            for n in range(TRIES)
-        ]
-        ends = [each.result(120) for each in tries]
-    assert ends == [(0, "", f"try {n}") for n in range(TRIES)]
+        assert (server.process.returncode, said.strip(), name_of(project)) == (0, "", "kept")

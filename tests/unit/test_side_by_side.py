@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import os
 import threading
-import time
 import weakref
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import pytest
@@ -39,7 +39,22 @@ def test_no_thread_is_left_behind() -> None:
     assert threading.active_count() == before
 
 
-def test_it_tells_before_every_item_in_order_and_begins_none_after_a_refusal() -> None:
+@pytest.fixture
+def leaving(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """An event that comes once a pool was told to end, has dropped what was waiting, and waits for its threads."""
+    event = threading.Event()
+
+    class Pool(ThreadPoolExecutor):
+        def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+            super().shutdown(wait=False, cancel_futures=cancel_futures)
+            event.set()
+            super().shutdown(wait=wait)
+
+    monkeypatch.setattr("ladarreg_core.side_by_side.ThreadPoolExecutor", Pool)
+    return event
+
+
+def test_it_tells_before_every_item_in_order_and_begins_none_after_a_refusal(leaving: threading.Event) -> None:
     told: list[int] = []
     side_by_side(lambda k: k, range(30), before=told.append)
     assert told == list(range(30))
@@ -48,14 +63,14 @@ def test_it_tells_before_every_item_in_order_and_begins_none_after_a_refusal() -
 
     def work(k: int) -> None:
         begun.append(k)
-        time.sleep(0.2)  # all thirty take six seconds
+        assert leaving.wait(60)
 
     def refuse(_: int) -> None:
         raise KeyError("stop")
 
     with pytest.raises(KeyError):
         side_by_side(work, range(30), before=refuse)
-    assert len(begun) < 30
+    assert len(begun) <= 1, "that of the other thread"
 
 
 def test_work_begun_gives_its_result_whether_it_was_begun_or_not() -> None:
@@ -82,20 +97,20 @@ def test_an_error_of_begun_work_is_raised_where_its_result_is_asked_for() -> Non
             wrong.result()
 
 
-def test_at_the_end_what_is_at_work_is_waited_for_and_the_rest_is_dropped() -> None:
+def test_at_the_end_what_is_at_work_is_waited_for_and_the_rest_is_dropped(leaving: threading.Event) -> None:
     before, started, ended = threading.active_count(), threading.Event(), threading.Event()
     later: list[int] = []
 
     def work() -> None:
         started.set()
-        time.sleep(0.2)
+        assert leaving.wait(60)
         ended.set()
 
     def stop() -> None:
         with OtherCore() as other_core:
             other_core.begin(work)
             other_core.begin(partial(later.append, 1))
-            assert started.wait(10)
+            assert started.wait(60)
             raise KeyError("stop")
 
     with pytest.raises(KeyError):
@@ -106,32 +121,50 @@ def test_at_the_end_what_is_at_work_is_waited_for_and_the_rest_is_dropped() -> N
 
 
 class Slow:
-    """Counts how often its value is made."""
+    """Counts how often its value is made, which takes until it is told that everybody asks."""
 
     made = 0
+
+    def __init__(self) -> None:
+        self.asked = threading.Event()
 
     @made_once
     def value(self) -> int:
         """The value."""
         self.made += 1
-        time.sleep(0.1)
+        assert self.asked.wait(60)
         return self.made
+
+
+def another() -> Slow:
+    slow = Slow()
+    slow.asked.set()
+    return slow
 
 
 def test_what_two_threads_ask_for_is_made_once() -> None:
     slow, found = Slow(), list[int]()
-    threads = [threading.Thread(target=lambda: found.append(slow.value)) for _ in range(4)]
+
+    def ask() -> None:
+        begun.release()
+        found.append(slow.value)
+
+    begun = threading.Semaphore(0)
+    threads = [threading.Thread(target=ask) for _ in range(4)]
     for thread in threads:
         thread.start()
+    for _ in threads:
+        begun.acquire()
+    slow.asked.set()
     for thread in threads:
         thread.join()
     assert found == [1] * 4
     assert slow.made == 1
-    assert Slow().value == 1
+    assert another().value == 1
 
 
 def test_what_is_made_once_lives_no_longer_than_its_owner() -> None:
-    slow = Slow()
+    slow = another()
     assert slow.value == 1
     alive = weakref.ref(slow)
     del slow

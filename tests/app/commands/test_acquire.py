@@ -13,7 +13,7 @@ import pytest
 from ladarreg.cli import main
 
 from ladarreg_core.formats import read_scan
-from testing.workbench.processes import restore_ctrl_c
+from testing.workbench.processes import restore_stop_signals
 
 pytestmark = pytest.mark.slow
 
@@ -49,7 +49,7 @@ def test_a_run_that_is_interrupted_goes_on_to_a_scan(tmp_path: Path, capsys: pyt
     process = subprocess.Popen(
         [sys.executable, "-m", "ladarreg", "acquire", str(plan), "-o", str(run)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True,
-        preexec_fn=restore_ctrl_c,
+        preexec_fn=restore_stop_signals,
     )  # fmt: skip
     until = time.monotonic() + 200
     records = run / "run.jsonl"

@@ -21,7 +21,7 @@ from PIL import Image
 from ladarreg_core.errors import Cancelled
 from ladarreg_core.manifest import visible_files
 from ladarreg_core.simulate.sample import sample_folder
-from testing.workbench.processes import restore_ctrl_c
+from testing.workbench.processes import restore_stop_signals
 
 REGISTER_OPTIONS = (
     "--method", "--matches", "--initial", "--camera", "--focal-px", "--focal-mm", "--sensor-mm", "--scan-index",
@@ -354,7 +354,7 @@ def test_every_error_has_its_exit_code(
 def test_an_interruption_leaves_no_files(after: str, signum: int, tmp_path: Path, checkout: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "ladarreg", *sample("-o", str(tmp_path / "new"))],
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=checkout, preexec_fn=restore_ctrl_c,
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=checkout, preexec_fn=restore_stop_signals,
     )  # fmt: skip
     assert process.stderr is not None
     for line in process.stderr:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from testing.workbench.processes import restore_ctrl_c
+from testing.workbench.processes import restore_stop_signals
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="no Ctrl-C to send")]
 
@@ -19,7 +19,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reas
 def start(checkout: Path, project: Path, *more: str) -> tuple[subprocess.Popen[str], str]:
     process = subprocess.Popen(
         [sys.executable, "-m", "ladarreg", "demo", "--project", str(project), "--port", "0", "--no-browser", *more],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=checkout, preexec_fn=restore_ctrl_c,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=checkout, preexec_fn=restore_stop_signals,
     )  # fmt: skip
     assert process.stdout is not None
     return process, process.stdout.readline()

@@ -7,21 +7,30 @@ import os
 import signal
 import subprocess
 import sys
-import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from ladarreg.exit_codes import ExitCode
-from ladarreg.stop_signals import ONE_REQUEST_S
 
 from ladarreg_core.simulate import sample_folder
-from testing.workbench.gateway_driver import soon
-from testing.workbench.processes import restore_ctrl_c
-from testing.workbench.serve_process import ask, begin_upload, name_of, serving, start
+from testing.workbench.gateway_driver import TOKEN, closing_code, soon
+from testing.workbench.processes import restore_stop_signals
+from testing.workbench.serve_process import (
+    PATIENT_PROGRAM,
+    Server,
+    ask,
+    begin_upload,
+    is_listening,
+    name_of,
+    serving,
+    start,
+)
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGHUP])
 def test_sigterm_and_sighup_save_and_exit(tmp_path: Path, sent: signal.Signals) -> None:
     with serving(tmp_path / "project") as server, server.there.socket() as page:
@@ -38,7 +47,7 @@ def test_a_closed_terminal_ends_the_server(tmp_path: Path) -> None:
     project = tmp_path / "project"
     process, terminal = pty.fork()
     if process == 0:
-        restore_ctrl_c()
+        restore_stop_signals()
         os.environ |= {"LADARREG_TOKEN": "a-token-of-tests", "LADARREG_HOME": str(tmp_path)}
         words = ["-m", "ladarreg", "serve", "--project", str(project), "--port", "0", "--no-browser"]
         os.execv(sys.executable, [sys.executable, *words])
@@ -54,7 +63,7 @@ def test_a_closed_terminal_ends_the_server(tmp_path: Path) -> None:
             ended.extend([status] if found else [])
             return bool(found)
 
-        assert soon(has_ended, seconds=30)
+        assert soon(has_ended)
         assert [os.waitstatus_to_exitcode(status) for status in ended] == [0]
     finally:
         with contextlib.suppress(ProcessLookupError):
@@ -70,34 +79,45 @@ def test_signals_ignored_by_nohup_stay_ignored(tmp_path: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "ladarreg", *words],
         cwd=Path(__file__).parents[3],
-        env=os.environ | {"LADARREG_HOME": str(tmp_path)},
+        env=os.environ | {"LADARREG_TOKEN": TOKEN, "LADARREG_HOME": str(tmp_path)},
         stdout=subprocess.PIPE,
         text=True,
         preexec_fn=as_nohup_does,
     )
     try:
-        assert process.stdout is not None
-        assert "://" in process.stdout.readline()
+        server = Server(process)
+        status = Path(f"/proc/{process.pid}/status")
+        if status.is_file():
+            ignored = next(line for line in status.read_text().splitlines() if line.startswith("SigIgn:"))
+            assert int(ignored.split()[1], 16) >> (signal.SIGHUP - 1) & 1
         process.send_signal(signal.SIGHUP)
-        time.sleep(0.5)
-        assert process.poll() is None
+        with server.there.socket() as page:
+            assert ask(page, "rename", name="after the signal")["ok"]
         process.terminate()
-        assert process.wait(30) == 0
+        assert process.wait(60) == 0
     finally:
         process.kill()
         process.communicate()
 
 
+@pytest.mark.slow
 def test_a_second_signal_saves_and_exits_at_once(tmp_path: Path) -> None:
     project = tmp_path / "project"
-    with serving(project) as server, server.there.socket() as page:
+    program = ("-c", PATIENT_PROGRAM.format(one_request_s=0.5, grace_s=600))
+    with serving(project, program=program) as server, server.there.socket() as page:
         assert ask(page, "rename", name="kept")["ok"]
         with begin_upload(server.there):
             assert soon(lambda: len(list((project / "inputs").iterdir())) == 1)
             server.process.send_signal(signal.SIGTERM)
-            time.sleep(ONE_REQUEST_S + 0.2)
-            assert server.process.poll() is None, "it waits for the upload, at most two seconds"
-            server.process.send_signal(signal.SIGTERM)
+            assert closing_code(page) == 1012
+            assert soon(lambda: not is_listening(server.there))
+            assert server.process.poll() is None, "it waits for the upload"
+
+            def ends_by_another() -> bool:
+                server.process.send_signal(signal.SIGTERM)
+                return server.process.poll() is not None
+
+            assert soon(ends_by_another)
             said = server.end()
         assert server.process.returncode == ExitCode.INTERRUPTED
         assert "everything is saved" in said
@@ -105,12 +125,27 @@ def test_a_second_signal_saves_and_exits_at_once(tmp_path: Path) -> None:
         assert name_of(project) == "kept"
 
 
-@pytest.mark.parametrize("after_s", [0.2, 0.5, 0.8, 1.1])
-def test_signals_during_the_start_end_the_server(tmp_path: Path, after_s: float) -> None:
-    inputs = sample_folder()
-    process = start(tmp_path / "project", str(inputs / "scan.npz"), str(inputs / "photo.png"))
+def has_loaded(process: int, library: str) -> bool:
+    """Whether a process has a library, where that can be known."""
+    maps = Path(f"/proc/{process}/maps")
+    return not maps.is_file() or library in maps.read_text()
+
+
+MOMENTS: dict[str, Callable[[int, Path], bool]] = {
+    "at once": lambda process, project: True,
+    "as it loads libraries": lambda process, project: has_loaded(process, "numpy"),
+    "as it opens the project": lambda process, project: project.is_dir(),
+    "as it has saved the project": lambda process, project: (project / "project.json").is_file(),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("moment", MOMENTS)
+def test_signals_during_the_start_end_the_server(tmp_path: Path, moment: str) -> None:
+    inputs, project = sample_folder(), tmp_path / "project"
+    process = start(project, str(inputs / "scan.npz"), str(inputs / "photo.png"))
     try:
-        time.sleep(after_s)
+        assert soon(lambda: MOMENTS[moment](process.pid, project))
         process.send_signal(signal.SIGINT)
         process.send_signal(signal.SIGTERM)
         _, said = process.communicate(timeout=60)

@@ -36,7 +36,7 @@ def send(
 
 def begin(run: Running, head: bytes) -> socket.socket:
     """Start an upload on a raw socket."""
-    line = socket.create_connection(("127.0.0.1", run.port), timeout=10)
+    line = socket.create_connection(("127.0.0.1", run.port), timeout=60)
     line.sendall(
         b"POST /upload?what=scan HTTP/1.1\r\nHost: 127.0.0.1:%d\r\nOrigin: %s\r\nCookie: %s\r\nX-File-Name: a.e57\r\n%s"
         % (run.port, run.origin.encode(), run.cookie.encode(), head)
@@ -264,7 +264,7 @@ def test_modules_are_served_as_javascript(run: Running, checkout: Path) -> None:
 
 
 def test_many_pictures_at_once_are_all_drawn(run: Running) -> None:
-    lines = [http.client.HTTPConnection("127.0.0.1", run.port, timeout=20) for _ in range(20)]
+    lines = [http.client.HTTPConnection("127.0.0.1", run.port, timeout=60) for _ in range(20)]
     for line in lines:
         line.request("GET", "/picture/scan?rev=2", headers={"Cookie": run.cookie})
     assert [line.getresponse().status for line in lines] == [200] * 20

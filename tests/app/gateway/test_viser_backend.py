@@ -15,7 +15,7 @@ def test_it_listens_on_loopback_only() -> None:
     try:
         assert (address.host, address.port) == (HOST, server.get_port())
         assert server.get_host() == HOST == "127.0.0.1"
-        with socket.create_connection((HOST, server.get_port()), timeout=5):
+        with socket.create_connection((HOST, server.get_port()), timeout=60):
             pass
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as other:
             other.bind(("127.0.0.2", server.get_port()))  # free: the server did not take every address

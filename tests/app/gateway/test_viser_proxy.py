@@ -66,7 +66,7 @@ def test_early_requests_wait_for_viser(viewer: tuple[viser.ViserServer, ViserAdd
         where.set_result(viewer[1])
         assert page.result(30)[0] == 200
         with socket.result(30) as line:
-            assert line.recv(timeout=10)
+            assert line.recv(timeout=60)
 
 
 def test_a_viser_that_never_opens_gives_502(tmp_path: Path) -> None:
@@ -89,7 +89,7 @@ def test_its_own_port_requires_the_secret(
     address = viewer[1]
     headers = [(SECRET_HEADER, word.format(secret=address.secret)) for word in secret]
     headers += [("Origin", origin.format(port=address.port))] if origin else []
-    line = http.client.HTTPConnection(address.host, address.port, timeout=10)
+    line = http.client.HTTPConnection(address.host, address.port, timeout=60)
     line.putrequest("GET", "/")
     for name, value in headers:
         line.putheader(name, value)
@@ -160,7 +160,7 @@ def test_each_page_has_a_view_of_its_own_and_all_share_the_large_page(
 ) -> None:
     server, _ = viewer
     with run.socket() as document:
-        document.recv(timeout=10)
+        document.recv(timeout=60)
         client = run.bench.pages[-1].id
         status, headers, shell = run.ask("GET", f"/viser/{client}/")
         assert status == 200
@@ -199,14 +199,14 @@ def test_its_websocket_is_forwarded_and_ends_with_the_page(
         names: set[str] = set()
         largest = 0
         while "/cloud" not in names:
-            frame = page.recv(timeout=10)
+            frame = page.recv(timeout=60)
             assert isinstance(frame, bytes)
             names |= node_names(frame)
             largest = max(largest, len(frame))
         assert largest > 500_000 * 3, "frames of any size"
         assert soon(lambda: len(server.get_clients()) <= 1)
         server.scene.add_frame("/later")
-        while "/later" not in node_names(page.recv(timeout=10)):  # type: ignore[arg-type]
+        while "/later" not in node_names(page.recv(timeout=60)):  # type: ignore[arg-type]
             pass
     assert soon(lambda: not server.get_clients())
 
@@ -215,7 +215,7 @@ def test_messages_of_the_page_arrive(run: Running, viewer: tuple[viser.ViserServ
     server, _ = viewer
     box = server.gui.add_text("name", "before")
     with run.socket("/viser", subprotocols=[PROTOCOL]) as page:
-        page.recv(timeout=10)
+        page.recv(timeout=60)
         update = {"type": "GuiUpdateMessage", "uuid": box._impl.uuid, "updates": {"value": "x" * 3_000_000}}
         page.send(msgspec.msgpack.encode(update))
         assert soon(lambda: len(box.value) == 3_000_000), "longer than a message of the document may be"
@@ -238,7 +238,7 @@ def test_a_slow_page_still_receives_everything(run: Running, viewer: tuple[viser
             )
         names: set[str] = set()
         while "/big11" not in names:
-            names |= node_names(page.recv(timeout=20))  # type: ignore[arg-type]
+            names |= node_names(page.recv(timeout=60))  # type: ignore[arg-type]
     server.scene.reset()
 
 
@@ -246,7 +246,7 @@ def test_when_viser_ends_the_page_is_closed(tmp_path_factory: pytest.TempPathFac
     server, address = open_locked_server(label="short")
     with running(tmp_path_factory.mktemp("room"), address) as run:
         with run.socket("/viser", subprotocols=[PROTOCOL]) as page:
-            page.recv(timeout=10)
+            page.recv(timeout=60)
             close_server(server)
             assert closing_code(page) != 1006
         with pytest.raises(InvalidStatus) as caught, run.socket("/viser"):

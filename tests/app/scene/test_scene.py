@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import threading
-import time
 from collections.abc import Iterator
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -374,23 +374,30 @@ def test_one_failed_drawing_does_not_end_the_thread(caplog: pytest.LogCaptureFix
 
     queue.request("a", fail)
     queue.request("b", done.set)
-    assert queue.settle(10)
+    assert queue.settle(60)
     queue.close()
     assert done.is_set()
     assert "no luck" in caplog.text
 
 
-def test_requests_wait_for_their_time_and_the_latest_wins() -> None:
-    queue, drawn = DrawQueue("test"), []
-    begun = time.monotonic()
+def test_requests_wait_for_their_time_and_the_latest_wins(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 100.0
+    monkeypatch.setattr("ladarreg.scene.draw_queue.time", SimpleNamespace(monotonic=lambda: now))
+    queue, drawn = DrawQueue("test"), list[int]()
     for k in range(50):
-        queue.request("late", lambda k=k: drawn.append((k, time.monotonic() - begun)), after_s=0.15)  # type: ignore[misc]
-    queue.request("never", lambda: drawn.append((-1, 0.0)), after_s=0.05)
+        queue.request("late", partial(drawn.append, k), after_s=0.15)
+    queue.request("never", partial(drawn.append, -1), after_s=0.05)
     queue.cancel("never")
-    assert queue.settle(10)
+    for passed in range(2):
+        now = 100.0 + 0.14 * passed
+        at_once = threading.Event()
+        queue.request("at once", at_once.set)
+        assert at_once.wait(60)
+        assert not drawn
+    now = 100.15
+    assert queue.settle(60)
     queue.close()
-    assert [k for k, _ in drawn] == [49]
-    assert drawn[0][1] >= 0.15
+    assert drawn == [49]
 
 
 def test_picks_of_a_line_share_their_id() -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import statistics
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,6 +17,7 @@ from ladarreg_core.simulate.sample import sample_folder
 from testing.workbench.workbench_driver import WorkbenchDriver, open_bench, sample_bench
 from tests.formats import misbehaving
 
+MOST_PARALLEL = READERS._slots._initial_value  # type: ignore[attr-defined]
 LINE = {"kind": "line", "scan": [[1, 0, 0], [1, 0.1, 0.02]], "photo_uv": [[300.25, 200.5], [410.125, 220]]}
 
 
@@ -63,18 +62,14 @@ def test_edits_and_other_files_do_not_wait_for_a_reader_that_hangs(bench: Workbe
 
     thread = threading.Thread(target=upload)
     thread.start()
-    time.sleep(0.3)
-    seconds = []
+    bench.eventually(lambda: READERS._slots._value < MOST_PARALLEL)  # the reader has the file
     for _ in range(40):
-        begun = time.perf_counter()
         bench.do("add_pick", photo="p1", **LINE)
-        seconds.append(time.perf_counter() - begun)
     assert bench.workbench.take_upload(arrived(bench, "x2.png"), "good.png", "photo", None, bench.client) == "p2"
     assert len(bench.workbench.slices(bench.client)["photos"]) == 2
     assert thread.is_alive(), "the reader was supposed to hang"
-    assert statistics.median(seconds) < 0.05
     READERS.close()
-    thread.join(30)
+    thread.join(60)
     assert "x1.png: its reader was killed" in refusals[0]
     assert not (bench.workbench.upload_folder() / "x1.png").exists()
 

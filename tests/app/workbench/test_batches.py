@@ -265,7 +265,7 @@ def test_others_are_answered_while_a_batch_is_opened(bench: WorkbenchDriver) -> 
     def opening(_: object) -> None:
         other = threading.Thread(target=bench.workbench.batches.slice, daemon=True)
         other.start()
-        other.join(10)
+        other.join(60)
         answered.append(not other.is_alive())
 
     bench.workbench.session.subscribe(opening)

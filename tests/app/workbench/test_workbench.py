@@ -8,7 +8,6 @@ import math
 import os
 import subprocess
 import sys
-import time
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -226,15 +225,28 @@ def test_a_threshold_disables_matches_above_and_enables_those_below(registered: 
     registered.do("undo")
 
 
-def test_the_simplex_can_be_watched_paused_and_stopped(registered: WorkbenchDriver) -> None:
+def waits_of_a_paused_job(bench: WorkbenchDriver, monkeypatch: pytest.MonkeyPatch) -> list[None]:
+    """Return a list that grows whenever the present job finds that it is paused."""
+    looked: list[None] = []
+    context = bench.workbench.runner._context
+    assert context is not None
+    wait = context._resumed.wait
+    monkeypatch.setattr(context._resumed, "wait", lambda seconds: looked.append(None) or wait(seconds))
+    return looked
+
+
+def test_the_simplex_can_be_watched_paused_and_stopped(
+    registered: WorkbenchDriver, monkeypatch: pytest.MonkeyPatch
+) -> None:
     registered.received.clear()
     registered.do("run", photo="p1", job="simplex")
     events = lambda: [m for m in registered.received if m.get("event") == "simplex"]  # noqa: E731
     registered.eventually(lambda: len(events()) > 3)
+    looked = waits_of_a_paused_job(registered, monkeypatch)
     registered.do("job_control", action="pause")
-    time.sleep(0.4)
-    seen = len(events())
-    time.sleep(0.5)
+    registered.eventually(lambda: looked)
+    seen, before = len(events()), len(looked)
+    registered.eventually(lambda: len(looked) > before + 5)
     assert len(events()) <= seen + 1
     assert registered.slice("job")["state"] == "paused"
     registered.do("job_control", action="step")
