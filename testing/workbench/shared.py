@@ -97,6 +97,7 @@ class SharedWorkbench:
         """Send a command that opens another project, after which this connection ends."""
         self._looked_at = ""
         socket = Socket(self.server)
+        socket.until(lambda slices: slices["people"]["count"] == 1)  # the clients of the test before have gone
         reply = socket.ask(do, **fields)
         socket.socket.close()
         assert reply["ok"], reply

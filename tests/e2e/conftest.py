@@ -14,6 +14,16 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 
+@pytest.fixture(autouse=True)
+def _tabs_are_closed(browser: Browser) -> Iterator[None]:
+    """Close the tabs that a test leaves open, as one that fails does: they would be further clients of the next one."""
+    before = list(browser.contexts)
+    yield
+    for context in browser.contexts:
+        if context not in before:
+            context.close()
+
+
 @pytest.fixture
 def operator(browser: Browser, workbench: SharedWorkbench, request: pytest.FixtureRequest) -> Iterator[Operator]:
     """An operator at a project of his or her own: the sample, with its camera."""

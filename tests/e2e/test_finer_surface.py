@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,15 +33,27 @@ SURFACES = """() => {
 }"""
 
 
-def surfaces(page: Page, wanted: Any) -> dict[str, list[Any]]:
+def surfaces(page: Page, wanted: Any, meanwhile: Callable[[], None] = lambda: None) -> dict[str, list[Any]]:
     """Return the surfaces that are drawn, once they are as wanted."""
     end = time.monotonic() + 90
     while True:
+        meanwhile()
         found: dict[str, list[Any]] = page.evaluate(SURFACES)
         if wanted(found):
             return found
         assert time.monotonic() < end, found
         page.wait_for_timeout(200)
+
+
+def turn(page: Page) -> None:
+    """Turn the view by dragging."""
+    frame = page.locator("iframe.model-frame").bounding_box()
+    assert frame is not None
+    x, y = frame["x"] + frame["width"] / 2, frame["y"] + frame["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 200, y, steps=6)
+    page.mouse.up()
 
 
 def test_the_surface_is_finer_where_somebody_looks(
@@ -63,18 +76,11 @@ def test_the_surface_is_finer_where_somebody_looks(
         density = count / ((right - left) * (bottom - top))  # vertices over the whole grid
         assert density > 3 * vertices
 
-    frame = page.locator("iframe.model-frame").bounding_box()
-    assert frame is not None
-    x, y = frame["x"] + frame["width"] / 2, frame["y"] + frame["height"] / 2
-    page.mouse.move(x, y)
-    page.mouse.down()
-    page.mouse.move(x + 200, y, steps=6)
-    page.mouse.up()
-
     def moved(found: dict[str, list[Any]]) -> bool:
         return bool(found["block"]) and found["block"] != first["block"]
 
-    second = surfaces(page, moved)
+    # Again, if the view from the scanner came after it and took it back.
+    second = surfaces(page, moved, meanwhile=lambda: turn(page))
     assert sum(count for kind in second.values() for count, *_ in kind) <= MOST_VERTICES
 
     page.get_by_role("button", name="Display", exact=True).click()
@@ -83,4 +89,3 @@ def test_the_surface_is_finer_where_somebody_looks(
     assert not last["block"]  # a computer without a graphics card draws as little as possible
     assert last["whole"][0][1] < faces
     assert not errors
-    page.context.close()
