@@ -56,6 +56,7 @@ def turn(page: Page) -> None:
     page.mouse.up()
 
 
+@pytest.mark.long
 def test_the_surface_is_finer_where_somebody_looks(
     browser_3d: Browser, workbench: SharedWorkbench, tmp_path: Path
 ) -> None:

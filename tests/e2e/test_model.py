@@ -126,6 +126,7 @@ def colourful(pixels: np.ndarray) -> float:
     return float((pixels.max(axis=-1) - pixels.min(axis=-1) > 24).mean())
 
 
+@pytest.mark.long
 def test_only_the_scene_is_seen_of_viser_and_textures_follow_each_other_without_a_gap(visit: Visit) -> None:
     page, cover = visit.page, visit.page.locator(".model-cover")
     assert cover.is_visible()
@@ -193,6 +194,7 @@ def test_the_camera_sees_the_textures_own_colours_and_matches_can_be_clicked(vis
     frame.wait_for_function("() => window.__viserMutable.nodeRefFromName['/highlight/point']")
 
 
+@pytest.mark.long
 def test_two_people_have_their_own_textures_and_views(browser_3d: Browser, server: Served, visit: Visit) -> None:
     other = Visit(browser_3d, server)
     try:

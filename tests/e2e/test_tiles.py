@@ -71,6 +71,7 @@ def test_tiles_are_drawn_where_the_photograph_shows_them(page_3d: Page, tmp_path
         close_server(server)
 
 
+@pytest.mark.slow
 def test_the_model_has_the_detail_of_the_photograph(page_3d: Page, tmp_path: Path) -> None:
     scan, pixels = uneven_room(), pattern(10)
     one = photograph(CAMERA, POSES[0], "photo", pixels=pixels)

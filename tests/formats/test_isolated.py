@@ -219,6 +219,7 @@ def test_errors_of_ours_come_back_as_they_are(readers: IsolatedReaders, tmp_path
 # Failures
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("reader", "says"),
     [
@@ -265,6 +266,7 @@ def test_large_files_get_more() -> None:
     assert limits.silence_for(1 << 40) == limits.most_silent_s
 
 
+@pytest.mark.slow
 def test_a_file_that_crashed_is_refused_at_once_until_it_changes(strict: IsolatedReaders, file: Path) -> None:
     for _ in range(2):
         with pytest.raises(FormatError, match="hung"):
@@ -281,6 +283,7 @@ def test_a_file_that_crashed_is_refused_at_once_until_it_changes(strict: Isolate
     assert time.monotonic() - begun >= QUICK.silent_s
 
 
+@pytest.mark.slow
 def test_progress_is_forwarded_and_restarts_the_timeout(strict: IsolatedReaders, file: Path) -> None:
     told: list[Progress] = []
     steps = 8
@@ -318,6 +321,7 @@ def test_only_a_damaged_file_replaces_the_process(readers: IsolatedReaders, file
     assert readers.run(misbehaving.process_id) != first
 
 
+@pytest.mark.slow
 @LINUX
 def test_a_large_program_does_not_replace_its_readers(checkout: Path) -> None:
     program = (
@@ -349,6 +353,7 @@ input()
 """
 
 
+@pytest.mark.slow
 @LINUX
 @pytest.mark.parametrize("during", ["", "sleeps", "computes", "holds_the_interpreter"])
 def test_the_process_ends_with_its_parent(checkout: Path, file: Path, during: str) -> None:

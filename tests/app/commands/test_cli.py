@@ -105,6 +105,7 @@ def test_help_imports_no_slow_modules() -> None:
     assert result.returncode == 0, result.stderr
 
 
+@pytest.mark.slow
 def test_a_registration_imports_what_it_uses_alone(tmp_path: Path) -> None:
     """Packages of other formats, of exports, of the server and of devices cost up to a second of start-up."""
     others = {
@@ -348,6 +349,7 @@ def test_every_error_has_its_exit_code(
     complaint(capsys)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("after", ["Read photo", "Image verification"])
 @pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "kill"])
 @pytest.mark.skipif(sys.platform == "win32", reason="no POSIX signals")
@@ -388,6 +390,7 @@ def test_an_interruption_of_evaluated_text_has_its_exit_code(tmp_path: Path) -> 
 # --- complete runs ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_sample_is_registered_by_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from ladarreg_core.formats.pose_file import read_pose
 
@@ -433,6 +436,7 @@ def drawn(path: Path, *, count: int, seed: int, spread: float = 1.0) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "spread"), [(40, 1.0), (18, 0.45), (8, 1.0)])
 def test_manual_matches_get_a_few_lines_of_advice(
     count: int, spread: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -467,6 +471,7 @@ def test_a_uniform_gray_photo_is_not_accepted(tmp_path: Path, capsys: pytest.Cap
     assert json.loads((out / "registration.json").read_text())["accepted"] is False
 
 
+@pytest.mark.slow
 def test_simulate_writes_what_info_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("embreex")
     out = tmp_path / "case"

@@ -72,6 +72,7 @@ def test_a_new_client_receives_all_slices(bench: WorkbenchDriver) -> None:
         assert setting["kind"] in ("number", "choice", "switch")
 
 
+@pytest.mark.slow
 def test_edits_are_published_saved_labelled_and_undone(bench: WorkbenchDriver) -> None:
     before = len(labels(bench))
     pick = bench.do("add_pick", photo="p1", **LINE)["pick"]
@@ -117,6 +118,7 @@ def test_only_changed_slices_are_published(bench: WorkbenchDriver) -> None:
     assert versions == sorted(set(versions))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("do", "fields", "says"),
     [
@@ -186,6 +188,7 @@ def test_invalid_fields_are_never_an_internal_error(bench: WorkbenchDriver) -> N
 # jobs
 
 
+@pytest.mark.slow
 def test_a_registration_yields_matches_a_pose_and_a_verdict(registered: WorkbenchDriver) -> None:
     picks = registered.slice("picks:p1")
     assert len(picks) > 30
@@ -235,6 +238,7 @@ def waits_of_a_paused_job(bench: WorkbenchDriver, monkeypatch: pytest.MonkeyPatc
     return looked
 
 
+@pytest.mark.slow
 def test_the_simplex_can_be_watched_paused_and_stopped(
     registered: WorkbenchDriver, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -307,6 +311,7 @@ def test_a_solver_explains_missing_matches(bench: WorkbenchDriver) -> None:
     assert bench.job("robust").message == "The only match is disabled; enable it in the match table."
 
 
+@pytest.mark.slow
 def test_a_zip_holds_the_files_of_the_command_line(registered: WorkbenchDriver) -> None:
     registered.received.clear()
     job = registered.job("export")
@@ -327,6 +332,7 @@ def test_a_zip_holds_the_files_of_the_command_line(registered: WorkbenchDriver) 
     assert {entry["name"] for entry in told["inputs"]} >= {"scan.npz"}
 
 
+@pytest.mark.slow
 def test_an_export_replaces_a_folder_of_results_only_by_force(registered: WorkbenchDriver, tmp_path: Path) -> None:
     folder = tmp_path / "results"
     registered.do("export_folder", photo="p1", folder=str(folder))
@@ -404,6 +410,7 @@ def test_missing_images_are_errors(registered: WorkbenchDriver, path: str, query
 # files
 
 
+@pytest.mark.slow
 def test_invalid_uploads_are_refused_and_deleted(bench: WorkbenchDriver, tmp_path: Path) -> None:
     room = bench.workbench.upload_folder()
     before = bench.workbench.session.document
@@ -455,6 +462,7 @@ def test_a_scan_without_views_is_refused_and_clients_can_still_join(bench: Workb
     assert bench.slice("scan")["views"]
 
 
+@pytest.mark.slow
 def test_a_project_whose_scan_has_no_views_opens_with_a_message(tmp_path: Path) -> None:
     import msgspec
 
@@ -528,6 +536,7 @@ def test_a_failing_listener_affects_neither_commits_nor_other_listeners(bench: W
     bench.workbench.leave(bench.workbench.join(Visitor("somebody else")))
 
 
+@pytest.mark.slow
 def test_a_file_of_the_project_is_never_deleted(bench: WorkbenchDriver) -> None:
     path = bench.workbench.upload_folder() / "second.png"
     path.write_bytes(next(sample_folder().glob("photo.*")).read_bytes())
@@ -658,6 +667,7 @@ os.kill(os.getpid(), 9)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="no kill -9 to send")
 def test_a_crash_loses_neither_edits_nor_undo(tmp_path: Path, checkout: Path) -> None:
     died = subprocess.run([sys.executable, "-c", _DIES, str(tmp_path / "p")], cwd=checkout, capture_output=True)
@@ -674,6 +684,7 @@ def test_a_crash_loses_neither_edits_nor_undo(tmp_path: Path, checkout: Path) ->
         bench.workbench.close()
 
 
+@pytest.mark.slow
 def test_a_reopened_project_shows_the_photograph_edited_last(tmp_path: Path) -> None:
     bench = sample_bench(tmp_path / "p")
     path = bench.workbench.upload_folder() / "second.png"
@@ -720,6 +731,7 @@ def test_edits_continue_on_a_full_disk_and_are_saved_later(
         assert len(saved_picks(bench)) == 3 * count, "all edits are saved"
 
 
+@pytest.mark.slow
 def test_a_project_with_missing_arrays_shows_everything_else(tmp_path: Path) -> None:
     bench = sample_bench(tmp_path / "p")
     bench.do("add_pick", photo="p1", **LINE)
@@ -756,6 +768,7 @@ def test_invalid_inputs_at_the_start_are_refused(tmp_path: Path) -> None:
     open_workbench([], project=tmp_path / "p").close()  # the failed start has released the folder
 
 
+@pytest.mark.slow
 def test_the_project_of_a_scan_is_reopened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("LADARREG_HOME", str(tmp_path / "home"))
     scan = sample_folder() / "scan.npz"

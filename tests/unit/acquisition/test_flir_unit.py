@@ -43,7 +43,7 @@ def bench(clock: SimulatedClock) -> Iterator[Bench]:
         yield Bench(server, twin, ports)
 
 
-@pytest.fixture(params=[False, True], ids=["terminal", "socket"])
+@pytest.fixture(params=[pytest.param(False, marks=pytest.mark.long), True], ids=["terminal", "socket"])
 def real_bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     twin = FlirTwin(baud=115_200)
     with TwinServer([twin], sockets=request.param) as server, Ports(guarded=False) as ports:
@@ -62,6 +62,7 @@ def test_it_says_what_it_is_and_moves(bench: Bench) -> None:
     says_what_it_is_and_moves(bench)
 
 
+@pytest.mark.slow
 def test_it_does_so_behind_real_ports(real_bench: Bench) -> None:
     says_what_it_is_and_moves(real_bench)
 
@@ -100,6 +101,7 @@ def test_a_halt_in_between_ends_the_movement(bench: Bench, clock: SimulatedClock
     assert math.degrees(unit.move_to(at(1, 0), check=goes_on).pan_rad) == pytest.approx(1, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_halt_from_another_thread_ends_the_movement(real_bench: Bench) -> None:
     unit = real_bench.connect()
     moves = threading.Event()
@@ -168,6 +170,7 @@ def test_a_cable_that_is_pulled_and_put_back_is_noticed_and_survived(bench: Benc
         unit.position()
 
 
+@pytest.mark.slow
 def test_a_real_port_that_is_pulled_and_put_back_is_noticed_and_survived(real_bench: Bench) -> None:
     unit, server = real_bench.connect(), real_bench.server
     server.unplug(real_bench.twin.name)

@@ -246,6 +246,7 @@ def test_the_number_of_undo_steps_is_limited(monkeypatch: pytest.MonkeyPatch) ->
 # the folder
 
 
+@pytest.mark.slow
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40, deadline=None)
 @given(
     moves=st.lists(st.sampled_from(["commit", "undo", "redo", "amend", "solve", "settle"]), max_size=12),
@@ -420,6 +421,7 @@ def _die_holding(place: str, ready: multiprocessing.synchronize.Event) -> None:
     os.kill(os.getpid(), 9)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="no kill -9 to send")
 def test_a_folder_is_free_again_and_whole_after_a_crash(tmp_path: Path) -> None:
     context = multiprocessing.get_context("spawn")

@@ -42,6 +42,7 @@ def result(camera: CameraModel, pose: lr.Rigid = POSE, **fields: object) -> lr.R
     return replace(found, **{"covariance": 1e-12 * np.eye(6), **fields})  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CAMERAS)
 def test_points_lie_on_the_surface_under_their_pixels(name: str) -> None:
     camera = CAMERAS[name]
@@ -79,6 +80,7 @@ def test_depth_edges_are_not_bridged() -> None:
     assert not np.isfinite(xyz[0, 0]).any() or np.isfinite(xyz).all(axis=-1).mean() < 1
 
 
+@pytest.mark.slow
 def test_predicted_and_real_spread_agree() -> None:
     rng = np.random.default_rng(7)
     camera, ranges = CAMERAS["distorted"], plane_ranges()
