@@ -68,7 +68,7 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def gone(process: int, within_s: float = 5.0) -> bool:
+def gone(process: int, within_s: float = 60.0) -> bool:
     """Whether a process ends, zombies included."""
     end = time.monotonic() + within_s
     while time.monotonic() < end:
@@ -271,28 +271,29 @@ def test_a_file_that_crashed_is_refused_at_once_until_it_changes(strict: Isolate
     for _ in range(2):
         with pytest.raises(FormatError, match="hung"):
             strict.run(misbehaving.sleeps, file)
-    begun = time.monotonic()
+    process = strict.run(misbehaving.process_id)
     with pytest.raises(FormatError, match="hung"):
         strict.run(misbehaving.sleeps, file)
-    assert time.monotonic() - begun < QUICK.silent_s / 2
+    assert strict.run(misbehaving.process_id) == process, "it was not read"
     assert strict.run(misbehaving.size_of, file) == 12  # another reader may try
     file.write_bytes(b"it is another file now")
-    begun = time.monotonic()
     with pytest.raises(FormatError, match="hung"):
         strict.run(misbehaving.sleeps, file)
-    assert time.monotonic() - begun >= QUICK.silent_s
+    assert strict.run(misbehaving.process_id) != process
 
 
 @pytest.mark.slow
-def test_progress_is_forwarded_and_restarts_the_timeout(strict: IsolatedReaders, file: Path) -> None:
+def test_progress_is_forwarded_and_restarts_the_timeout(file: Path) -> None:
     told: list[Progress] = []
-    steps = 8
-    assert strict.run(misbehaving.goes_on, file, steps, QUICK.silent_s / 4, report=told.append) == steps
+    steps, step_s, silent_s = 8, 0.3, 2.0  # more than the limit in all, and each much less, on a busy machine as well
+    readers = IsolatedReaders(ReaderLimits(silent_s=silent_s, silent_s_per_mb=0))
+    assert readers.run(misbehaving.goes_on, file, steps, step_s, report=told.append) == steps
     read = [progress for progress in told if progress.total]
     assert {progress.label for progress in read} == {"reading"}
     assert [p.done for p in read] == sorted(p.done for p in read)
     assert len({p.done for p in read}) >= steps / 2
-    assert strict.run(misbehaving.goes_on, file, steps, QUICK.silent_s / 4) == steps  # also without a listener
+    assert readers.run(misbehaving.goes_on, file, steps, step_s) == steps  # also without a listener
+    readers.close()
 
 
 def test_cancelling_ends_the_process_even_without_progress(readers: IsolatedReaders, file: Path) -> None:
@@ -305,7 +306,6 @@ def test_cancelling_ends_the_process_even_without_progress(readers: IsolatedRead
 
     with pytest.raises(Cancelled):
         readers.run(misbehaving.holds_the_interpreter, file, report=report)
-    assert time.monotonic() - begun < 5
     if sys.platform != "win32":  # where it would be Ctrl-C
         with pytest.raises(ProcessLookupError):
             os.kill(process, 0)
@@ -336,7 +336,7 @@ def test_a_large_program_does_not_replace_its_readers(checkout: Path) -> None:
 def test_a_process_that_was_killed_meanwhile_is_replaced(readers: IsolatedReaders) -> None:
     process = readers.run(misbehaving.process_id)
     os.kill(process, signal.SIGTERM)
-    time.sleep(0.2)
+    assert gone(process)
     assert readers.run(misbehaving.process_id) != process
 
 
