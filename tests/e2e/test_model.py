@@ -149,6 +149,7 @@ def test_only_the_scene_is_seen_of_viser_and_textures_follow_each_other_without_
     page.route("**/picture/model/texture?*kind=label*", lambda route: held.append(route))
     page.get_by_label(TEXTURE).select_option("label")
     visit.until(lambda _: held, "the request for the texture")
+    page.locator(".model-loading").wait_for()  # it is said over the picture
     before = visit.pixels()
     for _ in range(5):
         two_frames(page)

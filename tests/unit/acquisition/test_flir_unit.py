@@ -240,6 +240,17 @@ def test_readings_that_no_movement_explains(bench: Bench) -> None:
     assert math.degrees(unit.position().pan_rad) == pytest.approx(-5_000 * 46.2857 / 3600, abs=0.05)
 
 
+def test_a_query_that_is_not_answered_once_is_asked_again(bench: Bench, clock: SimulatedClock) -> None:
+    unit = bench.connect()
+    here = unit.move_to(at(2, -1), check=goes_on)
+    bench.twin.late_s = 1.1
+    clock.after(0.5, lambda: setattr(bench.twin, "late_s", 0.0))
+    assert unit.position() == here
+    clock.after(0.2, lambda: setattr(bench.twin, "silent", True))  # on its way
+    clock.after(1.5, lambda: setattr(bench.twin, "silent", False))
+    assert unit.move_to(at(20, 0), check=goes_on).pan_rad == pytest.approx(at(20, 0).pan_rad, abs=1e-3)
+
+
 def test_answers_that_come_late_or_twice_are_not_taken_for_others(bench: Bench) -> None:
     unit = bench.connect()
     unit.move_to(at(2, -1), check=goes_on)
