@@ -132,7 +132,7 @@ def _frame(lidar: str, place: str, seed: int, share: int) -> np.ndarray:
     [
         ("narrow", "courtyard", 9, 2),
         pytest.param("petals", "courtyard", 7, 2, marks=pytest.mark.long),
-        pytest.param("128 lines", "street", 7, 1, marks=pytest.mark.long),
+        ("128 lines", "street", 7, 1),
     ],
 )
 def test_frames_of_a_lidar_are_not_moved_away_from_the_zero_point(

@@ -47,7 +47,7 @@ def scan(made: SimulatedMosaic, tmp_path_factory: pytest.TempPathFactory) -> Pat
     ("name", "azimuth", "elevation", "rough"),
     [
         ("nadir", 40, -80, True),
-        pytest.param("seam", 180, -5, False, marks=pytest.mark.long),
+        ("seam", 180, -5, False),
     ],
 )
 def test_a_photograph_is_registered_and_exported(

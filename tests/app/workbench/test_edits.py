@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from typing import Any
 
 import numpy as np
 import pytest
 from ladarreg.gateway.protocol import Visitor
-from ladarreg.workbench.commands import COMMANDS
+from ladarreg.workbench.commands import COMMANDS, reply_to
 
+from ladarreg_core.errors import OptionError
 from ladarreg_core.simulate.sample import sample_folder
 from testing.workbench.workbench_driver import WorkbenchDriver
 
@@ -181,3 +183,21 @@ def test_client_names_are_unique(bench: WorkbenchDriver) -> None:
     assert bench.slice("people")["count"] == 2
     bench.workbench.leave(other)
     assert bench.slice("people")["count"] == 1
+
+
+def test_an_error_of_the_system_is_answered_with_what_to_do() -> None:
+    def fail() -> dict[str, Any]:
+        raise PermissionError(errno.EACCES, "Permission denied", "/a/secret/place")
+
+    reply = reply_to({"id": 3, "do": "hand_over"}, fail)
+    assert (reply["reply"], reply["ok"]) == (3, False)
+    assert reply["error"] == "System error: permission denied; check the path, its permissions and the free space."
+
+
+def test_a_long_reason_is_cut() -> None:
+    def refuse() -> dict[str, Any]:
+        raise OptionError("long " * 1000)
+
+    error = reply_to({"id": 1, "do": "acquire_start"}, refuse)["error"]
+    assert len(error) < 1000
+    assert error.endswith("...")

@@ -43,7 +43,7 @@ def bench(clock: SimulatedClock) -> Iterator[Bench]:
         yield Bench(server, twin, ports)
 
 
-@pytest.fixture(params=[pytest.param(False, marks=pytest.mark.long), True], ids=["terminal", "socket"])
+@pytest.fixture(params=[False, True], ids=["terminal", "socket"])
 def real_bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     twin = FlirTwin(baud=115_200)
     with TwinServer([twin], sockets=request.param) as server, Ports(guarded=False) as ports:

@@ -71,7 +71,7 @@ def test_pieces_without_overlap_stay_where_the_unit_says() -> None:
         assert one.world_from_scanner is piece.world_from_scanner
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_piece_that_was_knocked_is_found_and_said() -> None:
     pieces, truth = mosaic(PANS, TILTS, geometry=FINE, sigma_m=0.002, off_rad=OFF_RAD)
     elsewhere = truth[5] @ Rigid.from_rotvec([0.004, 0, 0], [0.0, 0.006, 0.002])
@@ -101,7 +101,7 @@ def run_of_six(blow: Rigid, first: int, mount: Rigid = MOUNT) -> tuple[Refinemen
     return refine_pieces(pieces, said, mount=mount), truth
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_blow_between_two_pieces_is_found_and_said() -> None:
     found, truth = run_of_six(Rigid.from_rotvec([0.004, 0, 0.003], [0.004, 0.006, 0.002]), 3)
     assert "between pieces 2 and 3 the scanner was moved on its unit" in found.reasons[0]
@@ -110,7 +110,7 @@ def test_a_blow_between_two_pieces_is_found_and_said() -> None:
     assert max(apart) < 0.004  # little shows a shift upward
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_wrong_mount_is_said_and_nothing_refined_with_it() -> None:
     found, _ = run_of_six(Rigid.identity(), 6, MOUNT @ Rigid.from_rotvec([0, 0, 0], [0.013, 0.0176, 0]))
     assert not found.accepted

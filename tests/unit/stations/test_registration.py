@@ -91,7 +91,7 @@ def test_another_room_stays_out(office: list[Scan], boxes: Scan) -> None:
     assert len(network.placed([office[0], boxes])) == 1
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_poses_in_the_files_are_where_it_begins_and_wrong_ones_are_overcome(office: list[Scan]) -> None:
     world = Rigid.from_rotvec([0, 0, 1.0], [4000.0, -300.0, 20.0])
     rough = Rigid.from_rotvec([0, 0, 0.03], [0.15, -0.1, 0.02])
