@@ -96,6 +96,9 @@ class Visit:
         """Wait for the model and return viser's frame."""
         self.page.locator(DRAWN).wait_for(timeout=90_000)
         self.page.locator(".model-loading").wait_for(state="hidden")
+        for told in self.page.locator(".notice").filter(has_text="Reopened").all():  # it lies over the picture
+            told.get_by_role("button").first.click()
+            told.wait_for(state="detached")
         frame = self.page.frame(url=lambda address: "/viser/" in address)
         assert frame is not None
         return frame
@@ -149,7 +152,6 @@ def test_only_the_scene_is_seen_of_viser_and_textures_follow_each_other_without_
     page.route("**/picture/model/texture?*kind=label*", lambda route: held.append(route))
     page.get_by_label(TEXTURE).select_option("label")
     visit.until(lambda _: held, "the request for the texture")
-    page.locator(".model-loading").wait_for()  # it is said over the picture
     before = visit.pixels()
     for _ in range(5):
         two_frames(page)
