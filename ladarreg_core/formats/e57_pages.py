@@ -71,7 +71,7 @@ class E57Pages:
         Raises:
             FormatError: if the file ends before, or the checksum of a page is wrong.
         """
-        if not (0 <= start and 0 <= count <= self.logical_bytes - start):
+        if not (start >= 0 and 0 <= count <= self.logical_bytes - start):
             raise FormatError(f"{what} of {count:,} bytes ends with the E57; it is truncated or damaged: copy it again")
         first, skipped = divmod(start, PAGE_DATA)
         last = -(-(start + count) // PAGE_DATA)
@@ -86,9 +86,9 @@ class E57Pages:
             raise FormatError("the E57 became shorter while it was read; read it again when it is complete")
         bad = _bad_pages(data)
         if len(bad):
+            at = (first + int(bad[0])) * PAGE_BYTES
             raise FormatError(
-                f"the E57 is damaged: the checksum of the page at byte {(first + int(bad[0])) * PAGE_BYTES:,} is wrong; "
-                "copy or export it again"
+                f"the E57 is damaged: the checksum of the page at byte {at:,} is wrong; copy or export it again"
             )
         return np.frombuffer(data, np.uint8).reshape(-1, PAGE_BYTES)[:, :PAGE_DATA].ravel()
 

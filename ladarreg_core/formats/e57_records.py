@@ -162,7 +162,7 @@ def _packets(pages: E57Pages, vector: E57Node, what: str) -> Iterator[_Packet]:
         here = at - strip_at
         if here + _LARGEST_PACKET > len(strip) and strip_at + len(strip) < end:
             # A packet may cross the end of the strip.
-            strip = memoryview(pages.read(at, min(_STRIP_BYTES, end - at), what))
+            strip = pages.read(at, min(_STRIP_BYTES, end - at), what).data
             strip_at, here = at, 0
         if len(strip) - here < _DATA_HEADER_BYTES:
             return
@@ -278,7 +278,8 @@ def unpacked(data: memoryview, first_bit: int, bits: int, count: int) -> NDArray
 def _sum(whole: NDArray[Any], minimum: int, out: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
     """Return whole numbers plus their minimum, which wrap around as libe57's do where a file exceeds its bounds."""
     signed = whole.view(np.int64) if whole.dtype.itemsize == 8 else whole
-    return np.add(signed, np.int64(minimum), out=out, dtype=np.int64, casting="unsafe")
+    total: NDArray[np.int64] = np.add(signed, np.int64(minimum), out=out, dtype=np.int64, casting="unsafe")
+    return total
 
 
 def _store_real(values: NDArray[Any], target: NDArray[Any], field: E57Field) -> None:

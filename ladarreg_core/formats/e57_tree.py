@@ -50,7 +50,10 @@ class E57Node:
 
     @property
     def kind(self) -> str:
-        """Its type: `Structure`, `Vector`, `CompressedVector`, `Integer`, `ScaledInteger`, `Float`, `String`, `Blob`."""
+        """Its type: `Structure`, `Vector`, `CompressedVector`, `Integer`, `ScaledInteger`, `Float`, `String`, `Blob`.
+
+        Empty where the file gives none.
+        """
         return self.attributes.get("type", "")
 
     def child(self, *path: str) -> E57Node | None:
@@ -210,7 +213,7 @@ class _Parser:
         for key in attributes:
             if key.partition(":")[0] in self._schema_prefixes and ":" in key:
                 raise FormatError(
-                    f"the E57's XML refers to a schema ({one_line(key, 40)}), which could open other files; {_MALICIOUS}"
+                    f"the E57's XML refers to a schema ({one_line(key, 40)}), which could open files; {_MALICIOUS}"
                 )
         node = E57Node(name, attributes)
         if self._open:

@@ -152,7 +152,8 @@ def _copy(old: E57File, file: Any, handed: RegisteredScan, told: _Told, info: E5
     }
     for child in old.root.children:
         if child.name != NOTE:
-            new.set(child.name, made.get(child.name, copy.node)(child))
+            make: Made = made.get(child.name, copy.node)
+            new.set(child.name, make(child))
     if not new.isDefined("images2D"):
         new.set("images2D", e57.VectorNode(file, True))
     new.set(NOTE, e57.StringNode(file, note_of(handed)))

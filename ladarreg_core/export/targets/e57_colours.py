@@ -113,7 +113,8 @@ def _holds(field: E57Field, limits: tuple[float, float]) -> bool:
 
 def _stated_limits(scan: E57Node, name: str) -> tuple[float, float] | None:
     nodes = [scan.child("colorLimits", f"{name}{end}") for end in ("Minimum", "Maximum")]
-    values = [node.number() for node in nodes if node is not None and node.kind in ("Integer", "ScaledInteger", "Float")]
+    kinds = ("Integer", "ScaledInteger", "Float")
+    values = [node.number() for node in nodes if node is not None and node.kind in kinds]
     return (values[0], values[1]) if len(values) == 2 and np.isfinite(values).all() and values[0] < values[1] else None
 
 

@@ -2,8 +2,8 @@
 
 libe57 writes, and cannot add to a file that exists, so that a file with more in it is a new file. The nodes of the old
 one, which our own reader parsed, are copied with their types, bounds, precisions and scales; the records of compressed
-vectors and the bytes of blobs follow in chunks, raw, so that scaled integers keep their whole numbers and floating-point
-numbers their bits.
+vectors and the bytes of blobs follow in chunks, raw, so that scaled integers keep their whole numbers and
+floating-point numbers their bits.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ class E57Copy:
             case "Float":
                 single = node.attributes.get("precision") == "single"
                 precision = e57.E57_SINGLE if single else e57.E57_DOUBLE
-                low, high = (_SINGLE_BOUNDS if single else _DOUBLE_BOUNDS)
+                low, high = _SINGLE_BOUNDS if single else _DOUBLE_BOUNDS
                 bounds = node.real("minimum", low), node.real("maximum", high)
                 return e57.FloatNode(file, node.number(), precision, *bounds)
             case "String":
@@ -136,7 +136,7 @@ class E57Copy:
         """Return a copy of a structure, in which some children are made by functions, or left out (None)."""
         made = self._e57.StructureNode(self._file)
         for child in node.children:
-            make = changed.get(child.name, self.node)
+            make: Made | None = changed.get(child.name, self.node)
             if make is not None:
                 made.set(child.name, make(child))
         return made
@@ -146,7 +146,8 @@ class E57Copy:
         mixed = changed is not None or node.attributes.get("allowHeterogeneousChildren") == "1"
         made = self._e57.VectorNode(self._file, mixed)
         for index, child in enumerate(node.children):
-            made.append((changed or {}).get(index, self.node)(child))
+            make: Made = (changed or {}).get(index, self.node)
+            made.append(make(child))
         return made
 
     def records(
@@ -182,9 +183,7 @@ class E57Copy:
             copy()
         self._later.clear()
 
-    def _run(
-        self, node: E57Node, made: Any, made_prototype: Any, fill: Fill | None, dropped: Sequence[str]
-    ) -> None:
+    def _run(self, node: E57Node, made: Any, made_prototype: Any, fill: Fill | None, dropped: Sequence[str]) -> None:
         size = max(1, min(RECORDS_AT_ONCE, node.whole("recordCount")))
         # What is only copied goes from the reader to the writer in the same array.
         values = raw_buffers(fields_of(node), size)

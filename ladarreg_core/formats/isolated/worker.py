@@ -24,7 +24,6 @@ _PRELOADED = (
     "ladarreg_core.formats.photo_file",
     "ladarreg_core.formats.matches_file",
     "PIL.Image",
-    "pye57.libe57",
 )
 _LARGEST_REQUEST = 1 << 40
 _REPORT_INTERVAL_S = 0.05
