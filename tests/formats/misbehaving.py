@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import ctypes
 import os
+import signal
+import socket
+import subprocess
 import sys
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -25,6 +29,45 @@ def size_of(path: Path) -> int:
 
 def process_id() -> int:
     return os.getpid()
+
+
+def server_id() -> int:
+    """The process that starts one for each file; the same where none is started."""
+    return os.getppid() if sys.platform == "linux" else os.getpid()
+
+
+def breaks_out(path: Path, port: int) -> list[str]:
+    """Try what a file that has taken its reader over would try; return what was permitted."""
+    attempts: dict[str, Callable[[], object]] = {
+        "read a neighbour": lambda: (path.parent / "neighbour").read_bytes(),
+        "read a system file": lambda: Path("/etc/passwd").read_bytes(),
+        "list a folder": lambda: os.listdir(path.parent),
+        "overwrite its file": lambda: path.open("r+b"),
+        "write a file": lambda: (path.parent / "new").write_bytes(b"x"),
+        "remove its file": path.unlink,
+        "rename its file": lambda: path.rename(path.parent / "new"),
+        "change its permissions": lambda: path.chmod(0),
+        "connect": lambda: socket.create_connection(("127.0.0.1", port), 1),
+        "send a datagram": lambda: socket.socket(type=socket.SOCK_DGRAM).sendto(b"x", ("127.0.0.1", port)),
+        "use a local socket": lambda: socket.socket(socket.AF_UNIX),
+        "start a program": lambda: subprocess.run(["/bin/true"], check=True),
+        "become a program": lambda: os.execv("/bin/true", ["true"]),
+        "start a process": os.fork,
+        "signal its parent": lambda: os.kill(os.getppid(), signal.SIGCONT),
+        "trace its parent": lambda: _system_call("ptrace", 16, os.getppid(), 0, 0),
+        "use io_uring": lambda: _system_call("syscall", 425, 1, ctypes.create_string_buffer(120)),
+    }
+    done = []
+    for name, attempt in attempts.items():
+        with suppress(OSError):
+            attempt()
+            done.append(name)
+    return [*done, *([] if path.read_bytes() else ["its file was lost"])]
+
+
+def _system_call(name: str, *arguments: object) -> None:
+    if getattr(ctypes.CDLL(None, use_errno=True), name)(*arguments) < 0:
+        raise OSError(ctypes.get_errno(), name)
 
 
 def echo(value: Any) -> Any:

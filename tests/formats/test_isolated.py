@@ -293,7 +293,7 @@ def test_progress_is_forwarded_and_restarts_the_timeout(strict: IsolatedReaders,
 
 
 def test_cancelling_ends_the_process_even_without_progress(readers: IsolatedReaders, file: Path) -> None:
-    process = readers.run(misbehaving.process_id)
+    process = readers.run(misbehaving.server_id)
     begun = time.monotonic()
 
     def report(progress: Progress) -> None:
@@ -306,9 +306,21 @@ def test_cancelling_ends_the_process_even_without_progress(readers: IsolatedRead
     if sys.platform != "win32":  # where it would be Ctrl-C
         with pytest.raises(ProcessLookupError):
             os.kill(process, 0)
-    assert readers.run(misbehaving.process_id) != process
+    assert readers.run(misbehaving.server_id) != process
 
 
+@LINUX
+def test_every_file_has_a_process_of_its_own(readers: IsolatedReaders, file: Path) -> None:
+    server = readers.run(misbehaving.server_id)
+    processes = [readers.run(misbehaving.process_id) for _ in range(3)]
+    with pytest.raises(FormatError):
+        readers.run(misbehaving.refuses, file)
+    assert len({server, *processes}) == 4
+    assert readers.run(misbehaving.server_id) == server
+    assert all(gone(process) for process in processes)
+
+
+@pytest.mark.skipif(sys.platform == "linux", reason="there every file has a process of its own")
 def test_only_a_damaged_file_replaces_the_process(readers: IsolatedReaders, file: Path) -> None:
     first = readers.run(misbehaving.process_id)
     assert readers.run(misbehaving.size_of, file) == 12
@@ -324,16 +336,16 @@ def test_a_large_program_does_not_replace_its_readers(checkout: Path) -> None:
         "import numpy as np\nheld = np.ones(90_000_000)\n"
         "from ladarreg_core.formats.isolated import IsolatedReaders\nfrom tests.formats import misbehaving\n"
         "readers = IsolatedReaders()\n"
-        "assert readers.run(misbehaving.process_id) == readers.run(misbehaving.process_id)\nreaders.close()\n"
+        "assert readers.run(misbehaving.server_id) == readers.run(misbehaving.server_id)\nreaders.close()\n"
     )
     subprocess.run([sys.executable, "-c", program], cwd=checkout, check=True, env={**os.environ, "PYTHONPATH": "."})
 
 
 def test_a_process_that_was_killed_meanwhile_is_replaced(readers: IsolatedReaders) -> None:
-    process = readers.run(misbehaving.process_id)
+    process = readers.run(misbehaving.server_id)
     os.kill(process, signal.SIGTERM)
     time.sleep(0.2)
-    assert readers.run(misbehaving.process_id) != process
+    assert readers.run(misbehaving.server_id) != process
 
 
 PARENT = """
@@ -342,7 +354,7 @@ from pathlib import Path
 from ladarreg_core.formats.isolated import IsolatedReaders
 from tests.formats import misbehaving
 readers = IsolatedReaders()
-print(readers.run(misbehaving.process_id), flush=True)
+print(readers.run(misbehaving.server_id), flush=True)
 if sys.argv[1]:
     readers.run(getattr(misbehaving, sys.argv[1]), Path(__file__ if "__file__" in dir() else sys.argv[2]))
 input()
@@ -358,12 +370,14 @@ def test_the_process_ends_with_its_parent(checkout: Path, file: Path, during: st
         env={**os.environ, "PYTHONPATH": str(checkout)},
     )  # fmt: skip
     assert parent.stdout is not None
-    child = int(parent.stdout.readline())
+    server = int(parent.stdout.readline())
     time.sleep(0.3)
-    assert not gone(child, 0.05)
+    running = Path(f"/proc/{server}/task/{server}/children").read_text().split()
+    assert len(running) == bool(during)
+    assert not any(gone(int(process), 0.05) for process in (server, *running))
     parent.kill()
     parent.communicate()
-    assert gone(child)
+    assert all(gone(int(process)) for process in (server, *running))
 
 
 @LINUX

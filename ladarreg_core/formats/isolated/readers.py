@@ -13,6 +13,7 @@ first child can start early.
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 import signal
@@ -27,7 +28,7 @@ from dataclasses import dataclass
 from typing import Any, ParamSpec, TypeVar
 
 from ladarreg_core import errors
-from ladarreg_core.errors import CameraError, FormatError, LadarregError, OptionError
+from ladarreg_core.errors import FormatError, LadarregError
 from ladarreg_core.progress import Progress, Report
 
 P = ParamSpec("P")
@@ -39,7 +40,6 @@ _START_TIMEOUT_S = 60.0
 _EXIT_TIMEOUT_S = 5.0
 _PIPE_BYTES = 1 << 20
 _DAMAGED = "the file is probably damaged: copy or export it again"
-_REUSABLE_AFTER = (CameraError, OptionError)
 _READ_DESCRIPTORS = ("read_scan", "describe")
 _MOST_REMEMBERED = 256
 
@@ -133,7 +133,7 @@ class IsolatedReaders:
             try:
                 answer = process.ask(request, self.limits, file, report)
                 error = _error_in(answer, file)
-                reusable = not answer["worn"] and (error is None or isinstance(error, _REUSABLE_AFTER))
+                reusable = not answer["worn"]
             except _ReaderStoppedError as stopped:
                 if stopped.caused_by_file:
                     self._remember(file, str(stopped))
@@ -172,7 +172,7 @@ class IsolatedReaders:
                 raise FormatError(text) from error
 
     def _return_process(self, process: _Process, *, reusable: bool) -> None:
-        """Keep a process for the next file unless it met a damaged file or grew large."""
+        """Keep a process for the next file unless a file can have changed it."""
         with self._lock:
             if reusable and self._ready is None and not process.ended:
                 self._ready = process
@@ -358,11 +358,13 @@ class _Exchange:
 
     def _exchange(self) -> None:
         from ladarreg_core.formats.isolated.messages import MessageError, read_message, write_message
+        from ladarreg_core.formats.isolated.pieces import Turn
         from ladarreg_core.formats.untrusted import one_line
 
-        requests, answers = self._popen.stdin, self._popen.stdout
+        requests = self._popen.stdin
         assert requests is not None
-        assert answers is not None
+        assert self._popen.stdout is not None
+        answers = io.BufferedReader(Turn(self._popen.stdout), _PIPE_BYTES)
         try:
             write_message(requests, self._request)
         except TypeError as error:  # the caller's mistake, not the file's
@@ -373,7 +375,10 @@ class _Exchange:
             if not isinstance(message, dict):
                 raise MessageError(f"the answer is a {type(message).__name__}")
             if "progress" not in message:
-                self.answer = message | {"worn": bool(message["worn"])}
+                worn = bool(message["worn"])
+                if answers.read(1):  # nothing follows an answer, and the process that sent it has ended
+                    raise MessageError("the answer is followed by more")
+                self.answer = message | {"worn": worn}
                 return
             if message["progress"] is not None:
                 done, total, label = message["progress"]
