@@ -21,6 +21,7 @@ from ladarreg_core.formats import photo_file, read_scan
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
+from ladarreg_core.scanner import origin
 
 
 def size_of(path: Path) -> int:
@@ -108,6 +109,12 @@ def fails(path: Path) -> None:
 
 def grows(path: Path, megabytes: int) -> int:
     return int(np.ones(megabytes << 20, np.uint8)[-1])
+
+
+def learns(path: Path, key: str, more: tuple[Path, ...] = ()) -> list[str]:
+    """Find where a scanner stood; return which clouds are known then."""
+    origin.keep_answers([[key, (1.0, 2.0, 3.0), 0.5, 0.5, True]])
+    return [row[0] for row in origin.kept_answers()]
 
 
 def refuses(path: Path) -> None:

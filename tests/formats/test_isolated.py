@@ -320,6 +320,22 @@ def test_every_file_has_a_process_of_its_own(readers: IsolatedReaders, file: Pat
     assert all(gone(process) for process in processes)
 
 
+@LINUX
+def test_where_a_scanner_stood_is_told_to_the_next_reader_of_the_same_files_only(tmp_path: Path) -> None:
+    readers = IsolatedReaders()
+    files = [tmp_path / name for name in "abc"]
+    for path in files:
+        path.write_bytes(b"x")
+    first, second, other = files
+    assert readers.run(misbehaving.learns, first, "aa") == ["aa"]
+    assert readers.run(misbehaving.learns, first, "bb") == ["aa", "bb"]
+    assert readers.run(misbehaving.learns, other, "cc") == ["cc"]
+    assert readers.run(misbehaving.learns, first, "dd", more=[second]) == ["aa", "bb", "dd"]
+    first.write_bytes(b"changed")
+    assert readers.run(misbehaving.learns, first, "ee") == ["ee"]
+    readers.close()
+
+
 @pytest.mark.skipif(sys.platform == "linux", reason="there every file has a process of its own")
 def test_only_a_damaged_file_replaces_the_process(readers: IsolatedReaders, file: Path) -> None:
     first = readers.run(misbehaving.process_id)

@@ -22,7 +22,7 @@ import sys
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, ParamSpec, TypeVar
@@ -42,6 +42,7 @@ _PIPE_BYTES = 1 << 20
 _DAMAGED = "the file is probably damaged: copy or export it again"
 _READ_DESCRIPTORS = ("read_scan", "describe")
 _MOST_REMEMBERED = 256
+_LONGEST_KEY = 64
 
 log = logging.getLogger(__name__)
 
@@ -91,6 +92,7 @@ class IsolatedReaders:
         self._ready: _Process | None = None
         self._processes: set[_Process] = set()
         self._failures: OrderedDict[_FileState, str] = OrderedDict()
+        self._origins = _KnownOrigins()
 
     def warm(self) -> None:
         """Start a process in advance; returns at once, while the process loads the readers."""
@@ -118,6 +120,7 @@ class IsolatedReaders:
         report: Any = kwargs.pop("report", None)
         file = _FileState.of(function, args)
         self._refuse_known_failure(file)
+        files = _states_of([*args, *kwargs.values()])
         request = {
             "module": function.__module__,
             "name": function.__qualname__,
@@ -126,6 +129,7 @@ class IsolatedReaders:
             "folder": _working_folder(),
             "memory_bytes": self.limits.memory_for(file.bytes),
             "silent_s": self.limits.silence_for(file.bytes),
+            "origins": self._origins.of(files),
         }
         with self._slots:
             process = self._take_process(file)
@@ -134,6 +138,7 @@ class IsolatedReaders:
                 answer = process.ask(request, self.limits, file, report)
                 error = _error_in(answer, file)
                 reusable = not answer["worn"]
+                self._origins.learn(files, answer.get("origins"))
             except _ReaderStoppedError as stopped:
                 if stopped.caused_by_file:
                     self._remember(file, str(stopped))
@@ -226,6 +231,60 @@ class _FileState:
             return _FileState(shown_name(path), path, called, size, state.st_mtime_ns)
         except (OSError, ValueError):  # the reader reports what is wrong
             return _FileState(shown_name(path), path, called, 0, 0)
+
+
+def _states_of(values: Iterable[Any]) -> frozenset[tuple[str, int, int]]:
+    """Return path, size and time of change of all files among the arguments of a call."""
+    found: set[tuple[str, int, int]] = set()
+    for value in values:
+        if isinstance(value, os.PathLike):
+            with suppress(OSError, ValueError):
+                state = os.stat(value)
+                found.add((os.path.abspath(value), state.st_size, state.st_mtime_ns))
+        elif isinstance(value, list | tuple):
+            found |= _states_of(value)
+    return frozenset(found)
+
+
+class _KnownOrigins:
+    """Where the scanners of clouds stood, which takes long to find: for the next process that reads the same files.
+
+    What was found while some files were read is only told where all of these are read again, so that no file can
+    mislead the reader of another one.
+    """
+
+    def __init__(self) -> None:
+        self._rows: OrderedDict[frozenset[tuple[str, int, int]], list[Any]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def of(self, files: frozenset[tuple[str, int, int]]) -> list[Any]:
+        with self._lock:
+            return [row for known, rows in self._rows.items() if known <= files for row in rows]
+
+    def learn(self, files: frozenset[tuple[str, int, int]], rows: Any) -> None:
+        if not files or not isinstance(rows, list) or not 0 < len(rows) <= _MOST_REMEMBERED:
+            return
+        if not all(map(_is_origin, rows)):  # of a process that a file has taken over
+            return
+        with self._lock:
+            self._rows[files] = rows
+            self._rows.move_to_end(files)
+            while len(self._rows) > _MOST_REMEMBERED:
+                self._rows.popitem(last=False)
+
+
+def _is_origin(row: Any) -> bool:
+    """Return whether a value is a row of `kept_answers`."""
+    if not isinstance(row, list) or len(row) != 5:
+        return False
+    key, position, *shares, may_be_centre = row
+    numbers = [*shares, *(position if isinstance(position, list | tuple) and len(position) == 3 else ())]
+    return (
+        isinstance(key, str) and len(key) <= _LONGEST_KEY
+        and (position is None or len(numbers) == len(shares) + 3)
+        and all(isinstance(number, float) for number in numbers)
+        and isinstance(may_be_centre, bool)
+    )  # fmt: skip
 
 
 class _ReaderStoppedError(Exception):

@@ -29,6 +29,7 @@ from ladarreg_core.progress import Progress
 _PRELOADED = (
     "ladarreg_core.formats.isolated.messages",
     "ladarreg_core.formats.isolated.confinement",
+    "ladarreg_core.scanner.origin",
     "ladarreg_core.formats.registry",
     "ladarreg_core.formats.photo_file",
     "ladarreg_core.formats.matches_file",
@@ -240,6 +241,7 @@ def _serve(
         function: the function, or why there is none; None: it is still to be found.
     """
     from ladarreg_core.formats.isolated.messages import message_parts
+    from ladarreg_core.scanner.origin import keep_answers, kept_answers
 
     def send(message: dict[str, Any]) -> None:
         for part in message_parts(message):
@@ -248,7 +250,7 @@ def _serve(
     def answer(message: dict[str, Any], *, is_clean: bool = False) -> None:
         limits.remove()
         worn = sys.platform != "linux" and (not is_clean or _peak_bytes() > _REUSE_LIMIT_BYTES)
-        send(message | {"worn": worn})
+        send(message | {"worn": worn, "origins": kept_answers()})
 
     limits = _Limits(request["memory_bytes"], request["silent_s"])
     try:
@@ -256,6 +258,8 @@ def _serve(
             function = _function(request)
         if isinstance(function, Exception):
             raise function
+        with suppress(ValueError, TypeError):
+            keep_answers(request["origins"])
         limits.apply()
         send({"progress": None})  # everything is loaded; from now on the time limits of the file apply
         kwargs = dict(request["kwargs"])
