@@ -55,12 +55,12 @@ _COMPANIONS: Mapping[str, tuple[str, ...]] = {
     ".json": ("",),  # a descriptor, or a result with its manifest: what it names lies in its folder
     ".yaml": ("",),  # of a recording
     ".yml": ("",),
-    ".pcap": ("*.json",),
-    ".pcapng": ("*.json",),
+    ".pcap": (".json",),
+    ".pcapng": (".json",),
     ".txt": ("images.txt", "images.bin"),
     ".bin": ("images.txt", "images.bin"),
 }
-"""What readers open beside a file, by its ending: patterns in its folder; empty: the folder."""
+"""What readers open beside a file, by its ending: endings of names in its folder; empty: the folder."""
 
 
 def main() -> None:
@@ -169,14 +169,18 @@ def _serve_one(
 
 def _readable(request: dict[str, Any]) -> Iterator[Path]:
     """Yield the files and folders that a request may read: the paths in it and what lies beside them."""
-    for path in _paths([*request["args"], *request["kwargs"].values()]):
+    values = [*request["args"], *request["kwargs"].values()]
+    if request["args"] and isinstance(values[0], str):
+        values[0] = Path(values[0])
+    for path in _paths(values):
         path = Path(request["folder"], path)
         yield path
-        for pattern in _COMPANIONS.get(path.suffix.lower(), ()):
-            if pattern:
-                yield from path.parent.glob(pattern)
-            else:
+        for ending in _COMPANIONS.get(path.suffix.lower(), ()):
+            if not ending:
                 yield path.parent
+                continue
+            with suppress(OSError):
+                yield from (other for other in path.parent.iterdir() if other.name.lower().endswith(ending))
 
 
 def _paths(values: Any) -> Iterator[Path]:
