@@ -5,7 +5,10 @@ from __future__ import annotations
 import errno
 import os
 import platform
+import re
+import shutil
 import socket
+import subprocess
 import sys
 import threading
 from collections.abc import Iterator
@@ -134,6 +137,64 @@ def test_nobody_hears_of_fifty_hostile_files(readers: IsolatedReaders, tmp_path:
             return
         threading.Event().wait(0.02)
     pytest.fail("the listener is deaf")
+
+
+READ = """
+import sys
+from contextlib import suppress
+from pathlib import Path
+from ladarreg_core.errors import LadarregError
+from ladarreg_core.formats import describe
+from ladarreg_core.formats.isolated import IsolatedReaders
+readers = IsolatedReaders()
+for path in map(Path, sys.argv[1:]):
+    with suppress(LadarregError):
+        readers.run(describe, path)
+readers.close()
+"""
+
+
+@CONFINED
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("strace") is None, reason="strace is not installed")
+def test_system_calls_show_no_connection_and_no_foreign_file(tmp_path: Path, checkout: Path) -> None:
+    (tmp_path / "seeds").mkdir()
+    files = [seed.file for seed in write_seeds(tmp_path / "seeds")][::3]
+    calls = "prctl,open,openat,openat2,connect,socket,execve,clone,fork,vfork"
+    done = subprocess.run(
+        ["strace", "-f", "-y", "-e", f"trace={calls}", "-o", tmp_path / "log", sys.executable, "-c", READ, *files],
+        cwd=checkout, capture_output=True, text=True,
+    )  # fmt: skip
+    if "not permitted" in done.stderr:
+        pytest.skip("tracing is not permitted here")
+    assert done.returncode == 0, done.stderr
+    confined: set[str] = set()
+    opened: list[str] = []
+    for line in (tmp_path / "log").read_text(errors="replace").splitlines():
+        process, _, call = line.partition(" ")
+        call = call.strip()
+        if call.startswith("prctl(PR_SET_SECCOMP") and call.endswith("= 0"):
+            confined.add(process)
+        elif process in confined and not re.search(r"= -1 |\+\+\+|---|resumed|CLONE_THREAD|PR_SET_NAME", call):
+            assert call.startswith("open"), call
+            opened.append(call.partition('"')[2].partition('"')[0])
+    assert len(confined) == len(files)
+    code = (
+        sys.prefix,
+        sys.base_prefix,
+        str(checkout),
+        "/proc/",
+        "/sys/",
+        "/dev/",
+        "/lib",
+        "/usr/lib",
+        "/etc/ld.so.cache",
+    )
+    foreign = [
+        path for path in opened if path.startswith("/") and not path.startswith((*code, str(tmp_path / "seeds")))
+    ]
+    assert foreign == []
+    assert {str(file) for file in files if file.suffix == ".e57"} <= set(opened)
 
 
 # The filter, on both kinds of processors

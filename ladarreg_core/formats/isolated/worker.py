@@ -127,7 +127,13 @@ def _serve_by_forking(incoming: IO[bytes], outgoing: IO[bytes]) -> None:
         answers, sending = os.pipe()
         with suppress(OSError):  # beyond the user's limit; a larger pipe is only faster
             fcntl.fcntl(sending, fcntl.F_SETPIPE_SZ, _PASSED_ON_BYTES)
-        child = os.fork()
+        try:
+            child = os.fork()
+        except OSError as error:
+            os.close(answers)
+            os.close(sending)
+            _refuse(request, error, outgoing)
+            continue
         if child == 0:
             try:
                 os.close(answers)
@@ -136,6 +142,18 @@ def _serve_by_forking(incoming: IO[bytes], outgoing: IO[bytes]) -> None:
                 os._exit(1)
         os.close(sending)
         _pass_on(child, answers, incoming, outgoing)
+
+
+def _refuse(request: dict[str, Any], error: OSError, outgoing: IO[bytes]) -> None:
+    """Answer that no process can be started."""
+    from ladarreg_core.formats.isolated.messages import message_parts
+    from ladarreg_core.formats.untrusted import shown_name
+
+    name = shown_name(request["args"][0]) if request["args"] else "the file"
+    text = f"{name}: it cannot be read now because no process can be started ({error.strerror}); try again"
+    for part in message_parts({"error": "FormatError", "text": text, "worn": True}):
+        write_piece(outgoing, part)
+    write_piece(outgoing, b"")
 
 
 def _serve_one(
@@ -169,11 +187,9 @@ def _serve_one(
 
 def _readable(request: dict[str, Any]) -> Iterator[Path]:
     """Yield the files and folders that a request may read: the paths in it and what lies beside them."""
-    values = [*request["args"], *request["kwargs"].values()]
-    if request["args"] and isinstance(values[0], str):
-        values[0] = Path(values[0])
-    for path in _paths(values):
-        path = Path(request["folder"], path)
+    named = [Path(value) for value in request["args"][:1] if isinstance(value, str)]
+    for found in (*named, *_paths([*request["args"], *request["kwargs"].values()])):
+        path = Path(request["folder"], found)
         yield path
         for ending in _COMPANIONS.get(path.suffix.lower(), ()):
             if not ending:
@@ -353,9 +369,6 @@ def _peak_bytes() -> int:
     """Return the peak resident memory, bytes; 0 where the system does not report it."""
     if sys.platform == "win32":
         return 0
-    if sys.platform == "linux":  # the figure of `getrusage` there begins at that of the process that started this one
-        with suppress(OSError, StopIteration, ValueError, IndexError), open("/proc/self/status", "rb") as status:
-            return int(next(line for line in status if line.startswith(b"VmHWM:")).split()[1]) << 10
     import resource
 
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
