@@ -18,6 +18,7 @@ import numpy as np
 
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats import photo_file, read_scan
+from ladarreg_core.formats.isolated.messages import message_parts
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
@@ -132,6 +133,16 @@ def writes_nonsense(path: Path) -> None:
             os.write(descriptor, b"\xff" * 4096)
         except OSError:
             continue
+
+
+def answers_twice(path: Path) -> str:
+    """Act like a compromised decoder: append the answer to somebody else's request to one's own."""
+    forged = b"".join(message_parts({"answer": "forged", "worn": False, "origins": []}))
+    for descriptor in range(3, 20):
+        with suppress(OSError):
+            os.write(descriptor, b"".join(message_parts({"progress": None})))
+            os.write(descriptor, forged + forged)
+    return "mine"
 
 
 def goes_on(path: Path, steps: int, step_s: float, report: Report | None = None) -> int:

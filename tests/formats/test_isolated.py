@@ -25,6 +25,7 @@ from ladarreg_core.formats import describe, read_photo, read_scan
 from ladarreg_core.formats.camera_file import read_camera
 from ladarreg_core.formats.isolated import IsolatedReaders, ReaderLimits
 from ladarreg_core.formats.isolated.messages import MessageError, read_message, write_message
+from ladarreg_core.formats.isolated.pieces import Turn, write_piece
 from ladarreg_core.formats.matches_file import read_matches
 from ladarreg_core.frames import Rigid
 from ladarreg_core.photo import Photo
@@ -318,6 +319,8 @@ def test_every_file_has_a_process_of_its_own(readers: IsolatedReaders, file: Pat
     assert len({server, *processes}) == 4
     assert readers.run(misbehaving.server_id) == server
     assert all(gone(process) for process in processes)
+    # What confines a process holds for its threads only if there is one, and forking is safe for the same reason.
+    assert len(os.listdir(f"/proc/{server}/task")) == 1
 
 
 @LINUX
@@ -446,6 +449,26 @@ AZIMUTH = {
 def test_messages_of_the_wrong_kind_are_refused(value: Any) -> None:
     with pytest.raises(MessageError):
         read_message(message(value, bytes(24)), largest_bytes=1 << 20)
+
+
+@LINUX
+def test_a_process_cannot_speak_for_the_next_one(readers: IsolatedReaders, file: Path) -> None:
+    with pytest.raises(FormatError, match="sent an invalid answer"):
+        readers.run(misbehaving.answers_twice, file)
+    assert readers.run(misbehaving.size_of, file) == 12
+
+
+def test_a_turn_ends_where_its_last_piece_says() -> None:
+    stream = io.BytesIO()
+    for data in (b"of one", b"x" * (3 << 20), b"", b"of another", b""):
+        write_piece(stream, data)
+    stream.seek(0)
+    assert io.BufferedReader(Turn(stream)).read() == b"of one" + b"x" * (3 << 20)
+    assert io.BufferedReader(Turn(stream)).read() == b"of another"
+    with pytest.raises(EOFError):
+        io.BufferedReader(Turn(stream)).read()
+    with pytest.raises(ValueError, match="at most"):
+        io.BufferedReader(Turn(io.BytesIO(b"\xff" * 100))).read()
 
 
 def test_messages_that_end_too_soon_are_refused() -> None:

@@ -28,6 +28,7 @@ import sysconfig
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 _PR_SET_SECCOMP, _PR_GET_SECCOMP, _PR_SET_NO_NEW_PRIVS = 22, 21, 38
 _MODE_FILTER = 2
@@ -100,7 +101,7 @@ def confine(files: Iterable[str | os.PathLike[str]]) -> None:
     Args:
         files: files and folders that it may read, beside the program's own code; those that do not exist are ignored.
     """
-    if sys.platform != "linux" or not _no_new_privileges():
+    if sys.platform != "linux" or _prctl(_PR_SET_NO_NEW_PRIVS, 1) != 0:
         return
     _restrict_files([*files, *_code_folders(), *_PROGRAM_FILES])
     _restrict_calls()
@@ -119,17 +120,25 @@ def confinement() -> tuple[tuple[str, str], ...]:
     calls = "yes"
     if platform.machine() not in _ARCHITECTURES:
         calls = f"no: there is no filter for {platform.machine()} processors"
-    elif _libc().prctl(_PR_GET_SECCOMP, 0, 0, 0, 0) < 0:
+    elif _prctl(_PR_GET_SECCOMP) < 0:
         calls = "no: the kernel was built without it"
     return (("Landlock", landlock), ("seccomp", calls))
 
 
-def _libc() -> ctypes.CDLL:
-    return ctypes.CDLL(None, use_errno=True)
+def _prctl(operation: int, *arguments: Any) -> int:
+    return int(ctypes.CDLL(None).prctl(operation, *map(_word, (*arguments, 0, 0, 0, 0)[:4])))
 
 
-def _no_new_privileges() -> bool:
-    return _libc().prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) == 0  # type: ignore[no-any-return]
+def _system_call(number: int, *arguments: Any) -> int:
+    """Make a system call; below 0 if it fails."""
+    call = ctypes.CDLL(None).syscall
+    call.restype = ctypes.c_long
+    return int(call(ctypes.c_long(number), *map(_word, arguments)))
+
+
+def _word(value: Any) -> Any:
+    """Return an argument that fills a register: the kernel looks at all of it."""
+    return ctypes.c_long(value) if isinstance(value, int) else value
 
 
 def _code_folders() -> set[str]:
@@ -141,11 +150,11 @@ def _code_folders() -> set[str]:
 
 def _landlock_version() -> int:
     """Return the version of Landlock's interface; below 1 where there is none."""
-    return int(_libc().syscall(_LANDLOCK_CREATE, None, ctypes.c_size_t(0), ctypes.c_uint32(_LANDLOCK_VERSION)))
+    return _system_call(_LANDLOCK_CREATE, 0, 0, _LANDLOCK_VERSION)
 
 
 def _restrict_files(readable: Iterable[str | os.PathLike[str]]) -> None:
-    version, libc = _landlock_version(), _libc()
+    version = _landlock_version()
     if version < 1:
         return
     rights = (1 << _FILE_RIGHTS[min(version, max(_FILE_RIGHTS))]) - 1
@@ -153,24 +162,24 @@ def _restrict_files(readable: Iterable[str | os.PathLike[str]]) -> None:
     scopes = _SCOPES if version >= _SCOPES_SINCE else 0
     fields = 1 + (version >= _NETWORK_SINCE) + (version >= _SCOPES_SINCE)
     rules = struct.pack("=QQQ", rights, network, scopes)[: 8 * fields]
-    ruleset = libc.syscall(_LANDLOCK_CREATE, rules, ctypes.c_size_t(len(rules)), ctypes.c_uint32(0))
+    ruleset = _system_call(_LANDLOCK_CREATE, rules, len(rules), 0)
     if ruleset < 0:
         return
     try:
         for path in readable:
             with suppress(OSError, ValueError):
-                _permit(libc, ruleset, path)
-        libc.syscall(_LANDLOCK_RESTRICT, ruleset, ctypes.c_uint32(0))
+                _permit(ruleset, path)
+        _system_call(_LANDLOCK_RESTRICT, ruleset, 0)
     finally:
         os.close(ruleset)
 
 
-def _permit(libc: ctypes.CDLL, ruleset: int, path: str | os.PathLike[str]) -> None:
+def _permit(ruleset: int, path: str | os.PathLike[str]) -> None:
     opened = os.open(path, os.O_PATH | os.O_CLOEXEC)
     try:
         rights = _READ_FILE | _READ_FOLDER if os.path.isdir(path) else _READ_FILE
         rule = struct.pack("=Qi", rights, opened)
-        libc.syscall(_LANDLOCK_ADD, ruleset, _PATH_BENEATH, rule, ctypes.c_uint32(0))
+        _system_call(_LANDLOCK_ADD, ruleset, _PATH_BENEATH, rule, 0)
     finally:
         os.close(opened)
 
@@ -185,7 +194,7 @@ def _restrict_calls() -> None:
         return
     code = b"".join(struct.pack("=HBBI", *step) for step in filter_of(machine, os.getpid()))
     program = _Program(len(code) // 8, code)
-    _libc().prctl(_PR_SET_SECCOMP, _MODE_FILTER, ctypes.byref(program), 0, 0)
+    _prctl(_PR_SET_SECCOMP, _MODE_FILTER, ctypes.byref(program))
 
 
 _Step = tuple[int, int, int, int]

@@ -42,12 +42,15 @@ class Turn(io.RawIOBase):
 
         Raises:
             EOFError: if the stream ends before.
+            ValueError: if it does not consist of pieces.
         """
         if self._left == 0 and not self._is_over:
             length = self._stream.read(_LENGTH_BYTES)
             if len(length) < _LENGTH_BYTES:
                 raise EOFError("the other process has ended")
             self._left = int.from_bytes(length, "little")
+            if self._left > _MOST_BYTES:
+                raise ValueError(f"a piece has {self._left:,} bytes; at most {_MOST_BYTES:,} are allowed")
             self._is_over = self._left == 0
         if self._is_over:
             return 0

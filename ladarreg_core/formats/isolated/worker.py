@@ -169,7 +169,7 @@ def _serve_one(
     from ladarreg_core.formats.isolated.confinement import confine
 
     started_by = os.getppid()
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, ctypes.c_long(signal.SIGKILL))
     if os.getppid() != started_by or started_by == 1:
         os._exit(0)
     os.close(incoming.fileno())
