@@ -223,7 +223,7 @@ def test_the_filter_refuses_what_is_listed_and_nothing_else(machine: str) -> Non
     allow, refused, unknown = 0x7FFF0000, 0x50000 | errno.EPERM, 0x50000 | errno.ENOSYS
     which = ["x86_64", "aarch64"].index(machine)
     listed = {numbers[which] for numbers in _NUMBERS.values()} - {None}
-    special = {"x86_64": (56, 62, 234, 2, 257), "aarch64": (220, 129, 131, 56)}[machine]
+    special = {"x86_64": (56, 62, 234, 157, 2, 257), "aarch64": (220, 129, 131, 167, 56)}[machine]
     for number in range(500):
         if number in listed:
             assert judged(machine, number) == refused, number
@@ -231,7 +231,8 @@ def test_the_filter_refuses_what_is_listed_and_nothing_else(machine: str) -> Non
             assert judged(machine, number) == unknown
         elif number not in special:
             assert judged(machine, number) == allow, number
-    clone, kill, tgkill, *_ = special
+    clone, kill, tgkill, prctl, *_ = special
+    assert (judged(machine, prctl, (1,)), judged(machine, prctl, (15,))) == (refused, allow)
     assert judged(machine, clone, (0x3D0F00,)) == allow  # a thread
     assert judged(machine, clone, (0x11,)) == refused  # a process
     for call in (kill, tgkill):

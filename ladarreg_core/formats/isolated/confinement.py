@@ -44,7 +44,8 @@ _NETWORK_SINCE, _SCOPES_SINCE = 4, 6
 
 _ARCHITECTURES = {"x86_64": 0xC000003E, "aarch64": 0xC00000B7}
 _X32_BIT = 0x40000000
-_NUMBERS: dict[str, tuple[int | None, int | None]] = {
+_Numbers = tuple[int | None, int | None]
+_NUMBERS: dict[str, _Numbers] = {
     # sockets
     "socket": (41, 198), "connect": (42, 203), "accept": (43, 202), "bind": (49, 200), "listen": (50, 201),
     "socketpair": (53, 199), "accept4": (288, 242), "sendto": (44, 206), "sendmsg": (46, 211), "sendmmsg": (307, 269),
@@ -78,7 +79,8 @@ _NUMBERS: dict[str, tuple[int | None, int | None]] = {
 """System calls that are refused, on x86_64 and aarch64; None where there is none."""
 _UNKNOWN_CALLS = (435, 437)  # clone3 and openat2, whose arguments a filter cannot see: libraries use the older calls
 _CLONE, _KILL, _TGKILL = (56, 220), (62, 129), (234, 131)
-_OPEN, _OPENAT = (2, None), (257, 56)
+_OPEN, _OPENAT, _PRCTL = (2, None), (257, 56), (157, 167)
+_SET_DEATH_SIGNAL = 1
 _CLONE_THREAD = 0x00010000
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 
@@ -218,15 +220,16 @@ def filter_of(machine: str, process: int) -> list[_Step]:
         (_JUMP_GREATER_EQUAL, 0, 1, _X32_BIT),
         (_RETURN, 0, 0, _ERROR | errno.ENOSYS),
     ]
-    for number in _UNKNOWN_CALLS:
-        steps += [(_JUMP_EQUAL, 0, 1, number), (_RETURN, 0, 0, _ERROR | errno.ENOSYS)]
+    for unknown in _UNKNOWN_CALLS:
+        steps += [(_JUMP_EQUAL, 0, 1, unknown), (_RETURN, 0, 0, _ERROR | errno.ENOSYS)]
     # By an argument: a call, its place, the test, and whether it must be true.
-    tests = (
+    tests: tuple[tuple[_Numbers, int, int, int, bool], ...] = (
         (_CLONE, 0, _JUMP_BITS, _CLONE_THREAD, True),
         (_KILL, 0, _JUMP_EQUAL, process, True),
         (_TGKILL, 0, _JUMP_EQUAL, process, True),
         (_OPEN, 1, _JUMP_BITS, _WRITING, False),
         (_OPENAT, 2, _JUMP_BITS, _WRITING, False),
+        (_PRCTL, 0, _JUMP_EQUAL, _SET_DEATH_SIGNAL, False),  # this process ends with the one that started it
     )
     for call, argument, test, operand, permitted_if in tests:
         if (number := call[which]) is None:

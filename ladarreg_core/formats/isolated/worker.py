@@ -50,6 +50,7 @@ _REUSE_LIMIT_BYTES = 512 << 20
 _LONGEST_TRACE = 4000
 _ALARM_MARGIN_S = 5.0
 _PASSED_ON_BYTES = 1 << 20
+_ENDING_MS = 1
 _PR_SET_PDEATHSIG = 1
 _COMPANIONS: Mapping[str, tuple[str, ...]] = {
     ".json": ("",),  # a descriptor, or a result with its manifest: what it names lies in its folder
@@ -127,6 +128,7 @@ def _serve_by_forking(incoming: IO[bytes], outgoing: IO[bytes]) -> None:
         answers, sending = os.pipe()
         with suppress(OSError):  # beyond the user's limit; a larger pipe is only faster
             fcntl.fcntl(sending, fcntl.F_SETPIPE_SZ, _PASSED_ON_BYTES)
+        server = os.getpid()
         try:
             child = os.fork()
         except OSError as error:
@@ -136,8 +138,10 @@ def _serve_by_forking(incoming: IO[bytes], outgoing: IO[bytes]) -> None:
             continue
         if child == 0:
             try:
-                os.close(answers)
-                _serve_one(request, function, incoming, outgoing, sending)
+                _end_with(server)
+                for inherited in (answers, incoming.fileno(), outgoing.fileno()):
+                    os.close(inherited)
+                _serve_one(request, function, sending)
             finally:
                 os._exit(1)
         os.close(sending)
@@ -156,24 +160,19 @@ def _refuse(request: dict[str, Any], error: OSError, outgoing: IO[bytes]) -> Non
     write_piece(outgoing, b"")
 
 
-def _serve_one(
-    request: dict[str, Any],
-    function: Callable[..., Any] | Exception,
-    incoming: IO[bytes],
-    outgoing: IO[bytes],
-    sending: int,
-) -> None:
-    """Serve a request in the process that was forked for it."""
+def _end_with(server: int) -> None:
+    """Have the system kill this process when the one that forked it ends."""
     import ctypes
 
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, ctypes.c_long(signal.SIGKILL))
+    if os.getppid() != server:  # it has just ended
+        os._exit(0)
+
+
+def _serve_one(request: dict[str, Any], function: Callable[..., Any] | Exception, sending: int) -> None:
+    """Serve a request in the process that was forked for it."""
     from ladarreg_core.formats.isolated.confinement import confine
 
-    started_by = os.getppid()
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, ctypes.c_long(signal.SIGKILL))
-    if os.getppid() != started_by or started_by == 1:
-        os._exit(0)
-    os.close(incoming.fileno())
-    os.close(outgoing.fileno())
     confine(_readable(request))
     with os.fdopen(sending, "wb") as stream:
 
@@ -226,8 +225,13 @@ def _pass_on(child: int, answers: int, incoming: IO[bytes], outgoing: IO[bytes])
             write_piece(outgoing, data)
         except OSError:
             os._exit(0)  # which ends the child
+    poll.unregister(answers)
     os.close(answers)
-    _, status = os.waitpid(child, 0)
+    while (ended := os.waitpid(child, os.WNOHANG))[0] == 0:
+        if poll.poll(_ENDING_MS):
+            os.kill(child, signal.SIGKILL)
+            os._exit(0)
+    status = ended[1]
     if os.WIFSIGNALED(status):
         with suppress(OSError, ValueError):  # SIGKILL has no other disposition
             signal.signal(os.WTERMSIG(status), signal.SIG_DFL)
