@@ -91,7 +91,7 @@ class IsolatedReaders:
         self._lock = threading.Lock()
         self._ready: _Process | None = None
         self._processes: set[_Process] = set()
-        self._failures: OrderedDict[_FileState, str] = OrderedDict()
+        self._failures: OrderedDict[FileState, str] = OrderedDict()
         self._origins = _KnownOrigins()
 
     def warm(self) -> None:
@@ -118,7 +118,7 @@ class IsolatedReaders:
             FormatError: if the process crashed, hung, or exceeded its memory limit.
         """
         report: Any = kwargs.pop("report", None)
-        file = _FileState.of(function, args)
+        file = FileState.of(function, args)
         self._refuse_known_failure(file)
         files = _states_of([*args, *kwargs.values()])
         request = {
@@ -136,10 +136,10 @@ class IsolatedReaders:
             reusable = False
             try:
                 answer = process.ask(request, self.limits, file, report)
-                error = _error_in(answer, file)
+                error = error_in(answer, file)
                 reusable = not answer["worn"]
                 self._origins.learn(files, answer.get("origins"))
-            except _ReaderStoppedError as stopped:
+            except ReaderStoppedError as stopped:
                 if stopped.caused_by_file:
                     self._remember(file, str(stopped))
                 raise FormatError(str(stopped)) from None
@@ -162,7 +162,7 @@ class IsolatedReaders:
         self._processes.add(process)
         return process
 
-    def _take_process(self, file: _FileState) -> _Process:
+    def _take_process(self, file: FileState) -> _Process:
         with self._lock:
             process, self._ready = self._ready, None
             if process is not None and not process.ended:
@@ -188,7 +188,7 @@ class IsolatedReaders:
         if not reusable:
             self.warm()
 
-    def _remember(self, file: _FileState, text: str) -> None:
+    def _remember(self, file: FileState, text: str) -> None:
         if not file.path:
             return
         with self._lock:
@@ -196,7 +196,7 @@ class IsolatedReaders:
             while len(self._failures) > _MOST_REMEMBERED:
                 self._failures.popitem(last=False)
 
-    def _refuse_known_failure(self, file: _FileState) -> None:
+    def _refuse_known_failure(self, file: FileState) -> None:
         """Refuse an unchanged file whose reader was stopped before: a page may request it repeatedly."""
         with self._lock:
             text = self._failures.get(file)
@@ -205,7 +205,7 @@ class IsolatedReaders:
 
 
 @dataclass(frozen=True, slots=True)
-class _FileState:
+class FileState:
     """Identity and current state of the file that a call reads."""
 
     name: str
@@ -215,10 +215,11 @@ class _FileState:
     changed_ns: int
 
     @staticmethod
-    def of(function: Callable[..., Any], args: tuple[Any, ...]) -> _FileState:
+    def of(function: Callable[..., Any], args: tuple[Any, ...]) -> FileState:
+        """Return the state of the file that a call names first."""
         called = f"{function.__module__}.{function.__qualname__}"
         if not args or not isinstance(args[0], str | os.PathLike):  # without a path nothing is remembered
-            return _FileState(function.__qualname__, "", called, 0, 0)
+            return FileState(function.__qualname__, "", called, 0, 0)
         from ladarreg_core.formats.untrusted import shown_name
 
         path = os.path.abspath(os.fspath(args[0]))
@@ -228,9 +229,9 @@ class _FileState:
             if path.lower().endswith(".json") and function.__name__ in _READ_DESCRIPTORS:
                 # A descriptor is small, but may refer to any of the files beside it.
                 size = sum(entry.stat().st_size for entry in os.scandir(os.path.dirname(path)) if entry.is_file())
-            return _FileState(shown_name(path), path, called, size, state.st_mtime_ns)
+            return FileState(shown_name(path), path, called, size, state.st_mtime_ns)
         except (OSError, ValueError):  # the reader reports what is wrong
-            return _FileState(shown_name(path), path, called, 0, 0)
+            return FileState(shown_name(path), path, called, 0, 0)
 
 
 def _states_of(values: Iterable[Any]) -> frozenset[tuple[str, int, int]]:
@@ -287,7 +288,7 @@ def _is_origin(row: Any) -> bool:
     )  # fmt: skip
 
 
-class _ReaderStoppedError(Exception):
+class ReaderStoppedError(Exception):
     """A reader process ended, or had to be stopped, before it answered."""
 
     def __init__(self, text: str, *, caused_by_file: bool = True) -> None:
@@ -327,12 +328,12 @@ class _Process:
         return self._popen.poll() is not None
 
     def ask(
-        self, request: dict[str, Any], limits: ReaderLimits, file: _FileState, report: Report | None
+        self, request: dict[str, Any], limits: ReaderLimits, file: FileState, report: Report | None
     ) -> dict[str, Any]:
         """Send a request and return the answer.
 
         Raises:
-            _ReaderStoppedError: if the process ends or has to be stopped before it answers.
+            ReaderStoppedError: if the process ends or has to be stopped before it answers.
         """
         exchange = _Exchange(self._popen, request, limits.result_bytes)
         started = last_sign = time.monotonic()
@@ -343,14 +344,14 @@ class _Process:
                 signs, last_sign = exchange.signs, now
             timeout = request["silent_s"] if signs else _START_TIMEOUT_S
             if now - last_sign > timeout or now - started > limits.longest_s:
-                raise _ReaderStoppedError(_hung(file, now - started))
+                raise ReaderStoppedError(_hung(file, now - started))
             if report is not None:
                 report(exchange.progress or Progress(0, 0, f"reading {file.name}"))
         if exchange.answer is not None:
             return exchange.answer
         if exchange.refused:
             log.debug("%s: %s", file.path, exchange.refused)
-            raise _ReaderStoppedError(f"{file.name}: its reader sent an invalid answer; {_DAMAGED}")
+            raise ReaderStoppedError(str(invalid_answer(file)))
         if exchange.unsent is not None:
             raise exchange.unsent
         raise self._why_it_ended(file, time.monotonic() - started)
@@ -365,21 +366,11 @@ class _Process:
             with suppress(OSError):  # data that could not be sent
                 stream.close()
 
-    def _why_it_ended(self, file: _FileState, seconds: float) -> _ReaderStoppedError:
+    def _why_it_ended(self, file: FileState, seconds: float) -> ReaderStoppedError:
         try:
-            code = self._popen.wait(_EXIT_TIMEOUT_S)
+            return why_it_ended(file, self._popen.wait(_EXIT_TIMEOUT_S), seconds)
         except subprocess.TimeoutExpired:
-            return _ReaderStoppedError(f"{file.name}: its reader ended without an answer; {_DAMAGED}")
-        if code < 0:
-            number = -code
-            if number == getattr(signal, "SIGALRM", None):
-                return _ReaderStoppedError(_hung(file, seconds))
-            if number == getattr(signal, "SIGKILL", None):
-                text = f"{file.name}: its reader was killed from outside, perhaps because memory ran out; try again"
-                return _ReaderStoppedError(text, caused_by_file=False)
-            name = signal.strsignal(number) or f"signal {number}"
-            return _ReaderStoppedError(f"{file.name}: its reader crashed ({name}); {_DAMAGED}")
-        return _ReaderStoppedError(f"{file.name}: its reader ended with code {code:#x} and no answer; {_DAMAGED}")
+            return ReaderStoppedError(f"{file.name}: its reader ended without an answer; {_DAMAGED}")
 
 
 class _Exchange:
@@ -454,11 +445,36 @@ def _working_folder() -> str:
         return ""
 
 
-def _hung(file: _FileState, seconds: float) -> str:
+def invalid_answer(file: FileState) -> FormatError:
+    """Return the error of a reader process that does not keep to the protocol."""
+    return FormatError(f"{file.name}: its reader sent an invalid answer; {_DAMAGED}")
+
+
+def why_it_ended(file: FileState, code: int, seconds: float) -> ReaderStoppedError:
+    """Return why a reader process ended that has not answered.
+
+    Args:
+        file: what it read.
+        code: exit code, or less than 0: the signal that ended it.
+        seconds: since it began.
+    """
+    if code >= 0:
+        return ReaderStoppedError(f"{file.name}: its reader ended with code {code:#x} and no answer; {_DAMAGED}")
+    number = -code
+    if number == getattr(signal, "SIGALRM", None):
+        return ReaderStoppedError(_hung(file, seconds))
+    if number == getattr(signal, "SIGKILL", None):
+        text = f"{file.name}: its reader was killed from outside, perhaps because memory ran out; try again"
+        return ReaderStoppedError(text, caused_by_file=False)
+    name = signal.strsignal(number) or f"signal {number}"
+    return ReaderStoppedError(f"{file.name}: its reader crashed ({name}); {_DAMAGED}")
+
+
+def _hung(file: FileState, seconds: float) -> str:
     return f"{file.name}: its reader hung and was stopped after {seconds:.0f} s; {_DAMAGED}"
 
 
-def _error_in(answer: dict[str, Any], file: _FileState) -> LadarregError | None:
+def error_in(answer: dict[str, Any], file: FileState) -> LadarregError | None:
     """Return the error in an answer; None where it contains a result."""
     from ladarreg_core.formats.untrusted import one_line
 

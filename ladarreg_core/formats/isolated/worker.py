@@ -138,10 +138,10 @@ def _serve_by_forking(incoming: IO[bytes], outgoing: IO[bytes]) -> None:
             continue
         if child == 0:
             try:
-                _end_with(server)
+                end_with(server)
                 for inherited in (answers, incoming.fileno(), outgoing.fileno()):
                     os.close(inherited)
-                _serve_one(request, function, sending)
+                serve_one(request, function, sending)
             finally:
                 os._exit(1)
         os.close(sending)
@@ -160,7 +160,7 @@ def _refuse(request: dict[str, Any], error: OSError, outgoing: IO[bytes]) -> Non
     write_piece(outgoing, b"")
 
 
-def _end_with(server: int) -> None:
+def end_with(server: int) -> None:
     """Have the system kill this process when the one that forked it ends."""
     import ctypes
 
@@ -169,7 +169,7 @@ def _end_with(server: int) -> None:
         os._exit(0)
 
 
-def _serve_one(request: dict[str, Any], function: Callable[..., Any] | Exception, sending: int) -> None:
+def serve_one(request: dict[str, Any], function: Callable[..., Any] | Exception, sending: int) -> None:
     """Serve a request in the process that was forked for it."""
     from ladarreg_core.formats.isolated.confinement import confine
 
