@@ -30,6 +30,8 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 _FIRST_INHERITED = 3
+_LIMITS = ReaderLimits(most_memory_bytes=1 << 62, most_silent_s=86_400.0)
+"""Those of the readers' own budget: nobody else shares the machine with a command's file."""
 
 
 def read_confined(function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
@@ -46,7 +48,7 @@ def read_confined(function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -
     """
     if sys.platform != "linux" or threading.active_count() > 1:
         return function(*args, **kwargs)
-    limits, file = ReaderLimits(), FileState.of(function, args)
+    limits, file = _LIMITS, FileState.of(function, args)
     request = {
         "args": list(args),
         "kwargs": dict(kwargs),
