@@ -123,6 +123,12 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
     assert main(["--version"]) == 0
     assert capsys.readouterr().out.split() == ["ladarreg", __version__]
+    assert main(["--version", "--verbose"]) == 0
+    first, *means = capsys.readouterr().out.splitlines()
+    assert first == f"ladarreg {__version__}"
+    assert [line.partition(": ")[0] for line in means] == [
+        "confinement of reader processes, Landlock", "confinement of reader processes, seccomp",
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(
