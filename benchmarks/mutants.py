@@ -29,7 +29,7 @@ from xml.etree import ElementTree
 
 CHECKOUT = Path(__file__).parents[1]
 PACKAGES = ("ladarreg_core", "app")
-MOST_TESTS = 120
+MOST_TESTS = 60
 """Of those that reach a fault, the quickest; others repeat what these do."""
 LONGEST_S = 240.0
 ELSEWHERE = ("tests/app/commands", "tests/app/gateway")
@@ -152,10 +152,10 @@ class Copy:
         return done.returncode != 0
 
 
-def long_tests() -> set[str]:
-    """Return the tests that only `make test-all` runs."""
+def collected(*words: str) -> set[str]:
+    """Return the tests that pytest selects, long ones among them."""
     listed = subprocess.run(
-        [sys.executable, "-m", "pytest", "--collect-only", "-q", "-m", "long", "--long=all"],
+        [sys.executable, "-m", "pytest", "--collect-only", "-q", "--long=all", *words],
         cwd=CHECKOUT, capture_output=True, text=True,
     )  # fmt: skip
     return {line for line in listed.stdout.splitlines() if "::" in line}
@@ -191,7 +191,8 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     given = parser.parse_args()
 
-    reached, long = Reached(given.coverage, given.durations), long_tests()
+    reached = Reached(given.coverage, given.durations)
+    there, long = collected() | {""}, collected("-m", "long")
     files = [path for package in PACKAGES for path in sorted((CHECKOUT / package).rglob("*.py"))]
     faults = [fault for path in files for fault in faults_of(str(path.relative_to(CHECKOUT)), path.read_text())]
     faults = random.Random(given.seed).sample(faults, given.count)
@@ -204,7 +205,8 @@ def main() -> None:
         def tried(fault: Fault) -> str:
             copy = copies.get()
             try:
-                return fate(fault, reached.lines(fault.file).get(fault.line, set()), long, reached.seconds, copy)
+                tests = reached.lines(fault.file).get(fault.line, set()) & there  # others have been renamed since
+                return fate(fault, tests, long, reached.seconds, copy)
             finally:
                 copies.put(copy)
 

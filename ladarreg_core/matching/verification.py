@@ -337,7 +337,8 @@ def check_precision(
     sigma_px = float(np.nanmedian(pixel_sigma(pose @ some, camera, pose.rotation, covariance)))
     if sigma_px <= most:
         return verdict
-    known = f"is known to {sigma_px:.1f} px of the photo only, and {most:.1f} px are needed"
+    digits = 1 if f"{sigma_px:.1f}" != f"{most:.1f}" else 2
+    known = f"is known to {sigma_px:.{digits}f} px of the photo only, and {most:.{digits}f} px are needed"
     if not sigma_px <= _MEANINGFUL * max(camera.size):
         known = "is not determined"
     if coarse and not verdict.by_few:
