@@ -99,7 +99,10 @@ def _run(name: str, words: list[str], *, debug: bool) -> int:
     command = importlib.import_module(f".commands.{name.replace('-', '_')}", __package__)
     arguments = parse(command.Arguments, words, prog=f"ladarreg {name}", description=COMMANDS[name])
     _set_up_log(debug=debug)
-    return int(command.run(arguments))
+    from ladarreg_core.formats.isolated.forked import confined_reads
+
+    with confined_reads():
+        return int(command.run(arguments))
 
 
 def _explain(error: BaseException) -> tuple[str, ExitCode]:

@@ -9,8 +9,9 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
 from ladarreg_core.formats.accumulated import read_accumulated
@@ -36,6 +37,7 @@ from ladarreg_core.formats.file_info import (
 )
 from ladarreg_core.formats.float_bin import read_float_bin, sniff_float_bin
 from ladarreg_core.formats.image_file import image_format
+from ladarreg_core.formats.isolated.forked import BegunRead
 from ladarreg_core.formats.json_file import parsed_once, read_json_object
 from ladarreg_core.formats.las import read_las
 from ladarreg_core.formats.las_header import sniff_las
@@ -358,25 +360,31 @@ def read_scan(
         ShapeError: if its arrays disagree, there are no returns, or a file of `more` was plainly taken from elsewhere.
         OptionError: if there is no scan of that index, or the format has no use for an option.
     """
+    with begin_scan(
+        path, more=more, scan_index=scan_index, origin=origin, intensity=intensity, columns=columns, topic=topic,
+        seconds=seconds, memory_bytes=memory_bytes,
+    ) as read:  # fmt: skip
+        return read.result(report)
+
+
+def begin_scan(path: PathLike, *, more: Sequence[PathLike] = (), **options: Any) -> BegunRead[Scan]:
+    """Begin to read a scan; arguments and errors as of `read_scan`, but for `report`, which `result` takes."""
     if isinstance(more, (str, bytes)) or not isinstance(more, Sequence):
         raise OptionError(f"'more' is {more!r:.80}; give a list of files")
-    asked = ScanRequest(
-        scan_index=scan_index,
-        origin=origin,
-        intensity=intensity,
-        columns=columns,
-        topic=topic,
-        seconds=seconds,
-        memory_bytes=memory_bytes,
-        report=report,
-    )
-    if more:
-        scan = read_accumulated(
-            [Path(file) for file in (path, *more)], lambda file: _read_one(file, asked), memory_bytes=memory_bytes
-        )
-    else:
-        scan = _read_one(path, asked)
-    return with_source(scan, [path, *more], {**asked.given(), "more": tuple(Path(file) for file in more)})
+    asked, further = ScanRequest(**options), tuple(Path(file) for file in more)
+
+    def finish(scan: Scan) -> Scan:
+        return with_source(scan, [path, *further], {**asked.given(), "more": further})
+
+    return BegunRead(_read_files, (path, further, asked), {}, finish=finish)
+
+
+def _read_files(path: PathLike, more: Sequence[Path], asked: ScanRequest, report: Report | None = None) -> Scan:
+    asked = replace(asked, report=report)
+    if not more:
+        return _read_one(path, asked)
+    files = [Path(path), *more]
+    return read_accumulated(files, lambda file: _read_one(file, asked), memory_bytes=asked.memory_bytes)
 
 
 def _read_one(path: PathLike, asked: ScanRequest) -> Scan:
