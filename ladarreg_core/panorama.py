@@ -278,6 +278,7 @@ def add_to_run(run_folder: str | Path, panorama: Panorama) -> None:
     """
     from ladarreg_core.atomic_write import replaced_file
     from ladarreg_core.export.json import write_document
+    from ladarreg_core.manifest import update_manifest
 
     home = Path(run_folder)
     with replaced_file(home / "scan.npz") as path:
@@ -285,6 +286,7 @@ def add_to_run(run_folder: str | Path, panorama: Panorama) -> None:
     with replaced_file(home / "provenance.png") as path:
         _write_provenance(path, panorama)
     write_document(home / "panorama.json", panorama.fields)
+    update_manifest(home, ("scan.npz", "provenance.png", "panorama.json"))
 
 
 def _write_scan(path: Path, panorama: Panorama) -> None:

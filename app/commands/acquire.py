@@ -41,7 +41,7 @@ class Arguments:
     resume: bool = False
     """Go on with the run in FOLDER at the first missing piece."""
     force: bool = False
-    """Replace the run in FOLDER."""
+    """Replace the run in FOLDER if it contains nothing else; it is set aside until the new one is complete."""
     dry_run: bool = False
     """Print stops, overlaps, cells and duration; no device is needed, and nothing moves."""
     example: bool = False
