@@ -348,6 +348,7 @@ def describe_run(folder: str | Path) -> dict[str, Any]:
     """
     from ladarreg_core.acquisition.mount_fields import mount_as_fields
     from ladarreg_core.acquisition.piece_list import read_piece_list
+    from ladarreg_core.shell_command import shell_command
 
     listed = read_piece_list(folder)
     pans, tilts = (np.degrees([getattr(piece.at, name) for piece in listed.pieces]) for name in ("pan_rad", "tilt_rad"))
@@ -361,7 +362,7 @@ def describe_run(folder: str | Path) -> dict[str, Any]:
         "pan_deg": [round(float(pans.min()), 4), round(float(pans.max()), 4)],
         "tilt_deg": [round(float(tilts.min()), 4), round(float(tilts.max()), 4)],
         "mount": None if listed.mount is None else mount_as_fields(listed.mount),
-        "next": f"ladarreg panorama {Path(folder).resolve().name} -o OUT"
+        "next": shell_command(["ladarreg", "panorama", Path(folder).resolve().name, "-o", "OUT"])
         if not listed.missing
         else "resume the run, or `ladarreg panorama --partial`",
     }

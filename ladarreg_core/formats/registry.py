@@ -51,7 +51,7 @@ from ladarreg_core.formats.ptx import read_ptx, sniff_ptx
 from ladarreg_core.formats.results_info import describe_results
 from ladarreg_core.formats.scan_request import IntensitySource, ScanRequest
 from ladarreg_core.formats.text_cloud import read_text_cloud, sniff_pts, sniff_text_cloud
-from ladarreg_core.formats.untrusted import PathLike, one_line, reading
+from ladarreg_core.formats.untrusted import PathLike, reading
 from ladarreg_core.progress import Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.source import with_source
@@ -292,12 +292,12 @@ def recognise(path: PathLike, *, kinds: tuple[FileKind, ...] = ()) -> FileFormat
 
 
 def _unsupported(head: bytes) -> str:
-    """Return a phrase that says what an unsupported file appears to be."""
+    """Return a phrase that says what an unsupported file appears to be, without a word of its content."""
     known = next((name for magic, name in _UNSUPPORTED if head.startswith(magic)), None)
     if known:
         return f"it is {known}, which is not supported"
-    start = one_line(head[:12].decode("latin-1"), 24)
-    return f"its format is unknown (it begins with {start!r})"
+    what = "binary" if b"\0" in head else "text"
+    return f"its format is unknown (it is {what})"
 
 
 def listed_kind(path: Path) -> FileKind | None:
