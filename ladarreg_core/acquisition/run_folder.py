@@ -192,6 +192,7 @@ class RunWriter(RunFolder):
                 write_bytes(folder / MANIFEST_FILE, manifest_bytes([ListedFile.of(folder / PLAN, PLAN)]))
             (folder / PIECES).mkdir(exist_ok=True)
             run = RunWriter(folder, plan, lock)
+            run.faults += [lock.remark] if lock.remark else []
             run._read_records()
             run._open_log()
         except BaseException:

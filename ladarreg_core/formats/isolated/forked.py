@@ -141,8 +141,8 @@ class BegunRead(Generic[T]):
         }
         receiving, sending = os.pipe()
         parent = os.getpid()
-        sys.stdout.flush()
-        sys.stderr.flush()
+        for stream in filter(None, (sys.stdout, sys.stderr)):
+            stream.flush()
         with warnings.catch_warnings():
             # Of threads, of which OpenBLAS has some: it ends them before a fork, and starts others when needed.
             warnings.simplefilter("ignore", DeprecationWarning)
