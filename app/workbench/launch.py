@@ -138,7 +138,7 @@ def _no_project(folder: Path) -> str:
     try:
         fields = json.loads(rig.read_text(encoding="utf-8"))
         names = ", ".join(str(pair["name"]) for pair in fields["pairs"])
-        start = ["--initial", rig] if fields["accepted"] else []
+        start = ["--initial", str(rig)] if fields["accepted"] else []
     except (OSError, ValueError, KeyError, TypeError):
         return f"{folder} is not a project: it has no project.json; give a project folder, or a scan"
     return (

@@ -86,8 +86,8 @@ def folder_content(folder: Path, *, more_names: Collection[str] = ()) -> FolderC
     Raises:
         OSError: if it cannot be listed.
     """
-    with os.scandir(folder) as listed:
-        entries = {entry.name: entry.is_file(follow_symlinks=False) for entry in listed}
+    with os.scandir(folder) as found:
+        entries = {entry.name: entry.is_file(follow_symlinks=False) for entry in found}
     for name in (MANIFEST_FILE, *_FILE_MANAGER_FILES):
         entries.pop(name, None)
     names = tuple(sorted(entries))

@@ -16,6 +16,7 @@ from typing import Any
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
 from ladarreg_core.formats.accumulated import read_accumulated
 from ladarreg_core.formats.bag import read_bag, sniff_bag
+from ladarreg_core.formats.begun_read import BegunRead
 from ladarreg_core.formats.camera_file import CAMERA_FORMATS, CameraFormat
 from ladarreg_core.formats.camera_nerfstudio import is_nerfstudio
 from ladarreg_core.formats.descriptor import KINDS as DESCRIPTOR_KINDS
@@ -37,7 +38,6 @@ from ladarreg_core.formats.file_info import (
 )
 from ladarreg_core.formats.float_bin import read_float_bin, sniff_float_bin
 from ladarreg_core.formats.image_file import image_format
-from ladarreg_core.formats.isolated.forked import BegunRead
 from ladarreg_core.formats.json_file import parsed_once, read_json_object
 from ladarreg_core.formats.las import read_las
 from ladarreg_core.formats.las_header import sniff_las

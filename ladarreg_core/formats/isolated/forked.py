@@ -14,13 +14,12 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from contextvars import ContextVar
-from types import TracebackType
-from typing import IO, Any, Generic, ParamSpec, TypeVar
+from collections.abc import Callable
+from contextlib import AbstractContextManager, suppress
+from typing import IO, Any, ParamSpec, TypeVar
 
 from ladarreg_core.errors import FormatError
+from ladarreg_core.formats.begun_read import BegunRead, reads_started_by
 from ladarreg_core.formats.isolated.readers import (
     FileState,
     ReaderLimits,
@@ -34,21 +33,15 @@ from ladarreg_core.progress import Progress, Report
 P = ParamSpec("P")
 T = TypeVar("T")
 
-_CONFINES: ContextVar[bool] = ContextVar("confines", default=False)
 _FIRST_INHERITED = 3
 _CHECKS, _CHECK_S = 5, 0.001
 _LIMITS = ReaderLimits(most_memory_bytes=1 << 62, most_silent_s=86_400.0)
 """Those of the readers' own budget: nobody else shares the machine with a command's file."""
 
 
-@contextmanager
-def confined_reads() -> Iterator[None]:
+def confined_reads() -> AbstractContextManager[None]:
     """Have the files that are read in this context read in confined processes, where the system can: for commands."""
-    before = _CONFINES.set(True)
-    try:
-        yield
-    finally:
-        _CONFINES.reset(before)
+    return reads_started_by(_begin)
 
 
 def read_confined(function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
@@ -67,100 +60,30 @@ def read_confined(function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -
         return read.result()
 
 
-class BegunRead(Generic[T]):
-    """A read that has begun in a confined process, within `confined_reads`; otherwise it begins with `result`.
+class _ForkedRead:
+    """A read in a confined process that was forked for it."""
 
-    Args:
-        function: a reader; if it takes `report`, its progress is passed on.
-        args: its positional arguments; the first one is the file.
-        kwargs: its keyword arguments.
-        finish: completes what was read, in this process.
-    """
+    def __init__(self, child: int, receiving: int, file: FileState) -> None:
+        self._child, self._file, self._started = child, file, time.monotonic()
+        self._stream = os.fdopen(receiving, "rb")
 
-    def __init__(
-        self,
-        function: Callable[..., T],
-        args: Sequence[Any],
-        kwargs: Mapping[str, Any],
-        *,
-        finish: Callable[[T], T] = lambda read: read,
-    ) -> None:
-        self._function, self._args, self._kwargs, self._finish = function, tuple(args), dict(kwargs), finish
-        self._file, self._child, self._started = FileState.of(function, self._args), 0, 0.0
-        self._stream: IO[bytes] | None = None
-        if _CONFINES.get() and sys.platform == "linux" and threading.active_count() == 1:
-            self._begin()
-
-    def __enter__(self) -> BegunRead[T]:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._end()
-
-    @property
-    def is_elsewhere(self) -> bool:
-        """Whether the file is read in another process."""
-        return self._stream is not None
-
-    def result(self, report: Report | None = None) -> T:
-        """Return the result; to be called once.
-
-        Args:
-            report: receives the progress; if it raises, the read ends.
-
-        Raises:
-            LadarregError: as raised by the function, with the same type and text.
-            FormatError: if the process crashed, hung, or exceeded its memory limit.
-        """
-        if self._stream is None:
-            told = {} if report is None else {"report": report}
-            return self._finish(self._function(*self._args, **self._kwargs, **told))
+    def result(self, report: Report | None) -> Any:
         answer = None
         try:
             with suppress(EOFError):
                 answer = _answer(self._stream, self._file, report)
-        finally:
-            seconds = time.monotonic() - self._started
-            code = self._end(has_ended=answer is None and sys.exc_info()[0] is None)
+        except BaseException:  # an answer that is none, or Ctrl-C
+            self.end()
+            raise
+        seconds = time.monotonic() - self._started
+        code = self.end(has_ended=answer is None)
         if answer is None:
             raise FormatError(str(why_it_ended(self._file, code, seconds)))
         if (error := error_in(answer, self._file)) is not None:
             raise error
-        return self._finish(answer["answer"])
+        return answer["answer"]
 
-    def _begin(self) -> None:
-        given = [*self._args, *self._kwargs.values()]
-        size = max(self._file.bytes, sum(size for _, size, _ in states_of(given)))
-        request = {
-            "args": list(self._args),
-            "kwargs": self._kwargs,
-            "folder": os.getcwd(),
-            "memory_bytes": _LIMITS.memory_for(size),
-            "silent_s": _LIMITS.silence_for(size),
-            "origins": [],
-        }
-        receiving, sending = os.pipe()
-        parent = os.getpid()
-        for stream in filter(None, (sys.stdout, sys.stderr)):
-            stream.flush()
-        with warnings.catch_warnings():
-            # Of threads, of which OpenBLAS has some: it ends them before a fork, and starts others when needed.
-            warnings.simplefilter("ignore", DeprecationWarning)
-            self._child = os.fork()
-        if self._child == 0:
-            try:
-                _CONFINES.set(False)
-                _serve(request, self._function, sending, parent)
-            finally:
-                os._exit(1)
-        os.close(sending)
-        self._started = time.monotonic()
-        self._stream = os.fdopen(receiving, "rb")
-        if not _is_single_threaded():
-            self._end()
-            self._stream = None
-
-    def _end(self, *, has_ended: bool = False) -> int:
+    def end(self, *, has_ended: bool = False) -> int:
         """End the process, which has nothing more to do, and return its exit code."""
         child, self._child = self._child, 0
         if child == 0:
@@ -168,9 +91,45 @@ class BegunRead(Generic[T]):
         if not has_ended:
             os.kill(child, signal.SIGKILL)
         code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-        assert self._stream is not None
-        self._stream.close()
+        if threading.current_thread() is threading.main_thread():  # another one may be reading, and closes it then
+            self._stream.close()
         return code
+
+
+def _begin(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> _ForkedRead | None:
+    """Fork a process that reads a file; None where that is not possible."""
+    if sys.platform != "linux" or threading.active_count() > 1:
+        return None
+    file = FileState.of(function, args)
+    size = max(file.bytes, sum(size for _, size, _ in states_of([*args, *kwargs.values()])))
+    request = {
+        "args": list(args),
+        "kwargs": kwargs,
+        "folder": os.getcwd(),
+        "memory_bytes": _LIMITS.memory_for(size),
+        "silent_s": _LIMITS.silence_for(size),
+        "origins": [],
+    }
+    receiving, sending = os.pipe()
+    parent = os.getpid()
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        stream.flush()
+    with warnings.catch_warnings():
+        # Of threads, of which OpenBLAS has some: it ends them before a fork, and starts others when they are needed.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        child = os.fork()
+    if child == 0:
+        try:
+            with reads_started_by(None):
+                _serve(request, function, sending, parent)
+        finally:
+            os._exit(1)
+    os.close(sending)
+    begun = _ForkedRead(child, receiving, file)
+    if _is_single_threaded():
+        return begun
+    begun.end()
+    return None
 
 
 def _is_single_threaded() -> bool:
