@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import gc
 import importlib
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -35,6 +36,7 @@ COMMANDS = {
 """Summary of each command; its code is `commands/<name>.py`."""
 
 _EXAMPLES = ("ladarreg demo", "ladarreg register room.e57 photo.jpg -o results", "ladarreg serve room.e57 photo.jpg")
+_LOOKING = ("info", "check", "devices")
 _OBJECTS_BEFORE_COLLECTION = 50_000
 _INTERRUPTED = "interrupted; no incomplete files are left"
 _EXIT_CODES = "Exit codes: 0 accepted, or done; 1 failure; 2 bad input; 3 not accepted; 130 interrupted."
@@ -81,6 +83,10 @@ def entry_point() -> NoReturn:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Imports make hundreds of thousands of objects that stay: the default looks through them 130 times a command.
     gc.set_threshold(_OBJECTS_BEFORE_COLLECTION)
+    _open_closed_streams()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # names of files may be bytes of another encoding than its own
+            stream.reconfigure(errors="surrogateescape")
     try:
         code = main()
         sys.stdout.flush()
@@ -93,13 +99,47 @@ def entry_point() -> NoReturn:
     sys.exit(code)
 
 
+def _open_closed_streams() -> None:
+    """Open the null device in place of standard streams that are closed: files would be opened under their numbers."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            opened = os.open(os.devnull, os.O_RDWR)
+            if opened != number:
+                os.dup2(opened, number)
+                os.close(opened)
+            setattr(sys, name, os.fdopen(number, "r" if number == 0 else "w", encoding="utf-8", closefd=False))
+
+
 def _run(name: str, words: list[str], *, debug: bool) -> int:
     from .arguments import parse
 
     command = importlib.import_module(f".commands.{name.replace('-', '_')}", __package__)
     arguments = parse(command.Arguments, words, prog=f"ladarreg {name}", description=COMMANDS[name])
     _set_up_log(debug=debug)
-    return int(command.run(arguments))
+    if name not in _LOOKING:
+        _require_names(words)
+    from ladarreg_core.formats.isolated.forked import confined_reads
+
+    with confined_reads():
+        return int(command.run(arguments))
+
+
+def _require_names(words: Sequence[str]) -> None:
+    """Refuse names of files that are no text, before the work: results record names.
+
+    Raises:
+        OptionError: if a word is not text.
+    """
+    from ladarreg_core.errors import OptionError
+    from ladarreg_core.formats.untrusted import one_line
+
+    for word in words:
+        if not _is_text(word):
+            raise OptionError(f"the name {one_line(word)} is not UTF-8, perhaps Latin-1; rename the file or folder")
+
+
+def _is_text(word: str) -> bool:
+    return not any("\ud800" <= c <= "\udfff" for c in word)
 
 
 def _explain(error: BaseException) -> tuple[str, ExitCode]:
@@ -117,6 +157,8 @@ def _explain(error: BaseException) -> tuple[str, ExitCode]:
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         return f"{where}{error.strerror or error}; check the path, its permissions and the space", ExitCode.BAD_INPUT
+    if isinstance(error, UnicodeEncodeError) and not _is_text(error.object):
+        return "the name of a file or folder is not UTF-8, perhaps Latin-1; rename it", ExitCode.BAD_INPUT
     if isinstance(error, MemoryError):
         return "not enough memory; use a smaller scan or photo, or a machine with more", ExitCode.FAILED
     if _stems_from_interrupt(error):

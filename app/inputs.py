@@ -37,15 +37,18 @@ def read_inputs(
             registered on and that are not there.
         soon: loads, meanwhile, the modules that the command needs next.
     """
-    import ladarreg_core as lr
+    from ladarreg_core.formats.photo_file import begin_photo
+    from ladarreg_core.formats.registry import begin_scan
     from ladarreg_core.side_by_side import OtherCore
 
-    with OtherCore() as other_core:
-        of_photo = other_core.begin(lambda: lr.read_photo(arguments.photo, **arguments.photo_options))
+    with (
+        OtherCore() as other_core,
+        begin_photo(arguments.photo, **arguments.photo_options) as begun_photo,
+        begin_scan(arguments.scan, **arguments.scan_options) as begun_scan,
+    ):
+        of_photo = other_core.begin(begun_photo.result)
         other_core.begin(soon)
-        scan = timed(
-            "Read scan", bar, lambda: lr.read_scan(arguments.scan, report=bar.loading, **arguments.scan_options)
-        )
+        scan = timed("Read scan", bar, lambda: begun_scan.result(bar.loading))
         suit_heap(scan)
         given = list(filter(None, results))
         missing = [*_missing_scans(arguments, *given), *_edited(*given)]

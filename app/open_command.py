@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-import shlex
-import subprocess
 from pathlib import Path
+
+from ladarreg_core.shell_command import shell_command
 
 from .arguments import CameraArguments, InputArguments, ScanArguments
 
@@ -26,4 +26,4 @@ def open_command(arguments: InputArguments) -> str:
         flag = f"--{name.replace('_', '-')}"
         # a value that begins with a hyphen would be taken for an option
         words += [f"{flag}={text}"] if text.startswith("-") else [flag, text]
-    return subprocess.list2cmdline(words) if os.name == "nt" else shlex.join(words)
+    return shell_command(words)

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 MOST_ACTIONS = 18
-_TOKEN = "a-token-for-newcomers"
+_TOKEN = "a-token-for-newcomers-only"
 _FILM_WIDTH_MM, _FILM_DIAGONAL_MM = 36.0, 43.267
 _TAG_EXIF, _TAG_FOCAL_35MM = 0x8769, 0xA405
 LINES = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -132,6 +132,39 @@ def update_manifest(folder: Path, names: Sequence[str]) -> None:
     listed |= {name: ListedFile.of(folder / name, name) for name in names}
     with replaced_file(folder / MANIFEST_FILE) as new:
         write_bytes(new, manifest_bytes(listed.values()))
+
+
+def remove_listed(folder: Path, *, besides: Collection[str] = ()) -> None:
+    """Remove the files that a folder's manifest lists and that are as they were written, and what is empty then.
+
+    Args:
+        folder: a folder; without a manifest nothing is done. Links in it are not followed.
+        besides: names of files that stand in nobody's way, such as those of file managers, removed from these folders.
+
+    Raises:
+        FormatError: if the manifest is damaged.
+        OSError: if a file cannot be read or removed.
+    """
+    listed = read_manifest(folder)
+    if listed is None:
+        return
+    parents: set[Path] = set()
+    for one in listed.values():
+        path = folder / one.name
+        above = [parent for parent in path.parents if folder in parent.parents]
+        if any(part.is_symlink() for part in (path, *above)):
+            continue
+        parents.update(above)
+        if not one.fault(folder):
+            path.unlink()
+    if all(name in (MANIFEST_FILE, *besides) or folder / name in parents for name in os.listdir(folder)):
+        besides = (*besides, MANIFEST_FILE)  # with the last file
+    for parent in sorted({*parents, folder}, key=lambda path: -len(path.parts)):
+        left = set(os.listdir(parent)) if parent.is_dir() else {""}
+        if left <= {*besides}:
+            for name in left:
+                (parent / name).unlink()
+            parent.rmdir()
 
 
 def manifest_fault(file: Path) -> str:

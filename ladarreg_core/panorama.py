@@ -278,6 +278,7 @@ def add_to_run(run_folder: str | Path, panorama: Panorama) -> None:
     """
     from ladarreg_core.atomic_write import replaced_file
     from ladarreg_core.export.json import write_document
+    from ladarreg_core.manifest import update_manifest
 
     home = Path(run_folder)
     with replaced_file(home / "scan.npz") as path:
@@ -285,6 +286,7 @@ def add_to_run(run_folder: str | Path, panorama: Panorama) -> None:
     with replaced_file(home / "provenance.png") as path:
         _write_provenance(path, panorama)
     write_document(home / "panorama.json", panorama.fields)
+    update_manifest(home, ("scan.npz", "provenance.png", "panorama.json"))
 
 
 def _write_scan(path: Path, panorama: Panorama) -> None:
@@ -346,6 +348,7 @@ def describe_run(folder: str | Path) -> dict[str, Any]:
     """
     from ladarreg_core.acquisition.mount_fields import mount_as_fields
     from ladarreg_core.acquisition.piece_list import read_piece_list
+    from ladarreg_core.shell_command import shell_command
 
     listed = read_piece_list(folder)
     pans, tilts = (np.degrees([getattr(piece.at, name) for piece in listed.pieces]) for name in ("pan_rad", "tilt_rad"))
@@ -359,7 +362,7 @@ def describe_run(folder: str | Path) -> dict[str, Any]:
         "pan_deg": [round(float(pans.min()), 4), round(float(pans.max()), 4)],
         "tilt_deg": [round(float(tilts.min()), 4), round(float(tilts.max()), 4)],
         "mount": None if listed.mount is None else mount_as_fields(listed.mount),
-        "next": f"ladarreg panorama {Path(folder).resolve().name} -o OUT"
+        "next": shell_command(["ladarreg", "panorama", Path(folder).resolve().name, "-o", "OUT"])
         if not listed.missing
         else "resume the run, or `ladarreg panorama --partial`",
     }

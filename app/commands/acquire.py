@@ -41,7 +41,7 @@ class Arguments:
     resume: bool = False
     """Go on with the run in FOLDER at the first missing piece."""
     force: bool = False
-    """Replace the run in FOLDER."""
+    """Replace the run in FOLDER if it contains nothing else; it is set aside until the new one is complete."""
     dry_run: bool = False
     """Print stops, overlaps, cells and duration; no device is needed, and nothing moves."""
     example: bool = False
@@ -71,6 +71,7 @@ def run(arguments: Arguments) -> ExitCode:
 def _acquire(plan: Plan, arguments: Arguments, out: Path) -> ExitCode:
     from ladarreg_core.acquisition.connected import connected
     from ladarreg_core.acquisition.run_folder import RunWriter
+    from ladarreg_core.shell_command import shell_command
 
     from ..stop_signals import StopSignals
 
@@ -93,7 +94,7 @@ def _acquire(plan: Plan, arguments: Arguments, out: Path) -> ExitCode:
                 complete = acquisition.go()
     finally:
         folder.close()
-    again = f"ladarreg acquire {arguments.plan} -o {out} --resume"
+    again = shell_command(["ladarreg", "acquire", arguments.plan, "-o", out, "--resume"])
     if watch.fault:
         print(f"ladarreg: {one_line(watch.fault)}", file=sys.stderr)
     if not complete:

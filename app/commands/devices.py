@@ -47,6 +47,7 @@ def run(arguments: Arguments) -> ExitCode:
                 print("\n".join(_lines(port, device)))
         return ExitCode.ACCEPTED
     from ladarreg_core.acquisition.serial_port import described_ports, why_shut
+    from ladarreg_core.shell_command import shell_command
 
     ports = [(port, said, why_shut(port)) for port, said in described_ports()]
     if arguments.json:
@@ -58,9 +59,9 @@ def run(arguments: Arguments) -> ExitCode:
             print(f"  {one_line(shut)}")
     if not ports:
         print("No serial port is connected. Without devices, try simulated ones:")
-        print("  ladarreg devices twin:flir-ptu?seed=1 twin:scip2?seed=1")
+        print(f"  {shell_command(['ladarreg', 'devices', 'twin:flir-ptu?seed=1', 'twin:scip2?seed=1'])}")
     else:
-        print(f"What stands there: ladarreg devices {ports[0][0]}")
+        print(f"What stands there: {shell_command(['ladarreg', 'devices', ports[0][0]])}")
     return ExitCode.ACCEPTED
 
 

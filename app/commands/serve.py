@@ -46,7 +46,7 @@ class Arguments(CameraArguments):
     port: int = 8700
     """Port; if it is in use, the next free one. 0: any free port."""
     token: Annotated[str | None, tyro.conf.arg(metavar="TOKEN")] = None
-    """Access token, at least 12 characters; safer in LADARREG_TOKEN. Default: a random one, kept for the port."""
+    """Access token, at least 22 characters; safer in LADARREG_TOKEN. Default: a random one, kept for the port."""
     new_token: bool = False
     """Replace the kept tokens: earlier links, and pages that are open, lose access."""
     no_browser: bool = False

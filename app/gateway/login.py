@@ -1,4 +1,7 @@
-"""Login: the token, the cookie that replaces it, the form, and the limit on failed attempts."""
+"""Login: the token, the cookie that replaces it, and the form.
+
+Tokens are too long to be found by trying, so that attempts need no limit: one could lock people out.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,6 @@ import hashlib
 import hmac
 import html
 import secrets
-import time
-from collections import OrderedDict, deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from urllib.parse import parse_qs
 
@@ -19,20 +19,14 @@ from starlette.responses import HTMLResponse, PlainTextResponse, Response
 
 from ladarreg_core.errors import OptionError
 
-from .request_source import RequestSource, network_of
+from .request_source import RequestSource
 
-MIN_TOKEN_LENGTH = 12
-"""Characters that a token must have at least."""
-_UNGUESSABLE_LENGTH = 22
-"""Characters of base64 that hold 128 random bits."""
+MIN_TOKEN_LENGTH = 22
+"""Characters that a token must have at least: those of base64 that hold 128 random bits."""
+_MAKE_TOKEN = 'python3 -c "import secrets; print(secrets.token_urlsafe())"'
 _ID_BYTES = 16
-_MAX_ADDRESSES = 4096
-_PACE_S = 3.0
-_MAX_DELAY_S = 30.0
 _MAX_FORM_BYTES = 4096
 _WRONG_DELAY_S = 0.3
-_RETRY_AFTER_S = 30
-_KINDS = {"none": "typed", "same-origin": "typed", "same-site": "linked", "cross-site": "linked"}
 _STYLE = (
     ":root{color-scheme:dark light;--back:#0f1115;--panel:#161a21;--line:#2a313d;--ink:#e8ecf2;--dim:#8f9bad;"
     "--accent:#5cc8ff;--bad:#f2726f}"
@@ -67,7 +61,8 @@ def checked_token(token: str) -> str:
     """
     if len(token) < MIN_TOKEN_LENGTH:
         raise OptionError(
-            f"the token has {len(token)} characters; use at least {MIN_TOKEN_LENGTH}, or omit it for a random one"
+            f"the token has {len(token)} characters; it needs at least {MIN_TOKEN_LENGTH}, so that nobody finds it by "
+            f"trying: make one by {_MAKE_TOKEN}, or omit it for a random one"
         )
     if not (token.isascii() and token.isprintable()) or " " in token:
         raise OptionError(
@@ -101,8 +96,6 @@ class Credentials:
     def __init__(self, token: str, *, port: int, read_only_token: str = "") -> None:
         self.cookie_name = f"ladarreg-{port}"
         tokens = [token, read_only_token] if read_only_token else [token]
-        self.unguessable = all(len(each) >= _UNGUESSABLE_LENGTH for each in tokens)
-        """True if no token can be found by trying."""
         self._tokens = [hashlib.sha256(each.encode()).digest() for each in tokens]
         self._keys = [hmac.digest(each.encode(), b"ladarreg cookie", "sha256") for each in tokens]
 
@@ -144,62 +137,6 @@ class Credentials:
         return hmac.new(key, browser.encode(errors="replace"), "sha256").hexdigest()
 
 
-class AttemptLimiter:
-    """Counts failed attempts per address within a sliding window, and delays further attempts beyond a limit.
-
-    Args:
-        most: failed attempts of an address within `window_s` before its next ones are delayed.
-        window_s: how long a failed attempt counts, s.
-        clock: monotonic time, s.
-    """
-
-    def __init__(self, *, most: int = 10, window_s: float = 60.0, clock: Callable[[], float] = time.monotonic) -> None:
-        self._most, self._window_s, self._clock = most, window_s, clock
-        self._failures: OrderedDict[str, deque[float]] = OrderedDict()
-        self._next_at: dict[str, float] = {}
-
-    def delay_s(self, address: str, kind: str = "") -> float | None:
-        """Reserve the next attempt of an address.
-
-        Args:
-            address: of the browser.
-            kind: how the token was submitted; each kind is counted separately.
-
-        Returns:
-            Time to wait before the token is compared, s: 0 after few failures; None if the queue is full and the
-            attempt must be refused.
-        """
-        key = _limit_key(address, kind)
-        now = self._clock()
-        if len(self._recent(key)) < self._most:
-            return 0.0
-        due = max(now, self._next_at.get(key, now))
-        if due - now > _MAX_DELAY_S:
-            return None
-        self._next_at[key] = due + _PACE_S
-        return due - now
-
-    def record_failure(self, address: str, kind: str = "") -> None:
-        """Record a failed attempt of an address."""
-        key = _limit_key(address, kind)
-        times = self._recent(key)
-        times.append(self._clock())
-        self._failures[key] = times
-        self._failures.move_to_end(key)
-        while len(self._failures) > _MAX_ADDRESSES:
-            self._next_at.pop(self._failures.popitem(last=False)[0], None)
-
-    def _recent(self, key: str) -> deque[float]:
-        times = self._failures.get(key, deque(maxlen=self._most))
-        while times and times[0] <= self._clock() - self._window_s:
-            times.popleft()
-        return times
-
-
-def _limit_key(address: str, kind: str) -> str:
-    return f"{kind} {network_of(address)}"
-
-
 def _headers(script: str, *, referrer: str) -> dict[str, str]:
     return {
         "content-security-policy": f"default-src 'none'; style-src '{_digest(_STYLE)}'; "
@@ -226,30 +163,17 @@ class LoginPages:
     """
 
     def __init__(self, credentials: Credentials) -> None:
-        self._credentials, self._attempts = credentials, AttemptLimiter()
+        self._credentials = credentials
 
-    async def submit_token(self, source: RequestSource, token: str, *, by_form: bool = False) -> Response:
-        """Return the response to a submitted token.
+    async def submit_token(self, source: RequestSource, token: str) -> Response:
+        """Return the response to a submitted token; that to a wrong one takes a moment.
 
-        A page of another site can make a browser submit wrong tokens. This must not lock out the people who use that
-        browser, or its address. Attempts caused by such a page are therefore counted apart from typed ones, and those
-        of the form (which no other site can send, because its Origin is checked) apart from both; a token that cannot
-        be guessed is accepted whatever was tried before.
+        What a page of another site embeds is refused without comparing it.
         """
         if source.fetch_dest not in ("", "document"):
             return PlainTextResponse("Submit the token by opening a page with it.\n", status_code=403)
-        correct = self._credentials.is_token(token)
-        kind = "form" if by_form else _KINDS.get(source.fetch_site, "unknown")
-        if not (correct and self._credentials.unguessable):
-            delay_s = self._attempts.delay_s(source.address, kind)
-            if delay_s is None:
-                text = "Too many wrong tokens from this address. Enter the correct one here, or try again later."
-                return _form(text, status=429, headers={"retry-after": str(_RETRY_AFTER_S)})
-            if delay_s > 0:
-                await asyncio.sleep(delay_s)
-        if correct:
+        if self._credentials.is_token(token):
             return self._logged_in(source, token)
-        self._attempts.record_failure(source.address, kind)
         await asyncio.sleep(_WRONG_DELAY_S)
         return _form("This is not the token of the running workbench.", status=401)
 
@@ -264,7 +188,7 @@ class LoginPages:
         except ClientDisconnect:
             return Response(status_code=400)
         fields = parse_qs(body.decode(errors="replace"))
-        return await self.submit_token(source, fields.get("token", [""])[-1].strip(), by_form=True)
+        return await self.submit_token(source, fields.get("token", [""])[-1].strip())
 
     def form(self) -> Response:
         """Return the empty form."""
@@ -293,7 +217,7 @@ def continue_page() -> Response:
     return HTMLResponse(_page(body, head=head), headers=_CONTINUE_HEADERS)
 
 
-def _form(error: str, *, status: int, headers: dict[str, str] | None = None) -> Response:
+def _form(error: str, *, status: int) -> Response:
     alert = f'<p class="bad" role="alert">{html.escape(error)}</p>' if error else ""
     page = _page(
         f"<h1>ladarreg</h1>{alert}"
@@ -304,7 +228,7 @@ def _form(error: str, *, status: int, headers: dict[str, str] | None = None) -> 
         "<button>Enter</button></form>",
         head=f"<script>{_FORGET_SCRIPT}</script>",
     )
-    return HTMLResponse(page, status_code=status, headers=_FORM_HEADERS | (headers or {}))
+    return HTMLResponse(page, status_code=status, headers=_FORM_HEADERS)
 
 
 def _page(body: str, *, head: str = "") -> str:

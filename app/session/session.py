@@ -17,6 +17,7 @@ from ladarreg_core.project.document import Document
 from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import NOBODY, Author, Entry, History
 from ladarreg_core.project.rescue import write_rescue_copy
+from ladarreg_core.shell_command import shell_command
 
 from .debounce import Debouncer
 
@@ -226,7 +227,8 @@ class Session:
             place = write_rescue_copy(self.folder, self._history, self._elsewhere, name=name)
         except LadarregError as error:
             return f"{lacking}, and they are lost: {error}"
-        return f"{lacking}; the whole project including them is in {place}: open it with 'ladarreg serve {place}'"
+        opening = shell_command(["ladarreg", "serve", place])
+        return f"{lacking}; the whole project including them is in {place}: open it with: {opening}"
 
     def _move(self, way: Callable[[History], History]) -> None:
         with self._lock:

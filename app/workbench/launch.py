@@ -132,17 +132,18 @@ def open_workbench(
 def _no_project(folder: Path) -> str:
     """Return why a folder cannot be opened, and what can be."""
     from ladarreg_core.export.replacement import RIG_FILE
+    from ladarreg_core.shell_command import shell_command
 
     rig = folder / RIG_FILE
     try:
         fields = json.loads(rig.read_text(encoding="utf-8"))
         names = ", ".join(str(pair["name"]) for pair in fields["pairs"])
-        start = f" --initial {rig}" if fields["accepted"] else ""
+        start = ["--initial", str(rig)] if fields["accepted"] else []
     except (OSError, ValueError, KeyError, TypeError):
         return f"{folder} is not a project: it has no project.json; give a project folder, or a scan"
     return (
         f"{folder} is the result of a rig, on the pairs {names}; open one of them by its own files: "
-        f"ladarreg serve SCAN PHOTO --camera FILE{start}"
+        f"{shell_command(['ladarreg', 'serve', 'SCAN', 'PHOTO', '--camera', 'FILE', *start])}"
     )
 
 

@@ -128,9 +128,7 @@ def _of_csv(file: Path) -> tuple[ListedPiece, ...]:
     rows = [row for row in csv.reader(text.splitlines(), skipinitialspace=True) if any(cell.strip() for cell in row)]
     head = [name.strip().lower() for name in rows[0]] if rows else []
     if not {*_COLUMNS} <= {*head}:
-        raise FormatError(
-            f"its first line is {one_line(','.join(head), 60)!r}; a list of pieces begins with file,pan_deg,tilt_deg"
-        )
+        raise FormatError("its first line names no columns; a list of pieces begins with file,pan_deg,tilt_deg")
     places = [head.index(name) for name in _COLUMNS]
     found: list[ListedPiece] = []
     for number, row in enumerate(rows[1:], 2):

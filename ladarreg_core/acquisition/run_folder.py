@@ -15,7 +15,6 @@ import hashlib
 import io
 import json
 import os
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from ladarreg_core.acquisition.devices import PanTilt
+from ladarreg_core.acquisition.earlier_run import LOCK, PLAN, remove_set_aside, set_aside
 from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.acquisition.piece_list import ListedPiece
 from ladarreg_core.acquisition.plan import Plan, plan_from_fields, write_plan
@@ -35,10 +35,10 @@ from ladarreg_core.folder_lock import FolderLock
 from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.json_file import read_json_object
 from ladarreg_core.formats.untrusted import shown_name
+from ladarreg_core.manifest import MANIFEST_FILE, ListedFile, manifest_bytes
 from ladarreg_core.scan import Scan
 
-PLAN, PIECES, PHOTOS = "plan.json", "pieces", "photos"
-_LOCK = ".lock"
+PIECES, PHOTOS = "pieces", "photos"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,34 +159,40 @@ class RunWriter(RunFolder):
     def begin(path: str | Path, plan: Plan, *, resume: bool = False, force: bool = False) -> RunWriter:
         """Begin a run in a folder of its own, or resume the one that is there.
 
+        With `force`, an earlier run is set aside, and removed when the new one is closed and complete.
+
         Raises:
-            OptionError: if there is a run and `resume` is not set, there is none to resume, or its plan differs.
+            OptionError: if there is a run and neither `resume` nor `force` is set, there is none to resume, its plan
+                differs, or the folder of a run to replace has files that are not its own.
             ExportError: if the folder cannot be written, or another program runs in it.
         """
         folder = Path(path)
         there = (folder / PLAN).is_file()
         if resume and not there:
             raise OptionError(f"{shown_name(folder)} has no run to resume; leave out `resume`")
-        if not resume and folder.exists() and any(folder.iterdir()):
-            if not (there and force):
-                what = "has a run already: set `resume` to go on with it, or give another folder" if there else (
-                    "is not empty; give a new folder"
-                )  # fmt: skip
-                raise OptionError(f"{shown_name(folder)} {what}")
-            _remove_run(folder)
+        if not resume and folder.exists() and any(folder.iterdir()) and not (there and force):
+            what = "has a run already: set `resume` to go on with it, or give another folder" if there else (
+                "is not empty; give a new folder"
+            )  # fmt: skip
+            raise OptionError(f"{shown_name(folder)} {what}")
         try:
-            (folder / PIECES).mkdir(parents=True, exist_ok=True)
+            folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ExportError(
                 f"{shown_name(folder)} cannot be created: {error.strerror}; give another folder"
             ) from None
-        lock = FolderLock(folder, _LOCK, what="run")
+        lock = FolderLock(folder, LOCK, what="run")
         try:
             if resume:
                 _require_same(_plan_of(folder / PLAN), plan, folder)
             else:
+                if there:
+                    set_aside(folder)
                 write_plan(folder / PLAN, plan)
+                write_bytes(folder / MANIFEST_FILE, manifest_bytes([ListedFile.of(folder / PLAN, PLAN)]))
+            (folder / PIECES).mkdir(exist_ok=True)
             run = RunWriter(folder, plan, lock)
+            run.faults += [lock.remark] if lock.remark else []
             run._read_records()
             run._open_log()
         except BaseException:
@@ -217,7 +223,8 @@ class RunWriter(RunFolder):
             write(new)
             _sync(new)
         name = None if photo is None else photo.relative_to(self.path).as_posix()
-        record = Record(index, file, _sha256(self.path / file), asked, read, time, passed, name)
+        photo_sha256 = "" if photo is None else _sha256(photo)
+        record = Record(index, file, _sha256(self.path / file), asked, read, time, passed, name, photo_sha256)
         assert self._log is not None
         self._log.append(json.dumps(record.as_fields()).encode() + b"\n")
         self.records[index] = record
@@ -227,9 +234,11 @@ class RunWriter(RunFolder):
         """Close the folder for other programs to go on."""
         if self._log is not None:
             self._log.close()
+        if self.complete:
+            remove_set_aside(self.path)
         self._lock.release()
         with contextlib.suppress(OSError):
-            (self.path / _LOCK).unlink()
+            (self.path / LOCK).unlink()
 
     def _open_log(self) -> None:
         """Open the list of records, without the rest of one that was being written."""
@@ -297,11 +306,3 @@ def _sync(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-def _remove_run(folder: Path) -> None:
-    """Remove an earlier run, and nothing else."""
-    for name in (RECORDS, PLAN, "scan.npz", "panorama.json", "provenance.png"):
-        (folder / name).unlink(missing_ok=True)
-    for name in (PIECES, PHOTOS):
-        shutil.rmtree(folder / name, ignore_errors=True)

@@ -38,6 +38,8 @@ class Record:
     """UTC, ISO 8601."""
     passed: int = 0
     photo: str | None = None
+    photo_sha256: str = ""
+    """Of the photograph; empty in records of earlier versions."""
 
     def as_fields(self) -> dict[str, Any]:
         """Return the record's JSON object."""
@@ -45,7 +47,7 @@ class Record:
             "index": self.index, "file": self.file, "sha256": self.sha256, "asked_deg": in_degrees(self.asked),
             "read_deg": in_degrees(self.read), "time": self.time, "pass": self.passed,
         }  # fmt: skip
-        return fields if self.photo is None else {**fields, "photo": self.photo}
+        return fields if self.photo is None else {**fields, "photo": self.photo, "photo_sha256": self.photo_sha256}
 
 
 def read_records(folder: Path) -> Iterator[Record | FormatError]:
@@ -98,7 +100,8 @@ def _record(folder: Path, fields: object, where: str) -> Record:
         raise FormatError(f"{where} has the index {one_line(repr(index), 40)}; it must be a whole number from 0")
     read = fields.get("read_deg", fields.get("asked_deg"))
     sha256, passed, photo = fields.get("sha256") or "", fields.get("pass", 0), fields.get("photo")
-    if not isinstance(sha256, str):
+    photo_sha256 = fields.get("photo_sha256") or ""
+    if not isinstance(sha256, str) or not isinstance(photo_sha256, str):
         raise FormatError(f"{where} has a sha256 that is not a text")
     if not is_int(passed) or int(passed) < 0:
         raise FormatError(f"{where} has the pass {one_line(repr(passed), 40)}; it must be a whole number from 0")
@@ -108,7 +111,7 @@ def _record(folder: Path, fields: object, where: str) -> Record:
         inside_folder(folder, photo, f"the photograph of {where}")
     return Record(
         int(index), str(fields["file"]), sha256, _position(fields.get("asked_deg", read), where), at,
-        str(fields.get("time", "")), int(passed), None if photo is None else str(photo),
+        str(fields.get("time", "")), int(passed), None if photo is None else str(photo), photo_sha256,
     )  # fmt: skip
 
 

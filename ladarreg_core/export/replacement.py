@@ -1,7 +1,9 @@
 """Rules for replacing an existing folder by an export: it must contain only results of an earlier run.
 
-Results are recognised by the files' content, never by the folder's name, so that no option can replace a folder of
-photographs. A project, the folder of an input, and folders above or below them are never replaced.
+The manifest of a folder lists what was written into it, with checksums: a file that it does not list, or that was
+changed since, is never replaced. Folders of earlier versions have no manifest; there, results are recognised by their
+document, never by the folder's name, so that no option can replace a folder of photographs. A project, the folder of an
+input, and folders above or below them are never replaced.
 """
 
 from __future__ import annotations
@@ -15,8 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ladarreg_core.errors import ExportError
-from ladarreg_core.manifest import MANIFEST_FILE
+from ladarreg_core.errors import ExportError, FormatError
+from ladarreg_core.manifest import MANIFEST_FILE, ListedFile, read_manifest, remove_listed
 
 REPORT_FILE = "report.html"
 """The report next to a registration, accepted or not."""
@@ -70,6 +72,8 @@ class FolderContent:
     """Entries that are not part of the results."""
     refused: bool
     """Whether it contains a registration that was not accepted."""
+    changed: tuple[str, ...] = ()
+    """Files that are not as they were written, by the manifest; the manifest itself if it is damaged."""
 
 
 def folder_content(folder: Path, *, more_names: Collection[str] = ()) -> FolderContent:
@@ -82,24 +86,34 @@ def folder_content(folder: Path, *, more_names: Collection[str] = ()) -> FolderC
     Raises:
         OSError: if it cannot be listed.
     """
-    with os.scandir(folder) as listed:
-        entries = {entry.name: entry.is_file(follow_symlinks=False) for entry in listed}
+    with os.scandir(folder) as found:
+        entries = {entry.name: entry.is_file(follow_symlinks=False) for entry in found}
     for name in (MANIFEST_FILE, *_FILE_MANAGER_FILES):
         entries.pop(name, None)
     names = tuple(sorted(entries))
+    try:
+        listed = read_manifest(folder)
+    except FormatError:
+        return FolderContent(names, None, (), False, (MANIFEST_FILE,))
     for document, files_of in _DOCUMENTS.items():
         fields = _read(folder / document) if entries.get(document) else None
         own = None if fields is None else files_of(fields)
         if fields is not None and own is not None:
-            ours = {*own, *more_names}
+            ours = {*own, *more_names} if listed is None else {*listed}
             others = tuple(
                 name for name in names if not (name in ours if entries[name] else _only_contains(folder, name, ours))
             )
             refused = (
                 document == "registration.json" and fields["accepted"] is False and fields.get("evidence") != "given"
             )
-            return FolderContent(names, document, others, refused)
+            return FolderContent(names, document, others, refused, () if others else _changed(folder, listed))
     return FolderContent(names, None, names, False)
+
+
+def _changed(folder: Path, listed: Mapping[str, ListedFile] | None) -> tuple[str, ...]:
+    """Return the files that are not as a manifest lists them; those that are missing are nobody's loss."""
+    there = [one for one in (listed or {}).values() if (folder / one.name).exists()]
+    return tuple(sorted(one.name for one in there if one.fault(folder)))
 
 
 def require_replaceable(
@@ -114,7 +128,7 @@ def require_replaceable(
         shown: path shown in errors; None: `folder`.
 
     Raises:
-        ExportError: if it contains anything but results, cannot be listed, or contains results without `force`.
+        ExportError: if it contains anything but unchanged results, or results without `force`, or cannot be listed.
     """
     called = display_path(shown or folder)
     try:
@@ -127,6 +141,11 @@ def require_replaceable(
         raise ExportError(
             f"the folder {called} contains {_listed(content.others)}{beside}, which ladarreg did not write, so it is "
             "not replaced; give another folder, or move them away first"
+        )
+    if content.changed:
+        raise ExportError(
+            f"the folder {called} contains {_listed(content.changed)}, changed since ladarreg wrote it, so it is not "
+            "replaced; give another folder, or move what was changed away first"
         )
     if force or (content.refused and {*content.names} <= {*REFUSED_FILES}):
         return
@@ -173,7 +192,14 @@ def is_project(folder: Path) -> bool:
 
 
 def remove_results(folder: Path, *, more_names: Collection[str] = ()) -> None:
-    """Remove the files that exports write into a folder, and the folder if it is empty then."""
+    """Remove the files that exports write into a folder, and the folder if it is empty then.
+
+    Of a folder with a manifest, only the files are removed that it lists and that are as they were written.
+    """
+    with contextlib.suppress(OSError, FormatError):
+        if read_manifest(folder) is not None:
+            remove_listed(folder, besides=_FILE_MANAGER_FILES)
+            return
     registration = {*REGISTRATION_FILES, *REFUSED_FILES, OFFSET_FILE, MATCHES_FILE, EXPORT_FILE, MANIFEST_FILE}
     own = {*registration, *_COMPARISON_FILES, *_SIMULATION_FILES, *PANORAMA_FILES, *_FILE_MANAGER_FILES, *more_names}
     with contextlib.suppress(OSError):
@@ -265,7 +291,8 @@ def _files_of_export(fields: Mapping[str, Any]) -> Collection[str] | None:
     files = fields.get("files")
     if fields.get("kind") != "export" or not isinstance(fields.get("software"), dict) or not isinstance(files, list):
         return None
-    named = [name for name in files if isinstance(name, str) and is_file_name(name)]
+    # Without a manifest beside it, it could name anything: each target has a folder of its own.
+    named = [name for name in files if isinstance(name, str) and is_file_name(name) and "/" in name]
     return (EXPORT_FILE, *named) if len(named) == len(files) else None
 
 

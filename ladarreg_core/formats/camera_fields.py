@@ -41,7 +41,7 @@ def read_fields(path: Path) -> dict[str, Any]:
 def _opencv_xml(root: ElementTree.Element) -> dict[str, Any]:
     if root.tag != "opencv_storage":
         raise FormatError(
-            f"it is XML with the root <{root.tag[:40]}>; XML of OpenCV (<opencv_storage>) and Agisoft "
+            "it is XML of another kind; XML of OpenCV (<opencv_storage>) and Agisoft "
             "(<calibration>, <document>) is read: export one of these"
         )
     return {node.tag: _xml_value(node) for node in root}

@@ -297,8 +297,10 @@ def csv_rows(file: Path) -> list[list[str]]:
     main = sorted(name for name in header if name not in _MORE_COLUMNS)
     known = (sorted((*first, *_PHOTO_COLUMNS)) for first in (_CELL_COLUMNS, _POINT_COLUMNS))
     if main not in known or len(set(header)) != len(header):
+        is_ours = {*_PHOTO_COLUMNS} <= {*header}
+        named = f"is {one_line(','.join(header), 60)!r}" if is_ours else "names no columns of matches"
         raise FormatError(
-            f"its first line is {one_line(','.join(header), 60)!r}; matches are JSON, or CSV with the first line "
+            f"its first line {named}; matches are JSON, or CSV with the first line "
             "row,column,u,v or x,y,z,u,v (and, optionally, name and frame)"
         )
     return [header, *rows[1:]]

@@ -92,9 +92,8 @@ def _block(lines: list[_Line], at: int, depth: int) -> tuple[Any, int]:
     while at < len(lines) and lines[at][0] == indent:
         pair = _key_and_value(lines[at][1])
         if pair is None:
-            raise FormatError(
-                f"the line {one_line(lines[at][1], 60)!r} is not of the form 'name: value'; give JSON or simple YAML"
-            )
+            # It is not quoted: any text file may have been named as a camera.
+            raise FormatError("a line of it is not of the form 'name: value'; give JSON or simple YAML")
         key, inline = pair[0], _without_tag(pair[1])
         at += 1
         if inline:
@@ -132,13 +131,15 @@ def _without_tag(text: str) -> str:
 def _scalar_or_flow(text: str) -> Any:
     text = _without_tag(text)
     if text[:1] in ("|", ">", "&", "*"):
-        raise FormatError(f"the value {one_line(text, 40)!r} uses an unsupported YAML feature; give JSON")
+        raise FormatError(
+            "one of its values uses an unsupported YAML feature (anchor, alias, block of text); give JSON"
+        )
     if text[:1] not in ("[", "{"):
         return _scalar(text)
     tokens = [token for token in re.split(r"([\[\]{},])", text) if token.strip()]
     value, at = _flow(tokens, 0, 0)
     if at != len(tokens):
-        raise FormatError(f"after a list there is {one_line(tokens[at], 40)!r}; nothing may follow it")
+        raise FormatError("something follows a list on its line; nothing may")
     return value
 
 

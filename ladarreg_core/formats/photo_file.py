@@ -18,6 +18,7 @@ from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.camera.focal import FocalCamera
 from ladarreg_core.errors import CameraError, OptionError, UnderspecifiedError
+from ladarreg_core.formats.begun_read import BegunRead
 from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.camera_file import read_noted_camera
 from ladarreg_core.formats.exif import edited_since, focal_lengths, focal_mm_of, orientation_of, upright
@@ -89,16 +90,35 @@ def read_photo(
         UnderspecifiedError: if the pixels may be temperatures whose unit is unknown.
         OptionError: if the options contradict each other or are not positive.
     """
-    options: dict[str, Any] = {
-        "focal_px": focal_px, "focal_mm": focal_mm, "sensor_mm": sensor_mm, "camera_model": camera_model,
-        "temperature_unit": temperature_unit,
-    }  # fmt: skip
-    photo = _read(path, camera, camera_name, camera_notes, memory_bytes=memory_bytes, **options)
-    if camera is None:
-        return with_source(photo, [path], options)
-    if isinstance(camera, str | os.PathLike):
-        return with_source(photo, [path, camera], {**options, "camera": Path(camera), "camera_name": camera_name})
-    return with_source(photo, [path], {})  # the camera itself cannot be stated in an option
+    with begin_photo(
+        path, camera=camera, camera_name=camera_name, camera_notes=camera_notes, focal_px=focal_px, focal_mm=focal_mm,
+        sensor_mm=sensor_mm, camera_model=camera_model, temperature_unit=temperature_unit, memory_bytes=memory_bytes,
+    ) as read:  # fmt: skip
+        return read.result()
+
+
+def begin_photo(
+    path: PathLike,
+    *,
+    camera: CameraModel | PathLike | None = None,
+    camera_name: str | None = None,
+    camera_notes: Sequence[str] = (),
+    memory_bytes: int | None = None,
+    **known: Any,
+) -> BegunRead[Photo]:
+    """Begin to read a photograph; arguments and errors as of `read_photo`."""
+    options = dict.fromkeys(("focal_px", "focal_mm", "sensor_mm", "camera_model", "temperature_unit")) | known
+    given = Path(camera) if isinstance(camera, str | os.PathLike) else camera
+
+    def finish(photo: Photo) -> Photo:
+        if given is None:
+            return with_source(photo, [path], options)
+        if isinstance(given, Path):
+            return with_source(photo, [path, given], {**options, "camera": given, "camera_name": camera_name})
+        return with_source(photo, [path], {})  # the camera itself cannot be stated in an option
+
+    asked = {**options, "memory_bytes": memory_bytes}
+    return BegunRead(_read, (path, given, camera_name, camera_notes), asked, finish=finish)
 
 
 def _read(

@@ -9,12 +9,14 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
 from ladarreg_core.formats.accumulated import read_accumulated
 from ladarreg_core.formats.bag import read_bag, sniff_bag
+from ladarreg_core.formats.begun_read import BegunRead
 from ladarreg_core.formats.camera_file import CAMERA_FORMATS, CameraFormat
 from ladarreg_core.formats.camera_nerfstudio import is_nerfstudio
 from ladarreg_core.formats.descriptor import KINDS as DESCRIPTOR_KINDS
@@ -49,7 +51,7 @@ from ladarreg_core.formats.ptx import read_ptx, sniff_ptx
 from ladarreg_core.formats.results_info import describe_results
 from ladarreg_core.formats.scan_request import IntensitySource, ScanRequest
 from ladarreg_core.formats.text_cloud import read_text_cloud, sniff_pts, sniff_text_cloud
-from ladarreg_core.formats.untrusted import PathLike, one_line, reading
+from ladarreg_core.formats.untrusted import PathLike, reading
 from ladarreg_core.progress import Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.source import with_source
@@ -290,12 +292,12 @@ def recognise(path: PathLike, *, kinds: tuple[FileKind, ...] = ()) -> FileFormat
 
 
 def _unsupported(head: bytes) -> str:
-    """Return a phrase that says what an unsupported file appears to be."""
+    """Return a phrase that says what an unsupported file appears to be, without a word of its content."""
     known = next((name for magic, name in _UNSUPPORTED if head.startswith(magic)), None)
     if known:
         return f"it is {known}, which is not supported"
-    start = one_line(head[:12].decode("latin-1"), 24)
-    return f"its format is unknown (it begins with {start!r})"
+    what = "binary" if b"\0" in head else "text"
+    return f"its format is unknown (it is {what})"
 
 
 def listed_kind(path: Path) -> FileKind | None:
@@ -358,25 +360,31 @@ def read_scan(
         ShapeError: if its arrays disagree, there are no returns, or a file of `more` was plainly taken from elsewhere.
         OptionError: if there is no scan of that index, or the format has no use for an option.
     """
+    with begin_scan(
+        path, more=more, scan_index=scan_index, origin=origin, intensity=intensity, columns=columns, topic=topic,
+        seconds=seconds, memory_bytes=memory_bytes,
+    ) as read:  # fmt: skip
+        return read.result(report)
+
+
+def begin_scan(path: PathLike, *, more: Sequence[PathLike] = (), **options: Any) -> BegunRead[Scan]:
+    """Begin to read a scan; arguments and errors as of `read_scan`, but for `report`, which `result` takes."""
     if isinstance(more, (str, bytes)) or not isinstance(more, Sequence):
         raise OptionError(f"'more' is {more!r:.80}; give a list of files")
-    asked = ScanRequest(
-        scan_index=scan_index,
-        origin=origin,
-        intensity=intensity,
-        columns=columns,
-        topic=topic,
-        seconds=seconds,
-        memory_bytes=memory_bytes,
-        report=report,
-    )
-    if more:
-        scan = read_accumulated(
-            [Path(file) for file in (path, *more)], lambda file: _read_one(file, asked), memory_bytes=memory_bytes
-        )
-    else:
-        scan = _read_one(path, asked)
-    return with_source(scan, [path, *more], {**asked.given(), "more": tuple(Path(file) for file in more)})
+    asked, further = ScanRequest(**options), tuple(Path(file) for file in more)
+
+    def finish(scan: Scan) -> Scan:
+        return with_source(scan, [path, *further], {**asked.given(), "more": further})
+
+    return BegunRead(_read_files, (path, further, asked), {}, finish=finish)
+
+
+def _read_files(path: PathLike, more: Sequence[Path], asked: ScanRequest, report: Report | None = None) -> Scan:
+    asked = replace(asked, report=report)
+    if not more:
+        return _read_one(path, asked)
+    files = [Path(path), *more]
+    return read_accumulated(files, lambda file: _read_one(file, asked), memory_bytes=asked.memory_bytes)
 
 
 def _read_one(path: PathLike, asked: ScanRequest) -> Scan:

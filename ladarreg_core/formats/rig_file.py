@@ -63,9 +63,9 @@ def read_rig_table(path: PathLike) -> list[RigRow]:
         missing = [name for name in _NEEDED if name not in header]
         unknown = [name for name in header if name not in (*_NEEDED, *_OPTIONAL)]
         if missing or unknown or len(set(header)) < len(header):
-            found = one_line(", ".join(header), 80) or "nothing"
+            found = "does not name its columns" if missing else f"is {one_line(', '.join(header), 80)!r}"
             raise FormatError(
-                f"its header is {found!r}; it must name scan and photo, once each, and may name {', '.join(_OPTIONAL)}"
+                f"its header {found}; it must name scan and photo, once each, and may name {', '.join(_OPTIONAL)}"
             )
         rows = table[1:]
         if not 1 <= len(rows) <= _MOST_ROWS:

@@ -28,7 +28,7 @@ import msgspec
 
 from ladarreg_core.atomic_write import AppendedFile, cannot_write, sync_folder, write_bytes
 from ladarreg_core.errors import ExportError, FormatError, LadarregError, NewerVersionError
-from ladarreg_core.folder_lock import FolderLock
+from ladarreg_core.folder_lock import READ_ONLY, FolderLock
 from ladarreg_core.project.checksum import verify_checksum, with_checksum
 from ladarreg_core.project.codec import arrays_of, decode_document, encode
 from ladarreg_core.project.delta import change_between
@@ -59,7 +59,7 @@ class ProjectFolder:
     """
 
     def __init__(self, path: str | Path) -> None:
-        """Open or create the folder, and lock it.
+        """Open or create the folder, and lock it; one that cannot be written can be viewed, and a remark says so.
 
         Raises:
             ExportError: if it cannot be created or written, or another program has it open.
@@ -69,13 +69,14 @@ class ProjectFolder:
             for name in ("", _ARRAYS, _INPUTS, _EXPORTS):
                 (self.path / name).mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise cannot_write(self.path, error) from None
+            if error.errno not in READ_ONLY or not is_project(self.path):
+                raise cannot_write(self.path, error) from None
         self._lock = FolderLock(self.path, _LOCK, what="project")
         self._kept: dict[str, StoredArrays] = {}
         self._missing: dict[str, StoredArrays] = {}
         self._unknown: Unknown = {}
         self._damaged: set[Path] = set()
-        self._remarks: list[str] = []
+        self._remarks: list[str] = [self._lock.remark] if self._lock.remark else []
         self._written: bytes | None = None
         self._history: History | None = None  # as in memory
         self._seq = 0  # number of the last record, queued or written

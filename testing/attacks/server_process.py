@@ -22,7 +22,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 CHECKOUT = Path(__file__).resolve().parents[2]
-TOKEN = "a-token-of-abuse"
+TOKEN = "a-token-of-abuse-for-all"
 _ANSWERS_S = 60.0
 _OPEN_FILES = 1024
 

@@ -26,7 +26,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from ladarreg_core.errors import FormatError, OptionError
 
-TOKEN = "a-token-of-tests"
+TOKEN = "a-token-of-tests-for-all"
 LOOK_TOKEN = "a-read-only-token-of-tests"
 PATIENT = ConnectionLimits(header_s=60.0)
 """A crowded machine may take more than the usual ten seconds over a TLS handshake."""

@@ -22,7 +22,7 @@ from testing.workbench.served import Page as Socket
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Locator, Page
 
-TOKEN = "a-newcomers-token"
+TOKEN = "a-newcomers-token-of-tests"
 DROP = """([selector, files]) => {
   const held = new DataTransfer();
   for (const [name, text] of files)

@@ -46,7 +46,7 @@ def test_semicolons_and_equal_names_are_taken(folder: Path) -> None:
     ("text", "why"),
     [
         ("", "it is empty"),
-        ("\n# remark\n", "its header is 'nothing'"),
+        ("\n# remark\n", "its header does not name its columns"),
         ("scan\na.pcd\n", "must name scan and photo"),
         ("scan,photo,wieght\na.pcd,a.png,1\n", "wieght"),
         ("scan,photo,scan\na.pcd,a.png,b.pcd\n", "once each"),

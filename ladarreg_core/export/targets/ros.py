@@ -34,6 +34,7 @@ from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, Regist
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
+from ladarreg_core.shell_command import shell_command
 from ladarreg_core.surface.texture import dimmed_levels, model_rows
 
 SCANNER, MAP = "scanner", "map"
@@ -228,7 +229,7 @@ def _transform_file(transform: StaticTransform, words: Sequence[str]) -> str:
     lines = [f"# {line}" for line in words]
     lines += [
         "# The quaternion is in the order x, y, z, w. To publish it:",
-        f"#   ros2 run tf2_ros static_transform_publisher {' '.join(_arguments(transform))}",
+        f"#   ros2 run tf2_ros static_transform_publisher {shell_command(_arguments(transform))}",
         "header:",
         f"  frame_id: {transform.parent}",
         f"child_frame_id: {transform.child}",

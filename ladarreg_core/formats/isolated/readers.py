@@ -40,7 +40,7 @@ _START_TIMEOUT_S = 60.0
 _EXIT_TIMEOUT_S = 5.0
 _PIPE_BYTES = 1 << 20
 _DAMAGED = "the file is probably damaged: copy or export it again"
-_READ_DESCRIPTORS = ("read_scan", "describe")
+_READ_DESCRIPTORS = ("read_scan", "_read_files", "describe")
 _MOST_REMEMBERED = 256
 _LONGEST_KEY = 64
 
@@ -120,7 +120,7 @@ class IsolatedReaders:
         report: Any = kwargs.pop("report", None)
         file = FileState.of(function, args)
         self._refuse_known_failure(file)
-        files = _states_of([*args, *kwargs.values()])
+        files = states_of([*args, *kwargs.values()])
         request = {
             "module": function.__module__,
             "name": function.__qualname__,
@@ -234,7 +234,7 @@ class FileState:
             return FileState(shown_name(path), path, called, 0, 0)
 
 
-def _states_of(values: Iterable[Any]) -> frozenset[tuple[str, int, int]]:
+def states_of(values: Iterable[Any]) -> frozenset[tuple[str, int, int]]:
     """Return path, size and time of change of all files among the arguments of a call."""
     found: set[tuple[str, int, int]] = set()
     for value in values:
@@ -243,7 +243,7 @@ def _states_of(values: Iterable[Any]) -> frozenset[tuple[str, int, int]]:
                 state = os.stat(value)
                 found.add((os.path.abspath(value), state.st_size, state.st_mtime_ns))
         elif isinstance(value, list | tuple):
-            found |= _states_of(value)
+            found |= states_of(value)
     return frozenset(found)
 
 

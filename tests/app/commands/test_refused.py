@@ -27,7 +27,7 @@ from ladarreg_core.export.folder import check_folder
 from ladarreg_core.export.rejected_overlay import rejected_overlay
 from ladarreg_core.formats import describe, read_photo, read_scan
 from ladarreg_core.formats.registration_file import read_result
-from ladarreg_core.manifest import visible_files
+from ladarreg_core.manifest import MANIFEST_FILE, visible_files
 from ladarreg_core.simulate.sample import sample_folder
 
 SAMPLE = sample_folder()
@@ -111,12 +111,14 @@ def test_the_next_try_needs_no_force_but_what_is_somebodys_work_does(
     printed = json.loads(capsys.readouterr().out)
     assert printed["camera_from_scanner"] is None
     assert printed["open_in_workbench"].startswith("ladarreg serve ")
-    document = refused / "registration.json"
-    kept = document.read_text()
+    document, manifest = refused / "registration.json", refused / MANIFEST_FILE
+    kept, listed = document.read_text(), manifest.read_bytes()
+    manifest.unlink()  # as of another program
     document.write_text(json.dumps({**json.loads(kept), "evidence": "given"}))
     with pytest.raises(ExportError, match="earlier results"):  # a given pose is not accepted, and yet a result to keep
         check_folder(refused)
     document.write_text(kept)
+    manifest.write_bytes(listed)
     check_folder(refused)
 
 

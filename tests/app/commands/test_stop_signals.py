@@ -49,7 +49,7 @@ def test_a_closed_terminal_ends_the_server(tmp_path: Path) -> None:
     process, terminal = pty.fork()
     if process == 0:
         restore_stop_signals()
-        os.environ |= {"LADARREG_TOKEN": "a-token-of-tests", "LADARREG_HOME": str(tmp_path)}
+        os.environ |= {"LADARREG_TOKEN": TOKEN, "LADARREG_HOME": str(tmp_path)}
         words = ["-m", "ladarreg", "serve", "--project", str(project), "--port", "0", "--no-browser"]
         os.execv(sys.executable, [sys.executable, *words])
     try:

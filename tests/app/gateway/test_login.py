@@ -5,15 +5,13 @@ from __future__ import annotations
 import socket
 import string
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from urllib.parse import urlencode
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ladarreg.gateway.login import _PACE_S, AttemptLimiter, Browser, Credentials, checked_token, new_token
+from ladarreg.gateway.login import Browser, Credentials, checked_token, new_token
 from ladarreg.gateway.options import GatewayOptions
 from ladarreg.gateway.request_source import is_loopback, request_source
 from ladarreg.gateway.security import PAGE_POLICY, VISER_POLICY
@@ -77,99 +75,24 @@ def test_the_form_accepts_the_token(run: Running) -> None:
     assert run.ask("POST", "/enter", form, b"\xff\xfe&&&&===%%%", known=False)[0] == 401
 
 
-def test_many_wrong_tokens_delay_an_address_but_lock_nobody_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    waits: list[float] = []
-
-    async def wait(seconds: float) -> None:
-        waits.append(seconds)
-
-    monkeypatch.setattr("ladarreg.gateway.login.asyncio", SimpleNamespace(sleep=wait))
-    monkeypatch.setattr("ladarreg.gateway.login.AttemptLimiter", partial(AttemptLimiter, clock=lambda: 1000.0))
+def test_wrong_tokens_lock_nobody_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ladarreg.gateway.login._WRONG_DELAY_S", 0)
-    monkeypatch.setattr("ladarreg.gateway.login._PACE_S", 0.4)
     with running(tmp_path) as run:
-        assert [run.ask("GET", f"/?token={n}", known=False)[0] for n in range(11)] == [401] * 11
-        assert not any(waits)
-        assert run.ask("GET", f"/?token={TOKEN}", known=False)[0] == 200, "the correct one is still accepted"
-        assert waits.pop() == pytest.approx(0.4)
-        monkeypatch.setattr("ladarreg.gateway.login._PACE_S", 100.0)
-        run.ask("GET", "/?token=wrong", known=False)
-        status, headers, body = run.ask("GET", "/?token=wrong", known=False)
-        assert (status, headers["retry-after"]) == (429, "30")
-        assert b"<form" in body
-        assert run.ask("POST", "/enter", {}, urlencode({"token": TOKEN}), known=False)[0] == 200, (
-            "the form is counted separately"
-        )
+        for site in ("none", "cross-site", "same-site", ""):
+            headers = {"Sec-Fetch-Site": site, "Sec-Fetch-Dest": "document"}
+            assert {run.ask("GET", f"/?token={n}", headers, known=False)[0] for n in range(40)} == {401}
+            assert run.ask("GET", f"/?token={TOKEN}", headers, known=False)[0] == 200
+        assert run.ask("POST", "/enter", {}, urlencode({"token": TOKEN}), known=False)[0] == 200
         assert run.ask("GET", "/")[0] == 200, "a valid cookie stays valid"
 
 
-def test_an_unguessable_token_is_accepted_whatever_was_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ladarreg.gateway.login._WRONG_DELAY_S", 0)
-    monkeypatch.setattr("ladarreg.gateway.login._PACE_S", 100.0)
-    monkeypatch.setattr("testing.workbench.gateway_driver.TOKEN", token := new_token())
-    with running(tmp_path) as run:
-        seen = [run.ask("GET", f"/?token={n}", known=False)[0] for n in range(13)]
-        assert seen == [401] * 11 + [429] * 2
-        assert run.ask("GET", f"/?token={token}", known=False)[0] == 200
-
-
 @pytest.mark.parametrize("shown_as", ["image", "script", "iframe", "empty"])
-def test_embedded_requests_neither_log_in_nor_count_as_attempts(run: Running, shown_as: str) -> None:
+def test_embedded_requests_do_not_log_in(run: Running, shown_as: str) -> None:
     from_elsewhere = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Dest": shown_as, "Origin": ""}
     for token in [*map(str, range(12)), TOKEN]:
         status, headers, _ = run.ask("GET", f"/?token={token}", from_elsewhere, known=False)
         assert status == 403
         assert "set-cookie" not in headers
-
-
-def test_links_of_other_sites_are_counted_separately(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ladarreg.gateway.login._WRONG_DELAY_S", 0)
-    monkeypatch.setattr("ladarreg.gateway.login._PACE_S", 100.0)
-    with running(tmp_path) as run:
-        for site in ("cross-site", "same-site"):
-            for n in range(12):
-                run.ask("GET", f"/?token={n}", {"Sec-Fetch-Site": site, "Sec-Fetch-Dest": "document"}, known=False)
-        for site in ("none", "same-origin", ""):
-            headers = {"Sec-Fetch-Site": site, "Sec-Fetch-Dest": "document"}
-            assert run.ask("GET", f"/?token={TOKEN}", headers, known=False)[0] == 200
-        linked = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Dest": "document"}
-        assert run.ask("GET", f"/?token={TOKEN}", linked, known=False)[0] == 429
-
-
-@given(times=st.lists(st.floats(0, 300), max_size=60), most=st.integers(1, 12))
-def test_attempts_of_an_address_are_limited_per_minute(times: list[float], most: int) -> None:
-    now = [0.0]
-    attempts = AttemptLimiter(most=most, window_s=60, clock=lambda: now[0])
-    tried: list[float] = []
-    for moment in sorted(times):
-        now[0] = moment
-        assert attempts.delay_s("10.0.0.2") == 0
-        turn_s = attempts.delay_s("10.0.0.1")
-        assert turn_s is None or 0 <= turn_s <= 30
-        if turn_s is not None:
-            now[0] = moment + turn_s
-            attempts.record_failure("10.0.0.1")
-            now[0] = moment
-            tried.append(moment + turn_s)
-    for k, begun in enumerate(sorted(tried)):
-        within = [at for at in sorted(tried)[k:] if at < begun + 60]
-        assert len(within) <= most + 60 / _PACE_S + 1
-
-
-def test_a_network_of_ipv6_addresses_is_one_peer_and_memory_is_bounded() -> None:
-    attempts = AttemptLimiter(most=2)
-    attempts.record_failure("2001:db8::1")
-    attempts.record_failure("2001:db8::2%eth0")
-    assert attempts.delay_s("2001:db8::fffe") == 0
-    assert attempts.delay_s("2001:db8::ffff") == pytest.approx(_PACE_S, abs=0.5)
-    assert attempts.delay_s("2001:db8::ffff", "form") == 0
-    assert attempts.delay_s("2001:db8:0:1::1") == 0
-    for n in range(5000):
-        attempts.record_failure(f"10.{n >> 8}.{n & 255}.1")
-        assert attempts.delay_s(f"net{n}") == 0
-    assert len(attempts._failures) <= 4096
 
 
 @given(st.text(st.characters(exclude_characters=";"), max_size=80), st.integers(1, 65535))
@@ -191,14 +114,17 @@ def test_only_our_own_cookies_are_valid(value: str, port: int) -> None:
     assert TOKEN not in good
 
 
-@given(st.text(string.ascii_letters + string.digits + "-_.~", min_size=12, max_size=60), st.text(max_size=80))
+@given(st.text(string.ascii_letters + string.digits + "-_.~", min_size=22, max_size=60), st.text(max_size=80))
 def test_only_the_token_itself_is_accepted(token: str, word: str) -> None:
     assert checked_token(token) == token
     assert Credentials(token, port=1).is_token(token)
     assert Credentials(token, port=1).is_token(word) == (word == token)
 
 
-@pytest.mark.parametrize("token", ["", "elevenchars", "twelve chars", "zwölf-zeichen", "twelve\nchars"])
+@pytest.mark.parametrize(
+    "token",
+    ["", "twenty-one-characters", "twenty two characters!", "zweiundzwanzig-zeichen-ü", "twenty-two\ncharacters"],
+)
 def test_a_weak_or_unencodable_token_is_refused(token: str) -> None:
     with pytest.raises(OptionError, match="token"):
         checked_token(token)

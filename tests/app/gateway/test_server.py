@@ -261,4 +261,6 @@ def test_a_short_token_in_the_environment_is_refused(
 ) -> None:
     monkeypatch.setenv("LADARREG_TOKEN", "short")
     assert main(["serve", "--no-browser"]) == ExitCode.BAD_INPUT
-    assert "12" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "at least 22" in said
+    assert "secrets.token_urlsafe()" in said

@@ -184,10 +184,15 @@ def test_an_export_replaces_a_folder_of_results_only_by_force(registered: Workbe
     registered.workbench.runner.wait(120)
     assert (folder / "registration.json").is_file()
     assert "contains earlier results" in registered.refused("export_folder", photo="p1", folder=str(folder))
-    (folder / "model.glb").write_bytes(b"old")
+    model = (folder / "model.glb").read_bytes()
+    (folder / "model.glb").write_bytes(b"mine")
+    said = registered.refused("export_folder", photo="p1", folder=str(folder), force=True)
+    assert "model.glb, changed since ladarreg wrote it" in said
+    (folder / "model.glb").write_bytes(model)
+    before = (folder / "model.glb").stat().st_ino
     registered.do("export_folder", photo="p1", folder=str(folder), force=True)
     registered.workbench.runner.wait(120)
-    assert (folder / "model.glb").stat().st_size > 1000
+    assert (folder / "model.glb").stat().st_ino != before
     assert [path.name for path in tmp_path.iterdir()] == ["results"]
 
 

@@ -159,6 +159,48 @@ def test_a_stopped_run_is_at_rest_at_once_and_goes_on_at_the_missing_piece(
     assert all((tmp_path / "run" / "pieces" / name).read_bytes() == data for name, data in before.items())
 
 
+def test_a_run_is_replaced_once_the_new_one_stands_and_nothing_else(devices: Devices, tmp_path: Path) -> None:
+    plan, home = devices.plan(pan=Axis(0, 2, 1)), tmp_path / "run"
+    folder = RunWriter.begin(home, plan)
+    assert devices.run(folder, []).go()
+    before = contents(home)
+    with pytest.raises(ExportError, match="open in another program"):
+        RunWriter.begin(home, plan, force=True)
+    assert contents(home) == before
+    folder.close()
+    for name, said in (
+        ("photos/holiday.jpg", r"photos/holiday\.jpg, which its run does not list"),
+        ("pieces/001.npz", r"pieces/001\.npz, changed since"),
+        ("scan.npz", r"scan\.npz, which its run does not list"),
+        ("plan.json", r"plan\.json, changed since"),
+    ):
+        kept = contents(home)
+        (home / name).parent.mkdir(exist_ok=True)
+        (home / name).write_bytes(b"of somebody")
+        with pytest.raises(OptionError, match=said):
+            RunWriter.begin(home, plan, force=True)
+        assert contents(home) == kept | {name: b"of somebody"}
+        (home / name).unlink()
+        for each, data in kept.items():
+            (home / each).write_bytes(data)
+    folder = RunWriter.begin(home, plan, force=True)
+    aside = {name.partition("/")[2]: data for name, data in contents(home).items() if name.startswith(".earlier-run")}
+    assert aside.items() >= {name: data for name, data in before.items() if name[0] != "."}.items()
+    folder.close()  # not complete
+    assert any(home.glob(".earlier-run-*"))
+    folder = RunWriter.begin(home, plan, resume=True)
+    assert devices.run(folder, []).go()
+    folder.close()
+    assert not any(home.glob(".earlier-run-*"))
+    assert RunFolder.open(home).complete
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    found = {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    found.pop(".lock", None)
+    return found
+
+
 def test_what_a_crash_leaves_does_not_count(devices: Devices, tmp_path: Path) -> None:
     plan = devices.plan(pan=Axis(0, 3, 1))
     folder = RunWriter.begin(tmp_path / "run", plan)

@@ -17,7 +17,7 @@ from ladarreg_core.errors import Cancelled, ExportError, ShapeError
 from ladarreg_core.export.comparison import comparison_document, export_comparison, table_text
 from ladarreg_core.export.comparison_table import comparison_table, differences, markdown_table, rms_depth_m, rms_px
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.manifest import visible_files
+from ladarreg_core.manifest import MANIFEST_FILE, visible_files
 from testing.scenes.small_registration import POSE, sample_photo, sample_scan
 from tests.unit.export.comparisons import NOTE, comparison_of
 from tests.unit.export.test_contact_sheet import hostile
@@ -174,6 +174,7 @@ def test_extreme_results_are_written(tmp_path, scan, photo) -> None:
 def test_stopped_anywhere_it_leaves_what_was_there(tmp_path, comparison, scan, photo, at) -> None:
     out = tmp_path / "out"
     export_comparison(out, comparison, scan, photo)
+    (out / MANIFEST_FILE).unlink()
     (out / "table.md").write_text("old", encoding="utf-8")
     with pytest.raises(ExportError, match="`force=True`"):
         export_comparison(out, comparison, scan, photo)

@@ -10,7 +10,8 @@ from ladarreg_core.errors import Cancelled, ExportError
 from ladarreg_core.export import staging
 from ladarreg_core.export.folder import FILE_NAMES, export_registration, write_folder
 from ladarreg_core.export.json import registration_document, write_document
-from ladarreg_core.manifest import visible_files
+from ladarreg_core.export.replacement import remove_results, require_replaceable
+from ladarreg_core.manifest import MANIFEST_FILE, visible_files
 from ladarreg_core.palette import UNKNOWN
 from ladarreg_core.quality.smoothing import SmoothedScan
 from testing.scenes.small_registration import sample_registration
@@ -107,10 +108,45 @@ def test_refused_results_are_replaced_without_force(tmp_path, registration, scan
 def test_additional_files_belong_to_the_results(tmp_path, registration, scan, photo):
     more = [(name, lambda path: path.write_text("new")) for name in ("matches.json", "my matches.csv")]
     export_registration(tmp_path / "out", registration, scan, photo, more=more)
-    with pytest.raises(ExportError, match=r"contains my matches\.csv next to registration\.json, which"):
-        export_registration(tmp_path / "out", registration, scan, photo, force=True)
-    export_registration(tmp_path / "out", registration, scan, photo, more=more, force=True)
     assert names(tmp_path / "out") == sorted([*FILE_NAMES, "matches.json", "my matches.csv"])
+    export_registration(tmp_path / "out", registration, scan, photo, force=True)
+    assert names(tmp_path / "out") == sorted(FILE_NAMES)
+
+
+def test_what_somebody_changed_or_added_is_never_replaced(tmp_path, registration, scan, photo):
+    out = tmp_path / "out"
+    export_registration(out, registration, scan, photo)
+    cloud = (out / "cloud.ply").read_bytes()
+    for name, content, said in (
+        ("cloud.ply", cloud[:-1] + b"x", "contains cloud.ply, changed since"),
+        ("cloud.ply", b"cleaned", "contains cloud.ply, changed since"),
+        ("matches.json", b"{}", r"contains matches\.json next to registration\.json, which ladarreg did not write"),
+        (MANIFEST_FILE, b"{}", rf"contains {MANIFEST_FILE}, changed since"),
+    ):
+        before = held(out)
+        (out / name).write_bytes(content)
+        changed = held(out)
+        with pytest.raises(ExportError, match=said):
+            export_registration(out, registration, scan, photo, force=True)
+        assert held(out) == changed
+        (out / name).unlink()
+        for path, data in before.items():
+            (out / path).write_bytes(data)
+    (out / "labels.png").unlink()
+    export_registration(out, registration, scan, photo, force=True)
+    assert names(out) == sorted(FILE_NAMES)
+    assert names(tmp_path) == ["out"]
+
+
+def test_a_forged_document_of_an_earlier_version_names_no_file_of_others(tmp_path):
+    (tmp_path / "out").mkdir()
+    forged = {"kind": "export", "software": {"name": "ladarreg"}, "files": ["thesis.docx"]}
+    (tmp_path / "out" / "export.json").write_text(json.dumps(forged))
+    (tmp_path / "out" / "thesis.docx").write_bytes(b"work")
+    with pytest.raises(ExportError, match="did not write"):
+        require_replaceable(tmp_path / "out", force=True)
+    remove_results(tmp_path / "out")
+    assert (tmp_path / "out" / "thesis.docx").read_bytes() == b"work"
 
 
 @pytest.fixture(params=["exchanged", "set aside"])
