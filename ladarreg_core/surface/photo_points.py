@@ -38,7 +38,7 @@ _MOST_CELLS = 4_000_000  # larger scans are thinned
 _ROWS_AT_ONCE = 64
 _DIGITS = 1024  # of a triangle's number, drawn as three colours
 _LEAST_COSINE = 0.02
-_CLICKS_AT_ONCE = 256
+_PAIRS_AT_ONCE = 1_000_000
 _RIM = 1e-9
 _MOST_EXTENDED = 0.05  # of the distance, between a triangle and the pixel beside it
 
@@ -205,23 +205,19 @@ class _Surface:
             centre[usable], distance_upper_bound=float(reach[usable].max(initial=0)) + 1e-12
         )
         candidates = np.flatnonzero(nearest <= reach)
-        for first in range(0, len(known), _CLICKS_AT_ONCE):
-            some = known[first : first + _CLICKS_AT_ONCE]
-            near = (cKDTree(rays[some]).query(centre[candidates])[0] <= reach[candidates]).nonzero()[0]
-            pairs = [
-                np.stack([np.full(len(hit), k), hit])
-                for k in some
-                if len(hit := candidates[near][np.linalg.norm(centre[candidates[near]] - rays[k], axis=1)
-                                        <= reach[candidates[near]]])
-            ]  # fmt: skip
-            if not pairs:
-                continue
-            ray, face = np.concatenate(pairs, axis=1)
+        # One tree for all rays: a search by every ray over every triangle took most of the time of many pixels.
+        tree = cKDTree(rays[known])
+        counts = np.asarray(tree.query_ball_point(centre[candidates], reach[candidates], return_length=True))
+        best = np.full(len(rays), np.inf)
+        for some in np.split(candidates, np.flatnonzero(np.diff(np.cumsum(counts) // _PAIRS_AT_ONCE)) + 1):
+            hits = tree.query_ball_point(centre[some], reach[some])
+            face = np.repeat(some, [len(one) for one in hits])
+            ray = known[np.array([k for one in hits for k in one], dtype=np.int64)]
             weights, depth = _met(self.in_camera[self.faces[face]], rays[ray])
-            meets = (weights >= -_RIM).all(axis=1) & (depth > 0)
+            meets = (weights >= -_RIM).all(axis=1) & (depth > 0) & (depth <= best[ray])
             ray, face, depth = ray[meets], face[meets], depth[meets]
             order = np.argsort(-depth, kind="stable")  # the last write, of the nearest, remains
-            found[ray[order]] = face[order]
+            found[ray[order]], best[ray[order]] = face[order], depth[order]
         return found
 
     def points_on(self, triangles: IntArray, rays: FloatArray, uv: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -12,6 +12,7 @@ from ladarreg_core.camera import CameraModel
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import ExportError, OptionError
 from ladarreg_core.scanner.grids import AzimuthElevation
+from ladarreg_core.surface import photo_points
 
 GRID = AzimuthElevation(90, 120, 0.008, 0.008)
 POSE = lr.Rigid.from_centre(
@@ -77,6 +78,21 @@ def test_depth_edges_are_not_bridged() -> None:
     assert (distance < 4).sum() > 500
     assert (distance > 4).sum() > 500
     assert not np.isfinite(xyz[0, 0]).any() or np.isfinite(xyz).all(axis=-1).mean() < 1
+
+
+def test_the_nearest_surface_is_found_however_the_search_is_divided(monkeypatch: pytest.MonkeyPatch) -> None:
+    ranges = np.full(GRID.shape, 5.0)
+    ranges[20:60, 30:70] = 3.0
+    scan, made = scan_of(ranges), result(CAMERAS["plain"])
+    at = np.random.default_rng(5).uniform((0, 0), (159, 119), (400, 2))
+    whole = lr.xyz_of_photo(scan, made, at=at)
+    monkeypatch.setattr(photo_points, "_PAIRS_AT_ONCE", 20)
+    divided = lr.xyz_of_photo(scan, made, at=at)
+    single = np.array([lr.xyz_of_photo(scan, made, at=[pixel]).xyz[0] for pixel in at[:20]])
+    assert np.isfinite(whole.xyz[:, 0]).sum() > 100
+    np.testing.assert_array_equal(divided.xyz, whole.xyz)
+    np.testing.assert_array_equal(divided.sigma, whole.sigma)
+    np.testing.assert_array_equal(single, whole.xyz[:20])
 
 
 def test_predicted_and_real_spread_agree() -> None:
