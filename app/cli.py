@@ -52,6 +52,11 @@ def main(args: Sequence[str] | None = None) -> int:
         from ladarreg_core import __version__
 
         print(f"ladarreg {__version__}")
+        if "--verbose" in words[1:]:
+            from ladarreg_core.formats.isolated import confinement
+
+            for name, state in confinement():
+                print(f"confinement of reader processes, {name}: {state}")
         return ExitCode.ACCEPTED
     if words[0] not in COMMANDS:
         return _fail(_no_command(words[0]), ExitCode.BAD_INPUT, as_json="--json" in words)
@@ -160,7 +165,7 @@ def _help() -> str:
     lines = [f"  {name:<{width}}  {summary}" for name, summary in COMMANDS.items()]
     return "\n".join(
         [
-            "usage: ladarreg [-h] [--version] COMMAND ...",
+            "usage: ladarreg [-h] [--version [--verbose]] COMMAND ...",
             "",
             wrapped("Register laser scans with photos taken from another position, and assess the result."),
             "",

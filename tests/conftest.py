@@ -15,11 +15,11 @@ pytest.register_assert_rewrite("testing")
 
 from testing.scenes import kept  # noqa: E402
 
-# One browser and one workbench for all tests of a process: two browsers would each want the process's only event loop.
-from testing.workbench.pages import browser, page, pytest_runtest_makereport  # noqa: E402
+# One browser and one workbench for all tests of a process.
+from testing.workbench.pages import browser, browser_3d, browsers, page, page_3d, pytest_runtest_makereport  # noqa: E402
 from testing.workbench.shared import workbench  # noqa: E402
 
-__all__ = ["browser", "page", "pytest_runtest_makereport", "workbench"]
+__all__ = ["browser", "browser_3d", "browsers", "page", "page_3d", "pytest_runtest_makereport", "workbench"]
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 

@@ -43,6 +43,7 @@ class Arguments(ScanArguments):
 def run(arguments: Arguments) -> ExitCode:
     """Print a description of the file, one property a line, and extract its images on request."""
     from ladarreg_core.formats import describe, extract_images
+    from ladarreg_core.formats.isolated.forked import read_confined
 
     file = arguments.file
     if file.is_dir() and (document := next(filter(Path.is_file, (file / name for name in _DOCUMENTS)), None)):
@@ -51,7 +52,7 @@ def run(arguments: Arguments) -> ExitCode:
         from ladarreg_core.panorama import describe_run
 
         return _print(describe_run(file), as_json=arguments.json)
-    info = describe(file, trust_edited=arguments.trust_edited, **arguments.scan_options)
+    info = read_confined(describe, file, trust_edited=arguments.trust_edited, **arguments.scan_options)
     facts = list(_facts(info))
     extracted: list[str] = []
     if arguments.extract is not None:

@@ -19,7 +19,7 @@ from ladarreg_core.acquisition.flir_protocol import (
     parse_reply,
     reply_length,
 )
-from ladarreg_core.acquisition.link import Link
+from ladarreg_core.acquisition.link import Link, NoAnswerError
 from ladarreg_core.acquisition.plan import UnitPlan
 from ladarreg_core.acquisition.ports import PortSource
 from ladarreg_core.errors import Cancelled, DeviceError, OptionError
@@ -305,7 +305,11 @@ class FlirUnit:
         return [axis.position(self._fastest_counts_s) for axis in self._axes]
 
     def _counts(self, query: str) -> int:
+        """Return what a query reads; it is asked again if no answer comes, as from a unit or computer that is busy."""
         sent = command(query)
+        for _ in range(_TRIES - 1):
+            with contextlib.suppress(NoAnswerError):
+                return self._ask(sent).counts(sent)
         return self._ask(sent).counts(sent)
 
     def _angles(self, counts: list[int]) -> PanTilt:

@@ -27,6 +27,10 @@ _LONGEST_DRAIN_S = 0.2
 _LONGEST_REPLY = 1 << 20
 
 
+class NoAnswerError(DeviceError):
+    """A device gave no complete answer in time; the port is still there, and what reads only may be asked again."""
+
+
 @dataclass(frozen=True, slots=True)
 class Exchange:
     """What was sent and received."""
@@ -94,7 +98,8 @@ class Link:
             fresh: drop what has come before; False keeps it as the beginning of the reply.
 
         Raises:
-            DeviceError: if no complete reply comes in time, or the port is lost and cannot be opened again.
+            NoAnswerError: if no complete reply comes in time.
+            DeviceError: if the port is lost and cannot be opened again.
         """
         with self._one:
             try:
@@ -186,7 +191,7 @@ class Link:
                     f"{self.device} on {self.address} sends without end ({length} bytes); check the baud rate, and "
                     "that this is its port"
                 )
-            raise DeviceError(
+            raise NoAnswerError(
                 f"{self.device} on {self.address} gave no complete answer within {deadline_s:g} s ({self.recent()}); "
                 "check its power, its cable and the baud rate"
             )

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import ByteArray, FloatArray, IntArray
-from ladarreg_core.errors import DependencyError, FormatError, OptionError, ShapeError
+from ladarreg_core.errors import FormatError, OptionError, ShapeError
 from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.cloud import scan_of_cloud
-from ladarreg_core.formats.e57_header import E57Info, E57ScanInfo, read_e57_info
+from ladarreg_core.formats.e57_header import E57Info, E57ScanInfo, contents_of
+from ladarreg_core.formats.e57_records import read_records
+from ladarreg_core.formats.e57_tree import E57File, open_e57
 from ladarreg_core.formats.grid_assembly import GridAssembly
 from ladarreg_core.formats.intensity import require_intensity
 from ladarreg_core.formats.scan_request import IntensitySource
@@ -75,8 +75,8 @@ def read_e57(
         ShapeError: if there are no returns.
         OptionError: if there is no scan with that index.
     """
-    with reading(path) as file:
-        info = read_e57_info(file)
+    with reading(path) as file, open_e57(file) as opened:
+        info = contents_of(opened)
         scan = _chosen(info, scan_index)
         _require_fields(scan, intensity)
         budget = ReadBudget.of(file.stat().st_size, memory_bytes)
@@ -85,19 +85,18 @@ def read_e57(
         has_indices = set(_INDICES) <= scan.field_names
         needed = _grid_bytes(scan.points) if has_indices else held + scan.points * _OWN_CELL_BYTES
         budget.require(needed, f"its {scan.points:,} points")
-        with e57_file(file) as image_file:
-            records = _Records(image_file, scan, scan_index, report, intensity)
-            if has_indices:
-                grid = _assembled(records, budget)
-                if grid is not None and any(origin or ()):
-                    raise OptionError(
-                        f"origin is {origin}, but scan {scan.name!r} has a grid, which is centred on its scanner; "
-                        "leave it out"
-                    )
-                if grid is not None:
-                    return _gridded(file.stem, _notes(info, scan, intensity), scan, *grid)
-            budget.require(held + scan.points * _OWN_CELL_BYTES, f"its {scan.points:,} points")
-            columns = records.all_columns()
+        records = _Records(opened, scan, scan_index, report, intensity)
+        if has_indices:
+            grid = _assembled(records, budget)
+            if grid is not None and any(origin or ()):
+                raise OptionError(
+                    f"origin is {origin}, but scan {scan.name!r} has a grid, which is centred on its scanner; "
+                    "leave it out"
+                )
+            if grid is not None:
+                return _gridded(file.stem, _notes(info, scan, intensity), scan, *grid)
+        budget.require(held + scan.points * _OWN_CELL_BYTES, f"its {scan.points:,} points")
+        columns = records.all_columns()
         most_cells = budget.cells_that_fit(_CELL_BYTES, besides_bytes=held)
         return _from_cloud(file.stem, _notes(info, scan, intensity), scan, columns, most_cells, origin)
 
@@ -130,36 +129,11 @@ def _require_fields(scan: E57ScanInfo, intensity: IntensitySource) -> None:
         raise ShapeError(f"scan {scan.name!r} has no points; it needs measured ranges")
 
 
-@contextmanager
-def e57_file(path: Path) -> Iterator[Any]:
-    """Open an E57 file; multi-line errors of the library are shortened to one line.
-
-    Raises:
-        DependencyError: if the library is not installed.
-        FormatError: if the library cannot read the file.
-    """
-    try:
-        from pye57 import libe57
-    except ImportError as error:
-        raise DependencyError(
-            "reading E57 needs the package pye57, which is not installed: pip install pye57"
-        ) from error
-    try:
-        image_file = libe57.ImageFile(str(path), "r")
-        try:
-            yield image_file
-        finally:
-            image_file.close()
-    except libe57.E57Exception as error:
-        first = str(error).strip().partition("\n")[0].partition(" (Error")[0]
-        raise FormatError(f"the E57 is damaged: {one_line(first, 120)}; copy or export it again") from error
-
-
 class _Records:
     """The point records of one scan, read in chunks.
 
     Args:
-        image_file: the open file.
+        file: the open file.
         scan: the scan.
         scan_index: its index.
         report: receives the progress, in points.
@@ -168,14 +142,14 @@ class _Records:
 
     def __init__(
         self,
-        image_file: Any,
+        file: E57File,
         scan: E57ScanInfo,
         scan_index: int,
         report: Report | None,
         intensity: IntensitySource,
     ) -> None:
         self.scan = scan
-        self._image_file, self._scan_index, self._report = image_file, scan_index, report
+        self._file, self._scan_index, self._report = file, scan_index, report
         position = _CARTESIAN if scan.field_names >= set(_CARTESIAN) else _SPHERICAL
         wanted = (*position, "intensity", *_COLORS, *_INDICES, *_STATES)
         left_out = ("intensity", "isIntensityInvalid") if intensity == "luma" else ()
@@ -186,34 +160,21 @@ class _Records:
 
         Indices and states are int64; other fields are float32 if that holds them, else float64.
         """
-        from pye57 import libe57
-
         scan = self.scan
         stored = {field.name: field.stored for field in scan.fields}
         size = min(_CHUNK, scan.points)
-        buffers = libe57.VectorSourceDestBuffer()
         parts = {}
         for name in names:
             short = stored[name] == "single" or (stored[name] == "integer" and name in _COLORS)
-            code = "q" if name in (*_INDICES, *_STATES) else "f" if short else "d"
-            parts[name] = np.zeros(size, code)
-            buffers.append(libe57.SourceDestBuffer(self._image_file, name, parts[name], size, True, True))
-        reader = self._image_file.root()["data3D"][self._scan_index]["points"].reader(buffers)
+            parts[name] = np.zeros(size, "q" if name in (*_INDICES, *_STATES) else "f" if short else "d")
+        points = self._file.scan(self._scan_index).child("points")
+        assert points is not None, "the table of contents has it"
         done = 0
-        try:
-            while done < scan.points:
-                self._say(done)
-                count = reader.read()
-                if count == 0:
-                    raise FormatError(
-                        f"scan {scan.name!r} ends after {done:,} of {scan.points:,} points; it is truncated"
-                    )
-                count = min(count, scan.points - done)
-                yield done, {name: part[:count] for name, part in parts.items()}
-                done += count
-        finally:
-            reader.close()
         self._say(done)
+        for count in read_records(self._file.pages, points, parts, f"scan {scan.name!r}", scaled=True):
+            yield done, {name: part[:count] for name, part in parts.items()}
+            done += count
+            self._say(done)
 
     def all_columns(self) -> dict[str, NDArray[Any]]:
         """Return the wanted fields by name, each (N,), except the indices."""

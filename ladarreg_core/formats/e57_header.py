@@ -7,44 +7,21 @@ claims more than it contains is refused before memory is allocated.
 from __future__ import annotations
 
 import math
-import struct
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
-from xml.parsers import expat
-
-import numpy as np
 
 from ladarreg_core.errors import FormatError
+from ladarreg_core.formats.e57_records import E57Field, fields_of
+from ladarreg_core.formats.e57_tree import SIGNATURE, E57File, E57Node, open_e57, whole_number
 from ladarreg_core.formats.pcd import pose_of_quaternion
 from ladarreg_core.formats.untrusted import one_line
 from ladarreg_core.formats.world_pose import LARGEST_COORDINATE_M
 from ladarreg_core.frames import Rigid
 
-SIGNATURE = b"ASTM-E57"
-_HEADER = struct.Struct("<8sIIQQQQ")
-_PAGE = 1024
-_PAGE_DATA = 1020  # the last four bytes of a page are its checksum
-_LARGEST_XML = 32 << 20
-_DEEPEST = 64
-_MOST_ELEMENTS = 500_000
-_MOST_CHILDREN = 4_000  # the native reader compares the names of all of them
 _UNIT_TOLERANCE = 1e-3
 _LEAST_LENGTH = 1e-9
 _LEAST_BITS = 8  # smallest point record
-
-
-@dataclass(frozen=True, slots=True)
-class E57Field:
-    """One field of the point records."""
-
-    name: str
-    bits: float
-    """Bits of one value; 0 for a constant."""
-    stored: str = ""
-    """`single`, `double`, `integer` or `scaled`; empty for other types."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +60,8 @@ class E57ImageInfo:
     width: int
     height: int
     bytes: int
-    blob_path: tuple[str | int, ...]
-    """Path of its data in the file's tree."""
+    offset: int
+    """Physical offset of its blob."""
     numbers: dict[str, float]
     """Numeric elements of its representation and distortion block, by name."""
     world_from_image: Rigid | None
@@ -115,130 +92,35 @@ def read_e57_info(path: Path) -> E57Info:
     Raises:
         FormatError: if it is truncated, damaged, or claims more than it can contain.
     """
-    size = path.stat().st_size
-    with open(path, "rb") as stream:
-        xml = _read_xml(stream, size)
-    _check_xml(xml)
-    try:
-        root = ElementTree.fromstring(xml)
-    except ElementTree.ParseError as error:
-        raise FormatError(f"the E57's XML is damaged ({one_line(error, 80)})") from error
-    scans = tuple(_scan(node, k, size) for k, node in enumerate(_children(_child(root, "data3D"))))
-    images = tuple(_images(root, size))
-    return E57Info(scans, images)
+    with open_e57(path) as file:
+        return contents_of(file)
 
 
-def _read_xml(stream: BinaryIO, size: int) -> bytes:
-    head = stream.read(_HEADER.size)
-    if len(head) < _HEADER.size or not head.startswith(SIGNATURE):
-        raise FormatError("it is not an E57 file; an E57 begins with 'ASTM-E57' and a header of 48 bytes")
-    _, major, _, length, xml_at, xml_length, page = _HEADER.unpack(head)
-    if major != 1 or page != _PAGE:
-        raise FormatError(f"it is E57 version {major} with pages of {page} bytes; version 1 with {_PAGE} is read")
-    if length != size:
-        state = "truncated" if length > size else "damaged"
-        raise FormatError(f"its header says {length:,} bytes, the file has {size:,}; it is {state}: copy it again")
-    if xml_length > min(_LARGEST_XML, size) or xml_at < _HEADER.size or xml_at >= size:
-        raise FormatError(f"its header puts {xml_length:,} bytes of XML at {xml_at:,} of {size:,}; it is damaged")
-    first = xml_at // _PAGE
-    stream.seek(first * _PAGE)
-    pages = (xml_length + xml_at % _PAGE) // _PAGE_DATA + 2
-    raw = stream.read(pages * _PAGE)
-    raw = raw[: len(raw) // _PAGE * _PAGE]
-    data = np.frombuffer(raw, np.uint8).reshape(-1, _PAGE)[:, :_PAGE_DATA].tobytes()
-    start = xml_at % _PAGE
-    xml = data[start : start + xml_length]
-    if len(xml) != xml_length:
-        raise FormatError(f"its XML of {xml_length:,} bytes ends with the file; it is damaged")
-    return xml.rstrip(b"\0")
+def contents_of(file: E57File) -> E57Info:
+    """Return the table of contents of an open file; errors as of `read_e57_info`."""
+    size = file.pages.file_bytes
+    scans = tuple(_scan(node, k, size) for k, node in enumerate(_children(file.root.child("data3D"))))
+    return E57Info(scans, tuple(_images(file.root, size)))
 
 
-def _check_xml(xml: bytes) -> None:
-    """Refuse entities, deep nesting and excessive numbers of elements, which exhaust the memory of XML parsers."""
-    parser = expat.ParserCreate()
-    count = 0
-    children = [0]  # so far, of each element that is open
-
-    def start(name: str, attributes: dict[str, str]) -> None:
-        nonlocal count
-        count += 1 + len(attributes)
-        children[-1] += 1
-        depth = len(children)
-        if depth > _DEEPEST or count > _MOST_ELEMENTS:
-            raise FormatError(
-                f"the E57's XML is nested {depth} deep with {count:,} elements; it is malicious or damaged"
-            )
-        if children[-1] > _MOST_CHILDREN:
-            raise FormatError(
-                f"an element of the E57's XML contains more than {_MOST_CHILDREN:,} others; it is malicious or damaged"
-            )
-        children.append(0)
-
-    def end(name: str) -> None:
-        children.pop()
-
-    def doctype(*_: object) -> None:
-        raise FormatError(
-            "the E57's XML declares a document type, which E57 does not allow; it is malicious or damaged"
-        )
-
-    parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.StartDoctypeDeclHandler = doctype
-    try:
-        parser.Parse(xml, True)
-    except expat.ExpatError as error:
-        raise FormatError(f"the E57's XML is damaged ({one_line(error, 80)})") from error
+def _children(node: E57Node | None) -> list[E57Node]:
+    return [] if node is None else node.children
 
 
-_Node = ElementTree.Element
+def _text(node: E57Node | None) -> str:
+    return "" if node is None else node.text.strip()
 
 
-def _local(node: _Node) -> str:
-    return node.tag.rpartition("}")[2]
+def _number(node: E57Node | None, default: float = 0.0) -> float:
+    return default if node is None else node.number()
 
 
-def _children(node: _Node | None) -> list[_Node]:
-    return [] if node is None else list(node)
-
-
-def _child(node: _Node | None, *names: str) -> _Node | None:
-    for name in names:
-        node = next((child for child in _children(node) if _local(child) == name), None)
-    return node
-
-
-def _text(node: _Node | None) -> str:
-    return (node.text or "").strip() if node is not None else ""
-
-
-def _number(node: _Node | None, default: float = 0.0) -> float:
-    """Return a number element's value, scaled; an empty element means 0."""
-    if node is None:
-        return default
-    try:
-        value = float(_text(node) or 0)
-        if node.get("type") == "ScaledInteger":
-            value = value * float(node.get("scale", 1)) + float(node.get("offset", 0))
-    except ValueError:
-        raise FormatError(f"the E57's {_local(node)} is {one_line(_text(node), 30)!r}; it must be a number") from None
-    return value
-
-
-def _whole(text: str | None, what: str, default: int = 0) -> int:
-    if text is None or text == "":
-        return default
-    digits = text.removeprefix("-")
-    if not (digits.isascii() and digits.isdigit() and len(digits) <= 19):
-        raise FormatError(f"the E57's {what} is {one_line(text, 30)!r}; it must be a whole number")
-    return int(text)
-
-
-def _scan(node: _Node, index: int, file_bytes: int) -> E57ScanInfo:
-    points = _child(node, "points")
+def _scan(node: E57Node, index: int, file_bytes: int) -> E57ScanInfo:
+    points = node.child("points")
     if points is None:
         raise FormatError(f"scan {index} of the E57 has no points; it is damaged")
-    count = _whole(points.get("recordCount"), "recordCount")
-    fields = tuple(_field(child) for child in _children(_child(points, "prototype")))
+    count = points.whole("recordCount")
+    fields = fields_of(points)
     bits = sum(field.bits for field in fields)
     # Constant fields take no bits, but points without any other field are not a scan.
     if count < 0 or count * max(bits, _LEAST_BITS) / 8 > file_bytes + 1024:
@@ -246,57 +128,44 @@ def _scan(node: _Node, index: int, file_bytes: int) -> E57ScanInfo:
             f"scan {index} claims {count:,} points of {bits:.0f} bits, but the whole file has {file_bytes:,} bytes; it "
             "is damaged or malicious"
         )
-    bounds = _child(node, "indexBounds")
+    bounds = node.child("indexBounds")
     grid, first_cell = None, (0, 0)
     if bounds is not None and {"rowIndex", "columnIndex"} <= {field.name for field in fields}:
         sides = [
-            _number(_child(bounds, f"{axis}Maximum")) - _number(_child(bounds, f"{axis}Minimum")) + 1
+            _number(bounds.child(f"{axis}Maximum")) - _number(bounds.child(f"{axis}Minimum")) + 1
             for axis in ("row", "column")
         ]
         if all(1 < side < 2**31 for side in sides):
             grid = int(sides[0]), int(sides[1])
-            first = [_number(_child(bounds, f"{axis}Minimum")) for axis in ("row", "column")]
+            first = [_number(bounds.child(f"{axis}Minimum")) for axis in ("row", "column")]
             first_cell = int(first[0]), int(first[1])
     return E57ScanInfo(
-        one_line(_text(_child(node, "name")) or f"scan {index}", 60),
-        _text(_child(node, "guid")),
+        one_line(_text(node.child("name")) or f"scan {index}", 60),
+        _text(node.child("guid")),
         count,
         fields,
         grid,
         first_cell,
-        _scan_pose(_child(node, "pose")),
-        _number(_child(node, "colorLimits", "colorRedMaximum"), 255.0),
-        _pose_problem(_child(node, "pose")),
+        _scan_pose(node.child("pose")),
+        _number(node.child("colorLimits", "colorRedMaximum"), 255.0),
+        _pose_problem(node.child("pose")),
     )
 
 
-def _field(node: _Node) -> E57Field:
-    kind = node.get("type", "")
-    if kind == "Float":
-        single = node.get("precision") == "single"
-        return E57Field(_local(node), 32 if single else 64, "single" if single else "double")
-    if kind in ("Integer", "ScaledInteger"):
-        low = _whole(node.get("minimum"), "minimum", -(2**63))
-        high = _whole(node.get("maximum"), "maximum", 2**63 - 1)
-        stored = "integer" if kind == "Integer" else "scaled"
-        return E57Field(_local(node), max(high - low, 0).bit_length(), stored)
-    return E57Field(_local(node), 8)
-
-
-def _pose(node: _Node | None) -> Rigid | None:
+def _pose(node: E57Node | None) -> Rigid | None:
     if node is None or _beyond_repair(*_rotation_and_translation(node)):
         return None
     return pose_of_quaternion(*_rotation_and_translation(node))
 
 
-def _scan_pose(node: _Node | None) -> Rigid | None:
+def _scan_pose(node: E57Node | None) -> Rigid | None:
     """Return the pose that the file states for a scan; the identity, too: the first scan of a survey often has it."""
     if node is None or _beyond_repair(*_rotation_and_translation(node)):
         return None
     return _pose(node) or Rigid.identity()
 
 
-def _pose_problem(node: _Node | None) -> str:
+def _pose_problem(node: E57Node | None) -> str:
     if node is None:
         return ""
     quaternion, translation = _rotation_and_translation(node)
@@ -312,9 +181,9 @@ def _pose_problem(node: _Node | None) -> str:
     return ""
 
 
-def _rotation_and_translation(node: _Node) -> tuple[list[float], list[float]]:
-    quaternion = [_number(_child(node, "rotation", axis), float(axis == "w")) for axis in "wxyz"]
-    return quaternion, [_number(_child(node, "translation", axis)) for axis in "xyz"]
+def _rotation_and_translation(node: E57Node) -> tuple[list[float], list[float]]:
+    quaternion = [_number(node.child("rotation", axis), float(axis == "w")) for axis in "wxyz"]
+    return quaternion, [_number(node.child("translation", axis)) for axis in "xyz"]
 
 
 def _beyond_repair(quaternion: list[float], translation: list[float]) -> bool:
@@ -323,40 +192,46 @@ def _beyond_repair(quaternion: list[float], translation: list[float]) -> bool:
     return not (_LEAST_LENGTH < length < math.inf and largest <= LARGEST_COORDINATE_M)
 
 
-def _images(root: _Node, file_bytes: int) -> Iterator[E57ImageInfo]:
+def _images(root: E57Node, file_bytes: int) -> Iterator[E57ImageInfo]:
     together = 0
-    for index, node in enumerate(_children(_child(root, "images2D"))):
+    for index, node in enumerate(_children(root.child("images2D"))):
         for kind in ("pinhole", "spherical", "cylindrical", "visualReference"):
-            shape = _child(node, f"{kind}Representation")
+            shape = node.child(f"{kind}Representation")
             if shape is None:
                 continue
             for encoding in ("jpeg", "png"):
-                blob = _child(shape, f"{encoding}Image")
+                blob = shape.child(f"{encoding}Image")
                 if blob is None:
                     continue
-                length = _whole(blob.get("length"), "picture length")
+                length = blob.whole("length")
                 together += length
                 if length <= 0 or together > file_bytes:
                     raise FormatError(
                         f"the first {index + 1} images claim {together:,} bytes in a file of {file_bytes:,}; it is "
                         "damaged"
                     )
-                numbers = {_local(child): _number(child) for child in _children(shape) if _is_number(child)}
-                distortion = _child(node, "distortion")
-                numbers |= {_local(child): _number(child) for child in _children(distortion) if _is_number(child)}
+                distortion = next((child for child in node.children if _local(child) == "distortion"), None)
+                numbers = _numbers(shape) | _numbers(distortion)
                 yield E57ImageInfo(
-                    one_line(_text(_child(node, "name")) or f"image {index}", 60),
+                    one_line(_text(node.child("name")) or f"image {index}", 60),
                     "visual reference" if kind == "visualReference" else kind,
                     encoding,
-                    _whole(_text(_child(shape, "imageWidth")), "imageWidth"),
-                    _whole(_text(_child(shape, "imageHeight")), "imageHeight"),
+                    whole_number(_text(shape.child("imageWidth")), "imageWidth"),
+                    whole_number(_text(shape.child("imageHeight")), "imageHeight"),
                     length,
-                    ("images2D", index, f"{kind}Representation", f"{encoding}Image"),
+                    blob.whole("fileOffset"),
                     numbers,
-                    _pose(_child(node, "pose")),
-                    _text(_child(node, "associatedData3DGuid")),
+                    _pose(node.child("pose")),
+                    _text(node.child("associatedData3DGuid")),
                 )
 
 
-def _is_number(node: _Node) -> bool:
-    return node.get("type") in ("Float", "Integer", "ScaledInteger")
+def _numbers(node: E57Node | None) -> dict[str, float]:
+    """Return the numbers in a structure by name, without prefixes: the terms of a distortion are an extension."""
+    kinds = ("Float", "Integer", "ScaledInteger")
+    return {_local(child): child.number() for child in _children(node) if child.kind in kinds}
+
+
+def _local(node: E57Node) -> str:
+    """Return a name without the prefix of an extension."""
+    return node.name.rpartition(":")[2]

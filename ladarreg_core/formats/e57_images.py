@@ -12,8 +12,8 @@ from ladarreg_core.arrays import ByteArray
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera
 from ladarreg_core.errors import CameraError, ExportError, FormatError, OptionError
 from ladarreg_core.formats.camera_file import write_camera
-from ladarreg_core.formats.e57 import e57_file
-from ladarreg_core.formats.e57_header import SIGNATURE, E57ImageInfo, E57Info, read_e57_info, sniff_e57
+from ladarreg_core.formats.e57_header import E57ImageInfo, E57Info, contents_of, read_e57_info, sniff_e57
+from ladarreg_core.formats.e57_tree import SIGNATURE, E57File, open_e57
 from ladarreg_core.formats.pose_file import write_pose
 from ladarreg_core.formats.untrusted import PathLike, reading
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
@@ -87,12 +87,11 @@ def embedded_data(path: PathLike, index: int) -> ByteArray:
     Raises:
         FormatError: if there is no such image, or it is damaged.
     """
-    with reading(path) as file:
-        images = read_e57_info(file).images
+    with reading(path) as file, open_e57(file) as opened:
+        images = contents_of(opened).images
         if not 0 <= index < len(images):
             raise FormatError(f"there is no image {index} in it; it has {len(images)}")
-        with e57_file(file) as image_file:
-            return np.frombuffer(_blob(image_file, images[index]), np.uint8)
+        return np.frombuffer(_blob(opened, images[index]), np.uint8)
 
 
 def _offer(number: int, image: E57ImageInfo, info: E57Info, scan_index: int) -> EmbeddedImage:
@@ -129,8 +128,8 @@ def extract_images(path: PathLike, folder: PathLike, *, scan_index: int = 0) -> 
         ExportError: if a file exists already or cannot be written.
         OptionError: if there is no scan with that index.
     """
-    with reading(path) as file:
-        info = read_e57_info(file)
+    with reading(path) as file, open_e57(file) as opened:
+        info = contents_of(opened)
         if info.scans and not 0 <= scan_index < len(info.scans):
             raise OptionError(f"there is no scan {scan_index}; the file contains {len(info.scans)}")
         target = Path(folder)
@@ -140,8 +139,7 @@ def extract_images(path: PathLike, folder: PathLike, *, scan_index: int = 0) -> 
                 raise ExportError(f"{taken.name} exists already; give another folder")
         if not info.images:
             return ExtractedImages()
-        with e57_file(file) as image_file:
-            intact, damaged = _blobs(image_file, info)
+        intact, damaged = _blobs(opened, info)
         try:
             target.mkdir(parents=True, exist_ok=True)
             found = ExtractedImages(
@@ -212,7 +210,7 @@ def camera_from_scanner_of(image: E57ImageInfo, info: E57Info, scan_index: int =
     return axes @ image.world_from_image.inverse @ world_from_scanner
 
 
-def _blobs(image_file: object, info: E57Info) -> tuple[dict[int, bytes], tuple[str, ...]]:
+def _blobs(file: E57File, info: E57Info) -> tuple[dict[int, bytes], tuple[str, ...]]:
     """Return the data of the intact images by index, together no larger than the file, and what is wrong with others.
 
     Raises:
@@ -222,7 +220,7 @@ def _blobs(image_file: object, info: E57Info) -> tuple[dict[int, bytes], tuple[s
     damaged: list[FormatError] = []
     for k, image in enumerate(info.images):
         try:
-            intact[k] = _blob(image_file, image)
+            intact[k] = _blob(file, image)
         except FormatError as error:
             damaged.append(error)
     if not intact:
@@ -230,11 +228,8 @@ def _blobs(image_file: object, info: E57Info) -> tuple[dict[int, bytes], tuple[s
     return intact, tuple(map(str, damaged))
 
 
-def _blob(image_file: object, image: E57ImageInfo) -> bytes:
-    node: object = image_file.root()  # type: ignore[attr-defined]
-    for step in image.blob_path:
-        node = node[step]  # type: ignore[index]
-    data = bytes(node.read_buffer())  # type: ignore[attr-defined]
+def _blob(file: E57File, image: E57ImageInfo) -> bytes:
+    data = file.blob(image.offset, image.bytes).tobytes()
     if not data.startswith(_STARTS[image.format]):
         raise FormatError(
             f"the image {image.name!r} is not the {image.format.upper()} that the E57 declares; it is damaged"

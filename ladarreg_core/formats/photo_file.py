@@ -61,7 +61,7 @@ def read_photo(
     temperature_unit: TemperatureUnit | None = None,
     memory_bytes: int | None = None,
 ) -> Photo:
-    """Read a photograph with its camera.
+    """Read a photograph with its camera, in the calling process and with its permissions.
 
     The camera is `camera`, or a distortion-free pinhole with the given focal length, or else the panorama that the
     photograph's XMP describes, or a pinhole with the focal length in EXIF.

@@ -335,6 +335,8 @@ def read_scan(
 ) -> Scan:
     """Read a scan, its format recognised by content.
 
+    The file is decoded in the calling process, with its permissions; for files of strangers see `isolated`.
+
     Args:
         path: a file of one of the scan formats.
         more: further files that were taken from the same standpoint, the scanner at rest: the clouds are merged before

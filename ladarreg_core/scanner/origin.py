@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import threading
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -85,6 +86,31 @@ def estimate_origin(points: FloatArray) -> OriginEstimate:
             if len(_known) > _MOST_KNOWN:
                 _known.pop(next(iter(_known)))
     return found
+
+
+def kept_answers() -> list[list[Any]]:
+    """Return the answers that are kept, as plain values that `keep_answers` takes in another process."""
+    with _known_lock:
+        return [
+            [key.hex(), found.position, found.hidden_share, found.hidden_from_centre, found.may_be_centre]
+            for key, found in _known.items()
+        ]
+
+
+def keep_answers(rows: Iterable[Sequence[Any]]) -> None:
+    """Keep answers of another process, so that the same clouds are not examined again.
+
+    Raises:
+        ValueError, TypeError: if they are not what `kept_answers` returns.
+    """
+    for key, position, hidden_share, hidden_from_centre, may_be_centre in rows:
+        place = None
+        if position is not None:
+            x, y, z = map(float, position)
+            place = (x, y, z)
+        found = OriginEstimate(place, float(hidden_share), float(hidden_from_centre), bool(may_be_centre))
+        with _known_lock:
+            _known[bytes.fromhex(key)] = found
 
 
 def _estimate(picked: FloatArray) -> OriginEstimate:

@@ -271,7 +271,7 @@ READERS = {
 _PROGRAM = """
 import json, os, resource, sys
 import numpy as np
-import cv2, scipy.spatial, PIL.Image, pye57
+import cv2, scipy.spatial, PIL.Image
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.formats import describe, extract_images, read_photo, read_scan
 from ladarreg_core.formats.camera_file import read_camera

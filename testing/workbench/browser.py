@@ -20,8 +20,8 @@ FLAGS = (
     "--disable-component-update",
     "--disable-sync",
 )
-CHEAP = ("--disable-gpu-rasterization", "--disable-accelerated-2d-canvas")
-"""Pages and their canvases are drawn without the emulated graphics card, which only WebGL and compositing need."""
+CHEAP = ("--disable-gpu-rasterization", "--disable-accelerated-2d-canvas", "--disable-gpu-compositing")
+"""Pages are drawn without the emulated graphics card, which is then left to WebGL."""
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _MAC = "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome"
 

@@ -16,7 +16,7 @@ from PIL import Image
 from testing.workbench.browser import CHEAP, FLAGS, find_chromium
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, BrowserContext, Page, Route
+    from playwright.sync_api import Browser, BrowserContext, BrowserType, Page, Route
 
 SIZE = (1280, 720)
 LONGEST_MS = 90_000
@@ -27,20 +27,31 @@ FAILED = pytest.StashKey[bool]()
 
 
 @pytest.fixture(scope="session")
-def browser() -> Iterator[Browser]:
-    """A headless Chromium."""
+def browsers() -> Iterator[BrowserType]:
+    """What starts the browsers of a process: there is one event loop for all of them."""
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    path = find_chromium()
-    if path is None:
+    if find_chromium() is None:
         pytest.skip("no Chromium: install chromium, or name one in LADARREG_CHROMIUM")
     with sync_api.sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=path, args=[*FLAGS, *CHEAP])
+        yield playwright.chromium
+
+
+@pytest.fixture(scope="session")
+def browser(browsers: BrowserType) -> Iterator[Browser]:
+    """A headless Chromium that draws its pages without a graphics card, emulated or not."""
+    with browsers.launch(executable_path=find_chromium(), args=[*FLAGS, *CHEAP]) as chromium:
         yield chromium
-        chromium.close()
 
 
-@pytest.fixture
-def page(browser: Browser, request: pytest.FixtureRequest, checkout: Path) -> Iterator[Page]:
+@pytest.fixture(scope="session")
+def browser_3d(browsers: BrowserType) -> Iterator[Browser]:
+    """A headless Chromium whose 3-D pictures can be photographed: it takes twice the processor time of `browser`."""
+    with browsers.launch(executable_path=find_chromium(), args=FLAGS) as chromium:
+        yield chromium
+
+
+@contextlib.contextmanager
+def watched_page(browser: Browser, request: pytest.FixtureRequest) -> Iterator[Page]:
     """A new page; an error in its console fails the test."""
     tab = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
     tab.set_default_timeout(LONGEST_MS)
@@ -49,9 +60,23 @@ def page(browser: Browser, request: pytest.FixtureRequest, checkout: Path) -> It
     tab.on("pageerror", lambda error: errors.append(str(error)))
     yield tab
     if request.node.stash.get(FAILED, False):
-        keep(tab, checkout, request.node.name)
+        keep(tab, request.getfixturevalue("checkout"), request.node.name)
     tab.close()
     assert not errors, f"the page's console: {errors}"
+
+
+@pytest.fixture
+def page(browser: Browser, request: pytest.FixtureRequest) -> Iterator[Page]:
+    """A page that is watched."""
+    with watched_page(browser, request) as tab:
+        yield tab
+
+
+@pytest.fixture
+def page_3d(browser_3d: Browser, request: pytest.FixtureRequest) -> Iterator[Page]:
+    """One whose 3-D pictures can be photographed."""
+    with watched_page(browser_3d, request) as tab:
+        yield tab
 
 
 @pytest.hookimpl(hookwrapper=True)

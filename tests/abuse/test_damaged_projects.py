@@ -321,6 +321,7 @@ def test_a_project_without_checksums_opens_with_its_history(tmp_path: Path) -> N
     assert said == ()
 
 
+@pytest.mark.slow
 def test_a_project_without_checksums_opens_after_any_flipped_bit(tmp_path: Path) -> None:
     files = files_of(OLD)
     document = opened(shutil.copytree(OLD, tmp_path / "sound"))[0].document

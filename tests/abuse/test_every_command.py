@@ -268,6 +268,7 @@ def test_the_sweep_knows_every_command() -> None:
     assert set(SOUND) == set(COMMANDS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("do", sorted(SOUND))
 @pytest.mark.parametrize("share", [5, pytest.param(1, marks=pytest.mark.long)], ids=["some", "all"])
 def test_a_command_is_refused_or_saved(page: Page, tmp_path: Path, do: str, share: int) -> None:

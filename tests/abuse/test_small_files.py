@@ -44,7 +44,7 @@ def test_claims_are_refused_before_anything_is_allocated(tmp_path: Path) -> None
         assert cost.seconds < _QUICKLY_SECONDS, (name, cost)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_largest_permitted_expansion_of_small_files(tmp_path: Path) -> None:
     largest = [
         ("scan", bombs.compressed_pcd(tmp_path / "a.pcd", width=1_900_000, height=1)),

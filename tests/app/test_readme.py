@@ -7,9 +7,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from ladarreg.cli import COMMANDS
 
 
+@pytest.mark.slow
 def test_the_example_runs(tmp_path: Path, checkout: Path) -> None:
     (example,) = re.findall(r"```python\n(.*?)```", (checkout / "README.md").read_text(encoding="utf-8"), re.DOTALL)
     assert len([line for line in example.splitlines() if line.strip()]) <= 11

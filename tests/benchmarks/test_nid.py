@@ -17,6 +17,7 @@ from testing.scenes.painted_room import PaintedRoom, painted_room
 VALUES = arrays(np.float64, st.integers(2, 300), elements=st.integers(-20, 20).map(float))
 
 
+@pytest.mark.slow
 @given(VALUES)
 def test_the_distance_of_equal_images_is_zero(values: np.ndarray) -> None:
     assert nid(values, values) == pytest.approx(0 if len(set(rank_bins(values))) > 1 else 1, abs=1e-12)
@@ -91,6 +92,7 @@ def pair(room: PaintedRoom) -> NidPair:
     return NidPair(points.astype(float), laser * ranges**2, odd, room.photo.camera)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_refinement_reduces_error_and_score(room: PaintedRoom, pair: NidPair, seed: int) -> None:
     rng = np.random.default_rng(seed)

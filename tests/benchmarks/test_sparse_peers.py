@@ -45,6 +45,7 @@ def room() -> tuple[np.ndarray, np.ndarray]:
     return points, cv2.cvtColor(cv2.GaussianBlur(gray, (0, 0), 0.7), cv2.COLOR_GRAY2RGB)
 
 
+@pytest.mark.slow
 def test_edges_of_a_cloud_are_where_its_walls_meet() -> None:
     edges = cloud_edges(room()[0])
     walls = np.stack([np.abs(edges.points - low) for low in (LOW, HIGH)]).min(axis=0)
@@ -53,7 +54,7 @@ def test_edges_of_a_cloud_are_where_its_walls_meet() -> None:
     assert np.sort(np.abs(edges.directions), axis=1)[:, 2].min() > 0.99
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_edge_aligner_finds_a_pose_one_degree_off() -> None:
     points, pixels = room()
     for seed in range(3):
@@ -65,7 +66,7 @@ def test_the_edge_aligner_finds_a_pose_one_degree_off() -> None:
     assert align_by_edges(points, np.full_like(pixels, 90), CAMERA, TRUTH) is None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_information_distance_finds_a_pose_one_degree_off() -> None:
     case = painted_room(seed=2)
     start = off_by(case.camera_from_scanner, 1, degrees=1.0, metres=0.02)

@@ -15,11 +15,12 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture(autouse=True)
-def _tabs_are_closed(browser: Browser) -> Iterator[None]:
+def _tabs_are_closed(request: pytest.FixtureRequest) -> Iterator[None]:
     """Close the tabs that a test leaves open, as one that fails does: they would be further clients of the next one."""
-    before = list(browser.contexts)
+    browsers = [request.getfixturevalue(name) for name in ("browser", "browser_3d") if name in request.fixturenames]
+    before = [context for browser in browsers for context in browser.contexts]
     yield
-    for context in browser.contexts:
+    for context in [context for browser in browsers for context in browser.contexts]:
         if context not in before:
             context.close()
 

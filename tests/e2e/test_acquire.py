@@ -45,6 +45,7 @@ def awaits(page: Page, state: str) -> None:
     wait_for_store(page, f"store.get('acquisition').state === {state!r}")
 
 
+@pytest.mark.long
 def test_a_newcomer_scans_all_around(browser: Browser, address: str) -> None:
     page, errors = opened(browser, address)
     page.get_by_role("tab", name="Acquire", selected=True).wait_for()  # it opens by itself, without the file dialog

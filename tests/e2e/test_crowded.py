@@ -30,6 +30,7 @@ def wait_for_first_message(line: socket.socket) -> None:
             return
 
 
+@pytest.mark.long
 def test_a_page_beyond_the_limit_shows_the_reason_and_connects_when_another_closes(
     browser: Browser, tmp_path: Path
 ) -> None:

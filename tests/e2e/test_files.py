@@ -24,6 +24,7 @@ def with_picture(folder: Path) -> Path:
     return picture_e57(folder / "hall.e57", make_scan(60, 90))[0]
 
 
+@pytest.mark.slow
 def test_a_dropped_batch(browser: Browser, workbench: SharedWorkbench, tmp_path: Path) -> None:
     """A descriptor waits for its image; a second scan is a question, or a project that offers the scan's picture."""
     pytest.importorskip("pye57")

@@ -56,12 +56,13 @@ def turn(page: Page) -> None:
     page.mouse.up()
 
 
+@pytest.mark.long
 def test_the_surface_is_finer_where_somebody_looks(
-    browser: Browser, workbench: SharedWorkbench, tmp_path: Path
+    browser_3d: Browser, workbench: SharedWorkbench, tmp_path: Path
 ) -> None:
     write_npz_panorama(tmp_path / "scan.npz", room_scan((1000, 2000)))
     workbench.open_files([tmp_path / "scan.npz"]).socket.close()
-    page = browser.new_context(viewport={"width": 1024, "height": 640}, bypass_csp=True).new_page()
+    page = browser_3d.new_context(viewport={"width": 1024, "height": 640}, bypass_csp=True).new_page()
     page.set_default_timeout(LONGEST_MS)
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import pytest
+
 from testing.scenes.room_frames import CAMERA, PHOTO, elsewhere, frame, room_matches
 from testing.workbench.audits import hard_to_read
 from testing.workbench.operator import SLICE, drop, opened, shot
@@ -27,6 +29,7 @@ def files_of(page: Page) -> list[str]:
     return found
 
 
+@pytest.mark.slow
 def test_frames_are_added_and_matches_stay(browser: Browser, workbench: SharedWorkbench) -> None:
     context = browser.new_context(viewport={"width": 1280, "height": 720})
     without_model(context)

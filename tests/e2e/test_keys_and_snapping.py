@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 
 from testing.workbench.operator import Operator
 from testing.workbench.pages import ROUND_TRIP, two_frames
@@ -29,6 +30,7 @@ def beside_an_edge(operator: Operator) -> tuple[list[list[float]], list[list[flo
     raise AssertionError("the sample has no edge to snap to")
 
 
+@pytest.mark.slow
 def test_a_line_shows_its_ghost_before_the_release_and_shift_suspends_it(operator: Operator) -> None:
     page = operator.page
     drawn, snapped = beside_an_edge(operator)
@@ -64,6 +66,7 @@ def test_a_line_shows_its_ghost_before_the_release_and_shift_suspends_it(operato
         np.testing.assert_allclose(uv, drawn if held else snapped, atol=0.1 if held else 0.6)
 
 
+@pytest.mark.slow
 def test_keys_act_on_what_is_selected_and_under_the_pointer(operator: Operator) -> None:
     page = operator.page
     for k in range(2):

@@ -85,6 +85,7 @@ def assert_logged_in(page: Page, run: Running) -> None:
     page.locator("#scan-pane").wait_for(state="attached")
 
 
+@pytest.mark.slow
 def test_an_address_with_the_token_leaks_nowhere(run: Running, context: BrowserContext) -> None:
     page = context.new_page()
     page.goto("about:blank")
@@ -98,6 +99,7 @@ def test_an_address_with_the_token_leaks_nowhere(run: Running, context: BrowserC
     assert page.url == "about:blank"
 
 
+@pytest.mark.slow
 def test_a_link_on_another_site_logs_in_and_leaks_nothing(run: Running, context: BrowserContext) -> None:
     with elsewhere(f'<a href="{run.origin}/?token={TOKEN}">open</a>') as address:
         page = context.new_page()
@@ -109,6 +111,7 @@ def test_a_link_on_another_site_logs_in_and_leaks_nothing(run: Running, context:
         assert page.url == address
 
 
+@pytest.mark.slow
 def test_the_form_accepts_the_token_and_a_wrong_one_leaks_nowhere(run: Running, context: BrowserContext) -> None:
     page = context.new_page()
     page.goto(f"{run.origin}/?token={WRONG}")
@@ -123,6 +126,7 @@ def test_the_form_accepts_the_token_and_a_wrong_one_leaks_nowhere(run: Running, 
     assert left["referrer"] == ""
 
 
+@pytest.mark.slow
 def test_no_page_of_another_site_can_delay_the_login(run: Running, context: BrowserContext) -> None:
     with elsewhere(HOSTILE % (f"{run.origin}/", quote(WRONG))) as address:
         page = context.new_page()

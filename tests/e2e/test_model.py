@@ -96,6 +96,9 @@ class Visit:
         """Wait for the model and return viser's frame."""
         self.page.locator(DRAWN).wait_for(timeout=90_000)
         self.page.locator(".model-loading").wait_for(state="hidden")
+        for told in self.page.locator(".notice").filter(has_text="Reopened").all():  # it lies over the picture
+            told.get_by_role("button").first.click()
+            told.wait_for(state="detached")
         frame = self.page.frame(url=lambda address: "/viser/" in address)
         assert frame is not None
         return frame
@@ -115,8 +118,8 @@ class Visit:
 
 
 @pytest.fixture
-def visit(browser: Browser, server: Served) -> Iterator[Visit]:
-    found = Visit(browser, server)
+def visit(browser_3d: Browser, server: Served) -> Iterator[Visit]:
+    found = Visit(browser_3d, server)
     yield found
     found.context.close()
     assert not found.errors
@@ -126,6 +129,7 @@ def colourful(pixels: np.ndarray) -> float:
     return float((pixels.max(axis=-1) - pixels.min(axis=-1) > 24).mean())
 
 
+@pytest.mark.long
 def test_only_the_scene_is_seen_of_viser_and_textures_follow_each_other_without_a_gap(visit: Visit) -> None:
     page, cover = visit.page, visit.page.locator(".model-cover")
     assert cover.is_visible()
@@ -193,8 +197,9 @@ def test_the_camera_sees_the_textures_own_colours_and_matches_can_be_clicked(vis
     frame.wait_for_function("() => window.__viserMutable.nodeRefFromName['/highlight/point']")
 
 
-def test_two_people_have_their_own_textures_and_views(browser: Browser, server: Served, visit: Visit) -> None:
-    other = Visit(browser, server)
+@pytest.mark.long
+def test_two_people_have_their_own_textures_and_views(browser_3d: Browser, server: Served, visit: Visit) -> None:
+    other = Visit(browser_3d, server)
     try:
         frames = visit.drawn(), other.drawn()
         other.page.keyboard.press("m")  # matches have colours
@@ -211,11 +216,11 @@ def test_two_people_have_their_own_textures_and_views(browser: Browser, server: 
         other.context.close()
 
 
-def test_the_view_serves_as_a_rough_pose(browser: Browser, workbench: SharedWorkbench) -> None:
+def test_the_view_serves_as_a_rough_pose(browser_3d: Browser, workbench: SharedWorkbench) -> None:
     """The registration starts from where the person looks from in the 3-D view."""
     workbench.open("solved")
     server = workbench.server
-    visit = Visit(browser, server)
+    visit = Visit(browser_3d, server)
     visit.drawn()
     page, socket = visit.page, Socket(server)
     page.get_by_role("button", name="Scanner", exact=True).click()
@@ -234,7 +239,7 @@ def test_the_view_serves_as_a_rough_pose(browser: Browser, workbench: SharedWork
 
 
 def test_a_finer_photograph_is_drawn_with_its_own_pixels(
-    browser: Browser, workbench: SharedWorkbench, tmp_path: Path
+    browser_3d: Browser, workbench: SharedWorkbench, tmp_path: Path
 ) -> None:
     """All of its pixels are where the camera saw them, and are what is seen: a test card in its place appears."""
     finer = 3
@@ -259,7 +264,7 @@ def test_a_finer_photograph_is_drawn_with_its_own_pixels(
     socket.until(lambda slices: slices["photos"][0]["state"] == "accepted")
     socket.socket.close()
     server = workbench.server
-    visit = Visit(browser, server)
+    visit = Visit(browser_3d, server)
     visit.page.route(
         "**/picture/model/photo*", lambda route: route.fulfill(body=encoded.getvalue(), content_type="image/png")
     )

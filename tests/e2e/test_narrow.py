@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 
+import pytest
+
 from testing.workbench.operator import Operator
 
 CLIPPED = """
@@ -14,6 +16,7 @@ CLIPPED = """
 """
 
 
+@pytest.mark.slow
 def test_no_label_is_clipped(onlooker: Operator) -> None:
     page = onlooker.page
     for width, step in itertools.product((1024, 1280, 1440), ("Match", "Solve", "Judge", "Export")):
@@ -23,6 +26,7 @@ def test_no_label_is_clipped(onlooker: Operator) -> None:
         assert page.evaluate(CLIPPED) == [], (width, step)
 
 
+@pytest.mark.slow
 def test_one_part_at_a_time_on_a_narrow_screen(operator: Operator) -> None:
     page = operator.page
     page.set_viewport_size({"width": 390, "height": 844})

@@ -32,6 +32,7 @@ def verdict(page: Page) -> Any:
     return page.get_by_role("region", name="Verdict").get_by_role("status")
 
 
+@pytest.mark.slow
 def test_an_edit_puts_the_whole_verdict_out_of_date(operator: Operator) -> None:
     page = operator.page
     judge = page.get_by_role("tab", name="Judge", exact=True)
@@ -71,6 +72,7 @@ def test_an_edit_puts_the_whole_verdict_out_of_date(operator: Operator) -> None:
     assert photo.locator(TICK).count() == 1
 
 
+@pytest.mark.slow
 def test_solving_is_one_button_with_one_verdict(operator: Operator) -> None:
     """Matches that agree with each other and not with the images: solved, verified and refused by one click."""
     page = operator.page
@@ -95,6 +97,7 @@ def test_solving_is_one_button_with_one_verdict(operator: Operator) -> None:
     operator.shot("contradicted")
 
 
+@pytest.mark.slow
 def test_drawn_matches_are_solved_by_themselves(operator: Operator) -> None:
     """The verdict follows an edit without a click, a notice or a step of its own, and undo takes it back."""
     page = operator.page

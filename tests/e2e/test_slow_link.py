@@ -77,6 +77,7 @@ def exact_scan(server: Served, query: str = "") -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(data)).convert("RGB")).astype(int)
 
 
+@pytest.mark.slow
 def test_on_a_slow_link_only_what_is_looked_at_is_loaded_exactly(tab: Page, server: Served) -> None:
     with ThrottlingProxy(server.port, bytes_per_s=SLOW_BYTES_PER_S, one_way_s=0.01) as link:
         enter(tab, server, link.port)
@@ -115,6 +116,7 @@ def test_on_a_slow_link_only_what_is_looked_at_is_loaded_exactly(tab: Page, serv
         assert body.is_visible()
 
 
+@pytest.mark.slow
 def test_dragging_the_contrast_loads_nothing_until_it_is_released(tab: Page, server: Served) -> None:
     enter(tab, server, server.port)
     until(tab, lambda: shown(tab, "scan").max() > 100, "the scan")
@@ -152,6 +154,7 @@ def test_dragging_the_contrast_loads_nothing_until_it_is_released(tab: Page, ser
     until(tab, lambda: np.array_equal(shown(tab, "scan"), before), "as at first")
 
 
+@pytest.mark.slow
 def test_the_range_is_previewed_in_its_own_colours(tab: Page, server: Served) -> None:
     enter(tab, server, server.port)
     tab.get_by_label("Channel of the scan").select_option("range")
@@ -181,6 +184,7 @@ def test_the_range_is_previewed_in_its_own_colours(tab: Page, server: Served) ->
     assert np.abs(exact - preview).mean() < 0.4 * np.abs(exact - before).mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", ["scan", "photo"])
 def test_a_spinner_turns_while_a_picture_is_loaded(tab: Page, server: Served, side: str) -> None:
     held: list[Route] = []
@@ -207,6 +211,7 @@ def test_a_spinner_turns_while_a_picture_is_loaded(tab: Page, server: Served, si
     assert not tab.get_by_role("progressbar", name=name[other]).is_visible()
 
 
+@pytest.mark.slow
 def test_returning_to_another_display_does_not_flash_the_default(tab: Page, server: Served) -> None:
     enter(tab, server, server.port)
     tab.get_by_label("Channel of the scan").select_option("range")

@@ -36,7 +36,7 @@ def pattern(size_px: int = 40) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_tiles_are_drawn_where_the_photograph_shows_them(page: Page, tmp_path: Path) -> None:
+def test_tiles_are_drawn_where_the_photograph_shows_them(page_3d: Page, tmp_path: Path) -> None:
     pixels = pattern()
     one = photograph(CAMERA, POSES[0], "photo", pixels=pixels)
     export_to(tmp_path / "out", RegisteredScan(uneven_room(), (one,)), ["tiles"])
@@ -55,23 +55,24 @@ def test_tiles_are_drawn_where_the_photograph_shows_them(page: Page, tmp_path: P
         camera.position, camera.up = tuple(pose.centre), tuple(-pose.rotation[1])
         camera.look_at = tuple(pose.centre + pose.rotation[2])
         camera.fov = float(2 * np.arctan(CAMERA.height / 2 / CAMERA.fy))
-        page.goto(address(server))
+        page_3d.goto(address(server))
         for tiles in ([root], leaves):
             handles: list[Any] = []
             for tile in tiles:
                 name, data = tile["content"]["uri"], (folder / tile["content"]["uri"]).read_bytes()
                 handles.append(server.scene.add_glb(f"/{name.replace('.', '_')}", data, wxyz=Z_UP))
-            wait_for_pixels(page, lambda seen: likeness(seen) > 0.9, what="the tiles")
+            wait_for_pixels(page_3d, lambda seen: likeness(seen) > 0.9, what="the tiles")
             for handle in handles:  # control: glTF's axes taken for the tile's
                 handle.wxyz = AS_IS
-            wait_for_pixels(page, lambda seen: not likeness(seen) > 0.5, what="the tiles, lying on their side")
+            wait_for_pixels(page_3d, lambda seen: not likeness(seen) > 0.5, what="the tiles, lying on their side")
             for handle in handles:
                 handle.remove()
     finally:
         close_server(server)
 
 
-def test_the_model_has_the_detail_of_the_photograph(page: Page, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_the_model_has_the_detail_of_the_photograph(page_3d: Page, tmp_path: Path) -> None:
     scan, pixels = uneven_room(), pattern(10)
     one = photograph(CAMERA, POSES[0], "photo", pixels=pixels)
     handed = RegisteredScan(scan, (one,))
@@ -89,10 +90,10 @@ def test_the_model_has_the_detail_of_the_photograph(page: Page, tmp_path: Path) 
         camera.position, camera.up = tuple(pose.centre), tuple(-pose.rotation[1])
         camera.look_at = tuple(pose.centre + pose.rotation[2])
         camera.fov = float(2 * np.arctan(CAMERA.height / 2 / CAMERA.fy))
-        page.goto(address(server))
+        page_3d.goto(address(server))
         server.scene.add_glb("/model", (tmp_path / "out" / "glb" / "model.glb").read_bytes(), wxyz=X_FORWARD)
         wait_for_pixels(
-            page,
+            page_3d,
             lambda seen: seen[SHOWN].std() > 0 and np.corrcoef(seen[SHOWN].reshape(-1), expected)[0, 1] > 0.85,
             what="the model with the photograph's own detail",
         )

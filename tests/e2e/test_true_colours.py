@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pytest
 from ladarreg.gateway.viser_backend import close_server
 
 from ladarreg_core.export.glb import glb_bytes
@@ -31,6 +32,7 @@ _CELL = 12
 _STEP_RAD = 0.008
 
 
+@pytest.mark.slow
 def test_colours_on_the_screen_are_within_three_levels(page: Page) -> None:
     rows, columns = PATCHES.shape[0] * _CELL, PATCHES.shape[1] * _CELL
     geometry = AzimuthElevation(rows, columns, _STEP_RAD, _STEP_RAD)

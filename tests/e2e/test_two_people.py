@@ -84,7 +84,7 @@ def shown_photo(page: Page) -> str:
     return page.locator("[role=tab][aria-selected=true].photo-tab").inner_text().strip()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_colleague_who_adds_a_photograph_does_not_disturb_a_line_that_is_being_drawn(
     ann: Person, ben: Person, tmp_path: Path
 ) -> None:
@@ -190,6 +190,7 @@ def test_one_sees_the_others_pointer_and_follows_the_others_view(ann: Person, be
     ben.wait(lambda: not ben.page.get_by_text("Following Ann").is_visible(), "the mark is gone")
 
 
+@pytest.mark.slow
 def test_a_read_only_page_looks_and_changes_nothing(browser: Browser, workbench: SharedWorkbench, ann: Person) -> None:
     server, token = workbench.server, workbench.look_token
     eve = Person(browser, server, "Eve", token=token)
@@ -225,7 +226,7 @@ def test_a_read_only_page_looks_and_changes_nothing(browser: Browser, workbench:
         eve.context.close()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="the server is ended by a signal")
 def test_a_page_outlives_a_restart_of_the_workbench(browser: Browser, tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:

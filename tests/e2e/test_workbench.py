@@ -173,6 +173,7 @@ def test_the_whole_workflow(operator: Operator, browser: Browser, tmp_path: Path
     operator.shot("exported")
 
 
+@pytest.mark.slow
 def test_the_report_opens_in_a_tab_of_its_own(
     browser: Browser, workbench: SharedWorkbench, request: pytest.FixtureRequest
 ) -> None:
@@ -197,6 +198,7 @@ def check_the_report(operator: Operator) -> None:
     report.close()
 
 
+@pytest.mark.slow
 def test_a_line_can_be_drawn_without_a_mouse(operator: Operator) -> None:
     page = operator.page
     before = len(operator.slice("picks:p1"))
@@ -215,6 +217,7 @@ def test_a_line_can_be_drawn_without_a_mouse(operator: Operator) -> None:
     assert abs(picks[-1]["photo"][0][0] - picks[-1]["photo"][1][0]) == pytest.approx(40, abs=0.2)
 
 
+@pytest.mark.slow
 def test_the_policy_lets_the_page_work(browser: Browser, workbench: SharedWorkbench) -> None:
     """Without the driver's bypass: no violation, and the workbench connects."""
     workbench.look_at("camera")
@@ -232,6 +235,7 @@ def test_the_policy_lets_the_page_work(browser: Browser, workbench: SharedWorkbe
     assert not violations
 
 
+@pytest.mark.slow
 def test_a_bad_file_is_reported_in_the_dialog(
     browser: Browser, workbench: SharedWorkbench, request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:
@@ -257,6 +261,7 @@ def give_a_bad_file(operator: Operator, tmp_path: Path) -> None:
     page.keyboard.press("Escape")
 
 
+@pytest.mark.slow
 def test_it_fits_small_and_large_screens(onlooker: Operator) -> None:
     page = onlooker.page
     for scheme, size in itertools.product(("dark", "light"), ((1366, 768), (3840, 2160))):
@@ -274,6 +279,7 @@ def test_it_fits_small_and_large_screens(onlooker: Operator) -> None:
         assert page.get_by_role("button", name="Register automatically").is_visible()
 
 
+@pytest.mark.slow
 def test_everything_can_be_read(onlooker: Operator) -> None:
     """Contrast of text at least 4.5:1, of icons and meaningful edges 3:1, in all steps, panels and dialogs."""
     page = onlooker.page
@@ -299,6 +305,7 @@ def test_everything_can_be_read(onlooker: Operator) -> None:
     assert not faults, "\n".join(f"{where}: {fault}" for fault, where in faults.items())
 
 
+@pytest.mark.slow
 def test_everything_is_reached_by_keyboard(onlooker: Operator) -> None:
     """Each control shows its focus; Escape closes what was opened and returns the focus."""
     page = onlooker.page
@@ -339,6 +346,7 @@ def test_a_killed_server_loses_nothing(browser: Browser, tmp_path: Path) -> None
         context.close()
 
 
+@pytest.mark.slow
 def test_a_lost_connection_comes_back_with_the_present_state(
     browser: Browser, workbench: SharedWorkbench, request: pytest.FixtureRequest
 ) -> None:

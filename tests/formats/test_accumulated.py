@@ -51,6 +51,7 @@ def written(path: Path, points: np.ndarray, **options: object) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_cloud_in_pieces_gives_the_scan_of_the_whole_cloud(tmp_path: Path) -> None:
     points = strewn(12_000, 1)
     light = np.arange(len(points), dtype=np.float32)
@@ -76,6 +77,7 @@ def test_turns_of_a_scanner_with_lines_are_averaged_in_its_own_cells(tmp_path: P
     assert noise[1] < 0.5 * noise[0]  # a third, but for what lies across edges
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", [(0, 1.2, 0), (-1.4, 0, 0)])
 def test_a_cloud_from_elsewhere_is_refused_by_name(tmp_path: Path, place: tuple[float, float, float]) -> None:
     here = [written(tmp_path / f"{k}.pcd", strewn(4000, k)) for k in range(2)]
@@ -84,6 +86,7 @@ def test_a_cloud_from_elsewhere_is_refused_by_name(tmp_path: Path, place: tuple[
         lr.read_scan(here[0], more=[here[1], there])
 
 
+@pytest.mark.slow
 def test_what_moved_is_said_and_what_looks_elsewhere_too(tmp_path: Path) -> None:
     first = written(tmp_path / "first.pcd", strewn(4000, 0))
     points = strewn(4000, 1)
@@ -117,6 +120,7 @@ def test_gridded_scans_are_accumulated_too(tmp_path: Path) -> None:
     assert nearest.max() < 1e-4
 
 
+@pytest.mark.slow
 def test_register_takes_several_scans_and_finds_them_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scan = lr.read_scan(SAMPLE / "scan.npz")
     points, light = scan.points[scan.valid], scan.intensity[scan.valid]

@@ -51,6 +51,7 @@ def _large_files(folder: Path, make: Any) -> dict[str, Path]:
     return {path.name: path for path in (*folder.glob("*.*"), depth)}
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="needs os.fork and the resource module")
 def test_readers_use_the_memory_they_estimate(tmp_path: Path, make: Any) -> None:
     files = _large_files(tmp_path, make)
@@ -67,6 +68,7 @@ def test_readers_use_the_memory_they_estimate(tmp_path: Path, make: Any) -> None
         assert cost.peak_bytes > 0.4 * reckoned, (name, reckoned, cost)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="needs os.fork and the resource module")
 def test_photographs_use_the_memory_they_estimate(tmp_path: Path) -> None:
     pixels = np.random.default_rng(0).integers(0, 256, (1500, 2000, 3), dtype=np.uint8)

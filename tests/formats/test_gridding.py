@@ -29,6 +29,7 @@ def cells_of_points(cloud: Any, points: np.ndarray) -> np.ndarray:
     return np.argwhere(valid)
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(
     seed=st.integers(0, 100),
@@ -76,6 +77,7 @@ def test_a_slanted_lattice_is_gridded_by_its_own_steps(seed: int, aspect: float,
     assert np.isfinite(cloud.ranges).mean() > 0.7
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(seed=st.integers(0, 50), count=st.integers(400, 5000))
 def test_scattered_points_fill_isotropic_cells(seed: int, count: int) -> None:

@@ -67,6 +67,7 @@ def good_files(tmp_path_factory: pytest.TempPathFactory, make: Any, wall: Scan) 
     return {name: (folder / name, reader) for name, reader in readers.items()}
 
 
+@pytest.mark.slow
 def test_truncated_at_fifty_lengths(good_files: dict[str, tuple[Path, Reader]]) -> None:
     for name, (path, read) in good_files.items():
         read(path)
@@ -76,6 +77,7 @@ def test_truncated_at_fifty_lengths(good_files: dict[str, tuple[Path, Reader]]) 
         assert refusals(read, target, [data[:length] for length in lengths]) == 50, name
 
 
+@pytest.mark.slow
 def test_bytes_changed_at_random(good_files: dict[str, tuple[Path, Reader]]) -> None:
     generator = np.random.default_rng(2)
     for name, (path, read) in good_files.items():

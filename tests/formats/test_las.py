@@ -82,6 +82,7 @@ def test_points_intensity_and_colour_arrive(tmp_path: Path, point_format: int, v
     assert np.percentile(cKDTree(POINTS).query(mirrored)[0], 90) > 0.1
 
 
+@pytest.mark.slow
 def test_the_scanner_is_found_and_said(tmp_path: Path) -> None:
     points = in_room(dome(1.0)) + UTM
     file = las(tmp_path / "cloud.laz", points=points, intensity=brightness(points - UTM).astype(np.uint16))
@@ -159,6 +160,7 @@ def test_claims_are_checked_before_anything_is_allocated(tmp_path: Path) -> None
         read_scan(tmp_path / "a.laz", memory_bytes=1_000_000)
 
 
+@pytest.mark.slow
 def test_info_of_a_cloud_that_needs_an_origin_comes_from_its_header(tmp_path: Path) -> None:
     generator = np.random.default_rng(1)
     tile = np.column_stack([generator.uniform(0, 100, (5000, 2)), generator.normal(0, 0.01, 5000)]) + UTM

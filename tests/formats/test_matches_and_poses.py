@@ -41,6 +41,7 @@ def picks(draw: st.DrawFn) -> list[Pick]:
     return result
 
 
+@pytest.mark.slow
 @given(picks())
 def test_matches_are_read_back(tmp_path_factory: pytest.TempPathFactory, wall: Scan, written: list[Pick]) -> None:
     path = tmp_path_factory.mktemp("matches") / "m.json"

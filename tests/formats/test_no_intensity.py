@@ -82,6 +82,7 @@ WRITERS: dict[str, Callable[[Path, Scan], Path]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", WRITERS)
 def test_a_cloud_without_intensity_is_read_and_says_so(kind: str, tmp_path: Path, wall: Scan) -> None:
     scan = read_scan(WRITERS[kind](tmp_path, wall))
@@ -112,6 +113,7 @@ def test_an_intensity_that_is_the_same_everywhere_is_said(tmp_path: Path, wall: 
     assert "the intensity is 5 everywhere: only the scan's shape can be compared with a photo" in read_scan(path).notes
 
 
+@pytest.mark.slow
 def test_a_registration_from_such_a_file_compares_the_shape(tmp_path: Path) -> None:
     pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
     from ladarreg_core.simulate.outdoor_case import simulate_outdoors

@@ -33,12 +33,13 @@ def cloud(kind: str) -> np.ndarray:
     return in_street(spinning(32, 900)) - IN_STREET
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "moved", "within_m"),
     [
         ("room, terrestrial", UTM, 0.03),
         ("room, spinning", np.array([14.0, 5.0, 1.0]), 0.03),
-        ("room, rosette", np.array([14.0, 5.0, 1.0]), 0.4),
+        pytest.param("room, rosette", np.array([14.0, 5.0, 1.0]), 0.4, marks=pytest.mark.long),
         ("street, terrestrial", np.array([60.0, -80.0, 3.0]), 0.05),
         ("street, spinning", UTM, 0.05),
     ],
@@ -52,6 +53,7 @@ def test_the_scanner_is_found_wherever_the_cloud_was_moved(kind: str, moved: np.
     assert estimate_origin(points).position == (0, 0, 0), "a centred cloud must stay where it is, exactly"
 
 
+@pytest.mark.slow
 def test_a_cloud_from_two_places_has_no_origin_and_asks_for_one() -> None:
     two = np.concatenate([in_room(dome(1.2)), in_room(dome(1.2), (-3.2, 3.4, 1.4))]) + UTM
     assert estimate_origin(two).position is None
@@ -61,6 +63,7 @@ def test_a_cloud_from_two_places_has_no_origin_and_asks_for_one() -> None:
     assert any("as given" in note for note in given.notes)
 
 
+@pytest.mark.slow
 def test_points_that_are_read_again_are_not_estimated_again(monkeypatch: pytest.MonkeyPatch) -> None:
     points = cloud("room, spinning") + np.array([2, 1, 0.5])
     found = estimate_origin(points)
@@ -74,6 +77,7 @@ def test_points_that_are_read_again_are_not_estimated_again(monkeypatch: pytest.
         estimate_origin(points + 1e-6)
 
 
+@pytest.mark.slow
 def test_points_without_the_pattern_of_a_scanner_have_no_origin() -> None:
     generator = np.random.default_rng(4)
     floor = np.column_stack([generator.uniform(-20, 20, (20_000, 2)), generator.normal(0, 0.005, 20_000)])
@@ -98,6 +102,7 @@ def _share(scan: Scan, points: np.ndarray) -> float:
     return float(scan.valid.sum() / len(points))
 
 
+@pytest.mark.slow
 def test_a_moved_cloud_is_noticed_and_keeps_its_points(tmp_path: Path) -> None:
     points = cloud("room, terrestrial")
     file = _pcd(tmp_path / "moved.pcd", points + np.array([14, 5, 1]))
@@ -121,9 +126,14 @@ def _frame(lidar: str, place: str, seed: int, share: int) -> np.ndarray:
     return points[: len(points) // share]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lidar", "place", "seed", "share"),
-    [("petals", "courtyard", 7, 2), ("narrow", "courtyard", 9, 2), ("128 lines", "street", 7, 1)],
+    [
+        ("narrow", "courtyard", 9, 2),
+        pytest.param("petals", "courtyard", 7, 2, marks=pytest.mark.long),
+        ("128 lines", "street", 7, 1),
+    ],
 )
 def test_frames_of_a_lidar_are_not_moved_away_from_the_zero_point(
     lidar: str, place: str, seed: int, share: int, tmp_path: Path

@@ -151,6 +151,7 @@ def _best_shifts(path: Path) -> list[int]:
     ]
 
 
+@pytest.mark.slow
 def test_a_street(real_data: Path, tmp_path: Path) -> None:
     path = real_data / "ouster_street" / "OS-0-128-U1_v2.3.0_1024x10.pcap"
     scan = read_scan(path)

@@ -40,6 +40,7 @@ def write(path: Path, data: bytes) -> Path:
     return path
 
 
+@pytest.mark.slow
 @given(st.binary(max_size=3000) | st.lists(st.sampled_from([b"ab", b"\0" * 40, b"xyz"]), max_size=200).map(b"".join))
 def test_lzf_gives_back_what_was_compressed(make: Any, data: bytes) -> None:
     assert lzf_decompress(make.lzf(data), len(data)) == data

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from ladarreg_core.formats import describe, extract_images, read_photo, read_scan
 from ladarreg_core.formats.pose_file import read_pose
@@ -58,6 +59,7 @@ def test_garage_with_a_wrong_header(real_data: Path) -> None:
     np.testing.assert_allclose(ordered(cloud), ordered(grid), atol=1e-4)
 
 
+@pytest.mark.slow
 def test_street_keeps_its_points(real_data: Path) -> None:
     scan = read_scan(real_data / "street" / "scan.pcd")
     assert scan.shape == (64, 1800)

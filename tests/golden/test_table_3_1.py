@@ -14,6 +14,7 @@ from testing.scenes.apple import simplex_apple_figures
 SEEDS = range(24)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("reading", "most", "scatter"), [("A", 5.2, 0.13), ("B", 2.5, 0.11), ("C", 2.0, 0.09)])
 def test_rejection_brings_the_thesis_s_estimator_to_its_printed_precision(reading, most, scatter):
     errors = simplex_apple_figures("stereo", reading, SEEDS, 0.5)

@@ -129,6 +129,7 @@ def test_every_folder_of_modules_is_a_package_of_the_wheel(checkout: Path) -> No
     assert sorted(settings["packages"]) == sorted(found)
 
 
+@pytest.mark.slow
 def test_no_module_file_is_loaded_under_two_names() -> None:
     code = (
         "import importlib, pkgutil, sys, ladarreg, ladarreg_core\n"

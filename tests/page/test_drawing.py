@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["drag", "clicks"])
 @pytest.mark.parametrize("first", ["scan", "photo"])
 def test_a_line_drawn_in_both_panes_is_one_match_at_the_mouses_own_pixels(panes: Page, first: str, how: str) -> None:
@@ -45,6 +46,7 @@ def test_a_line_drawn_in_both_panes_is_one_match_at_the_mouses_own_pixels(panes:
     np.testing.assert_allclose(pixels(pick["scan"]), SCAN_LINE, atol=0.01)
 
 
+@pytest.mark.slow
 def test_points_snap_only_to_a_corner_that_is_near_on_the_screen(panes: Page) -> None:
     panes.evaluate("view.set({ snap: true, tool: 'point' })")
     near, far = [101.2, 79.5], [110.0, 90.0]  # the nearest corners stand at (100, 80), and 10 px away
@@ -74,6 +76,7 @@ def draw_beside_the_edge(page: Page, side: str, *, held: str = "") -> None:
         page.keyboard.up(held)
 
 
+@pytest.mark.slow
 def test_a_line_snaps_across_the_edge_under_it_and_shift_suspends_it(panes: Page) -> None:
     panes.evaluate("view.set({ snap: true })")
     draw_beside_the_edge(panes, "scan")
@@ -83,6 +86,7 @@ def test_a_line_snaps_across_the_edge_under_it_and_shift_suspends_it(panes: Page
     np.testing.assert_allclose(pick["photo"], [[60, 101.5], [160, 98.5]], atol=0.01)
 
 
+@pytest.mark.slow
 def test_escape_drops_the_open_line_and_a_refusal_keeps_it(panes: Page) -> None:
     drag(panes, "scan", *SCAN_LINE)
     panes.keyboard.press("Escape")
@@ -99,6 +103,7 @@ def test_escape_drops_the_open_line_and_a_refusal_keeps_it(panes: Page) -> None:
     np.testing.assert_allclose(pixels(pick["scan"]), [[80, 60], [200, 220]], atol=0.01)
 
 
+@pytest.mark.slow
 def test_under_a_pose_the_predicted_partner_is_taken_by_enter_or_by_its_tick(panes: Page) -> None:
     pose = {"shown": "linear", "stages": [{"stage": "linear", "parameters": []}]}
     panes.evaluate("(poses) => store.take({ slices: { 'poses:p1': poses } })", pose)
@@ -115,6 +120,7 @@ def test_under_a_pose_the_predicted_partner_is_taken_by_enter_or_by_its_tick(pan
         np.testing.assert_allclose(pick["photo"], line + shift, atol=0.01)
 
 
+@pytest.mark.slow
 def test_a_selected_end_is_nudged_dragged_switched_off_and_removed(panes: Page) -> None:
     match = {"id": "m1", "number": 1, "kind": "line", "scan": rays(SCAN_LINE).tolist(), "photo": PHOTO_LINE, "on": True}
     panes.evaluate("(pick) => store.take({ slices: { 'picks:p1': [pick] } })", match)
@@ -139,6 +145,7 @@ def test_a_selected_end_is_nudged_dragged_switched_off_and_removed(panes: Page) 
     wait_for_picks(panes, 0)
 
 
+@pytest.mark.slow
 def test_a_line_can_be_drawn_without_a_mouse(panes: Page) -> None:
     panes.locator("#scan-pane .pane-body").focus()
     moves = (["ArrowRight"] * 2 + ["Shift+ArrowDown"] * 3, ["Shift+ArrowLeft"] * 5 + ["Control+ArrowUp"] * 5)

@@ -73,6 +73,7 @@ def test_each_cell_stands_below_its_head_at_every_width(table: Page) -> None:
         assert max(tops) - min(tops) < 10, "a head has wrapped into a second line"
 
 
+@pytest.mark.slow
 def test_every_column_sorts_by_its_value_and_rows_without_one_come_last(table: Page) -> None:
     mount(table)
     expected = {  # the order after the first click and after the second

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
+import pytest
 
 from testing.workbench.pages import two_frames
 from tests.page.conftest import picture
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 
+@pytest.mark.slow
 def test_each_pixel_of_the_picture_is_drawn_at_its_position(panes: Page) -> None:
     centre = place(panes, "photo", [120.25, 80.75])
     panes.mouse.move(*centre)
@@ -62,6 +64,7 @@ def difference(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.abs(cv2.blur(over[0], (5, 5)) - cv2.blur(over[1], (5, 5))).max())
 
 
+@pytest.mark.slow
 def test_changes_are_painted_as_a_whole_layer_would_be(panes: Page) -> None:
     rng = np.random.default_rng(8)
 

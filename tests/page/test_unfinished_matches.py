@@ -53,6 +53,7 @@ def test_a_stroke_ends_when_another_photograph_is_shown(panes: Page) -> None:
     assert panes.evaluate("notices") == ["The unfinished stroke was discarded: another photograph is shown."]
 
 
+@pytest.mark.slow
 def test_a_drag_of_a_match_ends_when_another_photograph_is_shown(panes: Page) -> None:
     drag(panes, "scan", *SCAN_LINE)
     drag(panes, "photo", *PHOTO_LINE)
@@ -70,6 +71,7 @@ def test_a_drag_of_a_match_ends_when_another_photograph_is_shown(panes: Page) ->
     assert asked(panes, "set_pick") == asked(panes, "remove_picks") == []
 
 
+@pytest.mark.slow
 def test_an_unfinished_line_is_discarded_with_its_photograph_or_scan(panes: Page) -> None:
     drag(panes, "scan", *SCAN_LINE)
     show_photo(panes, "p2", known="p2")

@@ -41,6 +41,7 @@ def opencv_pixels(camera: Camera, points: np.ndarray) -> np.ndarray:
     return uv.reshape(-1, 2)
 
 
+@pytest.mark.slow
 @cameras
 @given(data=st.data(), depth=st.floats(0.05, 100))
 def test_a_pixel_goes_out_and_comes_back(camera: Camera, data: st.DataObject, depth: float) -> None:
@@ -50,6 +51,7 @@ def test_a_pixel_goes_out_and_comes_back(camera: Camera, data: st.DataObject, de
     np.testing.assert_allclose(camera.project(rays * depth), uv, atol=1e-7)
 
 
+@pytest.mark.slow
 @cameras
 @given(data=st.data(), depth=st.floats(0.05, 100))
 def test_projection_is_that_of_opencv(camera: Camera, data: st.DataObject, depth: float) -> None:

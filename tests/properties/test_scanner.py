@@ -150,6 +150,7 @@ def leaning(rows: int, columns: int, *, lean: float = 0.006, turn: float = 0.0, 
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn", [0.0, 2.0, np.pi, -np.pi / 2], ids=["ahead", "left", "behind", "right"])
 @given(data=st.data())
 def test_a_table_without_holes_is_its_own_law(turn: float, data: st.DataObject) -> None:

@@ -97,7 +97,9 @@ def test_pump_from_another_position(pump: lr.Scan, seed: int) -> None:
     ("name", "scan", "photo", "known_px"),
     [("garage", "scan.npz", "frame9.png", 8.0), ("street", "scan.pcd", "photo.png", 12.0)],
 )
-@pytest.mark.parametrize("start", ["none", "truth", "off"])
+@pytest.mark.parametrize(
+    "start", ["off", *(pytest.param(start, marks=pytest.mark.long) for start in ("none", "truth"))]
+)
 def test_sparse_captures_end_in_a_clear_verdict(
     real_data: Path, name: str, scan: str, photo: str, known_px: float, start: str
 ) -> None:

@@ -70,6 +70,7 @@ def test_from_good_matches_the_chain_ends_where_the_default_does(
     assert shift_px(case, default.camera_from_scanner, found.last.camera_from_scanner) < 0.1
 
 
+@pytest.mark.slow
 def test_all_stages_are_compared(room: PaintedRoom) -> None:
     seen: list[str] = []
     compared = compare(room.scan, room.photo, report=lambda step: seen.append(step.name))
@@ -182,6 +183,7 @@ def test_an_initial_pose_guides_the_matching(case: SimulatedCase) -> None:
     assert shift_px(case, truth, result.camera_from_scanner) < 1.0
 
 
+@pytest.mark.slow
 def test_equal_inputs_give_equal_results(room: PaintedRoom) -> None:
     one, other = (lr.register(room.scan, room.photo, method="thesis", options=RegisterOptions(seed=3)) for _ in "ab")
     assert one.camera_from_scanner.matrix.tobytes() == other.camera_from_scanner.matrix.tobytes()

@@ -168,6 +168,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
     return str(line)
 
 
+@pytest.mark.slow
 def test_results_from_python_state_their_inputs_and_are_found_again(written: Path, home: Path) -> None:
     document = fields_of(home / "runs/out/registration.json")
     names = ["scan.npz", "photo.png", "camera.json"]
@@ -239,6 +240,7 @@ def test_one_flipped_digit_is_refused_in_one_sentence(home: Path, capsys: pytest
     assert capsys.readouterr().out.startswith("Damaged  registration.json: it does not match its own checksum")
 
 
+@pytest.mark.slow
 def test_trusted_results_are_given_not_verified_everywhere(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     result = home / "runs/out"
     before = read_registration(result / "registration.json")

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import FormatError, LadarregError
+from ladarreg_core.errors import ExportError, FormatError, LadarregError
 from ladarreg_core.export.folder import FileJob
 from ladarreg_core.export.json import software_document
 from ladarreg_core.export.targets.e57_colours import (
@@ -21,7 +21,6 @@ from ladarreg_core.export.targets.e57_colours import (
     PLAIN,
     PointPainter,
     add_colour_fields,
-    channels_of,
     colour_limits,
 )
 from ladarreg_core.export.targets.e57_new import write_new_scan
@@ -40,8 +39,9 @@ from ladarreg_core.export.targets.e57_pictures import Picture, pictures
 from ladarreg_core.export.targets.e57_tree import E57Copy, Made, library, new_e57
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan, photo_id
 from ladarreg_core.export.targets.target import ExportOptions
-from ladarreg_core.formats.e57 import e57_file
-from ladarreg_core.formats.e57_header import SIGNATURE, read_e57_info, sniff_e57
+from ladarreg_core.formats.e57_header import E57ScanInfo, contents_of, read_e57_info, sniff_e57
+from ladarreg_core.formats.e57_records import fields_of
+from ladarreg_core.formats.e57_tree import SIGNATURE, E57File, E57Node, open_e57
 from ladarreg_core.formats.untrusted import one_line, reading
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
@@ -119,24 +119,27 @@ def _write(path: Path, handed: RegisteredScan, report: Report | None) -> None:
             guid = write_new_scan(file, handed, told)
             _add_images(file, handed, guid, told)
         return
-    info = read_e57_info(source)
-    told = _Told(sum(scan.points for scan in info.scans) + pictures_take, path.name, report)
-    told()
-    with e57_file(source) as old, new_e57(path) as file:
-        try:
-            _copy(old, file, handed, told, source)
-        except (AttributeError, KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
-            raise FormatError(
-                f"{source.name} cannot be copied: it has other nodes than an E57; it is damaged: copy it again"
-            ) from error
-        _add_images(file, handed, info.scans[_index(handed)].guid, told)
+    try:
+        with open_e57(source) as old:
+            info = contents_of(old)
+            told = _Told(sum(scan.points for scan in info.scans) + pictures_take, path.name, report)
+            told()
+            with new_e57(path) as file:
+                _copy(old, file, handed, told, info.scans[_index(handed)])
+                _add_images(file, handed, info.scans[_index(handed)].guid, told)
+    except FormatError as error:
+        path.unlink(missing_ok=True)
+        said = str(error).removeprefix("the E57 cannot be copied: ")
+        raise ExportError(
+            f"the E57 cannot be copied: {one_line(said, 160)}; export the scan again from the program that made it"
+        ) from error
 
 
-def _copy(old: Any, file: Any, handed: RegisteredScan, told: _Told, source: Path) -> None:
+def _copy(old: E57File, file: Any, handed: RegisteredScan, told: _Told, info: E57ScanInfo) -> None:
     """Copy a file with the colours of one of its scans."""
-    e57, copy, index = library(), E57Copy(file, told, source.stat().st_size), _index(handed)
-    copy.extensions(old)
-    root, new = old.root(), file.root()
+    e57, copy, index = library(), E57Copy(file, told, old), _index(handed)
+    copy.extensions()
+    new = file.root()
     declare_note(file)
     made: dict[str, Made] = {
         "guid": lambda _: e57.StringNode(file, new_guid()),
@@ -144,34 +147,30 @@ def _copy(old: Any, file: Any, handed: RegisteredScan, told: _Told, source: Path
         "e57LibraryVersion": lambda _: e57.StringNode(file, software_name()),
         "images2D": lambda node: copy.vector(node, {}),
         "data3D": lambda node: copy.vector(
-            node, {index: lambda scan: _painted(scan, file, copy, handed, source, told)}
+            node, {index: lambda scan: _painted(scan, file, copy, PointPainter(handed, info, old, scan, told))}
         ),
     }
-    for number in range(root.childCount()):
-        child = root[number]
-        name = child.elementName()
-        if name != NOTE:
-            new.set(name, made.get(name, copy.node)(child))
+    for child in old.root.children:
+        if child.name != NOTE:
+            make: Made = made.get(child.name, copy.node)
+            new.set(child.name, make(child))
     if not new.isDefined("images2D"):
         new.set("images2D", e57.VectorNode(file, True))
     new.set(NOTE, e57.StringNode(file, note_of(handed)))
     copy.finish()
 
 
-def _painted(scan: Any, file: Any, copy: E57Copy, handed: RegisteredScan, source: Path, told: _Told) -> Any:
+def _painted(scan: E57Node, file: Any, copy: E57Copy, painter: PointPainter) -> Any:
     """Return the copy of a scan with the photographs' colours."""
-    e57 = library()
-    channels = channels_of(scan)
-    prototype = e57.StructureNode(scan["points"].prototype())
-    painter = PointPainter(handed, read_e57_info(source).scans[_index(handed)], scan["points"], channels, told)
+    channels = painter.channels
 
-    def points(node: Any) -> Any:
+    def points(node: E57Node) -> Any:
         if channels is not None:
             return copy.records(node, fill=painter)
-        dropped = [name for name in COLOURS if prototype.isDefined(name)]
+        dropped = [field.name for field in fields_of(node) if field.name in COLOURS]
         return copy.records(node, lambda made: add_colour_fields(made, file), painter, dropped)
 
-    if channels is not None and scan.isDefined("colorLimits"):
+    if channels is not None and scan.child("colorLimits") is not None:
         return copy.structure(scan, {"points": points})
     made = copy.structure(scan, {"points": points, "colorLimits": None})
     made.set("colorLimits", colour_limits(file, channels or (PLAIN,) * 3))

@@ -7,8 +7,8 @@ then the gray of its laser intensity (dimmed, as in clouds and models), for the 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import closing
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.export.targets.e57_tree import RECORDS_AT_ONCE, Buffers, library, read_records
+from ladarreg_core.export.targets.e57_tree import RECORDS_AT_ONCE, Buffers, library
 from ladarreg_core.export.targets.registered_scan import RegisteredScan
 from ladarreg_core.formats.e57_header import E57ScanInfo
+from ladarreg_core.formats.e57_records import E57Field, read_records
+from ladarreg_core.formats.e57_tree import E57File, E57Node
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.best_photo import NO_PHOTO
@@ -82,48 +84,38 @@ def colour_limits(file: Any, channels: tuple[Channel, ...] = (PLAIN,) * 3) -> An
     return made
 
 
-def channels_of(scan: Any) -> tuple[Channel, ...] | None:
+def _channels_of(scan: E57Node, fields: Mapping[str, E57Field]) -> tuple[Channel, ...] | None:
     """Return how a scan's colours are stored; None if it has none, or only constants."""
-    e57 = library()
-    prototype = e57.StructureNode(scan["points"].prototype())
-    if not all(prototype.isDefined(name) for name in COLOURS):
+    if not all(name in fields and fields[name].stored for name in COLOURS):
         return None
     found = []
     for name in COLOURS:
-        node = prototype[name]
-        low, high, scale, offset = 0.0, float(_LEVELS), 1.0, 0.0
-        is_whole = isinstance(node, (e57.IntegerNode, e57.ScaledIntegerNode))
-        if is_whole:
-            if isinstance(node, e57.ScaledIntegerNode):
-                scale, offset = node.scale(), node.offset()
-            if node.maximum() - node.minimum() < _WIDEST:
-                low, high = (value * scale + offset for value in (node.minimum(), node.maximum()))
+        field = fields[name]
+        low, high = 0.0, float(_LEVELS)
+        is_whole = field.stored in ("integer", "scaled")
+        if is_whole and field.maximum - field.minimum < _WIDEST:
+            low, high = (value * field.scale + field.offset for value in (field.minimum, field.maximum))
         stated = _stated_limits(scan, name)
-        if stated is not None and (not is_whole or _holds(node, stated, scale, offset)):
+        if stated is not None and (not is_whole or _holds(field, stated)):
             low, high = stated
-        if is_whole and (node.minimum() == node.maximum() or not _holds(node, (low, high), scale, offset)):
+        if is_whole and (field.bits == 0 or not _holds(field, (low, high))):
             return None
-        found.append(Channel(low, high, is_whole, scale, offset))
+        found.append(Channel(low, high, is_whole, field.scale, field.offset))
     return tuple(found)
 
 
-def _holds(node: Any, limits: tuple[float, float], scale: float, offset: float) -> bool:
-    return all(node.minimum() <= round((value - offset) / scale) <= node.maximum() for value in limits)
+def _holds(field: E57Field, limits: tuple[float, float]) -> bool:
+    if field.scale == 0:
+        return False
+    stored = [(value - field.offset) / field.scale for value in limits]
+    return all(math.isfinite(value) and field.minimum <= round(value) <= field.maximum for value in stored)
 
 
-def _stated_limits(scan: Any, name: str) -> tuple[float, float] | None:
-    e57 = library()
-    values = []
-    for end in ("Minimum", "Maximum"):
-        path = f"colorLimits/{name}{end}"
-        if not scan.isDefined(path):
-            return None
-        node = scan[path]
-        scaled = isinstance(node, e57.ScaledIntegerNode)
-        if not scaled and not isinstance(node, (e57.IntegerNode, e57.FloatNode)):
-            return None
-        values.append(float(node.scaledValue() if scaled else node.value()))
-    return (values[0], values[1]) if np.isfinite(values).all() and values[0] < values[1] else None
+def _stated_limits(scan: E57Node, name: str) -> tuple[float, float] | None:
+    nodes = [scan.child("colorLimits", f"{name}{end}") for end in ("Minimum", "Maximum")]
+    kinds = ("Integer", "ScaledInteger", "Float")
+    values = [node.number() for node in nodes if node is not None and node.kind in kinds]
+    return (values[0], values[1]) if len(values) == 2 and np.isfinite(values).all() and values[0] < values[1] else None
 
 
 class PointPainter:
@@ -132,31 +124,23 @@ class PointPainter:
     Args:
         handed: the scan that was read from the file, and its photographs.
         info: the scan's header.
-        points: its points.
-        channels: how its colours are stored; None: it has none.
+        file: the file.
+        scan: the scan in the file.
         report: called at least every second; may raise `Cancelled`.
     """
 
     def __init__(
-        self,
-        handed: RegisteredScan,
-        info: E57ScanInfo,
-        points: Any,
-        channels: tuple[Channel, ...] | None,
-        report: Callable[[int], None],
+        self, handed: RegisteredScan, info: E57ScanInfo, file: E57File, scan: E57Node, report: Callable[[int], None]
     ) -> None:
-        e57 = library()
-        prototype = e57.StructureNode(points.prototype())
         self._handed, self._scan = handed, handed.scan
-        self._channels, self._keeps = channels or (PLAIN,) * 3, channels is not None
-        self._scales = {
-            node.elementName(): (node.scale(), node.offset())
-            for node in (prototype[index] for index in range(prototype.childCount()))
-            if isinstance(node, e57.ScaledIntegerNode)
-        }
-        self._has = {prototype[index].elementName() for index in range(prototype.childCount())}
+        fields = {field.name: field for field in info.fields}
+        self.channels = _channels_of(scan, fields)
+        """How the scan's colours are stored; None: it has none."""
+        self._channels, self._keeps = self.channels or (PLAIN,) * 3, self.channels is not None
+        self._scales = {name: (field.scale, field.offset) for name, field in fields.items() if field.stored == "scaled"}
+        self._has = set(fields)
         self._scanner_from_file = _scanner_from_file(self._scan, info)
-        self._cells = _FileCells(self._scan, info, points, report)
+        self._cells = _FileCells(self._scan, info, file, scan, report)
         self._others = handed.point_colourer()
         self._gray = Gray(self._scan)
 
@@ -254,14 +238,16 @@ class _FileCells:
     Every point is compared with the range of its cell, so that points whose cell kept another one are not confused.
     """
 
-    def __init__(self, scan: Scan, info: E57ScanInfo, points: Any, report: Callable[[int], None]) -> None:
+    def __init__(
+        self, scan: Scan, info: E57ScanInfo, file: E57File, source: E57Node, report: Callable[[int], None]
+    ) -> None:
         self._scan = scan
         self._order: tuple[bool, bool, bool] | None = None
         self._is_usable = set(_INDICES) <= info.field_names
         self._shape, self._first = info.grid, info.first_cell
         if self._is_usable and info.grid not in (scan.shape, scan.shape[::-1]):
             # The reader leaves out empty rows and columns at the borders, and does not rely on bounds that are wrong.
-            self._shape, self._first = _index_bounds(points, report)
+            self._shape, self._first = _index_bounds(file, source, info, report)
             self._is_usable = self._shape in (scan.shape, scan.shape[::-1])
 
     def find(
@@ -316,12 +302,16 @@ class _FileCells:
         return row, column, inside
 
 
-def _index_bounds(points: Any, report: Callable[[int], None]) -> tuple[tuple[int, int], tuple[int, int]]:
+def _index_bounds(
+    file: E57File, source: E57Node, info: E57ScanInfo, report: Callable[[int], None]
+) -> tuple[tuple[int, int], tuple[int, int]]:
     """Return the numbers of rows and columns that points have, and the first ones."""
-    buffers = {name: np.zeros(max(1, min(RECORDS_AT_ONCE, points.childCount())), "q") for name in _INDICES}
+    buffers = {name: np.zeros(max(1, min(RECORDS_AT_ONCE, info.points)), "q") for name in _INDICES}
     low, high = [2**62, 2**62], [-(2**62), -(2**62)]
-    with closing(read_records(points, buffers, report)) as chunks:
-        for count in chunks:
-            for k, values in enumerate(buffers.values()):
-                low[k], high[k] = min(low[k], int(values[:count].min())), max(high[k], int(values[:count].max()))
+    points = source.child("points")
+    assert points is not None, "the table of contents has it"
+    for count in read_records(file.pages, points, buffers, f"scan {info.name!r}", scaled=False):
+        report(0)
+        for k, values in enumerate(buffers.values()):
+            low[k], high[k] = min(low[k], int(values[:count].min())), max(high[k], int(values[:count].max()))
     return (high[0] - low[0] + 1, high[1] - low[1] + 1), (low[0], low[1])

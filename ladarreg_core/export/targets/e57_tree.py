@@ -1,14 +1,15 @@
 """Copies of E57 nodes, value by value: what a new file takes over from another without a change.
 
-libe57 cannot add to a file that exists, so that a file with more in it is a new file. Its nodes are copied with their
-types, bounds, precisions and scales; the records of compressed vectors and the bytes of blobs follow in chunks, raw, so
-that scaled integers keep their whole numbers and floating-point numbers their bits.
+libe57 writes, and cannot add to a file that exists, so that a file with more in it is a new file. The nodes of the old
+one, which our own reader parsed, are copied with their types, bounds, precisions and scales; the records of compressed
+vectors and the bytes of blobs follow in chunks, raw, so that scaled integers keep their whole numbers and
+floating-point numbers their bits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,14 @@ from numpy.typing import NDArray
 
 from ladarreg_core.atomic_write import cannot_write
 from ladarreg_core.errors import DependencyError, ExportError, FormatError
+from ladarreg_core.formats.e57_records import E57Field, fields_of, read_records
+from ladarreg_core.formats.e57_tree import E57File, E57Node, whole_number
 from ladarreg_core.formats.untrusted import one_line
 
 RECORDS_AT_ONCE = 131_072
 _BLOB_BYTES_AT_ONCE = 1 << 22
+_SINGLE_BOUNDS = float(np.finfo(np.float32).min), float(np.finfo(np.float32).max)
+_DOUBLE_BOUNDS = float(np.finfo(np.float64).min), float(np.finfo(np.float64).max)
 
 Buffers = dict[str, NDArray[Any]]
 """Values of some records by the path of their field, raw: int64, float32 or float64."""
@@ -65,7 +70,7 @@ def new_e57(path: Path) -> Iterator[Any]:
         path.unlink(missing_ok=True)
         text = str(error).strip()
         said = one_line(text.partition("\n")[0].partition(" (Error")[0], 120)
-        if f"fileName={path}" in text:  # pages of the new file are read again while it is written, too
+        if f"fileName={path}" in text:
             raise ExportError(
                 f"the E57 cannot be written: {said}; give a writable folder with enough free space"
             ) from error
@@ -78,71 +83,76 @@ def new_e57(path: Path) -> Iterator[Any]:
 
 
 class E57Copy:
-    """Copies nodes of a file that is open into a new one.
+    """Copies nodes of a file that was parsed into a new one.
 
     Args:
         file: the new file.
         report: receives the numbers of records that were copied; may raise `Cancelled`.
-        source_bytes: size of the file that is copied; what claims more than it can hold is damaged.
+        source: the file that is copied; what claims more than it can hold is damaged.
     """
 
-    def __init__(self, file: Any, report: Callable[[int], None], source_bytes: int) -> None:
-        self._file, self._report, self._e57 = file, report, library()
-        self._blob_bytes_left, self._most_records = source_bytes, 8 * source_bytes
+    def __init__(self, file: Any, report: Callable[[int], None], source: E57File) -> None:
+        self._file, self._report, self._source, self._e57 = file, report, source, library()
+        self._blob_bytes_left = source.pages.file_bytes
         self._later: list[Callable[[], None]] = []
 
-    def extensions(self, source: Any) -> None:
-        """Declare the namespaces of another file."""
-        for index in range(source.extensionsCount()):
-            self._file.extensionsAdd(source.extensionsPrefix(index), source.extensionsUri(index))
+    def extensions(self) -> None:
+        """Declare the namespaces of the source."""
+        for prefix, address in self._source.extensions.items():
+            self._file.extensionsAdd(prefix, address)
 
-    def node(self, node: Any) -> Any:
+    def node(self, node: E57Node) -> Any:
         """Return a copy that is not attached yet; its records and bytes are copied by `finish`."""
         e57, file = self._e57, self._file
-        if isinstance(node, e57.StructureNode):
-            return self.structure(node, {})
-        if isinstance(node, e57.VectorNode):
-            return self.vector(node)
-        if isinstance(node, e57.CompressedVectorNode):
-            return self.records(node)
-        if isinstance(node, e57.IntegerNode):
-            return e57.IntegerNode(file, node.value(), node.minimum(), node.maximum())
-        if isinstance(node, e57.ScaledIntegerNode):
-            return e57.ScaledIntegerNode(
-                file, node.rawValue(), node.minimum(), node.maximum(), node.scale(), node.offset()
-            )
-        if isinstance(node, e57.FloatNode):
-            return e57.FloatNode(file, node.value(), node.precision(), node.minimum(), node.maximum())
-        if isinstance(node, e57.StringNode):
-            return e57.StringNode(file, node.value())
-        self._blob_bytes_left -= node.byteCount()
-        if self._blob_bytes_left < 0:
-            raise FormatError("the pictures of the E57 claim more bytes than the file has; it is damaged")
-        made = e57.BlobNode(file, node.byteCount())
-        self._later.append(lambda: self._bytes(node, made))
-        return made
+        match node.kind:
+            case "Structure":
+                return self.structure(node, {})
+            case "Vector":
+                return self.vector(node)
+            case "CompressedVector":
+                return self.records(node)
+            case "Integer":
+                return e57.IntegerNode(file, whole_number(node.text.strip(), node.name), *_bounds(node))
+            case "ScaledInteger":
+                scaled = node.real("scale", 1.0), node.real("offset", 0.0)
+                value = whole_number(node.text.strip(), node.name)
+                return e57.ScaledIntegerNode(file, value, *_bounds(node), *scaled)
+            case "Float":
+                single = node.attributes.get("precision") == "single"
+                precision = e57.E57_SINGLE if single else e57.E57_DOUBLE
+                low, high = _SINGLE_BOUNDS if single else _DOUBLE_BOUNDS
+                bounds = node.real("minimum", low), node.real("maximum", high)
+                return e57.FloatNode(file, node.number(), precision, *bounds)
+            case "String":
+                return e57.StringNode(file, node.text)
+            case "Blob":
+                return self._blob(node)
+        raise FormatError(
+            f"the E57 cannot be copied: its element {one_line(node.name, 40)} is of the type "
+            f"{one_line(node.kind, 30)!r}; it is damaged: copy it again"
+        )
 
-    def structure(self, node: Any, changed: dict[str, Made | None]) -> Any:
+    def structure(self, node: E57Node, changed: dict[str, Made | None]) -> Any:
         """Return a copy of a structure, in which some children are made by functions, or left out (None)."""
         made = self._e57.StructureNode(self._file)
-        for index in range(node.childCount()):
-            child = node[index]
-            name = child.elementName()
-            make = changed.get(name, self.node)
+        for child in node.children:
+            make: Made | None = changed.get(child.name, self.node)
             if make is not None:
-                made.set(name, make(child))
+                made.set(child.name, make(child))
         return made
 
-    def vector(self, node: Any, changed: dict[int, Made] | None = None) -> Any:
+    def vector(self, node: E57Node, changed: dict[int, Made] | None = None) -> Any:
         """Return a copy of a vector, in which some children are made by functions and others may be added."""
-        made = self._e57.VectorNode(self._file, changed is not None or node.allowHeteroChildren())
-        for index in range(node.childCount()):
-            made.append((changed or {}).get(index, self.node)(node[index]))
+        mixed = changed is not None or node.attributes.get("allowHeterogeneousChildren") == "1"
+        made = self._e57.VectorNode(self._file, mixed)
+        for index, child in enumerate(node.children):
+            make: Made = (changed or {}).get(index, self.node)
+            made.append(make(child))
         return made
 
     def records(
         self,
-        node: Any,
+        node: E57Node,
         change: Callable[[Any], None] | None = None,
         fill: Fill | None = None,
         dropped: Sequence[str] = (),
@@ -155,16 +165,16 @@ class E57Copy:
             fill: receives the number of records and their values, and sets those that are not copied.
             dropped: fields of the prototype that are left out of the copy; `change` may define them anew.
         """
-        e57 = self._e57
-        if node.childCount() > self._most_records:
+        e57, prototype = self._e57, node.child("prototype")
+        if prototype is None:
+            raise FormatError(f"the records {one_line(node.name, 40)} of the E57 have no fields; it is damaged")
+        if node.whole("recordCount") > 8 * self._source.pages.file_bytes:
             raise FormatError("the records of the E57 are more than the file has bits; it is damaged")
-        prototype = e57.StructureNode(node.prototype())
         made_prototype = self.structure(prototype, dict.fromkeys(dropped))
         if change is not None:
             change(made_prototype)
-        # The codecs of a file are not asked for: there is only one, and the library crashes where a file has no list.
         made = e57.CompressedVectorNode(self._file, made_prototype, e57.VectorNode(self._file, True))
-        self._later.append(lambda: self._run(node, prototype, made, made_prototype, fill, dropped))
+        self._later.append(lambda: self._run(node, made, made_prototype, fill, dropped))
         return made
 
     def finish(self) -> None:
@@ -173,44 +183,43 @@ class E57Copy:
             copy()
         self._later.clear()
 
-    def _run(
-        self,
-        node: Any,
-        prototype: Any,
-        made: Any,
-        made_prototype: Any,
-        fill: Fill | None,
-        dropped: Sequence[str],
-    ) -> None:
-        count = node.childCount()
-        size = max(1, min(RECORDS_AT_ONCE, count))
+    def _run(self, node: E57Node, made: Any, made_prototype: Any, fill: Fill | None, dropped: Sequence[str]) -> None:
+        size = max(1, min(RECORDS_AT_ONCE, node.whole("recordCount")))
         # What is only copied goes from the reader to the writer in the same array.
-        values = record_buffers(prototype, size)
+        values = raw_buffers(fields_of(node), size)
         kept = {path: values[path] for path in values if path not in dropped}
         changed = record_buffers(made_prototype, size) | kept
         written = {path: changed[path] for path, _ in leaves(made_prototype)}
-        with (
-            record_writer(self._file, made, written) as write,
-            closing(read_records(node, values, self._report)) as chunks,
-        ):
-            for some in chunks:
+        with record_writer(self._file, made, written) as write:
+            for some in read_records(self._source.pages, node, values, "what is copied", scaled=False):
                 if fill is not None:
                     fill(some, changed)
                 write(some)
                 self._report(some)
 
-    def _bytes(self, node: Any, made: Any) -> None:
-        left = node.byteCount()
-        buffer = np.zeros(max(1, min(left, _BLOB_BYTES_AT_ONCE)), np.uint8)
-        for first in range(0, left, len(buffer)):
-            some = min(len(buffer), left - first)
-            node.read(buffer, first, some)
-            made.write(buffer, first, some)
+    def _blob(self, node: E57Node) -> Any:
+        length = node.whole("length")
+        self._blob_bytes_left -= length
+        if length < 0 or self._blob_bytes_left < 0:
+            raise FormatError("the pictures of the E57 claim more bytes than the file has; it is damaged")
+        made = self._e57.BlobNode(self._file, length)
+        self._later.append(lambda: self._bytes(node, length, made))
+        return made
+
+    def _bytes(self, node: E57Node, length: int, made: Any) -> None:
+        data = self._source.blob(node.whole("fileOffset"), length)
+        for first in range(0, length, _BLOB_BYTES_AT_ONCE):
+            part = data[first : first + _BLOB_BYTES_AT_ONCE].copy()
+            made.write(part, first, len(part))
             self._report(0)
 
 
+def _bounds(node: E57Node) -> tuple[int, int]:
+    return node.whole("minimum", -(2**63)), node.whole("maximum", 2**63 - 1)
+
+
 def leaves(node: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the fields of a prototype by their paths."""
+    """Yield the fields of a new prototype by their paths."""
     for index in range(node.childCount()):
         child = node[index]
         name = f"{path}{child.elementName()}"
@@ -220,8 +229,28 @@ def leaves(node: Any, path: str = "") -> Iterator[tuple[str, Any]]:
             yield name, child
 
 
+def raw_buffers(fields: Iterable[E57Field], size: int) -> Buffers:
+    """Return arrays (size,) for the raw values of fields of a source.
+
+    Raises:
+        ExportError: if a field is neither a whole nor a floating-point number.
+    """
+    codes = {"integer": "q", "scaled": "q", "single": "f", "double": "d"}
+    for field in fields:
+        if field.stored not in codes:
+            raise _not_a_number(field.name)
+    return {field.name: np.zeros(size, codes[field.stored]) for field in fields}
+
+
+def _not_a_number(path: str) -> ExportError:
+    return ExportError(
+        f"the field {one_line(path, 40)} of the E57's points is not a number, and only numbers can be copied; export "
+        "the scan without it"
+    )
+
+
 def record_buffers(prototype: Any, size: int) -> Buffers:
-    """Return arrays for the raw values of records.
+    """Return arrays (size,) for the raw values of records that are written.
 
     Raises:
         ExportError: if a field is neither a whole nor a floating-point number.
@@ -234,38 +263,8 @@ def record_buffers(prototype: Any, size: int) -> Buffers:
         elif isinstance(node, e57.FloatNode):
             buffers[path] = np.zeros(size, "f" if node.precision() == e57.E57_SINGLE else "d")
         else:
-            raise ExportError(
-                f"the field {one_line(path, 40)} of the E57's points is not a number, and only numbers can be copied; "
-                "export the scan without it"
-            )
+            raise _not_a_number(path)
     return buffers
-
-
-def read_records(node: Any, buffers: Buffers, report: Callable[[int], None]) -> Generator[int, None, None]:
-    """Read records of a compressed vector into buffers again and again; yields how many were read.
-
-    Args:
-        node: the compressed vector.
-        buffers: those of the fields that are wanted.
-        report: called before every chunk; may raise `Cancelled`.
-
-    Raises:
-        FormatError: if there are fewer than the vector claims.
-    """
-    count, done = node.childCount(), 0
-    if not count:
-        return
-    reader = node.reader(_bound(node.destImageFile(), buffers))
-    try:
-        while done < count:
-            report(0)
-            some = min(reader.read(), count - done)
-            if some == 0:
-                raise FormatError(f"the points of the E57 end after {done:,} of {count:,}; it is truncated")
-            yield some
-            done += some
-    finally:
-        reader.close()
 
 
 @contextmanager

@@ -41,13 +41,17 @@ def write_message(stream: IO[bytes], value: Any) -> None:
     Raises:
         TypeError: if the value contains anything else.
     """
+    for part in message_parts(value):
+        stream.write(part)
+    stream.flush()
+
+
+def message_parts(value: Any) -> list[memoryview]:
+    """Return the bytes of one message, part by part; arguments and errors as of `write_message`."""
     arrays: list[NDArray[Any]] = []
     text = json.dumps(_encode(value, arrays)).encode()
-    stream.write(len(text).to_bytes(_LENGTH_BYTES, "little"))
-    stream.write(text)
-    for array in arrays:
-        stream.write(_bytes_of(array))
-    stream.flush()
+    head = len(text).to_bytes(_LENGTH_BYTES, "little") + text
+    return [memoryview(head), *map(_bytes_of, arrays)]
 
 
 def read_message(stream: IO[bytes], *, largest_bytes: int) -> Any:

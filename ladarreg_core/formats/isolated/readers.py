@@ -13,6 +13,7 @@ first child can start early.
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 import signal
@@ -21,13 +22,13 @@ import sys
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, ParamSpec, TypeVar
 
 from ladarreg_core import errors
-from ladarreg_core.errors import CameraError, FormatError, LadarregError, OptionError
+from ladarreg_core.errors import FormatError, LadarregError
 from ladarreg_core.progress import Progress, Report
 
 P = ParamSpec("P")
@@ -39,9 +40,9 @@ _START_TIMEOUT_S = 60.0
 _EXIT_TIMEOUT_S = 5.0
 _PIPE_BYTES = 1 << 20
 _DAMAGED = "the file is probably damaged: copy or export it again"
-_REUSABLE_AFTER = (CameraError, OptionError)
 _READ_DESCRIPTORS = ("read_scan", "describe")
 _MOST_REMEMBERED = 256
+_LONGEST_KEY = 64
 
 log = logging.getLogger(__name__)
 
@@ -90,7 +91,8 @@ class IsolatedReaders:
         self._lock = threading.Lock()
         self._ready: _Process | None = None
         self._processes: set[_Process] = set()
-        self._failures: OrderedDict[_FileState, str] = OrderedDict()
+        self._failures: OrderedDict[FileState, str] = OrderedDict()
+        self._origins = _KnownOrigins()
 
     def warm(self) -> None:
         """Start a process in advance; returns at once, while the process loads the readers."""
@@ -116,8 +118,9 @@ class IsolatedReaders:
             FormatError: if the process crashed, hung, or exceeded its memory limit.
         """
         report: Any = kwargs.pop("report", None)
-        file = _FileState.of(function, args)
+        file = FileState.of(function, args)
         self._refuse_known_failure(file)
+        files = _states_of([*args, *kwargs.values()])
         request = {
             "module": function.__module__,
             "name": function.__qualname__,
@@ -126,15 +129,17 @@ class IsolatedReaders:
             "folder": _working_folder(),
             "memory_bytes": self.limits.memory_for(file.bytes),
             "silent_s": self.limits.silence_for(file.bytes),
+            "origins": self._origins.of(files),
         }
         with self._slots:
             process = self._take_process(file)
             reusable = False
             try:
                 answer = process.ask(request, self.limits, file, report)
-                error = _error_in(answer, file)
-                reusable = not answer["worn"] and (error is None or isinstance(error, _REUSABLE_AFTER))
-            except _ReaderStoppedError as stopped:
+                error = error_in(answer, file)
+                reusable = not answer["worn"]
+                self._origins.learn(files, answer.get("origins"))
+            except ReaderStoppedError as stopped:
                 if stopped.caused_by_file:
                     self._remember(file, str(stopped))
                 raise FormatError(str(stopped)) from None
@@ -157,7 +162,7 @@ class IsolatedReaders:
         self._processes.add(process)
         return process
 
-    def _take_process(self, file: _FileState) -> _Process:
+    def _take_process(self, file: FileState) -> _Process:
         with self._lock:
             process, self._ready = self._ready, None
             if process is not None and not process.ended:
@@ -172,7 +177,7 @@ class IsolatedReaders:
                 raise FormatError(text) from error
 
     def _return_process(self, process: _Process, *, reusable: bool) -> None:
-        """Keep a process for the next file unless it met a damaged file or grew large."""
+        """Keep a process for the next file unless a file can have changed it."""
         with self._lock:
             if reusable and self._ready is None and not process.ended:
                 self._ready = process
@@ -183,7 +188,7 @@ class IsolatedReaders:
         if not reusable:
             self.warm()
 
-    def _remember(self, file: _FileState, text: str) -> None:
+    def _remember(self, file: FileState, text: str) -> None:
         if not file.path:
             return
         with self._lock:
@@ -191,7 +196,7 @@ class IsolatedReaders:
             while len(self._failures) > _MOST_REMEMBERED:
                 self._failures.popitem(last=False)
 
-    def _refuse_known_failure(self, file: _FileState) -> None:
+    def _refuse_known_failure(self, file: FileState) -> None:
         """Refuse an unchanged file whose reader was stopped before: a page may request it repeatedly."""
         with self._lock:
             text = self._failures.get(file)
@@ -200,7 +205,7 @@ class IsolatedReaders:
 
 
 @dataclass(frozen=True, slots=True)
-class _FileState:
+class FileState:
     """Identity and current state of the file that a call reads."""
 
     name: str
@@ -210,10 +215,11 @@ class _FileState:
     changed_ns: int
 
     @staticmethod
-    def of(function: Callable[..., Any], args: tuple[Any, ...]) -> _FileState:
+    def of(function: Callable[..., Any], args: tuple[Any, ...]) -> FileState:
+        """Return the state of the file that a call names first."""
         called = f"{function.__module__}.{function.__qualname__}"
         if not args or not isinstance(args[0], str | os.PathLike):  # without a path nothing is remembered
-            return _FileState(function.__qualname__, "", called, 0, 0)
+            return FileState(function.__qualname__, "", called, 0, 0)
         from ladarreg_core.formats.untrusted import shown_name
 
         path = os.path.abspath(os.fspath(args[0]))
@@ -223,12 +229,66 @@ class _FileState:
             if path.lower().endswith(".json") and function.__name__ in _READ_DESCRIPTORS:
                 # A descriptor is small, but may refer to any of the files beside it.
                 size = sum(entry.stat().st_size for entry in os.scandir(os.path.dirname(path)) if entry.is_file())
-            return _FileState(shown_name(path), path, called, size, state.st_mtime_ns)
+            return FileState(shown_name(path), path, called, size, state.st_mtime_ns)
         except (OSError, ValueError):  # the reader reports what is wrong
-            return _FileState(shown_name(path), path, called, 0, 0)
+            return FileState(shown_name(path), path, called, 0, 0)
 
 
-class _ReaderStoppedError(Exception):
+def _states_of(values: Iterable[Any]) -> frozenset[tuple[str, int, int]]:
+    """Return path, size and time of change of all files among the arguments of a call."""
+    found: set[tuple[str, int, int]] = set()
+    for value in values:
+        if isinstance(value, os.PathLike):
+            with suppress(OSError, ValueError):
+                state = os.stat(value)
+                found.add((os.path.abspath(value), state.st_size, state.st_mtime_ns))
+        elif isinstance(value, list | tuple):
+            found |= _states_of(value)
+    return frozenset(found)
+
+
+class _KnownOrigins:
+    """Where the scanners of clouds stood, which takes long to find: for the next process that reads the same files.
+
+    What was found while some files were read is only told where all of these are read again, so that no file can
+    mislead the reader of another one.
+    """
+
+    def __init__(self) -> None:
+        self._rows: OrderedDict[frozenset[tuple[str, int, int]], list[Any]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def of(self, files: frozenset[tuple[str, int, int]]) -> list[Any]:
+        with self._lock:
+            return [row for known, rows in self._rows.items() if known <= files for row in rows]
+
+    def learn(self, files: frozenset[tuple[str, int, int]], rows: Any) -> None:
+        if not files or not isinstance(rows, list) or not 0 < len(rows) <= _MOST_REMEMBERED:
+            return
+        if not all(map(_is_origin, rows)):  # of a process that a file has taken over
+            return
+        with self._lock:
+            self._rows[files] = rows
+            self._rows.move_to_end(files)
+            while len(self._rows) > _MOST_REMEMBERED:
+                self._rows.popitem(last=False)
+
+
+def _is_origin(row: Any) -> bool:
+    """Return whether a value is a row of `kept_answers`."""
+    if not isinstance(row, list) or len(row) != 5:
+        return False
+    key, position, *shares, may_be_centre = row
+    numbers = [*shares, *(position if isinstance(position, list | tuple) and len(position) == 3 else ())]
+    return (
+        isinstance(key, str) and len(key) <= _LONGEST_KEY
+        and (position is None or len(numbers) == len(shares) + 3)
+        and all(isinstance(number, float) for number in numbers)
+        and isinstance(may_be_centre, bool)
+    )  # fmt: skip
+
+
+class ReaderStoppedError(Exception):
     """A reader process ended, or had to be stopped, before it answered."""
 
     def __init__(self, text: str, *, caused_by_file: bool = True) -> None:
@@ -268,12 +328,12 @@ class _Process:
         return self._popen.poll() is not None
 
     def ask(
-        self, request: dict[str, Any], limits: ReaderLimits, file: _FileState, report: Report | None
+        self, request: dict[str, Any], limits: ReaderLimits, file: FileState, report: Report | None
     ) -> dict[str, Any]:
         """Send a request and return the answer.
 
         Raises:
-            _ReaderStoppedError: if the process ends or has to be stopped before it answers.
+            ReaderStoppedError: if the process ends or has to be stopped before it answers.
         """
         exchange = _Exchange(self._popen, request, limits.result_bytes)
         started = last_sign = time.monotonic()
@@ -284,14 +344,14 @@ class _Process:
                 signs, last_sign = exchange.signs, now
             timeout = request["silent_s"] if signs else _START_TIMEOUT_S
             if now - last_sign > timeout or now - started > limits.longest_s:
-                raise _ReaderStoppedError(_hung(file, now - started))
+                raise ReaderStoppedError(_hung(file, now - started))
             if report is not None:
                 report(exchange.progress or Progress(0, 0, f"reading {file.name}"))
         if exchange.answer is not None:
             return exchange.answer
         if exchange.refused:
             log.debug("%s: %s", file.path, exchange.refused)
-            raise _ReaderStoppedError(f"{file.name}: its reader sent an invalid answer; {_DAMAGED}")
+            raise ReaderStoppedError(str(invalid_answer(file)))
         if exchange.unsent is not None:
             raise exchange.unsent
         raise self._why_it_ended(file, time.monotonic() - started)
@@ -306,21 +366,11 @@ class _Process:
             with suppress(OSError):  # data that could not be sent
                 stream.close()
 
-    def _why_it_ended(self, file: _FileState, seconds: float) -> _ReaderStoppedError:
+    def _why_it_ended(self, file: FileState, seconds: float) -> ReaderStoppedError:
         try:
-            code = self._popen.wait(_EXIT_TIMEOUT_S)
+            return why_it_ended(file, self._popen.wait(_EXIT_TIMEOUT_S), seconds)
         except subprocess.TimeoutExpired:
-            return _ReaderStoppedError(f"{file.name}: its reader ended without an answer; {_DAMAGED}")
-        if code < 0:
-            number = -code
-            if number == getattr(signal, "SIGALRM", None):
-                return _ReaderStoppedError(_hung(file, seconds))
-            if number == getattr(signal, "SIGKILL", None):
-                text = f"{file.name}: its reader was killed from outside, perhaps because memory ran out; try again"
-                return _ReaderStoppedError(text, caused_by_file=False)
-            name = signal.strsignal(number) or f"signal {number}"
-            return _ReaderStoppedError(f"{file.name}: its reader crashed ({name}); {_DAMAGED}")
-        return _ReaderStoppedError(f"{file.name}: its reader ended with code {code:#x} and no answer; {_DAMAGED}")
+            return ReaderStoppedError(f"{file.name}: its reader ended without an answer; {_DAMAGED}")
 
 
 class _Exchange:
@@ -358,11 +408,13 @@ class _Exchange:
 
     def _exchange(self) -> None:
         from ladarreg_core.formats.isolated.messages import MessageError, read_message, write_message
+        from ladarreg_core.formats.isolated.pieces import Turn
         from ladarreg_core.formats.untrusted import one_line
 
-        requests, answers = self._popen.stdin, self._popen.stdout
+        requests = self._popen.stdin
         assert requests is not None
-        assert answers is not None
+        assert self._popen.stdout is not None
+        answers = io.BufferedReader(Turn(self._popen.stdout), _PIPE_BYTES)
         try:
             write_message(requests, self._request)
         except TypeError as error:  # the caller's mistake, not the file's
@@ -373,7 +425,10 @@ class _Exchange:
             if not isinstance(message, dict):
                 raise MessageError(f"the answer is a {type(message).__name__}")
             if "progress" not in message:
-                self.answer = message | {"worn": bool(message["worn"])}
+                worn = bool(message["worn"])
+                if answers.read(1):  # nothing follows an answer, and the process that sent it has ended
+                    raise MessageError("the answer is followed by more")
+                self.answer = message | {"worn": worn}
                 return
             if message["progress"] is not None:
                 done, total, label = message["progress"]
@@ -390,11 +445,36 @@ def _working_folder() -> str:
         return ""
 
 
-def _hung(file: _FileState, seconds: float) -> str:
+def invalid_answer(file: FileState) -> FormatError:
+    """Return the error of a reader process that does not keep to the protocol."""
+    return FormatError(f"{file.name}: its reader sent an invalid answer; {_DAMAGED}")
+
+
+def why_it_ended(file: FileState, code: int, seconds: float) -> ReaderStoppedError:
+    """Return why a reader process ended that has not answered.
+
+    Args:
+        file: what it read.
+        code: exit code, or less than 0: the signal that ended it.
+        seconds: since it began.
+    """
+    if code >= 0:
+        return ReaderStoppedError(f"{file.name}: its reader ended with code {code:#x} and no answer; {_DAMAGED}")
+    number = -code
+    if number == getattr(signal, "SIGALRM", None):
+        return ReaderStoppedError(_hung(file, seconds))
+    if number == getattr(signal, "SIGKILL", None):
+        text = f"{file.name}: its reader was killed from outside, perhaps because memory ran out; try again"
+        return ReaderStoppedError(text, caused_by_file=False)
+    name = signal.strsignal(number) or f"signal {number}"
+    return ReaderStoppedError(f"{file.name}: its reader crashed ({name}); {_DAMAGED}")
+
+
+def _hung(file: FileState, seconds: float) -> str:
     return f"{file.name}: its reader hung and was stopped after {seconds:.0f} s; {_DAMAGED}"
 
 
-def _error_in(answer: dict[str, Any], file: _FileState) -> LadarregError | None:
+def error_in(answer: dict[str, Any], file: FileState) -> LadarregError | None:
     """Return the error in an answer; None where it contains a result."""
     from ladarreg_core.formats.untrusted import one_line
 

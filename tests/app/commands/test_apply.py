@@ -55,6 +55,7 @@ def glb_json(path: Path) -> dict[str, object]:
     return json.loads(data[20 : 20 + length])  # type: ignore[no-any-return]
 
 
+@pytest.mark.slow
 def test_the_files_of_an_accepted_result_are_written_and_marked(applied: Path) -> None:
     assert {*visible_files(applied)} == {
         "registration.json", "report.html", "registered.png", "labels.png", "visibility.png", "model.glb", "cloud.ply",

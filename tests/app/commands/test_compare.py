@@ -49,6 +49,7 @@ def by_hand(**options: Any) -> Callable[..., Comparison]:
     return lambda scan, photo: comparison_of(scan, photo, truth, **options)
 
 
+@pytest.mark.slow
 def test_the_table_is_printed_and_the_files_are_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -166,6 +167,7 @@ def test_table_columns_are_aligned() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_the_sample_is_compared_by_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "results"
     assert main(words("-o", str(out))) == ExitCode.ACCEPTED

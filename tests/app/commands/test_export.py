@@ -87,6 +87,7 @@ def test_the_targets_are_listed_with_what_each_is_for(capsys: pytest.CaptureFixt
         assert all(target.purpose in line for target, line in zip(TARGETS, lines, strict=True))
 
 
+@pytest.mark.slow
 def test_a_project_goes_out_with_all_its_registered_photographs(
     project: Path, exported: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -102,6 +103,7 @@ def test_a_project_goes_out_with_all_its_registered_photographs(
     assert ids(out) == ["Gr-e-2"]
 
 
+@pytest.mark.slow
 def test_results_of_several_photographs_go_out_together(
     results: Path, exported: Path, bench: WorkbenchDriver, tmp_path: Path
 ) -> None:

@@ -28,6 +28,7 @@ def document(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
     return json.loads(out, parse_constant=pytest.fail)  # type: ignore[no-any-return]
 
 
+@pytest.mark.slow
 def test_register_prints_the_registration_and_where_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert main(["register", *INPUTS, "-o", str(out), "--json"]) == ExitCode.ACCEPTED

@@ -54,6 +54,7 @@ def refused(other_scene: Path) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_a_refused_result_has_no_pose_and_a_guess(refused: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert {*visible_files(refused)} == {"registration.json", "report.html", "rejected_overlay.png"}
     path = refused / "registration.json"
@@ -97,6 +98,7 @@ def test_a_result_without_any_candidate_still_has_a_picture(other_scene: Path) -
     assert rejected_overlay(scan, photo, result).shape[1] == photo.camera.width
 
 
+@pytest.mark.slow
 def test_the_next_try_needs_no_force_but_what_is_somebodys_work_does(
     refused: Path, other_scene: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -170,6 +172,7 @@ CASES: dict[str, tuple[str, list[str]]] = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_the_command_opens_the_same_inputs(case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("LADARREG_HOME", str(tmp_path / "home"))

@@ -76,6 +76,7 @@ def off_px(rig: Rig, pose: Rigid) -> float:
     return float(np.median(np.linalg.norm(true[seen] - case.true_camera.project(pose @ points[seen]), axis=1)))
 
 
+@pytest.mark.slow
 def test_the_pose_is_right_and_every_pair_vouches_for_it(rig: Rig, registered: Path) -> None:
     fields = json.loads((registered / "rig.json").read_text())
     pose = read_pose(registered / "rig.json")
@@ -117,6 +118,7 @@ def test_the_folder_is_described_and_replaced_by_force_only(
     assert "--force" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_swapped_photos_are_refused_and_named(rig: Rig) -> None:
     photos = [case.photo for case in rig.cases]
     photos[0], photos[1] = photos[1], photos[0]
@@ -131,6 +133,7 @@ def test_swapped_photos_are_refused_and_named(rig: Rig) -> None:
     assert "the photo of place 1 agrees with its scan" in result.pairs[0].sentence
 
 
+@pytest.mark.slow
 def test_pairs_of_one_place_count_as_one(rig: Rig) -> None:
     """A false agreement in one place would be found in every picture of it."""
     pairs = [lr.RigPair(name, rig.cases[1].scan, rig.cases[1].photo) for name in ("first", "second")]
@@ -140,6 +143,7 @@ def test_pairs_of_one_place_count_as_one(rig: Rig) -> None:
     assert "the same place" in result.pairs[0].sentence
 
 
+@pytest.mark.slow
 def test_the_workbench_says_how_a_pair_of_a_rig_is_opened(registered: Path, rig: Rig, tmp_path: Path) -> None:
     with pytest.raises(OptionError, match="is the result of a rig, on the pairs place 0, place 1") as refused:
         open_workbench([registered])

@@ -52,6 +52,7 @@ def complaint(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     return line
 
 
+@pytest.mark.slow
 def test_a_report_of_results_is_the_one_that_was_exported(results: Path, moved: Path) -> None:
     assert main(["report", str(moved), "--inputs", str(sample_folder()), "--quiet"]) == ExitCode.ACCEPTED
     assert (moved / "report.html").read_bytes() == (results / "report.html").read_bytes()
@@ -133,6 +134,7 @@ def test_folders_without_a_result_are_refused(tmp_path: Path, capsys: pytest.Cap
     assert "neither a registration.json nor a project.json" in complaint(capsys, str(tmp_path))
 
 
+@pytest.mark.slow
 def test_a_report_of_a_project(
     bench: WorkbenchDriver, results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

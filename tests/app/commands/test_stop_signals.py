@@ -41,6 +41,7 @@ def test_sigterm_and_sighup_save_and_exit(tmp_path: Path, sent: signal.Signals) 
         assert name_of(tmp_path / "project") == "kept"
 
 
+@pytest.mark.slow
 def test_a_closed_terminal_ends_the_server(tmp_path: Path) -> None:
     import pty
 
@@ -71,6 +72,7 @@ def test_a_closed_terminal_ends_the_server(tmp_path: Path) -> None:
     assert name_of(project) == "untitled"
 
 
+@pytest.mark.slow
 def test_signals_ignored_by_nohup_stay_ignored(tmp_path: Path) -> None:
     def as_nohup_does() -> None:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 from ladarreg.cli import main
 
 from ladarreg_core.acquisition.sweep_composition import compose_sweeps
@@ -20,6 +21,7 @@ from ladarreg_core.twins.recordings import simulate_sweep
 CENTRE = (0.3, 0.4, 0.1)
 
 
+@pytest.mark.slow
 def test_a_photograph_is_registered_with_a_composed_sweep(tmp_path: Path) -> None:
     pans, rays = np.radians(np.arange(-90.0, 90.0, 0.5)), np.radians(np.arange(-60.0, 60.0, 0.25))
     recorded = simulate_sweep("office", 8101, pans_rad=pans, angles_rad=rays)

@@ -282,6 +282,7 @@ def test_the_descriptor_limit_is_raised() -> None:
     assert soft == (4096 if hard < 0 else min(4096, hard))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux") or not os.confstr("CS_GNU_LIBC_VERSION"), reason="glibc only")
 def test_memory_is_returned_to_the_system() -> None:
     code = """

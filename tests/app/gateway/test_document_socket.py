@@ -189,6 +189,7 @@ def test_a_slow_client_delays_no_other_and_gets_the_latest_state(run: Running) -
         assert [m["slices"]["big"][0] for m in heard if "big" in m.get("slices", {})][-1] == 299
 
 
+@pytest.mark.slow
 def test_a_client_that_reads_no_replies_is_not_read_further(run: Running) -> None:
     line, before = narrow_line(run), run.bench.version
     with run.socket(sock=line, max_queue=1) as page:

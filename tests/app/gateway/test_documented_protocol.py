@@ -103,6 +103,7 @@ def test_the_commands_are_documented(document: str) -> None:
     assert sorted(found) == sorted([*COMMANDS, *PROJECT_COMMANDS])
 
 
+@pytest.mark.slow
 def test_the_slices_are_documented_with_all_their_fields(document: str, bench: WorkbenchDriver) -> None:
     described = items(section(document, "Slices"))
     sent = {name.replace(":p1", ":pID"): bench.slice(name) for name in bench.workbench.slices(bench.client)}

@@ -57,6 +57,7 @@ def test_the_token_is_replaced_by_a_cookie(run: Running) -> None:
     assert run.ask("GET", "/", {"Cookie": cookie})[0] == 200
 
 
+@pytest.mark.slow
 def test_a_wrong_token_gets_the_form(tmp_path: Path) -> None:
     with running(tmp_path) as run:
         for token in ("", f"{TOKEN}x", TOKEN[:-1], "%00"):

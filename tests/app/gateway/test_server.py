@@ -175,6 +175,7 @@ def begin_upload(there: Running) -> socket.socket:
     return line
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals differ there")
 @pytest.mark.parametrize(("sent", "uploads"), [(signal.SIGINT, 1), (signal.SIGTERM, 0)])
 def test_ctrl_c_ends_it_quietly_with_clients_connected(tmp_path: Path, sent: signal.Signals, uploads: int) -> None:
@@ -200,6 +201,7 @@ def test_ctrl_c_ends_it_quietly_with_clients_connected(tmp_path: Path, sent: sig
     assert not list(tmp_path.iterdir()), "the upload that was under way left nothing"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals differ there")
 def test_the_command_serves_a_scan_and_a_photograph(tmp_path: Path) -> None:
     inputs = sample_folder()

@@ -419,6 +419,7 @@ def test_a_distant_pose_is_drawn(server: viser.ViserServer, scene: Scene3D) -> N
     assert "/camera" in drawn(scene, server)
 
 
+@pytest.mark.slow
 def test_points_of_a_run_are_drawn_in_place_of_the_model_and_seen_from_outside(
     server: viser.ViserServer, scene: Scene3D
 ) -> None:

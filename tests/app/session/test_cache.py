@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from ladarreg.gateway.protocol import Picture
 from ladarreg.session.cache import BoundedCache, GroupedCache, ListCache, array_bytes, rough_bytes
 from ladarreg.session.loader import Loader
@@ -60,6 +61,7 @@ def test_a_rough_size_grows_with_a_slice() -> None:
     assert 300 * one < many < 2000 * one
 
 
+@pytest.mark.slow
 def test_large_photographs_stay_within_the_memory_limit(tmp_path: Path) -> None:
     loader = Loader(ProjectFolder(tmp_path / "project"))
     for k in range(8):

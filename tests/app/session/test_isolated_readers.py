@@ -39,6 +39,7 @@ def arrived(bench: WorkbenchDriver, name: str, ending: bytes = b"") -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="a crash is described differently there")
 @pytest.mark.parametrize(("what", "named"), [("photo", "x1.png"), ("scan", "mine.png")])
 def test_a_file_whose_reader_crashes_is_refused(bench: WorkbenchDriver, what: str, named: str) -> None:
@@ -74,6 +75,7 @@ def test_edits_and_other_files_do_not_wait_for_a_reader_that_hangs(bench: Workbe
     assert not (bench.workbench.upload_folder() / "x1.png").exists()
 
 
+@pytest.mark.slow
 def test_a_project_opens_without_a_photograph_whose_reader_crashes(bench: WorkbenchDriver) -> None:
     path = arrived(bench, "x1.png")
     photo = bench.workbench.take_upload(path, "good.png", "photo", None, bench.client)

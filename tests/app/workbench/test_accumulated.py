@@ -51,6 +51,7 @@ def work(bench: WorkbenchDriver) -> Any:
     return bench.slice("picks:p1"), [photo["name"] for photo in bench.slice("photos")]
 
 
+@pytest.mark.slow
 def test_clouds_that_are_added_later_leave_matches_and_photos_as_they_are(tmp_path: Path) -> None:
     first, second, third = write_frames(tmp_path, 3)
     project = tmp_path / "project"
@@ -174,6 +175,7 @@ def test_dropped_frames_are_one_step_and_named_as_they_were_dropped(bench: Workb
     assert work(bench) == before
 
 
+@pytest.mark.slow
 def test_a_frame_from_elsewhere_asks_again_and_can_be_a_station(bench: WorkbenchDriver) -> None:
     before, steps = work(bench), len(bench.slice("history")["entries"])
     ids = drop(bench, {"sweep2.npz": frame(2), "yard.npz": elsewhere()})["waiting"]
@@ -217,6 +219,7 @@ def test_several_clouds_in_an_empty_project(tmp_path: Path, how: str) -> None:
     bench.workbench.close()
 
 
+@pytest.mark.slow
 def test_scans_of_the_served_folder_ask_as_well(bench: WorkbenchDriver) -> None:
     before = work(bench)
     asked = bench.do("open_served", path="sweep1.npz", what="scan")

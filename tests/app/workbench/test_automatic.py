@@ -47,6 +47,7 @@ def settled(bench: WorkbenchDriver) -> None:
     bench.eventually(lambda: not bench.slice("solving:p1")["busy"])
 
 
+@pytest.mark.slow
 def test_drawn_matches_are_solved_and_verified_quietly(bench: WorkbenchDriver) -> None:
     draw(bench, 7)
     told = solved(bench)
@@ -66,6 +67,7 @@ def test_drawn_matches_are_solved_and_verified_quietly(bench: WorkbenchDriver) -
     assert [(s["matches"], s["stale"]) for s in stages(bench)] == [(8, "")]
 
 
+@pytest.mark.slow
 def test_below_the_minimum_and_above_the_limit_nothing_is_solved(bench: WorkbenchDriver) -> None:
     draw(bench, 3)
     settled(bench)
@@ -80,6 +82,7 @@ def test_below_the_minimum_and_above_the_limit_nothing_is_solved(bench: Workbenc
     assert stages(bench) == []
 
 
+@pytest.mark.slow
 def test_a_pose_below_the_minimum_is_out_of_date(bench: WorkbenchDriver) -> None:
     names = draw(bench, 7)
     solved(bench)
@@ -88,6 +91,7 @@ def test_a_pose_below_the_minimum_is_out_of_date(bench: WorkbenchDriver) -> None
     assert [stage["stale"] for stage in stages(bench)] == ["5 matches changed since: solve again"]
 
 
+@pytest.mark.slow
 def test_a_job_goes_first(bench: WorkbenchDriver) -> None:
     draw(bench, 7)
     solved(bench)
@@ -100,6 +104,7 @@ def test_a_job_goes_first(bench: WorkbenchDriver) -> None:
     assert solved(bench)["stage"] == "robust"
 
 
+@pytest.mark.slow
 def test_a_stage_that_the_operator_chose_stays(bench: WorkbenchDriver) -> None:
     bench.do("set_settings", solve_automatically=False)
     draw(bench, 12)
@@ -110,6 +115,7 @@ def test_a_stage_that_the_operator_chose_stays(bench: WorkbenchDriver) -> None:
     assert [(s["stage"], s["stale"] == "") for s in stages(bench)] == [("linear", False)]
 
 
+@pytest.mark.slow
 def test_matches_that_determine_no_pose_say_why_and_give_no_verdict(bench: WorkbenchDriver) -> None:
     point = true_points(1)[0]
     for _ in range(5):
@@ -121,6 +127,7 @@ def test_matches_that_determine_no_pose_say_why_and_give_no_verdict(bench: Workb
     assert bench.slice("solving:p1")["sentence"] == ""
 
 
+@pytest.mark.slow
 def test_moves_of_one_end_stay_one_step_though_they_are_solved_in_between(tmp_path: Path) -> None:
     bench = sample_bench(tmp_path / "project")
     names = draw(bench, 7)

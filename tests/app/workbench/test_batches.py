@@ -184,6 +184,7 @@ def test_a_camera_waits_for_its_photograph(bench: WorkbenchDriver) -> None:
     assert bench.slice("photos")[0]["camera"]["calibrated"]
 
 
+@pytest.mark.slow
 def test_matches_are_chosen_for_a_photograph(bench: WorkbenchDriver) -> None:
     scan, photo = (sample_folder() / "scan.npz").read_bytes(), PHOTO.read_bytes()
     drop(bench, {"scan.npz": scan, "left.jpg": photo, "right.jpg": photo, "list.csv": matches_of_points()})
@@ -204,6 +205,7 @@ def test_what_cannot_be_read_is_refused_with_its_name(bench: WorkbenchDriver) ->
     assert list(bench.workbench.upload_folder().iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["../depth.png", "/tmp/depth.png", "C:depth.png", "a\\b.png", "a/../../b.png"])
 def test_a_descriptor_cannot_name_a_file_outside_its_folder(bench: WorkbenchDriver, name: str) -> None:
     files = depth_scan()

@@ -132,6 +132,7 @@ def test_a_reloaded_page_waits_for_its_old_connection_to_end() -> None:
     waiting.join()
 
 
+@pytest.mark.slow
 def test_a_copied_tab_is_somebody_else_and_stays_so() -> None:
     clients = clients_alone()
     first = clients.join(Visitor("a", tab="browser tab", page="1"))

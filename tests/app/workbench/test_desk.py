@@ -86,6 +86,7 @@ def test_an_unused_project_leaves_no_folder(bench: DeskDriver, tmp_path: Path) -
     assert soon(lambda: [path.name.rpartition("-")[0] for path in projects.iterdir()] == ["Office-7"])
 
 
+@pytest.mark.slow
 def test_changing_the_project_saves_tells_and_comes_back(bench: DeskDriver) -> None:
     bench.drop(SCAN, PHOTO)
     bench.do("add_pick", photo="p1", kind="point", scan=[[1, 0, 0]], photo_uv=[[300, 200]])
@@ -131,6 +132,7 @@ def test_a_missing_folder_is_told_and_forgotten(bench: DeskDriver) -> None:
     assert bench.names() == ["other"]
 
 
+@pytest.mark.slow
 def test_a_copy_has_everything_but_the_name(bench: DeskDriver) -> None:
     bench.drop(SCAN, PHOTO)
     bench.do("add_pick", photo="p1", kind="point", scan=[[1, 0, 0]], photo_uv=[[300, 200]])
@@ -146,6 +148,7 @@ def test_a_copy_has_everything_but_the_name(bench: DeskDriver) -> None:
     assert soon(lambda: bench.ask("duplicate_project", wanted=copy)["ok"])
 
 
+@pytest.mark.slow
 def test_a_running_job_and_other_people_are_asked_about(bench: DeskDriver) -> None:
     bench.drop(SCAN, PHOTO)
     bench.do("set_camera", photo="p1", focal_px=972.8)
@@ -173,6 +176,7 @@ def test_a_second_scan_begins_a_second_project_with_its_batch(bench: DeskDriver)
     assert bench.names() == ["scan", "scan"]
 
 
+@pytest.mark.slow
 def test_an_upload_during_the_change_is_not_put_into_the_other_project(bench: DeskDriver) -> None:
     bench.drop(SCAN)
     old = bench.desk.upload_folder()

@@ -17,6 +17,7 @@ from ladarreg_core.simulate.sample import sample_folder
 from testing.workbench.workbench_driver import open_bench, sample_bench
 
 
+@pytest.mark.slow
 def test_a_given_pose_in_a_project_is_never_shown_as_registered(tmp_path: Path) -> None:
     sample = sample_folder()
     photo = read_photo(sample / "photo.png", camera=sample / "camera.json")

@@ -46,6 +46,7 @@ def parts(folder: Path) -> set[Path]:
     return {path for path in folder.rglob("*") if path.name.endswith((".part", ".old"))}
 
 
+@pytest.mark.slow
 def test_partial_files_of_a_killed_process_are_removed_at_the_start(tmp_path: Path) -> None:
     project = tmp_path / "project"
     kept = plant_partial_files(project)
@@ -60,6 +61,7 @@ def test_partial_files_of_a_killed_process_are_removed_at_the_start(tmp_path: Pa
         assert parts(project) == kept
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="an open folder cannot be moved there")
 def test_an_upload_into_a_moved_project_folder_is_refused(tmp_path: Path) -> None:
     project, elsewhere = tmp_path / "project", tmp_path / "elsewhere"
@@ -83,6 +85,7 @@ def test_an_upload_into_a_moved_project_folder_is_refused(tmp_path: Path) -> Non
     assert len(json.loads((project / "project.json").read_bytes())["photos"]) == 2
 
 
+@pytest.mark.slow
 def test_a_deleted_inputs_folder_is_created_again(tmp_path: Path) -> None:
     with serving(tmp_path / "project") as server:
         (tmp_path / "project" / "inputs").rmdir()

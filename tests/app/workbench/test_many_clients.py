@@ -13,6 +13,7 @@ from testing.workbench.served import Page, many_clients, served, with_camera_and
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="no Ctrl-C to send")]
 
 
+@pytest.mark.long
 def test_ten_clients_see_the_same_document(tmp_path: Path) -> None:
     project = tmp_path / "project"
     with served(project) as (found, _):

@@ -21,7 +21,9 @@ from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WorkbenchDriver]:
+    """The sample, registered."""
     found = sample_bench(tmp_path_factory.mktemp("model") / "project")
+    assert found.job("auto").state == "done"
     yield found
     found.workbench.close()
 
@@ -41,8 +43,8 @@ def texture(bench: WorkbenchDriver, kind: str, **query: str) -> tuple[np.ndarray
     return image, json.loads(unquote(headers["x-legend"]))
 
 
+@pytest.mark.slow
 def test_the_model_comes_coarse_first_and_small(bench: WorkbenchDriver) -> None:
-    assert bench.job("auto").state == "done"
     sizes = {}
     for detail in ("coarse", "standard", "dense"):
         mesh, _ = part(bench, "mesh", detail=detail)
@@ -71,6 +73,7 @@ def test_surface_and_photograph_together_stay_within_what_a_page_shows(
     assert 0 < layer_vertices() <= left, "the photograph is drawn on a coarser surface"
 
 
+@pytest.mark.slow
 def test_textures_have_legends_and_their_own_colours(bench: WorkbenchDriver) -> None:
     gray, legend = texture(bench, "intensity")
     assert np.ptp(gray.astype(int), axis=-1).max() <= 6

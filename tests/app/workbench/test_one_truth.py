@@ -58,6 +58,7 @@ def test_an_edit_makes_the_verdict_out_of_date_and_undoing_it_makes_it_current_a
     assert (stage(solved)["stale"], state(solved)) == ("", "accepted")
 
 
+@pytest.mark.slow
 def test_a_new_match_and_the_removal_of_all_leave_no_accepted_pose(solved: WorkbenchDriver) -> None:
     solved.do("add_pick", photo="p1", **true_points(18)[-1])
     assert stage(solved)["stale"] == "1 match changed since: solve again"
@@ -66,6 +67,7 @@ def test_a_new_match_and_the_removal_of_all_leave_no_accepted_pose(solved: Workb
     assert state(solved) == "stale"
 
 
+@pytest.mark.slow
 def test_a_match_that_was_disabled_when_solving_may_change(solved: WorkbenchDriver) -> None:
     last = ids(solved)[-1]
     solved.do("set_pick", photo="p1", pick=last, on=False)
@@ -76,6 +78,7 @@ def test_a_match_that_was_disabled_when_solving_may_change(solved: WorkbenchDriv
     assert stage(solved)["stale"] == "1 match changed since: solve again"
 
 
+@pytest.mark.slow
 def test_a_corrected_match_is_no_longer_an_outlier(solved: WorkbenchDriver) -> None:
     wrong = ids(solved)[-1]
 
@@ -97,6 +100,7 @@ def exported(bench: WorkbenchDriver) -> dict[str, Any]:
         return {name: json.loads(file.read(f"{name}.json")) for name in ("registration", "matches")}
 
 
+@pytest.mark.slow
 def test_a_stale_pose_is_exported_only_on_request_with_the_matches_it_rests_on(
     solved: WorkbenchDriver, tmp_path: Path
 ) -> None:
@@ -129,6 +133,7 @@ def test_matches_without_a_pose_are_exported(fresh: WorkbenchDriver) -> None:
         assert len(json.loads(file.read("matches.json"))["matches"]) == 2
 
 
+@pytest.mark.slow
 def test_a_comparison_does_not_change_the_chosen_pose(solved: WorkbenchDriver) -> None:
     assert solved.job("linear").state == "done"
     solved.do("use_stage", photo="p1", stage="robust")
@@ -157,6 +162,7 @@ def fresh(tmp_path: Path) -> Iterator[WorkbenchDriver]:
     bench.workbench.close()
 
 
+@pytest.mark.slow
 def test_a_pose_that_the_images_contradict_is_not_accepted_whatever_its_statistics(fresh: WorkbenchDriver) -> None:
     shifted(fresh, 16, 30)
     assert fresh.job("robust").state == "done"
@@ -175,6 +181,7 @@ def test_a_pose_that_the_images_contradict_is_not_accepted_whatever_its_statisti
     assert stage(fresh)["reasons"] == told["reasons"], "verifying again changes nothing"
 
 
+@pytest.mark.slow
 def test_an_undecidable_pose_stays_accepted_by_its_statistics_and_says_so(fresh: WorkbenchDriver) -> None:
     shifted(fresh, 16, 3)
     job = fresh.job("solve")
@@ -186,6 +193,7 @@ def test_an_undecidable_pose_stays_accepted_by_its_statistics_and_says_so(fresh:
     assert "Compare with the images" in [step["label"] for step in told["steps"]]
 
 
+@pytest.mark.slow
 def test_what_the_statistics_of_a_verified_pose_lack_is_a_note_and_no_reason(fresh: WorkbenchDriver) -> None:
     shifted(fresh, 6, 0)
     assert fresh.job("solve").state == "done"

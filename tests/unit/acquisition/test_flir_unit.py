@@ -62,6 +62,7 @@ def test_it_says_what_it_is_and_moves(bench: Bench) -> None:
     says_what_it_is_and_moves(bench)
 
 
+@pytest.mark.slow
 def test_it_does_so_behind_real_ports(real_bench: Bench) -> None:
     says_what_it_is_and_moves(real_bench)
 
@@ -100,6 +101,7 @@ def test_a_halt_in_between_ends_the_movement(bench: Bench, clock: SimulatedClock
     assert math.degrees(unit.move_to(at(1, 0), check=goes_on).pan_rad) == pytest.approx(1, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_halt_from_another_thread_ends_the_movement(real_bench: Bench) -> None:
     unit = real_bench.connect()
     moves = threading.Event()
@@ -168,6 +170,7 @@ def test_a_cable_that_is_pulled_and_put_back_is_noticed_and_survived(bench: Benc
         unit.position()
 
 
+@pytest.mark.slow
 def test_a_real_port_that_is_pulled_and_put_back_is_noticed_and_survived(real_bench: Bench) -> None:
     unit, server = real_bench.connect(), real_bench.server
     server.unplug(real_bench.twin.name)
@@ -235,6 +238,17 @@ def test_readings_that_no_movement_explains(bench: Bench) -> None:
     assert unit.position() == here
     bench.twin._axes["P"].move(-5_000, bench.server.now_s() - 60)  # it is there indeed: it was pushed, or reset
     assert math.degrees(unit.position().pan_rad) == pytest.approx(-5_000 * 46.2857 / 3600, abs=0.05)
+
+
+def test_a_query_that_is_not_answered_once_is_asked_again(bench: Bench, clock: SimulatedClock) -> None:
+    unit = bench.connect()
+    here = unit.move_to(at(2, -1), check=goes_on)
+    bench.twin.late_s = 1.1
+    clock.after(0.5, lambda: setattr(bench.twin, "late_s", 0.0))
+    assert unit.position() == here
+    clock.after(0.2, lambda: setattr(bench.twin, "silent", True))  # on its way
+    clock.after(1.5, lambda: setattr(bench.twin, "silent", False))
+    assert unit.move_to(at(20, 0), check=goes_on).pan_rad == pytest.approx(at(20, 0).pan_rad, abs=1e-3)
 
 
 def test_answers_that_come_late_or_twice_are_not_taken_for_others(bench: Bench) -> None:

@@ -135,6 +135,7 @@ def test_an_exchange_is_cancelled_at_once(terminal: Terminal) -> None:
             link.exchange(b"A ", complete=ended, deadline_s=60, check=cancel)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("guarded", [True, False])
 def test_an_unplugged_device_is_said_to_be_so(terminal: Terminal, guarded: bool) -> None:
     with Ports(guarded=guarded) as ports:
@@ -236,6 +237,7 @@ def test_a_device_that_never_falls_silent_is_left(terminal: Terminal, guarded: b
             talker.join()
 
 
+@pytest.mark.slow
 def test_a_connection_that_is_not_answered_holds_up_no_other_device(terminal: Terminal) -> None:
     deaf = socket.create_server(("127.0.0.1", 0), backlog=0)
     waiting = [socket.socket() for _ in range(4)]  # until the system takes no more
@@ -282,6 +284,7 @@ PROGRAM = """
 
 
 # All of its group: as a terminal does by Ctrl-C and Ctrl-Z, and as the end of a session does.
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ["SIGKILL", "SIGSTOP", "SIGINT", "SIGTERM"])
 def test_the_device_stops_soon_after_the_programs_end(terminal: Terminal, end: str) -> None:
     program = subprocess.Popen(
@@ -341,6 +344,7 @@ HANGING_PROGRAM = """
 """
 
 
+@pytest.mark.slow
 def test_a_program_that_hung_is_told_that_its_devices_were_stopped(terminal: Terminal) -> None:
     program = subprocess.Popen(
         [sys.executable, "-c", textwrap.dedent(HANGING_PROGRAM), terminal.address],

@@ -18,7 +18,11 @@ from testing.scenes.mosaic_pieces import MOUNT, STEP_RAD, mosaic, piece_scan, pl
 COARSE = AzimuthElevation(37, 51, np.radians(1.0), np.radians(1.0))
 
 
-@pytest.mark.parametrize("mount", [Rigid.identity(), MOUNT], ids=["central", "on a lever arm"])
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "mount",
+    [pytest.param(Rigid.identity(), id="central", marks=pytest.mark.long), pytest.param(MOUNT, id="on a lever arm")],
+)
 def test_a_mosaic_of_the_whole_room_lies_on_its_surfaces(mount: Rigid) -> None:
     pieces, _ = mosaic(range(-180, 180, 40), (-28, 0, 28, 58, 80), mount=mount, geometry=COARSE)
     made = compose_mosaic(pieces)

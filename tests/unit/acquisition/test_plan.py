@@ -127,6 +127,7 @@ JSON = st.recursive(
 )
 
 
+@pytest.mark.slow
 @given(st.sampled_from([*SWEEP, "unit__signs", "unit__port", "scanner__kind", "mount__xyz_m"]), JSON)
 def test_any_value_anywhere_is_a_plan_or_a_sentence(key: str, value: Any) -> None:
     try:

@@ -44,6 +44,7 @@ def devices(twins: TwinDevices) -> Iterator[Devices]:
         yield Devices(twins, ports)
 
 
+@pytest.mark.slow
 def test_a_sweep_is_kept_and_measures_the_room(devices: Devices, tmp_path: Path) -> None:
     events: list[RunEvent] = []
     folder = RunWriter.begin(tmp_path / "run", devices.plan())
@@ -180,6 +181,7 @@ def test_what_a_crash_leaves_does_not_count(devices: Devices, tmp_path: Path) ->
         json.loads(line)
 
 
+@pytest.mark.slow
 def test_a_continuous_sweep_follows_the_unit(devices: Devices, tmp_path: Path) -> None:
     plan = devices.plan(pan=Axis(-10, 10, 0.5), continuous=True, passes=2)
     folder = RunWriter.begin(tmp_path / "run", plan)

@@ -56,6 +56,7 @@ def goes_on_by_itself(
     return run.go()
 
 
+@pytest.mark.long
 def test_a_program_that_hangs_for_a_moment_goes_on_by_itself(twins: TwinDevices, tmp_path: Path) -> None:
     """The guard has stopped the devices meanwhile: the piece is measured again, whatever was under way."""
     with Ports() as ports:

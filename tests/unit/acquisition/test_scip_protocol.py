@@ -62,6 +62,7 @@ def one_line(request: LineRequest) -> bytes:
     return b"".join(twin.due(t) for t in np.arange(1, 1.5, 0.005))
 
 
+@pytest.mark.slow
 def test_every_single_corrupted_byte_is_noticed_unless_nothing_could_tell() -> None:
     """Of all replies in which one byte is changed, none is accepted with other values."""
     request = LineRequest(530, 560)

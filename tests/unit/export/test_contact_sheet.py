@@ -82,6 +82,7 @@ def flat_case(rows: int, columns: int, step_deg: tuple[float, float], size: tupl
     return scan, Photo(rng.integers(0, 256, (size[1], size[0], 3)).astype(np.uint8), camera)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "stages", "no_pose"),
     [
@@ -148,6 +149,7 @@ def test_extreme_results_are_drawn(scan, photo) -> None:
     np.testing.assert_array_equal(sheet, contact_sheet(comparison, scan, photo))
 
 
+@pytest.mark.slow
 def test_accepted_and_not_accepted_differ_in_colour(scan, photo) -> None:
     sheets = [
         contact_sheet(comparison_of(scan, photo, POSE, stages=("simplex", "default"), accepted=names), scan, photo)

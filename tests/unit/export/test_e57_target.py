@@ -442,6 +442,7 @@ def test_what_cannot_be_copied_is_refused_before_anything_is_written(tmp_path: P
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_real_files_of_other_writers_are_copied_unchanged(real_data: Path, tmp_path: Path) -> None:
     """The pump of a terrestrial scanner, with groups of lines and colours of its own."""
     source = real_data / "pump" / "pumpAVisualReferenceImage.e57"

@@ -116,6 +116,7 @@ def check_against_photographs(meshes: dict[str, Any], of: RegisteredScan) -> Non
     assert max(shifted) < 30
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", [False, True])
 def test_glb_shows_the_photographs_where_the_cameras_see_them(tmp_path: Path, world: bool) -> None:
     of = handed(world=world)

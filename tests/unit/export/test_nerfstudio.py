@@ -114,6 +114,7 @@ def sampled(depth: np.ndarray, at: np.ndarray) -> np.ndarray:
     return np.where(flat, 1 / (share / four).sum(axis=0), np.nan)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("case", "frame_name"), [*((case, "scanner") for case in CAMERAS), ("5 terms", "world")])
 def test_a_reader_of_the_convention_finds_the_points_and_their_depth(
     tmp_path: Path, case: str, frame_name: FrameName
@@ -172,6 +173,7 @@ def test_a_reader_of_the_convention_finds_the_points_and_their_depth(
     assert np.nanquantile(np.abs(moved / wanted - 1), 0.99) > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["0 terms", "5 terms", "fisheye", "seam"])
 def test_every_pixels_depth_is_that_of_the_surface_at_its_centre(tmp_path: Path, case: str) -> None:
     handed, camera, pose = handed_over(case), CAMERAS[case], pose_of(case)
@@ -191,6 +193,7 @@ def test_every_pixels_depth_is_that_of_the_surface_at_its_centre(tmp_path: Path,
     assert (off[smooth[v, u]] < 1e-3).mean() > 0.999
 
 
+@pytest.mark.slow
 def test_several_models_have_a_file_each_and_colmap_stands_beside(tmp_path: Path) -> None:
     handed = handed_over("0 terms", "fisheye", "5 terms", "window", "12 terms", frame="world", given=True)
     export_to(tmp_path / "out", handed, ["nerfstudio"])

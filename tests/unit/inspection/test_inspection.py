@@ -55,6 +55,7 @@ def wall(turns: float = 1.0, columns: int = 120) -> Scan:
     return Scan(geometry, np.full((40, columns), 3.0), np.random.default_rng(0).random((40, columns)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("show", ["intensity", "range", "shape", "normals", "edges"])
 def test_pictures_have_the_views_size_and_hide_what_has_no_return(show: str) -> None:
     view = inspection_views(the_case().scan)[0].view

@@ -10,6 +10,7 @@ from benchmarks.snapping_lines import drawn_scene
 LINES = 12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["desk", "people"])
 def test_drawn_lines_get_nearer_to_the_true_edges(scene: str) -> None:
     pytest.importorskip("embreex", reason="the simulator needs embreex")

@@ -38,6 +38,7 @@ STARTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", STARTS)
 def test_refinement_converges_to_the_true_pose(room: PaintedRoom, aligner: Aligner, start: str) -> None:
     candidate = aligner.refine(displaced(room.camera_from_scanner, *STARTS[start]))

@@ -132,6 +132,7 @@ def test_an_initial_pose_selects_one_of_similar_walls(repeating: Panorama) -> No
     assert repeating.error_px(result.camera_from_scanner) < 1
 
 
+@pytest.mark.slow
 def test_different_walls_are_distinguished() -> None:
     made = panorama((3, 4, 5))
     result = lr.register(made.scan, made.photo)

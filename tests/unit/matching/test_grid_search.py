@@ -33,6 +33,7 @@ def levels_of(seed: int) -> tuple[ScanLevels, PhotoLevels]:
     return scan_levels(room.scan, perspective_view(room.scan, working)), photo_levels(room.photo, working)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEN)
 def test_the_best_pose_lies_in_the_basin(seed: int) -> None:
     room = room_of(seed)

@@ -32,6 +32,7 @@ def warm(room: PaintedRoom) -> lr.Registration:
     return lr.register(room.scan, thermal_photo(kelvin, room.photo.camera))
 
 
+@pytest.mark.slow
 def test_a_thermal_image_is_registered_and_labelled_coarse(room: PaintedRoom, warm: lr.Registration) -> None:
     assert warm.accepted, warm.reasons
     assert room.error_px(warm.camera_from_scanner) < 1

@@ -45,6 +45,7 @@ def finished_with(room: PaintedRoom, camera: Camera) -> tuple[FinishedPose, Phot
     return verify_finished(aligner, camera, aligner.finish(candidate.camera_from_scanner)), photo
 
 
+@pytest.mark.slow
 def test_a_correct_camera_is_kept(room: PaintedRoom) -> None:
     fixed, photo = finished_with(room, room.photo.camera)
     assert estimate_camera(fixed, photo, fixed.camera_from_scanner, "auto", DEFAULT_CAMERA_PRIOR) is fixed

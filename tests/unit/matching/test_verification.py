@@ -89,6 +89,7 @@ def test_a_coarse_scan_is_accepted_by_few_regions(room: PaintedRoom) -> None:
     assert room.error_px(result.camera_from_scanner) < 1
 
 
+@pytest.mark.slow
 def test_refined_wrong_poses_of_a_coarse_scan_are_never_accepted(room: PaintedRoom) -> None:
     aligner = aligner_of(thinned(room.scan, 2), room.photo)
     mirror = lr.Photo(np.ascontiguousarray(room.photo.pixels[:, ::-1]), room.photo.camera)

@@ -57,7 +57,7 @@ def test_the_view_is_directed_at_the_overlap(room: PaintedRoom) -> None:
     assert direction_towards_overlap(room.scan, camera, away) is None
 
 
-@pytest.mark.parametrize("start", ["none", "truth"])
+@pytest.mark.parametrize("start", ["none", pytest.param("truth", marks=pytest.mark.long)])
 @pytest.mark.slow
 def test_a_sparse_scan_is_refused_for_that_reason(room: PaintedRoom, start: str) -> None:
     sparse = thinned(room.scan, 6)

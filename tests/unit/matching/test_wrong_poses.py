@@ -132,7 +132,7 @@ def test_the_true_pose_of_a_sparse_scan_stands_out(street: OutdoorCase) -> None:
     assert wrong.false_alarm(gain, tried=20) < 1e-6
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("tries", [1, pytest.param(3, marks=pytest.mark.long)])
 def test_wrong_poses_do_not_stand_out_from_others(street: OutdoorCase, elsewhere: OutdoorCase, tries: int) -> None:
     rng, alarms = np.random.default_rng(8), []
@@ -214,7 +214,7 @@ def test_wrong_poses_decide_on_coarse_scans_only(street: OutdoorCase) -> None:
     assert not wrong_poses_decide(few_regions(), aligner)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_verdict_states_its_false_alarm(street: OutdoorCase) -> None:
     truth = street.camera_from_scanner
     aligner = aligner_of(street.scan, street.photo, truth)

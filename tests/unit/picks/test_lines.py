@@ -72,6 +72,7 @@ def anywhere(length_cells: float) -> Ends:
     return ends
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("length_cells", "slope"), [(1, 0.8), (3, 0.0), (6, 0.8), (15, 0.0), (80, 0.8)])
 def test_the_ends_scatter_as_they_say(length_cells: float, slope: float) -> None:
     wall = plane(4.0, (1.0, slope, 0.0))
@@ -92,6 +93,7 @@ def test_an_outline_belongs_to_the_nearer_surface(offset_cells: float, behind: f
     assert abs(errors.mean()) < 4 * 1.1 / np.sqrt(errors.size)
 
 
+@pytest.mark.slow
 def test_outlines_drawn_by_an_unsteady_hand_are_hardly_ever_the_background() -> None:
     scene = np.where(COLUMN < 150, plane(3.0), plane(4.5))
     errors, refused = outcomes(scene, upright(spread_cells=0.6), plane(3.0), seeds=40)
@@ -107,6 +109,7 @@ HOLED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", HOLED)
 def test_a_line_reaches_over_what_interrupts_it(name: str) -> None:
     errors, refused = outcomes(HOLED[name], upright(spread_cells=1.0), plane(3.0), seeds=25)

@@ -181,6 +181,7 @@ def random_result(seed, matches, camera=ROOM_CAMERA):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(
     kind=st.sampled_from(["few", "line", "copies", "one", "wrong", "behind", "far", "tiny", "off the lens"]),

@@ -67,6 +67,7 @@ def test_a_better_initial_pose_is_kept_only_on_request():
     assert found.camera_from_scanner.distance_to(many.pose) < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_slid_and_swapped_ends_cost_little_accuracy(seed):
     errors = {}

@@ -76,6 +76,7 @@ def clustered(seed, *, count=8):
     return room, rays, matches, solve_pose(matches, camera, OPTIONS, initial=room.camera_from_scanner), rng
 
 
+@pytest.mark.slow
 def test_a_suggested_match_helps_more_than_a_random_one():
     before, advised, anywhere = [], [], []
     for seed in range(30):

@@ -47,6 +47,7 @@ def run(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_calibrated_panorama_lies_on_the_room(run: Path, tmp_path: Path) -> None:
     off = {}
     for name, options in (("planned", []), ("calibrated", ["--calibrate-mount"])):

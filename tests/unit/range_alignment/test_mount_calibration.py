@@ -33,6 +33,7 @@ def sweeps(*tilts_deg: float, seed: int, **options: float) -> list[LineSweep]:
     ]
 
 
+@pytest.mark.slow
 def test_sweeps_at_three_tilts_determine_all_six_within_their_covariance() -> None:
     found = calibrate_mount(sweeps(-20, 0, 20, seed=1), GIVEN)
     assert found.accepted
@@ -45,6 +46,7 @@ def test_sweeps_at_three_tilts_determine_all_six_within_their_covariance() -> No
     assert found.held_out_after_m < found.held_out_before_m
 
 
+@pytest.mark.slow
 def test_a_pan_only_sweep_keeps_what_it_cannot_show() -> None:
     found = calibrate_mount(sweeps(25, seed=2), GIVEN)
     assert found.accepted
@@ -70,6 +72,7 @@ def test_a_level_pan_only_sweep_says_what_would_help() -> None:
     assert "-45 deg" in found.reasons[-1] or not found.accepted
 
 
+@pytest.mark.slow
 def test_furniture_that_was_moved_between_sweeps_does_not_move_the_mount(monkeypatch: pytest.MonkeyPatch) -> None:
     passes = sweeps(-20, 0, 20, seed=5)
     monkeypatch.setattr(box_room, "BOARD", box_room.BOARD + np.array([0, 0, 0.012]))
@@ -91,6 +94,7 @@ class MountCalibrationOf:
         self.unit_from_scanner, self.tilt_rad = mount, found.tilt_rad
 
 
+@pytest.mark.slow
 def test_passes_in_both_directions_determine_the_latency() -> None:
     passes = [
         in_motion(

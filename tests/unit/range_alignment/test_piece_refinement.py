@@ -36,6 +36,7 @@ def errors_deg(poses: list[Rigid], truth: list[Rigid]) -> list[float]:
     return [float(np.degrees((turn @ pose).angle_to(true))) for pose, true in zip(poses, truth, strict=True)]
 
 
+@pytest.mark.slow
 def test_pieces_come_ten_times_closer_to_the_truth(refined: tuple[Refinement, list[Rigid], list[Rigid]]) -> None:
     found, before, truth = refined
     after = [piece.world_from_scanner for piece in found.pieces]

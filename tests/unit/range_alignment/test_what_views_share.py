@@ -57,6 +57,7 @@ def corner(rng: np.random.Generator, panels_m: float, pose: Rigid) -> FloatArray
     return np.asarray(pose.inverse @ np.concatenate(points), np.float64)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("panels_m", [0.0, 0.003])
 def test_a_wall_that_is_not_flat_is_believed_no_further_than_it_is(panels_m: float) -> None:
     square, count = 0.0, 0

@@ -120,6 +120,7 @@ def test_options_without_meaning_are_refused(options: dict[str, object]) -> None
         SelfTestOptions(**options)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_a_large_camera_is_tried_at_a_smaller_size(room: PaintedRoom) -> None:
     large = Camera.from_focal(room.photo.camera.width * 12, room.photo.camera.height * 12, 12 * room.photo.camera.fx)
     options = SelfTestOptions(photos=1, starts=0, wrong=0)

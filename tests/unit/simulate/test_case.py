@@ -52,7 +52,9 @@ def case_of(scene: str) -> SimulatedCase:
     return simulated(scene, seed=sample.SEED if scene == sample.SCENE else COMMON_SEED)
 
 
-@pytest.mark.parametrize("scene", sorted(SCENES))
+@pytest.mark.parametrize(
+    "scene", [pytest.param(scene, marks=[pytest.mark.long] * (scene != "boxes")) for scene in sorted(SCENES)]
+)
 @pytest.mark.slow
 def test_a_case_has_enough_to_register(scene: str) -> None:
     case = case_of(scene)
@@ -195,6 +197,7 @@ def test_a_missing_ray_caster_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         simulate_case("desk")
 
 
+@pytest.mark.slow
 def test_progress_runs_to_the_end_and_can_be_cancelled() -> None:
     _, told = told_case("boxes")
     done = [step.done for step in told]

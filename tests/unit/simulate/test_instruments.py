@@ -114,6 +114,7 @@ def test_a_thermal_case_is_read_as_it_was_written(people: SimulatedCase, tmp_pat
     assert any("thermal" in note for note in photo.notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["boxes", "people"])
 def test_only_pipes_are_new_in_a_heated_room(scene: str) -> None:
     cold, heated = (build_scene(scene, layout=np.random.default_rng(5), heated=hot) for hot in (False, True))
@@ -154,6 +155,7 @@ def test_a_gamma_camera_that_looks_away_says_so() -> None:
         take_gamma_image(world, caster, GAMMA_CAMERA, behind, rng=np.random.default_rng(0))  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_the_gamma_set_writes_its_sources(tmp_path: Path) -> None:
     case = simulate_case("boxes", set_name="gamma", seed=1)
     for name, write in case_files(case):

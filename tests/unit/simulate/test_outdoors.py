@@ -24,6 +24,7 @@ def angles_deg(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.degrees(np.arccos(rays[:, 0])), np.degrees(np.arcsin(rays[:, 2]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("lidar", "widest"), [("petals", 35.3), ("narrow", 19.3)])
 def test_petals_fill_a_cone_and_come_back_nowhere(lidar: str, widest: float) -> None:
     rays = lidar_rays(lidar, np.random.default_rng(0))
@@ -48,7 +49,7 @@ def test_lines_are_lines_and_half_of_the_seeds_space_them_unevenly() -> None:
     assert 4 <= sum(uneven) <= 16  # of 20 fair draws, all but 1 in 400 times; the seeds are fixed
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_photo_shows_what_the_lidar_meets() -> None:
     """The points are where the true pose sees their surfaces: the ground is flat, `EYE_M` below."""
     from_above = case("courtyard", "128 lines").cloud.points

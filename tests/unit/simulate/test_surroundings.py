@@ -50,7 +50,10 @@ def share_that_differs(ranges: FloatArray, image: FloatArray) -> float:
     return float(np.nanmean(np.abs(image - ranges) > 0.05))
 
 
-@pytest.mark.parametrize("scene", SURROUNDINGS)
+@pytest.mark.parametrize(
+    "scene",
+    [pytest.param(scene, marks=[pytest.mark.long] * (scene in SCENES and scene != "people")) for scene in SURROUNDINGS],
+)
 @pytest.mark.slow
 def test_a_room_is_closed_roomy_and_furnished_and_printed_on_every_side(scene: str) -> None:
     world, grid = room(scene, 2), dome_grid(STEP_RAD)
@@ -107,6 +110,7 @@ def test_a_scanner_of_another_geometry_elsewhere_measures_the_same_room() -> Non
     assert floor_of(true, pose) == pytest.approx(floor_of(ahead, Rigid.identity()), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_case_is_simulated_with_a_scanner_of_ones_own() -> None:
     ladar = Ladar(geometry=AzimuthElevation(40, 60, 0.01, 0.01), dr_m=0.002)
     case = simulate_case("boxes", seed=1, ladar=ladar)

@@ -52,6 +52,7 @@ def off(network: lr.StationNetwork, index: int, truth: Rigid) -> tuple[float, fl
     return 1000 * float(np.linalg.norm(error[3:])), float(np.degrees(np.linalg.norm(error[:3]))), distance
 
 
+@pytest.mark.slow
 def test_two_stations_are_registered_from_nothing(office: list[Scan]) -> None:
     told: list[Progress] = []
     network = lr.register_scans(office, report=told.append)

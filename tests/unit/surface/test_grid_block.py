@@ -32,6 +32,7 @@ def blocks_of(level: int) -> list[GridBlock]:
     return [GridBlock(level, row, column) for row in range(2**level) for column in range(2**level)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", [1, 3])
 def test_at_full_resolution_the_blocks_are_the_surface_of_the_scan(level: int) -> None:
     scan = room_scan()

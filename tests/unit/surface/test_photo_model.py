@@ -72,6 +72,7 @@ def test_no_edge_that_errs_is_passed_over_by_the_bound_on_its_triangles(lens, mo
         np.testing.assert_array_equal(one.uv, other.uv)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lens", LENSES)
 def test_the_texture_errs_by_less_than_a_third_of_a_pixel_anywhere(lens):
     """A control: half a pixel off, or upside down, is found."""
@@ -85,6 +86,7 @@ def test_the_texture_errs_by_less_than_a_third_of_a_pixel_anywhere(lens):
     assert np.median(texture_errors(model, photos, flip=True)) > 10
 
 
+@pytest.mark.slow
 def test_triangles_across_the_seam_of_a_panorama_take_pixels_from_both_of_its_sides():
     scene = panorama((1, 2, 3))
     photos = [photo_of(scene.scan, LENSES["panorama"], BACKWARDS)]

@@ -43,6 +43,7 @@ def result(camera: CameraModel, pose: lr.Rigid = POSE, **fields: object) -> lr.R
     return replace(found, **{"covariance": 1e-12 * np.eye(6), **fields})  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CAMERAS)
 def test_points_lie_on_the_surface_under_their_pixels(name: str) -> None:
     camera = CAMERAS[name]
@@ -95,6 +96,7 @@ def test_the_nearest_surface_is_found_however_the_search_is_divided(monkeypatch:
     np.testing.assert_array_equal(single, whole.xyz[:20])
 
 
+@pytest.mark.slow
 def test_predicted_and_real_spread_agree() -> None:
     rng = np.random.default_rng(7)
     camera, ranges = CAMERAS["distorted"], plane_ranges()

@@ -173,6 +173,7 @@ def test_a_camera_among_the_triangles_sees_past_those_beside_it():
     assert not seen.occluded.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lens", LENSES[:2])
 def test_a_large_scan_is_projected_in_tiles_as_in_one_piece(lens, monkeypatch):
     from ladarreg_core.surface import visibility

@@ -69,6 +69,7 @@ def test_every_ray_of_a_moving_line_is_measured_from_its_own_position() -> None:
         assert moving[k] == pytest.approx(alone[0], abs=1e-5)
 
 
+@pytest.mark.slow
 def test_the_noise_depends_on_seed_and_key_alone() -> None:
     noisy = [Bench("boxes", 1), Bench("boxes", 1, clock=lambda: 1e6)]
     lines = [b.scan_line(HERE, ANGLES, noise_key=(-3, 4)) for b in noisy]

@@ -46,7 +46,7 @@ def search(room: PaintedRoom) -> ThesisSearch:
     return thesis_search(room.scan, room.photo)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_few_matches_nearly_all_correct() -> None:
     """At T1 = .2 and T2 = 20 px, the values of the thesis; one case of each scene."""
     ratios = []
@@ -57,6 +57,7 @@ def test_few_matches_nearly_all_correct() -> None:
     assert np.median(ratios) >= 0.9
 
 
+@pytest.mark.slow
 def test_guided_matching_finds_many_more_matches(room: PaintedRoom, search: ThesisSearch) -> None:
     first = search.filtered(search.unconstrained())
     assert right(first, room).mean() >= 0.9

@@ -78,6 +78,7 @@ def simplices(draw):
     return draw(hnp.arrays(np.float64, (count + 1, count), elements=elements))
 
 
+@pytest.mark.slow
 @given(
     simplex=simplices(),
     cost=st.sampled_from([bowl, kinked]),

@@ -46,6 +46,7 @@ def well_away_from_poles(pairs: StereoPairs, x: np.ndarray) -> bool:
     return bool(np.abs(turned).min() > 0.03 * np.hypot(x[0], x[1]) ** 2)
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 100_000), turn=st.one_of(st.none(), rotvecs()))
 @settings(max_examples=150)
 def test_without_noise_2_21_gives_the_laser_depth(seed, turn):

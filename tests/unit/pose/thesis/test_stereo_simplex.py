@@ -229,6 +229,7 @@ def test_unstated_noise_is_estimated_from_the_inliers(method):
     assert result.accepted
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 10_000), count=st.integers(4, 9), method=st.sampled_from(METHODS))
 @settings(max_examples=12)
 def test_random_matches_are_never_accepted(seed, count, method):
