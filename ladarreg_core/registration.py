@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from typing import Literal, get_args
 
@@ -29,6 +30,7 @@ from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.progress import StepLog, StepReport
 from ladarreg_core.results import PoseResult, Registration
 from ladarreg_core.scan import Scan
+from ladarreg_core.side_by_side import one_thread
 from ladarreg_core.validation import LARGEST_INT, require_choice, require_int, require_positive, require_type
 
 _LOSSES_SHOWN = 3
@@ -89,6 +91,7 @@ def register(
     initial: Rigid | None = None,
     options: RegisterOptions | None = None,
     report: StepReport | None = None,
+    threads: int | None = None,
 ) -> Registration:
     """Estimate the camera pose of a photograph relative to a scan, with its uncertainty and a verdict.
 
@@ -107,13 +110,17 @@ def register(
         initial: a starting pose, `camera_from_scanner`, tried before all others.
         options: seed, methods and thresholds.
         report: receives every finished `Step`; may raise `Cancelled`.
+        threads: 1: everything is done in the calling thread, e.g. where many pairs are registered in processes of
+            their own; OpenCV has one pool for the whole process, which has one thread meanwhile. None: two, where there
+            are two processor cores. The result is the same, bit for bit.
 
     Returns:
         The registration. A refused pose is a result, too, with `accepted` False and `reasons`; it is then only the best
         candidate and must not be shown as registered.
 
     Raises:
-        OptionError: if the method is unknown, `manual` has no picks, or an argument is of a wrong type.
+        OptionError: if the method is unknown, `manual` has no picks, `threads` is another number, or an argument is of
+            a wrong type.
         ShapeError: if the arrays of matches do not match, or lie outside the scan.
         DegenerateGeometryError: if the picks do not determine a pose.
     """
@@ -124,9 +131,11 @@ def register(
     require_choice(method, get_args(RegistrationMethod), "the method")
     if method == "manual" and not picks:
         raise OptionError("the method 'manual' has no picks; give points or lines, or use the method 'auto'")
+    if threads is not None:
+        require_int(threads, "the number of threads", least=1, most=1)
     steps = StepLog(report)
     # With several threads BLAS sums in another order, and the last digits of a pose would depend on the machine.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with threadpool_limits(limits=1, user_api="blas"), nullcontext() if threads is None else one_thread():
         return _register(scan, photo, steps, method, picks, initial, o)
 
 
