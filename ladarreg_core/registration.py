@@ -333,6 +333,7 @@ def _auto_result(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:
         described,
         camera_sigmas=found.camera_sigmas,
         camera_uncertainty=found.camera_uncertainty,
+        blocks=blocks.compared if blocks else None,
         accepted=accepted,
         evidence="image" if accepted else "none",
         reasons=found.reasons,
