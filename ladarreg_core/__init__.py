@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from ladarreg_core.matching.auto import AutoOptions as AutoOptions
     from ladarreg_core.matching.image_check import ImageCheck as ImageCheck
     from ladarreg_core.matching.image_check import with_image_check as with_image_check
+    from ladarreg_core.matching.kept_channels import Channels as Channels
     from ladarreg_core.photo import Photo as Photo
     from ladarreg_core.pose.estimate import PoseOptions as PoseOptions
     from ladarreg_core.pose.estimate import estimate_pose as estimate_pose
@@ -75,6 +76,7 @@ _HOMES = {
     "AutoOptions": "matching.auto",
     "Camera": "camera",
     "Cancelled": "errors",
+    "Channels": "matching.kept_channels",
     "ComparedBlocks": "results",
     "EquirectangularCamera": "camera",
     "FisheyeCamera": "camera",
