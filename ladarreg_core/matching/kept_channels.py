@@ -51,7 +51,7 @@ class Channels:
     """
 
     def __init__(self, *, most_bytes: int = _MOST_BYTES) -> None:
-        require_int(most_bytes, "`most_bytes`", least=0)
+        require_int(most_bytes, "the memory of channels", least=0)
         self._most_bytes = most_bytes
         self._entries: OrderedDict[str, PhotoLevels | ScanLevels | Arrays] = OrderedDict()
         self._lock = RLock()
@@ -244,6 +244,7 @@ def _bytes_of(value: object) -> int:
 
 
 def _arrays_of(entry: PhotoLevels | ScanLevels | Arrays) -> dict[str, NDArray[Any]]:
+    found: dict[str, NDArray[Any]]
     if isinstance(entry, PhotoLevels):
         found = {f"planes {L}.{k}": plane for L in LEVELS for k, plane in enumerate(entry.planes[L])}
         found |= {f"usable {L}": entry.usable[L] for L in LEVELS} | {f"channels {L}": entry.channels[L] for L in LEVELS}

@@ -105,9 +105,9 @@ def register_by_modality(
         if is_wide(photo):
             return register_faces(scan, photo, steps, initial=initial, options=o)
         if not coarse:
-            pair = _pair(scan, photo, channels)
+            levels = _pair(scan, photo, channels)
             return register_auto(
-                scan, photo, steps, initial=initial, options=o, pair=pair, prior=prior, channels=channels
+                scan, photo, steps, initial=initial, options=o, pair=levels, prior=prior, channels=channels
             )  # fmt: skip
         levels = _pair(scan, photo, channels)
         tried = _gated(o, coarse=True, interpolated=interpolated)

@@ -384,7 +384,8 @@ def _extremes(values: FloatArray, faces: IntArray) -> tuple[FloatArray, FloatArr
 
 def _tiles(pixels: FloatArray, count: int) -> IntArray:
     """Return the tiles of pixels along an axis, from 0 before the photograph to `count` - 1 beyond it."""
-    return np.nan_to_num(np.floor(pixels / np.float32(_TILE_PX)) + 1, nan=0.0).clip(0, count - 1).astype(np.intp)
+    tiles = np.nan_to_num(np.floor(pixels / np.float32(_TILE_PX)) + 1, nan=0.0).clip(0, count - 1)
+    return np.asarray(tiles, dtype=np.intp)
 
 
 def _faces_near(faces: IntArray, uv: FloatArray, camera: CameraModel) -> IntArray:

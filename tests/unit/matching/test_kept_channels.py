@@ -169,5 +169,5 @@ def test_what_is_no_entry_is_refused(room: PaintedRoom) -> None:
         channels.arrays("0" * 64)
     with pytest.raises(OptionError, match="channels"):
         lr.register(room.scan, room.photo, channels={})  # type: ignore[arg-type]
-    with pytest.raises(OptionError, match="most_bytes"):
+    with pytest.raises(OptionError, match="memory"):
         lr.Channels(most_bytes=-1)
