@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from ladarreg_core.matching.auto import AutoOptions as AutoOptions
     from ladarreg_core.matching.image_check import ImageCheck as ImageCheck
     from ladarreg_core.matching.image_check import with_image_check as with_image_check
+    from ladarreg_core.matching.kept_channels import Channels as Channels
     from ladarreg_core.photo import Photo as Photo
     from ladarreg_core.pose.estimate import PoseOptions as PoseOptions
     from ladarreg_core.pose.estimate import estimate_pose as estimate_pose
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from ladarreg_core.progress import Step as Step
     from ladarreg_core.registration import RegisterOptions as RegisterOptions
     from ladarreg_core.registration import register as register
+    from ladarreg_core.results import ComparedBlocks as ComparedBlocks
     from ladarreg_core.results import PoseResult as PoseResult
     from ladarreg_core.results import Registration as Registration
     from ladarreg_core.rig.options import RigOptions as RigOptions
@@ -61,6 +63,7 @@ if TYPE_CHECKING:
     from ladarreg_core.surface.perspective import View as View
     from ladarreg_core.surface.perspective import perspective_view as perspective_view
     from ladarreg_core.surface.photo_points import PhotoPoints as PhotoPoints
+    from ladarreg_core.surface.photo_points import PhotoPointsWithNormals as PhotoPointsWithNormals
     from ladarreg_core.surface.photo_points import xyz_of_photo as xyz_of_photo
     from ladarreg_core.surface.texture import Label as Label
     from ladarreg_core.surface.texture import RegisteredTexture as RegisteredTexture
@@ -73,6 +76,8 @@ _HOMES = {
     "AutoOptions": "matching.auto",
     "Camera": "camera",
     "Cancelled": "errors",
+    "Channels": "matching.kept_channels",
+    "ComparedBlocks": "results",
     "EquirectangularCamera": "camera",
     "FisheyeCamera": "camera",
     "ImageCheck": "matching.image_check",
@@ -81,6 +86,7 @@ _HOMES = {
     "Matches": "matches",
     "Photo": "photo",
     "PhotoPoints": "surface.photo_points",
+    "PhotoPointsWithNormals": "surface.photo_points",
     "Pick": "matches",
     "PoseOptions": "pose.estimate",
     "PoseResult": "results",

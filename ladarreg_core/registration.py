@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from typing import Literal, get_args
 
@@ -16,6 +17,7 @@ from ladarreg_core.errors import DegenerateGeometryError, OptionError, ShapeErro
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matches import Matches, Pick, picks_of_arrays
 from ladarreg_core.matching.auto import AutoOptions, AutoResult
+from ladarreg_core.matching.kept_channels import Channels
 from ladarreg_core.matching.modality import register_by_modality
 from ladarreg_core.matching.support import carries_intensity
 from ladarreg_core.matching.thesis.chain import ThesisOptions, ThesisResult, thesis_stages
@@ -29,6 +31,7 @@ from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.progress import StepLog, StepReport
 from ladarreg_core.results import PoseResult, Registration
 from ladarreg_core.scan import Scan
+from ladarreg_core.side_by_side import one_thread
 from ladarreg_core.validation import LARGEST_INT, require_choice, require_int, require_positive, require_type
 
 _LOSSES_SHOWN = 3
@@ -89,6 +92,8 @@ def register(
     initial: Rigid | None = None,
     options: RegisterOptions | None = None,
     report: StepReport | None = None,
+    channels: Channels | None = None,
+    threads: int | None = None,
 ) -> Registration:
     """Estimate the camera pose of a photograph relative to a scan, with its uncertainty and a verdict.
 
@@ -107,13 +112,19 @@ def register(
         initial: a starting pose, `camera_from_scanner`, tried before all others.
         options: seed, methods and thresholds.
         report: receives every finished `Step`; may raise `Cancelled`.
+        channels: keeps the channels of scan and photograph that `auto` makes, and those of earlier calls that it was
+            given to; the result is the same, bit for bit.
+        threads: 1: everything is done in the calling thread, e.g. where many pairs are registered in processes of
+            their own; OpenCV has one pool for the whole process, which has one thread meanwhile. None: two, where there
+            are two processor cores. The result is the same, bit for bit.
 
     Returns:
         The registration. A refused pose is a result, too, with `accepted` False and `reasons`; it is then only the best
         candidate and must not be shown as registered.
 
     Raises:
-        OptionError: if the method is unknown, `manual` has no picks, or an argument is of a wrong type.
+        OptionError: if the method is unknown, `manual` has no picks, `threads` is another number, or an argument is of
+            a wrong type.
         ShapeError: if the arrays of matches do not match, or lie outside the scan.
         DegenerateGeometryError: if the picks do not determine a pose.
     """
@@ -121,13 +132,17 @@ def register(
     if uv is not None or not rays is points is cells is None:
         picks = _picks_of(scan, picks, uv, rays, points, cells)
     _check_types(scan, photo, picks, initial, o)
+    if channels is not None:
+        require_type(channels, Channels, "'channels'")
     require_choice(method, get_args(RegistrationMethod), "the method")
     if method == "manual" and not picks:
         raise OptionError("the method 'manual' has no picks; give points or lines, or use the method 'auto'")
+    if threads is not None:
+        require_int(threads, "the number of threads", least=1, most=1)
     steps = StepLog(report)
     # With several threads BLAS sums in another order, and the last digits of a pose would depend on the machine.
-    with threadpool_limits(limits=1, user_api="blas"):
-        return _register(scan, photo, steps, method, picks, initial, o)
+    with threadpool_limits(limits=1, user_api="blas"), nullcontext() if threads is None else one_thread():
+        return _register(scan, photo, steps, method, picks, initial, o, channels)
 
 
 def _picks_of(
@@ -174,6 +189,7 @@ def _register(
     picks: Sequence[Pick] | None,
     initial: Rigid | None,
     options: RegisterOptions,
+    channels: Channels | None,
 ) -> Registration:
     if method == "thesis":
         chain = thesis_stages(
@@ -189,7 +205,7 @@ def _register(
         result = _manual_result(scan, photo, steps, picks, initial, options)
         result = with_lengths_checked(result, scan, picks, tolerance_m=options.match_tolerance_m)
         return _registration(result, scan, "manual", steps, options)
-    found, photo = _register_cameras(scan, photo, steps, initial, options)
+    found, photo = _register_cameras(scan, photo, steps, initial, options, channels)
     with steps.step("result"):
         result = _with_shape_alone_said(_auto_result(found, scan, photo), scan)
         if photo.assumed:
@@ -199,7 +215,12 @@ def _register(
 
 
 def _register_cameras(
-    scan: Scan, photo: Photo, steps: StepLog, initial: Rigid | None, options: RegisterOptions
+    scan: Scan,
+    photo: Photo,
+    steps: StepLog,
+    initial: Rigid | None,
+    options: RegisterOptions,
+    channels: Channels | None,
 ) -> tuple[AutoResult, Photo]:
     """Return the automatic result with the first of a photo's cameras that is accepted, and the photo with it."""
     auto = replace(options.auto, seed=options.seed)
@@ -208,7 +229,7 @@ def _register_cameras(
     for camera in cameras:
         seen = replace(photo, camera=camera, alternatives=tuple(other for other in cameras if other is not camera))
         found = register_by_modality(
-            scan, seen, steps, initial=initial, options=auto, prior=options.pose.camera_prior
+            scan, seen, steps, initial=initial, options=auto, prior=options.pose.camera_prior, channels=channels
         )  # fmt: skip
         if found.verification is not None and found.verification.accepted:
             return _with_camera_named(found, cameras), seen
@@ -324,6 +345,7 @@ def _auto_result(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:
         described,
         camera_sigmas=found.camera_sigmas,
         camera_uncertainty=found.camera_uncertainty,
+        blocks=blocks.compared if blocks else None,
         accepted=accepted,
         evidence="image" if accepted else "none",
         reasons=found.reasons,

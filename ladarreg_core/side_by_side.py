@@ -3,15 +3,64 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from threading import RLock
+from contextlib import contextmanager
+from contextvars import ContextVar
+from threading import Lock, RLock
 from types import TracebackType
 from typing import Any, Generic, TypeVar
+
+import cv2
 
 _THREADS = 2  # NumPy and OpenCV let go of the interpreter for parts of the work only: more threads gain nothing
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
+_alone: ContextVar[bool] = ContextVar("_alone", default=False)
+
+
+class _OpenCvAlone:
+    """OpenCV's pool, one for the process: of one thread while anybody asks for that, then of as many as before."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._asking = 0
+        self._before = 0
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._asking:
+                self._before = cv2.getNumThreads()
+                cv2.setNumThreads(1)
+            self._asking += 1
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        with self._lock:
+            self._asking -= 1
+            if not self._asking:
+                cv2.setNumThreads(self._before)
+
+
+_opencv_alone = _OpenCvAlone()
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Work in the calling thread only: what is here begins no other, and OpenCV uses one thread.
+
+    OpenCV has one pool for the whole process, so that other threads of the program are slower meanwhile. Its size is as
+    before once the last of several such blocks, one in another or side by side, has ended, with an error or without.
+    """
+    before = _alone.set(True)
+    try:
+        with _opencv_alone:
+            yield
+    finally:
+        _alone.reset(before)
+
+
+def _may_begin_another() -> bool:
+    return (os.cpu_count() or 1) > 1 and not _alone.get()
 
 
 def side_by_side(
@@ -31,7 +80,7 @@ def side_by_side(
     waiting = list(items)
     tell = before or (lambda _: None)
     done: list[_Result] = []
-    if len(waiting) < 2 or (os.cpu_count() or 1) < 2:
+    if len(waiting) < 2 or not _may_begin_another():
         for k, item in enumerate(waiting):
             tell(k)
             done.append(work(item))
@@ -71,11 +120,11 @@ class OtherCore:
     """Begins, in a second thread, work whose result is needed soon, piece by piece in the order of the calls.
 
     At the end of its `with` block, what has not been begun is dropped and the piece at work is waited for. With one
-    processor core nothing is begun ahead.
+    processor core, or made within `one_thread`, nothing is begun ahead.
     """
 
     def __init__(self) -> None:
-        self._pool = ThreadPoolExecutor(1) if (os.cpu_count() or 1) > 1 else None
+        self._pool = ThreadPoolExecutor(1) if _may_begin_another() else None
 
     def __enter__(self) -> OtherCore:
         return self

@@ -143,6 +143,7 @@ def registration_document(
             }
             for k, pick_id in enumerate(r.matches.pick_ids)
         ],
+        **({} if r.blocks is None else {"blocks": r.blocks.as_fields()}),
         "labels": {str(label.value): label.name.lower() for label in Label},
         "method": r.method,
         "steps": [

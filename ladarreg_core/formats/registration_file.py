@@ -22,6 +22,7 @@ from ladarreg_core.results import (
     GIVEN_MARK,
     STATED_OFFSET_SIGMA_M,
     STATED_OFFSET_SIGMA_RAD,
+    ComparedBlocks,
     Evidence,
     Offset,
     Registration,
@@ -98,6 +99,7 @@ def as_given(fields: Mapping[str, Any]) -> dict[str, Any]:
         return {**found, "evidence": "none"}
     reasons = fields.get("reasons")
     found.pop("camera_uncertainty", None)
+    found.pop("blocks", None)
     return {
         **found,
         "evidence": "given",
@@ -133,6 +135,9 @@ def read_result(path: PathLike, *, trust_edited: bool = False) -> tuple[Registra
                 columns["ray"], columns["range_m"], columns["uv"], tuple(str(item["pick_id"]) for item in listed)
             )
             inliers = np.array([item["inlier"] is True for item in listed], dtype=np.bool_)
+            blocks = ComparedBlocks.from_fields(document["blocks"]) if document.get("blocks") else None
+        except ShapeError as error:
+            raise FormatError(f"{one_line(error, 100)}; give an unmodified registration.json") from None
         except (KeyError, TypeError, ValueError) as error:
             raise FormatError(
                 f"the field 'matches' is damaged ({one_line(error, 60)}); give an unmodified registration.json"
@@ -147,6 +152,7 @@ def read_result(path: PathLike, *, trust_edited: bool = False) -> tuple[Registra
             stereo_depth_error_m=columns["stereo_depth_error_m"],
             chi2_per_dof=float(chi2) if isinstance(chi2, int | float) else float("nan"),
             camera_sigmas=_sigmas(document.get("camera_sigmas")),
+            blocks=blocks,
         ), document
 
 

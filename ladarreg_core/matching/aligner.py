@@ -12,6 +12,7 @@ from ladarreg_core.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.agreement import Agreement, agreement
 from ladarreg_core.matching.blocks import BlockComparison, BlockMatches, Target, block_matches, compare_blocks
+from ladarreg_core.matching.compared_blocks import compared_blocks
 from ladarreg_core.matching.covariance import RegionEvidence, region_evidence
 from ladarreg_core.matching.ecc import NO_CHANGE, CameraAnchor, CameraChange, RefineOptions, refine_pose
 from ladarreg_core.matching.pyramid import (
@@ -302,11 +303,17 @@ class Aligner:
         return region_evidence(seen, self.fine_points, camera, pose, replace(FINE, free=free, anchor=anchor))
 
     def block_matches(self, pose: Rigid) -> BlockMatches | None:
-        """Return the sub-pixel point matches of a finished pose, or None if too few blocks are visible."""
+        """Return the sub-pixel point matches and blocks of a finished pose, or None if too few blocks are visible."""
         seen = self._fine_blocks(pose, NO_CHANGE)
         if seen is None or self.fine_points is None:
             return None
-        return block_matches(seen, self.fine_points, self.photo.cameras[0], self.photo.source)
+        working, camera = self.photo.cameras[0], self.photo.source
+        found = block_matches(seen, self.fine_points, working, camera)
+
+        def in_photo(uv: FloatArray) -> FloatArray:
+            return camera.project(working.unproject(uv))
+
+        return replace(found, compared=compared_blocks(seen, self.fine_points, in_photo, found, FINE))
 
     def _fine_blocks(self, pose: Rigid, change: CameraChange) -> BlockComparison | None:
         last = self._last_blocks  # read once: another thread may be working on another pose

@@ -21,6 +21,7 @@ from ladarreg_core.matching.aligner import Aligner, Candidate
 from ladarreg_core.matching.ambiguity import KnownPoses, ambiguity_sentence, second_minimum, second_starts
 from ladarreg_core.matching.blocks import BlockMatches
 from ladarreg_core.matching.covariance import WindowEvidence, window_evidence
+from ladarreg_core.matching.kept_channels import Channels
 from ladarreg_core.matching.pyramid import ChannelSet, PairLevels
 from ladarreg_core.matching.roll import Roll
 from ladarreg_core.matching.self_calibration import (
@@ -107,6 +108,7 @@ def register_auto(
     options: AutoOptions | None = None,
     pair: PairLevels | None = None,
     prior: CameraPrior = DEFAULT_CAMERA_PRIOR,
+    channels: Channels | None = None,
 ) -> AutoResult:
     """Find the pose of a photo from the images alone.
 
@@ -124,6 +126,7 @@ def register_auto(
         options: thresholds and seed.
         pair: the levels of the pair, if they have been computed already.
         prior: what is known of an assumed camera.
+        channels: those that are kept for further registrations; None: only those of the last view are.
     """
     o = options or AutoOptions()
     pair = pair or PairLevels(scan, photo)
@@ -148,6 +151,7 @@ def register_auto(
             good_fraction=o.good_fraction,
             seed=o.seed,
             channel_set=o.channel_set,
+            channels=channels,
         )
         directions = viewing_directions(scan, working, initial=initial)
         known = KnownPoses(scan, photo.pinhole, o.gate)

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.features.channels import channel_products
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.matching.sampling import Blocks, ViewPoints, runs
 from ladarreg_core.matching.zbuffer import Occluder
+from ladarreg_core.results import ComparedBlocks
 
 MIN_POINTS = 8
 """Least number of visible points of a block."""
@@ -238,6 +239,10 @@ class BlockMatches:
     """(M,) bool, offset within 3.5 robust standard deviations."""
     scatter_px: float
     """Standard deviation of the inliers' offsets from the projection, photo pixels; NaN without matches."""
+    of_block: IntArray
+    """(M,) the block of each match among those compared."""
+    compared: ComparedBlocks | None = None
+    """All blocks that were compared, with their information; None: not asked for."""
 
 
 def block_matches(seen: BlockComparison, points: ViewPoints, working: Camera, camera: Camera) -> BlockMatches:
@@ -261,24 +266,32 @@ def block_matches(seen: BlockComparison, points: ViewPoints, working: Camera, ca
     det = np.maximum(uu * vv - uv * uv, np.finfo(np.float64).tiny)  # flat blocks do not move
     offset = np.stack([vv * right_u - uv * right_v, uu * right_v - uv * right_u], axis=-1) / det[:, None]
 
-    nearest = _centre_points(seen)
+    nearest = centre_points(seen)
     at = points.points[seen.index[nearest]].astype(np.float64)
     ranges = np.linalg.norm(at, axis=-1)
     pixel = seen.uv[nearest].astype(np.float64) + offset
     own = camera.project(working.unproject(pixel))
     matched = (seen.rho >= _MIN_CORRELATION) & np.isfinite(own).all(axis=-1)
-    grid = points.blocks.grid[points.blocks.of_point[seen.index[nearest]]][matched]
-    names = tuple(f"b{row}.{column}" for row, column in grid.tolist())
-    matches = Matches(at[matched] / ranges[matched, None], ranges[matched], own[matched], names)
+    of_block = np.flatnonzero(matched)
+    names = block_names(seen, points)
+    matches = Matches(
+        at[matched] / ranges[matched, None], ranges[matched], own[matched], tuple(names[k] for k in of_block.tolist())
+    )
     if not len(matches):
-        return BlockMatches(matches, np.zeros(0, np.bool_), float("nan"))
+        return BlockMatches(matches, np.zeros(0, np.bool_), float("nan"), of_block)
     off = np.abs(offset[matched])
     scatter = _SD_OF_MEDIAN * float(np.median(off)) + _MIN_SCATTER_PX
     inliers = off.max(axis=-1) <= _OUTLIER_SIGMA * scatter
-    return BlockMatches(matches, inliers, scatter * camera.focal_px / working.focal_px)
+    return BlockMatches(matches, inliers, scatter * camera.focal_px / working.focal_px, of_block)
 
 
-def _centre_points(seen: BlockComparison) -> NDArray[np.intp]:
+def block_names(seen: BlockComparison, points: ViewPoints) -> tuple[str, ...]:
+    """Return the name of each block (b,): its row and column in the scan's view."""
+    grid = points.blocks.grid[points.blocks.of_point[seen.index[seen.blocks.starts]]]
+    return tuple(f"b{row}.{column}" for row, column in grid.tolist())
+
+
+def centre_points(seen: BlockComparison) -> NDArray[np.intp]:
     """Return the index of the point of each block (b,) nearest to the block's centroid."""
     of = seen.blocks.of_point
     middle: FloatArray = (seen.blocks.sum(seen.uv.T) / seen.count).T

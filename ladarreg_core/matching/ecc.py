@@ -244,7 +244,7 @@ def step_system(seen: BlockComparison, camera: Camera, options: RefineOptions) -
     Ju, Jv = _jacobian(seen.points_camera, camera, options.free)
     along_b, along_a = _along(seen, Ju, Jv)
 
-    weight = _weights(seen, options.tau_px)
+    weight = block_weights(seen, options.tau_px)
     # Only the fraction rho of a block's signal is shared with the photo and contributes curvature; the rest of B's
     # gradient is noise, and including it would shorten every step by rho.
     curvature = weight * rho
@@ -291,7 +291,7 @@ def block_systems(seen: BlockComparison, camera: Camera, options: RefineOptions)
         block's mean motion, which is sufficient for the jackknife over regions.
     """
     Ju, Jv = _jacobian(seen.points_camera, camera, options.free)
-    weight = _weights(seen, options.tau_px)
+    weight = block_weights(seen, options.tau_px)
     along_b, along_a = _along(seen, Ju, Jv)
     g = (weight * (along_a - seen.rho * along_b)).T
     curvature = (weight * seen.rho).astype(np.float64)
@@ -305,7 +305,8 @@ def block_systems(seen: BlockComparison, camera: Camera, options: RefineOptions)
     return np.asarray(curvature[:, None, None] * H), np.asarray(g, np.float64)
 
 
-def _weights(seen: BlockComparison, tau_px: float) -> FloatArray:
+def block_weights(seen: BlockComparison, tau_px: float) -> FloatArray:
+    """Return the weights (b,) of blocks in a refinement; `tau_px` as in `RefineOptions`."""
     return np.asarray(seen.rho**2 / (1 + (_block_steps(seen) / tau_px) ** 2) ** 2)
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
@@ -20,6 +19,7 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.matching.agreement import Agreement, joined
 from ladarreg_core.matching.aligner import FINE, FINISH, FINISH_ROUNDS, REFINEMENT, STILL_PX, Aligner
 from ladarreg_core.matching.blocks import BlockComparison, BlockMatches, Target, block_matches, compare_blocks
+from ladarreg_core.matching.compared_blocks import compared_blocks
 from ladarreg_core.matching.covariance import RegionEvidence, WindowEvidence, jackknife, window_evidence
 from ladarreg_core.matching.ecc import (
     MAX_MOTION_PX,
@@ -36,6 +36,7 @@ from ladarreg_core.matching.pyramid import ChannelFloors, ChannelSet, ScanLevels
 from ladarreg_core.matching.sampling import ViewPoints
 from ladarreg_core.matching.verification import GateOptions, Verification, region_markers, verify
 from ladarreg_core.matching.views import direction_towards_overlap
+from ladarreg_core.results import ComparedBlocks
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import perspective_view
 
@@ -213,10 +214,16 @@ class JointAligner:
 
     def block_matches(self, pose: Rigid) -> BlockMatches | None:
         """Return the sub-pixel matches of all faces at a finished pose, in the photograph's pixels; None without."""
-        found: list[tuple[Matches, NDArray[np.bool_], float]] = []
+        found: list[BlockMatches] = []
+        compared: list[ComparedBlocks] = []
+        before = 0
         for pair, seen, points in self._fine_blocks(pose):
             camera = pair.face.camera
             blocks = block_matches(seen, points, self.working, camera)
+            first, before = before, before + len(seen.blocks)
+            in_photo = partial(self.faces.in_photo, pair.face, camera=self.working)
+            own = compared_blocks(seen, points, in_photo, blocks, FINE)
+            compared.append(own.named(f"f{pair.face.number}."))
             uv = self.faces.in_photo(pair.face, blocks.matches.uv, camera)
             known = np.asarray(np.isfinite(uv).all(axis=-1))
             if not known.any():
@@ -228,13 +235,19 @@ class JointAligner:
                 uv[known],
                 tuple(name for name, kept in zip(names, known.tolist(), strict=True) if kept),
             )
-            found.append((matches, blocks.inliers[known], blocks.scatter_px))
+            of_block = blocks.of_block[known] + first
+            found.append(BlockMatches(matches, blocks.inliers[known], blocks.scatter_px, of_block))
         if not found:
             return None
-        parts = [matches for matches, _, _ in found]
-        weights = np.array([len(part) for part in parts], dtype=np.float64)
-        scatter = float(np.sqrt(np.average([s**2 for _, _, s in found], weights=weights)))
-        return BlockMatches(Matches.joined(parts), np.concatenate([inliers for _, inliers, _ in found]), scatter)
+        weights = np.array([len(part.matches) for part in found], dtype=np.float64)
+        scatter = float(np.sqrt(np.average([part.scatter_px**2 for part in found], weights=weights)))
+        return BlockMatches(
+            Matches.joined([part.matches for part in found]),
+            np.concatenate([part.inliers for part in found]),
+            scatter,
+            np.concatenate([part.of_block for part in found]),
+            ComparedBlocks.joined(compared),
+        )
 
     def _regions(self, pose: Rigid) -> RegionEvidence | None:
         parts = []

@@ -16,6 +16,7 @@ from ladarreg_core.camera.uncertainty import DEFAULT_CAMERA_PRIOR, CameraPrior
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.auto import AutoOptions, AutoResult, Reach, register_auto
 from ladarreg_core.matching.face_registration import is_wide, register_faces
+from ladarreg_core.matching.kept_channels import Channels
 from ladarreg_core.matching.pyramid import ChannelSet, PairLevels
 from ladarreg_core.matching.support import carries_intensity, is_coarse, is_interpolated
 from ladarreg_core.matching.verification import (
@@ -73,6 +74,7 @@ def register_by_modality(
     initial: Rigid | None = None,
     options: AutoOptions | None = None,
     prior: CameraPrior = DEFAULT_CAMERA_PRIOR,
+    channels: Channels | None = None,
 ) -> AutoResult:
     """Find the pose of a photo from the images alone, with the scan channels that agree best with it.
 
@@ -89,6 +91,7 @@ def register_by_modality(
         initial: an initial pose, tried first.
         options: thresholds and seed; thermal images have their own thresholds.
         prior: what is known of an assumed camera.
+        channels: those that are kept for further registrations; None: only those of the scan's last view are.
     """
     o = options or AutoOptions()
     shape_alone = not carries_intensity(scan)
@@ -102,21 +105,26 @@ def register_by_modality(
         if is_wide(photo):
             return register_faces(scan, photo, steps, initial=initial, options=o)
         if not coarse:
-            return register_auto(scan, photo, steps, initial=initial, options=o, prior=prior)
-        levels = PairLevels(scan, photo)
+            levels = _pair(scan, photo, channels)
+            return register_auto(
+                scan, photo, steps, initial=initial, options=o, pair=levels, prior=prior, channels=channels
+            )  # fmt: skip
+        levels = _pair(scan, photo, channels)
         tried = _gated(o, coarse=True, interpolated=interpolated)
-        result = register_auto(scan, photo, steps, initial=initial, options=tried, pair=levels, prior=prior)
+        result = register_auto(
+            scan, photo, steps, initial=initial, options=tried, pair=levels, prior=prior, channels=channels
+        )  # fmt: skip
         return (
             result
             if shape_alone or interpolated
-            else _more_precise(result, levels.as_dense(), scan, photo, steps, o, prior)
+            else _more_precise(result, levels.as_dense(), scan, photo, steps, o, prior, channels)
         )
     thermal = photo.temperature_k is not None
     if thermal:
         # A few blurred regions determine a pose, but not the lens as well.
         o = replace(o, gate=COARSE_GATE, intrinsics="fixed" if o.intrinsics == "auto" else o.intrinsics)
     found: dict[ChannelSet, AutoResult] = {}
-    pair = None if is_wide(photo) else PairLevels(scan, photo)
+    pair = None if is_wide(photo) else _pair(scan, photo, channels)
     start = initial
     for channel_set in ("geometry",) if shape_alone else get_args(ChannelSet):
         if len(found) == 2 and not any(map(_is_promising, found.values())):
@@ -128,7 +136,9 @@ def register_by_modality(
         found[channel_set] = (
             register_faces(scan, photo, steps, initial=start, options=tried)
             if pair is None
-            else register_auto(scan, photo, steps, initial=start, options=tried, pair=pair, prior=prior)
+            else register_auto(
+                scan, photo, steps, initial=start, options=tried, pair=pair, prior=prior, channels=channels
+            )
         )
         if _accepted(found[channel_set]) and not thermal:
             break
@@ -151,6 +161,10 @@ def register_by_modality(
     return _labelled(answer, best, thermal=thermal)
 
 
+def _pair(scan: Scan, photo: Photo, channels: Channels | None) -> PairLevels:
+    return PairLevels(scan, photo) if channels is None else PairLevels(scan, photo, levels_of=channels.photo_levels)
+
+
 def _gated(options: AutoOptions, *, coarse: bool, interpolated: bool) -> AutoOptions:
     """Return the options with the thresholds for a coarse or an interpolated scan, if it is."""
     gate = options.gate
@@ -167,6 +181,7 @@ def _more_precise(
     steps: StepLog,
     options: AutoOptions,
     prior: CameraPrior,
+    channels: Channels | None,
 ) -> AutoResult:
     """Return a coarse scan's result, or that of the usual comparison near it if nearly all regions agree there.
 
@@ -176,8 +191,9 @@ def _more_precise(
         return result
     usual = replace(options, reach="near_start")
     other = register_auto(
-        scan, photo, steps, initial=result.camera_from_scanner, options=usual, pair=as_dense, prior=prior
-    )
+        scan, photo, steps,
+        initial=result.camera_from_scanner, options=usual, pair=as_dense, prior=prior, channels=channels,
+    )  # fmt: skip
     shares_print = other.verification is not None and other.verification.fraction >= _SHARED_PRINT
     return other if _accepted(other) and shares_print else result
 

@@ -473,9 +473,10 @@ class PairLevels:
     Args:
         scan: the scan.
         photo: the photograph.
+        levels_of: gives the photo's levels, with the arguments of `photo_levels`.
     """
 
-    def __init__(self, scan: Scan, photo: Photo) -> None:
+    def __init__(self, scan: Scan, photo: Photo, *, levels_of: Callable[..., PhotoLevels] = photo_levels) -> None:
         self.scan = scan
         self.working = working_camera(scan, photo.pinhole)
         self.coarse = is_coarse(scan, photo.pinhole)
@@ -483,13 +484,14 @@ class PairLevels:
         self.harmonics = harmonics_of(scan, photo.pinhole)
         """Harmonics of the channels."""
         self._photo = photo
+        self._levels_of = levels_of
         self._photo_levels: PhotoLevels | None = None
         self.kept_views = _KEPT_VIEWS_OF_LARGE if scan.ranges.size > _LARGEST_WHOLE_SCAN else _KEPT_VIEWS
         self._views: deque[tuple[Rigid, ScanLevels]] = deque()
 
     def as_dense(self) -> PairLevels:
         """Return the pair with its scan compared as if it was not coarse; the photo's levels are shared."""
-        other = PairLevels(self.scan, self._photo)
+        other = PairLevels(self.scan, self._photo, levels_of=self._levels_of)
         other.coarse, other._photo_levels = False, self._photo_levels
         return other
 
@@ -497,7 +499,7 @@ class PairLevels:
     def photo(self) -> PhotoLevels:
         """The photo's levels."""
         if self._photo_levels is None:
-            self._photo_levels = photo_levels(self._photo, self.working, harmonics=self.harmonics)
+            self._photo_levels = self._levels_of(self._photo, self.working, harmonics=self.harmonics)
         return self._photo_levels
 
     def view(self, direction: Rigid, channel_set: ChannelSet) -> ScanLevels:

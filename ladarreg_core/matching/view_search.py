@@ -16,6 +16,7 @@ from ladarreg_core.matching.ambiguity import KnownPoses
 from ladarreg_core.matching.ecc import RefineOptions, RefineResult, refine_pose
 from ladarreg_core.matching.grid_search import ScoredPose, likely_poses
 from ladarreg_core.matching.hypotheses import Hypothesis, count_inliers, descriptor_corners, hypotheses, points_at
+from ladarreg_core.matching.kept_channels import Channels
 from ladarreg_core.matching.kept_view import keep, recall
 from ladarreg_core.matching.pyramid import LEVELS, ChannelSet, PairLevels, ScanLevels
 from ladarreg_core.matching.roll import Roll, roll_between
@@ -41,6 +42,7 @@ class ViewSearch:
         good_fraction: fraction of agreeing regions that ends the search.
         seed: random seed.
         channel_set: scan channels to compare.
+        channels: those that are kept for further registrations; None: only those of the last view are.
     """
 
     def __init__(
@@ -53,8 +55,10 @@ class ViewSearch:
         good_fraction: float,
         seed: int,
         channel_set: ChannelSet = "both",
+        channels: Channels | None = None,
     ) -> None:
         self._pair = pair
+        self._channels = channels
         self._scan = pair.scan
         self._photo = pair.photo
         self._steps = steps
@@ -83,7 +87,7 @@ class ViewSearch:
         if len(self._kept) == self._pair.kept_views:
             self._kept.popleft()  # before the next one takes as much memory
         with self._steps.step("channels") as note:
-            levels = _view_levels(self._pair, direction, self._channel_set)
+            levels = _view_levels(self._pair, direction, self._channel_set, self._channels)
             of_intensity = None
             if not levels.has_channels:
                 of_intensity = self._other_core.begin(lambda: levels.intensity_channels)
@@ -96,6 +100,8 @@ class ViewSearch:
                 of_intensity.result()
                 _ = levels.channels
                 keep(self._pair.scan, self._pair.working, direction, levels)
+            if self._channels is not None:
+                self._channels.keep_view(self._pair.scan, self._pair.working, direction, levels)
             aligner = Aligner(levels, self._photo, gate=self._gate, seed=self._seed)
             if self._of_photo is not None:
                 self._of_photo.result()
@@ -240,10 +246,13 @@ def _coarse_refinements(aligner: Aligner, poses: Sequence[ScoredPose]) -> list[R
     return [end for end in side_by_side(refined, poses) if end is not None]
 
 
-def _view_levels(pair: PairLevels, direction: Rigid, channel_set: ChannelSet) -> ScanLevels:
+def _view_levels(pair: PairLevels, direction: Rigid, channel_set: ChannelSet, channels: Channels | None) -> ScanLevels:
     """Return the scan's levels, those kept of another photo if there are any."""
     if not pair.has_view(direction):
-        kept = recall(pair.scan, pair.working, direction, channel_set, coarse=pair.coarse, harmonics=pair.harmonics)
+        asked = pair.scan, pair.working, direction, channel_set
+        kept = recall(*asked, coarse=pair.coarse, harmonics=pair.harmonics)
+        if kept is None and channels is not None:
+            kept = channels.view(*asked, coarse=pair.coarse, harmonics=pair.harmonics)
         if kept is not None:
             pair.add_view(direction, kept)
     levels = pair.view(direction, channel_set)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, cast
 
 import msgspec
@@ -18,10 +18,11 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.progress import Step
 from ladarreg_core.project.document import PickEntry, PoseEntry, StepEntry
 from ladarreg_core.project.stored_arrays import StoredArrays
-from ladarreg_core.results import PoseResult, Registration, StageId
+from ladarreg_core.results import ComparedBlocks, PoseResult, Registration, StageId
 
 _MATCH_ARRAYS = ("rays", "ranges", "uv", "fractions", "weights", "range_weights", "directions", "across")
 _RESULT_ARRAYS = ("inliers", "residuals_px", "residuals_m", "stereo_depth_error_m")
+_BLOCK_ARRAYS = ("uv", "offset_px", "information", "correlation", "agrees")
 _SOLVED_ON = "solved_on"
 """Name of the array with the picks, as JSON; in an array because the document is written at every edit."""
 
@@ -57,6 +58,9 @@ def pose_entry(
     arrays: dict[str, Any] = {name: getattr(result.matches, name) for name in _MATCH_ARRAYS}
     arrays |= {name: getattr(result, name) for name in _RESULT_ARRAYS}
     arrays["pick_ids"] = np.array(result.matches.pick_ids, dtype=np.str_)
+    if result.blocks is not None:
+        arrays |= {f"block_{name}": getattr(result.blocks, name) for name in _BLOCK_ARRAYS}
+        arrays["block_ids"] = np.array(result.blocks.ids, dtype=np.str_)
     if picks is not None:
         kept = msgspec.json.encode([pick for pick in picks if pick.on])
         arrays[_SOLVED_ON] = np.frombuffer(kept, np.uint8)
@@ -146,10 +150,20 @@ def registration_of(entry: PoseEntry) -> Registration:
             steps=tuple(Step(s.name, s.seconds, detail=s.detail) for s in entry.steps),
             options=entry.options,
             seed=entry.seed,
+            blocks=_blocks_of(arrays),
             **{name: arrays[name] for name in _RESULT_ARRAYS},
         )
     except (KeyError, LadarregError) as error:
         raise FormatError(f"the pose of the stage '{entry.stage}' is damaged ({error}); solve again") from None
+
+
+def _blocks_of(arrays: Mapping[str, Any]) -> ComparedBlocks | None:
+    """Return the blocks among the arrays of an entry; None in those of older versions, and where there are none."""
+    if "block_ids" not in arrays:
+        return None
+    return ComparedBlocks(
+        ids=tuple(map(str, arrays["block_ids"])), **{name: arrays[f"block_{name}"] for name in _BLOCK_ARRAYS}
+    )
 
 
 def _rows(matrix: Any) -> tuple[tuple[float, ...], ...]:

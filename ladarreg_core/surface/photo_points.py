@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,8 +38,10 @@ _MOST_CELLS = 4_000_000  # larger scans are thinned
 _ROWS_AT_ONCE = 64
 _DIGITS = 1024  # of a triangle's number, drawn as three colours
 _LEAST_COSINE = 0.02
-_CLICKS_AT_ONCE = 256
+_PAIRS_AT_ONCE = 1_000_000
 _RIM = 1e-9
+_TILE_PX = 16
+_BENT = np.float32(0.25)  # of a triangle's extent in the photograph, beyond its corners
 _MOST_EXTENDED = 0.05  # of the distance, between a triangle and the pixel beside it
 
 
@@ -54,6 +56,18 @@ class PhotoPoints(NamedTuple):
     point, or the uncertainty of the pose is not known because it was given."""
 
 
+class PhotoPointsWithNormals(NamedTuple):
+    """Points of the laser under pixels of a photograph, and the directions of the surface there."""
+
+    xyz: NDArray[np.floating]
+    """As in `PhotoPoints`."""
+    sigma: NDArray[np.float32]
+    """As in `PhotoPoints`."""
+    normals: NDArray[np.float32]
+    """(H, W, 3) or (N, 3) unit normals toward the scanner, in the frame of the points; NaN where there is no point."""
+
+
+@overload
 def xyz_of_photo(
     scan: Scan,
     registration: PoseResult,
@@ -62,7 +76,29 @@ def xyz_of_photo(
     frame: Frame = "scanner",
     sigma_range_m: float | None = None,
     sigma_uv_px: float = 0.0,
-) -> PhotoPoints:
+    normals: Literal[False] = False,
+) -> PhotoPoints: ...
+@overload
+def xyz_of_photo(
+    scan: Scan,
+    registration: PoseResult,
+    *,
+    at: ArrayLike | None = None,
+    frame: Frame = "scanner",
+    sigma_range_m: float | None = None,
+    sigma_uv_px: float = 0.0,
+    normals: Literal[True],
+) -> PhotoPointsWithNormals: ...
+def xyz_of_photo(
+    scan: Scan,
+    registration: PoseResult,
+    *,
+    at: ArrayLike | None = None,
+    frame: Frame = "scanner",
+    sigma_range_m: float | None = None,
+    sigma_uv_px: float = 0.0,
+    normals: bool = False,
+) -> PhotoPoints | PhotoPointsWithNormals:
     """Return the laser's point under each pixel of a registered photograph, or under chosen pixels, with its sigma.
 
     Args:
@@ -72,20 +108,24 @@ def xyz_of_photo(
         frame: `scanner`, or `world` if the scan states where it stands.
         sigma_range_m: noise of a range, m; None: that of the registration.
         sigma_uv_px: standard deviation of the pixels along each axis, e.g. of clicks.
+        normals: return the surface's normals, too.
 
     Returns:
-        Points and standard deviations. Points are not interpolated across depth edges; where two surfaces follow each
-        other within a pixel it may be either.
+        Points and standard deviations, and normals if they are asked for: of the scan's surface, averaged over a window
+        that suits its noise and between the corners of a triangle, without the uncertainty of the pose. Points are not
+        interpolated across depth edges; where two surfaces follow each other within a pixel it may be either.
 
     Raises:
         ExportError: if the pose was refused.
-        OptionError: if the frame is unknown or there is no world, or a standard deviation is negative.
+        OptionError: if the frame is unknown or there is no world, a standard deviation is negative, or `normals` is not
+            a truth value.
         ShapeError: if `at` is not (N, 2).
     """
     require_type(scan, Scan, "'scan'")
     require_type(registration, PoseResult, "'registration'")
     require_choice(frame, get_args(Frame), "the frame")
     require_number(sigma_uv_px, "sigma_uv_px", least=0)
+    require_type(normals, bool, "'normals'")
     noise = registration.sigma_range_m if sigma_range_m is None else sigma_range_m
     require_number(noise, "sigma_range_m", least=0)
     if not registration.is_shown:
@@ -104,20 +144,29 @@ def xyz_of_photo(
     if chosen is not None:
         inside = np.asarray(camera.contains(chosen, border=-0.5))
         rays = np.where(inside[:, None], camera.unproject(chosen), np.nan)
-        points, sigma = surface.points_on(surface.first_hit(rays), rays, chosen)
-        return _placed(points, sigma, world if frame == "world" else None, dtype)
-    xyz = np.empty((camera.height, camera.width, 3), dtype)
-    sigmas = np.empty((camera.height, camera.width), np.float32)
-    for rows, triangles, directions, uv in surface.rendered():
-        points, sigma = surface.points_on(triangles, directions, uv)
-        placed = _placed(points, sigma, world if frame == "world" else None, dtype)
-        xyz[rows], sigmas[rows] = (part.reshape(xyz[rows].shape[: part.ndim + 1]) for part in placed)
-    return PhotoPoints(xyz, sigmas)
+        found = surface.points_on(surface.first_hit(rays, chosen), rays, chosen)
+        placed = _placed(*found, world if frame == "world" else None, dtype)
+        return placed if normals else PhotoPoints(*placed[:2])
+    shape = (camera.height, camera.width)
+    xyz, sigmas = np.empty((*shape, 3), dtype), np.empty(shape, np.float32)
+    directions = np.empty((*shape, 3), np.float32) if normals else None
+    for rows, triangles, rays, uv in surface.rendered():
+        found = surface.points_on(triangles, rays, uv)
+        placed = _placed(*found, world if frame == "world" else None, dtype)
+        xyz[rows], sigmas[rows] = placed.xyz.reshape(xyz[rows].shape), placed.sigma.reshape(sigmas[rows].shape)
+        if directions is not None:
+            directions[rows] = placed.normals.reshape(directions[rows].shape)
+    return PhotoPoints(xyz, sigmas) if directions is None else PhotoPointsWithNormals(xyz, sigmas, directions)
 
 
-def _placed(points: FloatArray, sigma: FloatArray, world: Rigid | None, dtype: type[np.floating[Any]]) -> PhotoPoints:
-    moved = points if world is None else world @ points
-    return PhotoPoints(np.asarray(moved, dtype=dtype), np.asarray(sigma, dtype=np.float32))
+def _placed(
+    points: FloatArray, sigma: FloatArray, normals: FloatArray, world: Rigid | None, dtype: type[np.floating[Any]]
+) -> PhotoPointsWithNormals:
+    if world is not None:
+        points, normals = world @ points, normals @ world.rotation.T
+    return PhotoPointsWithNormals(
+        np.asarray(points, dtype=dtype), np.asarray(sigma, dtype=np.float32), np.asarray(normals, dtype=np.float32)
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,6 +179,8 @@ class _Surface:
     """(V, 3), scanner frame."""
     in_camera: NDArray[np.float64]
     """(V, 3), camera frame."""
+    uv: FloatArray
+    """(V, 2), photo pixels; NaN outside the camera's domain."""
     normals: NDArray[np.float32]
     """(V, 3), scanner frame."""
     faces: IntArray
@@ -147,9 +198,10 @@ class _Surface:
         vertices = mesh.vertices.astype(np.float64)
         known = registration.joint_covariance
         in_camera = np.asarray(pose @ vertices, dtype=np.float64)
+        uv = camera.project(in_camera)
         return _Surface(
-            camera, pose, vertices, in_camera, cell_normals(scan, mesh.cells),
-            _faces_near(mesh.faces, in_camera, camera),
+            camera, pose, vertices, in_camera, uv, cell_normals(scan, mesh.cells),
+            _faces_near(mesh.faces, uv, camera),
             None if known is None else covariance_factor(known),
             known if isinstance(known, CameraUncertainty) and isinstance(camera, Camera) else None,
             sigma_range_m, sigma_uv_px,
@@ -185,15 +237,16 @@ class _Surface:
                 found[inside] = drawn[row[inside], column[inside]]
             yield rows, found, rays, uv
 
-    def first_hit(self, rays: FloatArray) -> IntArray:
-        """Return the nearest triangle that each ray (N, 3), camera frame, meets; -1: none."""
+    def first_hit(self, rays: FloatArray, at: FloatArray) -> IntArray:
+        """Return the nearest triangle that each ray (N, 3), camera frame, of pixels (N, 2) meets; -1: none."""
         from scipy.spatial import cKDTree
 
         found = np.full(len(rays), -1, np.int64)
         known = np.flatnonzero(np.isfinite(rays).all(axis=1))
         if not len(known) or not len(self.faces):
             return found
-        corners = self.in_camera[self.faces]
+        beside = self._faces_beside(at[known])
+        corners = self.in_camera[self.faces[beside]]
         with np.errstate(invalid="ignore", divide="ignore"):
             corners = corners / np.linalg.norm(corners, axis=-1, keepdims=True)
             centre = corners.mean(axis=1)
@@ -204,32 +257,59 @@ class _Surface:
         nearest[usable], _ = cKDTree(rays[known]).query(
             centre[usable], distance_upper_bound=float(reach[usable].max(initial=0)) + 1e-12
         )
-        candidates = np.flatnonzero(nearest <= reach)
-        for first in range(0, len(known), _CLICKS_AT_ONCE):
-            some = known[first : first + _CLICKS_AT_ONCE]
-            near = (cKDTree(rays[some]).query(centre[candidates])[0] <= reach[candidates]).nonzero()[0]
-            pairs = [
-                np.stack([np.full(len(hit), k), hit])
-                for k in some
-                if len(hit := candidates[near][np.linalg.norm(centre[candidates[near]] - rays[k], axis=1)
-                                        <= reach[candidates[near]]])
-            ]  # fmt: skip
-            if not pairs:
-                continue
-            ray, face = np.concatenate(pairs, axis=1)
+        near = np.flatnonzero(nearest <= reach)
+        candidates, centre, reach = beside[near], centre[near], reach[near]
+        # One tree for all rays: a search by every ray over every triangle took most of the time of many pixels.
+        tree = cKDTree(rays[known])
+        counts = np.asarray(tree.query_ball_point(centre, reach, return_length=True))
+        best = np.full(len(rays), np.inf)
+        parts = np.flatnonzero(np.diff(np.cumsum(counts) // _PAIRS_AT_ONCE)) + 1
+        for some in np.split(np.arange(len(candidates)), parts):
+            hits = tree.query_ball_point(centre[some], reach[some])
+            face = np.repeat(candidates[some], [len(one) for one in hits])
+            ray = known[np.array([k for one in hits for k in one], dtype=np.int64)]
             weights, depth = _met(self.in_camera[self.faces[face]], rays[ray])
-            meets = (weights >= -_RIM).all(axis=1) & (depth > 0)
+            meets = (weights >= -_RIM).all(axis=1) & (depth > 0) & (depth <= best[ray])
             ray, face, depth = ray[meets], face[meets], depth[meets]
             order = np.argsort(-depth, kind="stable")  # the last write, of the nearest, remains
-            found[ray[order]] = face[order]
+            found[ray[order]], best[ray[order]] = face[order], depth[order]
         return found
 
-    def points_on(self, triangles: IntArray, rays: FloatArray, uv: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the points (N, 3), scanner frame, and their sigma (N,) of rays (N, 3) on triangles; NaN without."""
-        points, sigma = np.full((len(rays), 3), np.nan), np.full(len(rays), np.nan)
+    def _faces_beside(self, at: FloatArray) -> IntArray:
+        """Return the numbers of the triangles that pixels (N, 2) may lie in, and of others: all, of a wide camera.
+
+        A lens bends the sides of triangles, so that more is searched than the box around their corners.
+        """
+        if not isinstance(self.camera, Camera):
+            return np.arange(len(self.faces))
+        shape = self.camera.height // _TILE_PX + 2, self.camera.width // _TILE_PX + 2
+        column, row = (np.rint(at).astype(np.intp) // _TILE_PX).T + 1
+        asked = np.zeros((shape[0] + 2, shape[1] + 2), np.int64)
+        asked[row + 1, column + 1] = 1
+        before = asked.cumsum(axis=0).cumsum(axis=1)  # [i, j]: of the tiles before row i and column j
+        u, v = np.ascontiguousarray(self.uv.T, dtype=np.float32)
+        with np.errstate(invalid="ignore"):
+            low_u, high_u = _extremes(u, self.faces)
+            low_v, high_v = _extremes(v, self.faces)
+            more = _BENT * np.maximum(high_u - low_u, high_v - low_v) + np.float32(_TILE_PX)
+            unknown = ~np.isfinite(more)
+            first_j, last_j = (_tiles(side, shape[1]) for side in (low_u - more, high_u + more))
+            first_i, last_i = (_tiles(side, shape[0]) for side in (low_v - more, high_v + more))
+        count = before[last_i + 1, last_j + 1] - before[first_i, last_j + 1]
+        count += before[first_i, first_j] - before[last_i + 1, first_j]
+        return np.flatnonzero((count > 0) | unknown)
+
+    def points_on(
+        self, triangles: IntArray, rays: FloatArray, uv: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return points (N, 3), scanner frame, their sigma (N,) and normals (N, 3) of rays (N, 3) on triangles.
+
+        They are NaN where there is none.
+        """
+        points, sigma, normals = np.full((len(rays), 3), np.nan), np.full(len(rays), np.nan), np.full_like(rays, np.nan)
         hit = np.flatnonzero(triangles >= 0)
         if not len(hit):
-            return points, sigma
+            return points, sigma, normals
         corners = self.faces[triangles[hit]]
         R, d_camera = self.pose.rotation, rays[hit]
         d = d_camera @ R
@@ -251,9 +331,9 @@ class _Surface:
         hit, d, d_camera = hit[close], d[close], d_camera[close]
         weights, depth, normal, cosine = weights[close], depth[close], normal[close], cosine[close]
         found = self.pose.centre + depth[:, None] * d
-        points[hit] = found
+        points[hit], normals[hit] = found, normal
         if self.factor is None:
-            return points, sigma
+            return points, sigma, normals
         turned = (
             np.cross(d_camera[:, None], self.factor[:3].T[None]) @ R
         )  # (N, P, 3): d_camera x w, in the scanner's axes
@@ -272,7 +352,7 @@ class _Surface:
         laser = found / np.linalg.norm(found, axis=1, keepdims=True)
         by_range = (normal * laser).sum(axis=1) / cosine * self.sigma_range_m * np.linalg.norm(weights, axis=1)
         sigma[hit] = np.sqrt((error * error).sum(axis=(1, 2)) + by_range**2)
-        return points, sigma
+        return points, sigma, normals
 
     def _direction_by_pixel(self, uv: FloatArray, d_camera: FloatArray) -> NDArray[np.float64]:
         """Return the derivative of the rays' directions by the pixel (N, 3, 2), scanner axes, 1/px."""
@@ -296,10 +376,21 @@ def _met(corners: FloatArray, rays: FloatArray) -> tuple[NDArray[np.float64], ND
     return weights, depth
 
 
-def _faces_near(faces: IntArray, in_camera: FloatArray, camera: CameraModel) -> IntArray:
-    """Return the triangles with a corner in the photograph or near it."""
+def _extremes(values: FloatArray, faces: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return the smallest and the largest of values (V,) at the corners of triangles (F, 3); NaN if one is unknown."""
+    a, b, c = (values.take(faces[:, k]) for k in range(3))
+    return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+
+
+def _tiles(pixels: FloatArray, count: int) -> IntArray:
+    """Return the tiles of pixels along an axis, from 0 before the photograph to `count` - 1 beyond it."""
+    tiles = np.nan_to_num(np.floor(pixels / np.float32(_TILE_PX)) + 1, nan=0.0).clip(0, count - 1)
+    return np.asarray(tiles, dtype=np.intp)
+
+
+def _faces_near(faces: IntArray, uv: FloatArray, camera: CameraModel) -> IntArray:
+    """Return the triangles with a corner, pixels (V, 2), in the photograph or near it."""
     border = -0.1 * max(camera.size)
-    uv = camera.project(in_camera)
     with np.errstate(invalid="ignore"):
         inside = camera.contains(uv, border=border)
     return faces[np.asarray(inside)[faces].any(axis=1)]

@@ -36,6 +36,16 @@ def test_a_panorama_is_registered_in_its_own_pixels(case: PanoramaCase) -> None:
                                                       result.matches.uv), axis=-1)  # fmt: skip
     assert np.median(off) < 0.5
     assert np.ptp(result.matches.uv[:, 0]) > 900  # on both sides of the seam
+    blocks = result.blocks
+    assert blocks is not None
+    place = {name: k for k, name in enumerate(blocks.ids)}
+    kept = [k for k, name in enumerate(result.matches.pick_ids) if name in place]
+    assert len(kept) > 0.9 * len(result.matches)  # those at the seam have no block
+    of_match = [place[result.matches.pick_ids[k]] for k in kept]
+    np.testing.assert_array_equal(blocks.agrees[of_match], result.inliers[kept])
+    apart = case.photo.camera.difference(blocks.uv[of_match], result.matches.uv[kept])
+    assert np.median(np.linalg.norm(apart, axis=-1)) < 1
+    assert np.abs(blocks.offset_px).max() < 100
 
 
 def test_a_panorama_of_another_room_is_refused(case: PanoramaCase) -> None:

@@ -10,7 +10,9 @@ import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from ladarreg.messages import assessment_lines, report
@@ -82,6 +84,41 @@ def test_one_processor_core_gives_the_same_answer(
     np.testing.assert_array_equal(alone.covariance, registration.covariance)
     np.testing.assert_array_equal(alone.matches.uv, registration.matches.uv)
     assert [(step.name, step.detail) for step in alone.steps] == [(s.name, s.detail) for s in registration.steps]
+
+
+def test_one_thread_gives_the_same_answer(
+    room: PaintedRoom, registration: lr.Registration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(threading.Thread, "start", lambda _: pytest.fail("a thread was begun"))
+    alone = register(replace(room.scan), room.photo, threads=1)  # a copy, of which nothing was kept
+    np.testing.assert_array_equal(alone.camera_from_scanner.matrix, registration.camera_from_scanner.matrix)
+    np.testing.assert_array_equal(alone.covariance, registration.covariance)
+    np.testing.assert_array_equal(alone.matches.uv, registration.matches.uv)
+    assert alone.options == registration.options
+    assert [(step.name, step.detail) for step in alone.steps] == [(s.name, s.detail) for s in registration.steps]
+
+
+def test_one_thread_ends_with_the_registration(room: PaintedRoom) -> None:
+    threads: list[int] = []
+
+    def stop(_: lr.Step) -> None:
+        threads.append(cv2.getNumThreads())
+        raise lr.Cancelled
+
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(2)
+    try:
+        for asked in (1, None):
+            with pytest.raises(lr.Cancelled):
+                register(room.scan, room.photo, report=stop, threads=asked)
+            assert cv2.getNumThreads() == 2
+    finally:
+        cv2.setNumThreads(before)
+    assert threads == [1, 2]
+    wrong: list[Any] = [0, 2, True, "1"]
+    for number in wrong:
+        with pytest.raises(OptionError, match="threads"):
+            register(room.scan, room.photo, threads=number)
 
 
 @pytest.mark.parametrize("after", ["channels", "climb", "verify", "evidence"])

@@ -3,12 +3,14 @@ from __future__ import annotations
 import os
 import threading
 import weakref
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
+import cv2
 import pytest
 
-from ladarreg_core.side_by_side import OtherCore, made_once, side_by_side
+from ladarreg_core.side_by_side import OtherCore, made_once, one_thread, side_by_side
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 20])
@@ -169,3 +171,52 @@ def test_what_is_made_once_lives_no_longer_than_its_owner() -> None:
     alive = weakref.ref(slow)
     del slow
     assert alive() is None
+
+
+@pytest.fixture
+def two_of_opencv() -> Iterator[None]:
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(2)
+    yield
+    cv2.setNumThreads(before)
+
+
+@pytest.mark.usefixtures("two_of_opencv")
+def test_in_one_thread_no_other_is_begun_and_earlier_settings_return() -> None:
+    def here(_: int) -> threading.Thread:
+        return threading.current_thread()
+
+    def fail() -> None:
+        with one_thread(), one_thread():
+            raise KeyError("stop")
+
+    with one_thread():
+        assert set(side_by_side(here, range(20))) == {threading.current_thread()}
+        with OtherCore() as other_core:
+            begun = [other_core.begin(partial(here, k)) for k in range(3)]
+            assert {piece.result() for piece in begun} == {threading.current_thread()}
+        assert cv2.getNumThreads() == 1
+        with pytest.raises(KeyError):
+            fail()
+        assert cv2.getNumThreads() == 1
+        assert set(side_by_side(here, range(2))) == {threading.current_thread()}
+    assert cv2.getNumThreads() == 2
+
+
+@pytest.mark.usefixtures("two_of_opencv")
+def test_the_last_that_asks_for_one_thread_gives_opencv_its_threads_back() -> None:
+    inside, leave = threading.Event(), threading.Event()
+
+    def stay() -> None:
+        with one_thread():
+            inside.set()
+            assert leave.wait(60)
+
+    other = threading.Thread(target=stay)
+    with one_thread():
+        other.start()
+        assert inside.wait(60)
+    assert cv2.getNumThreads() == 1, "the other one is not done"
+    leave.set()
+    other.join()
+    assert cv2.getNumThreads() == 2

@@ -19,6 +19,7 @@ from ladarreg_core.given import given_pose
 from ladarreg_core.matches import Pick
 from ladarreg_core.quality.smoothing import SmoothedScan
 from ladarreg_core.registration import register
+from ladarreg_core.results import ComparedBlocks
 from ladarreg_core.simulate.sample import sample_folder
 from ladarreg_core.surface.texture import Label
 
@@ -68,6 +69,10 @@ def documents(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, A
     ]
     accepted = register(scan, photo, method="manual", picks=picks, initial=truth)
     assert accepted.accepted, accepted.reasons
+    block = ComparedBlocks(
+        ids=("b0.0",), uv=[[1, 2]], offset_px=[[0, 0]], information=[np.eye(2)], correlation=[0.5], agrees=[True]
+    )  # type: ignore[arg-type]
+    accepted = replace(accepted, blocks=block)
     refused = replace(accepted, accepted=False, evidence="none")
     rests_on = {"matches": ["1"], "current": True, "sentence": "The pose rests on 1 match."}
     found = {}

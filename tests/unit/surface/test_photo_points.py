@@ -12,6 +12,7 @@ from ladarreg_core.camera import CameraModel
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import ExportError, OptionError
 from ladarreg_core.scanner.grids import AzimuthElevation
+from ladarreg_core.surface import photo_points
 
 GRID = AzimuthElevation(90, 120, 0.008, 0.008)
 POSE = lr.Rigid.from_centre(
@@ -78,6 +79,79 @@ def test_depth_edges_are_not_bridged() -> None:
     assert (distance < 4).sum() > 500
     assert (distance > 4).sum() > 500
     assert not np.isfinite(xyz[0, 0]).any() or np.isfinite(xyz).all(axis=-1).mean() < 1
+
+
+def test_the_nearest_surface_is_found_however_the_search_is_divided(monkeypatch: pytest.MonkeyPatch) -> None:
+    ranges = np.full(GRID.shape, 5.0)
+    ranges[20:60, 30:70] = 3.0
+    scan, made = scan_of(ranges), result(CAMERAS["plain"])
+    at = np.random.default_rng(5).uniform((0, 0), (159, 119), (400, 2))
+    whole = lr.xyz_of_photo(scan, made, at=at)
+    monkeypatch.setattr(photo_points, "_PAIRS_AT_ONCE", 20)
+    divided = lr.xyz_of_photo(scan, made, at=at)
+    single = np.array([lr.xyz_of_photo(scan, made, at=[pixel]).xyz[0] for pixel in at[:20]])
+    assert np.isfinite(whole.xyz[:, 0]).sum() > 100
+    np.testing.assert_array_equal(divided.xyz, whole.xyz)
+    np.testing.assert_array_equal(divided.sigma, whole.sigma)
+    np.testing.assert_array_equal(single, whole.xyz[:20])
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_normals_are_those_of_the_surface(name: str) -> None:
+    scan, made = scan_of(plane_ranges()), result(CAMERAS[name])
+    camera = made.camera
+    at = np.random.default_rng(4).uniform((-5, -5), (camera.width + 5, camera.height + 5), (300, 2))
+    xyz, sigma, normals = lr.xyz_of_photo(scan, made, at=at, normals=True)
+    without = lr.xyz_of_photo(scan, made, at=at)
+    np.testing.assert_array_equal(xyz, without.xyz)
+    np.testing.assert_array_equal(sigma, without.sigma)
+    known = np.isfinite(xyz[:, 0])
+    assert known.sum() > 3
+    assert normals.dtype == np.float32
+    assert (np.isfinite(normals).all(axis=1) == known).all()
+    toward = PLANE if OFFSET < 0 else -PLANE
+    assert (normals[known] @ toward > 0.999).all()
+    np.testing.assert_allclose(np.linalg.norm(normals[known], axis=1), 1, atol=1e-5)
+    world = lr.Rigid.from_centre(lr.Rigid.from_rotvec((0.3, 0.2, -0.9)).rotation, (400_000.0, 5_000_000.0, 90.0))
+    placed = lr.xyz_of_photo(replace(scan, world_from_scanner=world), made, at=at, normals=True, frame="world")
+    np.testing.assert_allclose(placed.normals, normals @ world.rotation.T, atol=1e-6)
+
+
+def test_normals_of_a_whole_photograph_have_its_shape() -> None:
+    scan, made = scan_of(plane_ranges()), result(lr.Camera.from_focal(16, 12, 15))
+    xyz, _, normals = lr.xyz_of_photo(scan, made, normals=True)
+    assert normals.shape == xyz.shape == (12, 16, 3)
+    np.testing.assert_array_equal(np.isfinite(normals), np.isfinite(xyz))
+    with pytest.raises(OptionError, match="normals"):
+        lr.xyz_of_photo(scan, made, normals="yes")  # type: ignore[call-overload]
+
+
+@pytest.mark.parametrize("name", ["plain", "distorted"])
+def test_triangles_far_from_the_pixels_are_left_out_without_loss(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    ranges = plane_ranges()
+    ranges[30:60, 40:80] *= 0.6
+    ranges[::7, ::5] = np.nan
+    scan, made = scan_of(ranges), result(CAMERAS[name])
+    at = np.random.default_rng(6).uniform((0, 0), (159, 119), (60, 2))
+    number = photo_points._Surface._faces_beside
+    searched: list[int] = []
+
+    def counted(surface: photo_points._Surface, pixels: np.ndarray) -> np.ndarray:
+        found = number(surface, pixels)
+        searched.append(len(found) * 5 < len(surface.faces))
+        return found
+
+    def every(surface: photo_points._Surface, _: np.ndarray) -> np.ndarray:
+        return np.arange(len(surface.faces))
+
+    monkeypatch.setattr(photo_points._Surface, "_faces_beside", counted)
+    few = [lr.xyz_of_photo(scan, made, at=[pixel]) for pixel in at]
+    assert np.mean(searched) > 0.9
+    monkeypatch.setattr(photo_points._Surface, "_faces_beside", every)
+    whole = lr.xyz_of_photo(scan, made, at=at)
+    assert np.isfinite(whole.sigma).sum() > 10
+    np.testing.assert_array_equal(np.concatenate([one.xyz for one in few]), whole.xyz)
+    np.testing.assert_array_equal(np.concatenate([one.sigma for one in few]), whole.sigma)
 
 
 @pytest.mark.slow
