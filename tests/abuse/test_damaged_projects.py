@@ -149,6 +149,7 @@ def aside(place: Path, name: str) -> list[bytes]:
     return [found.read_bytes() for found in path.parent.glob(f"{path.stem}.damaged-*{path.suffix}")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["history.jsonl", "project.json"])
 def test_a_flipped_bit_loses_nothing(kept: Kept, tmp_path: Path, name: str) -> None:
     for index, bit in places_to_flip(kept.files[name], 60):

@@ -87,6 +87,7 @@ def test_figures_are_those_of_a_solver_whose_errors_are_known():
     assert nobody.position_mm == math.inf
 
 
+@pytest.mark.slow
 def test_every_peer_answers_the_same_cases(tmp_path):
     found = mismatches_section(range(2))
     assert len(found.tables) >= 4

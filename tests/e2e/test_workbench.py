@@ -192,6 +192,7 @@ def check_the_report(operator: Operator) -> None:
         page.get_by_role("link", name="Open the report").click(timeout=120_000)
     report = opened.value
     report.get_by_role("heading", name="The worst matches, enlarged").wait_for()
+    report.wait_for_load_state()  # its pictures come after it in the file
     sizes = report.evaluate("[...document.images].map((image) => image.naturalWidth)")
     assert len(sizes) >= 8
     assert min(sizes) > 0, "the policy lets every embedded picture in"

@@ -66,6 +66,7 @@ def test_a_cloud_in_pieces_gives_the_scan_of_the_whole_cloud(tmp_path: Path) -> 
     assert "3 clouds of one standpoint were accumulated, of 4,000, 4,000, 4,000 returns" in " ".join(several.notes)
 
 
+@pytest.mark.slow
 def test_turns_of_a_scanner_with_lines_are_averaged_in_its_own_cells(tmp_path: Path) -> None:
     files = [
         written(tmp_path / f"{k}.pcd", points, extra={"ring": ring})

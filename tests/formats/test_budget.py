@@ -169,6 +169,7 @@ def test_json_is_parsed_once(tmp_path: Path, wall: Scan, make: Any, monkeypatch:
         read_matches(tmp_path / "bad.json", wall)
 
 
+@pytest.mark.slow
 def test_the_most_matches(tmp_path: Path, wall: Scan) -> None:
     for write in (bombs.matches_json, bombs.matches_csv):
         assert len(read_matches(write(tmp_path / "a", count=5000), wall)) == 5000

@@ -128,6 +128,7 @@ def some_fields(draw: st.DrawFn) -> list[tuple[str, int, int]]:
     return fields
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(
     fields=some_fields(), count=st.integers(1, 3000), at_once=st.sampled_from([1, 7, 100, 4096]), seed=st.integers(0, 9)

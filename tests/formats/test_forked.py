@@ -53,6 +53,7 @@ def test_what_takes_a_read_over_can_do_nothing(tmp_path: Path, checkout: Path) -
     assert int(files) <= 5  # the null device three times, the pipe, and the one that lists them
 
 
+@pytest.mark.slow
 def test_info_describes_a_strangers_file_in_another_process(tmp_path: Path, checkout: Path) -> None:
     from testing.files.seed_files import write_seeds
 

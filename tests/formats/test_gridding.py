@@ -190,6 +190,7 @@ def test_ring_grids_invert_themselves(gaps: list[float], phase: float, centre: f
     assert grid.rays.shape == (*grid.shape, 3)
 
 
+@pytest.mark.slow
 def test_accumulated_sweeps_fill_their_cells_and_keep_their_holes() -> None:
     scanner = np.array([0.4, -0.6, 1.5])
     rays = rosette(150_000)

@@ -148,6 +148,7 @@ def test_every_geometry_can_be_sent() -> None:
     assert every == known
 
 
+@pytest.mark.slow
 def test_readers_return_the_same_as_in_this_process(readers: IsolatedReaders, tmp_path: Path) -> None:
     folder = sample_folder()
     photo = next(folder.glob("photo.*"))
@@ -297,6 +298,7 @@ def test_progress_is_forwarded_and_restarts_the_timeout(file: Path) -> None:
     readers.close()
 
 
+@pytest.mark.slow
 def test_cancelling_ends_the_process_even_without_progress(readers: IsolatedReaders, file: Path) -> None:
     process = readers.run(misbehaving.server_id)
     begun = time.monotonic()
@@ -326,6 +328,7 @@ def test_every_file_has_a_process_of_its_own(readers: IsolatedReaders, file: Pat
     assert len(os.listdir(f"/proc/{server}/task")) == 1
 
 
+@pytest.mark.slow
 @LINUX
 def test_where_a_scanner_stood_is_told_to_the_next_reader_of_the_same_files_only(tmp_path: Path) -> None:
     readers = IsolatedReaders()

@@ -31,6 +31,7 @@ def test_kinect(real_data: Path) -> None:
     assert scan.valid.sum() == 281_945
 
 
+@pytest.mark.slow
 def test_pump(real_data: Path, tmp_path: Path) -> None:
     path = real_data / "pump" / "pumpAVisualReferenceImage.e57"
     scan = read_scan(path)

@@ -24,5 +24,6 @@ def test_rejection_brings_the_thesis_s_estimator_to_its_printed_precision(readin
     assert (errors[:, 1] < 25).all()
 
 
+@pytest.mark.slow
 def test_an_estimated_threshold_works_as_well():
     assert np.median(simplex_apple_figures("stereo", "B", SEEDS[:12], None)[:, 1]) < 2.5 * (1 + 2.5 * 0.16)

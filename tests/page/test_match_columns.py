@@ -95,6 +95,7 @@ def test_every_column_sorts_by_its_value_and_rows_without_one_come_last(table: P
             assert numbers(table) == order, name
 
 
+@pytest.mark.slow
 def test_one_more_entry_is_one_more_column(table: Page) -> None:
     extra = {"id": "extra", "label": "extra", "title": "An extra column", "width": "minmax(4rem, 1fr)", "figures": True}
     mount(table, extra)
@@ -107,6 +108,7 @@ def test_one_more_entry_is_one_more_column(table: Page) -> None:
         assert numbers(table) == order
 
 
+@pytest.mark.slow
 def test_cells_show_residuals_and_mark_what_is_disabled_short_of_samples_or_an_outlier(table: Page) -> None:
     mount(table)
     rows = {k: table.locator(f".row-line[data-pick='m{k}']") for k in (1, 2, 3)}

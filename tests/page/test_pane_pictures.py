@@ -127,6 +127,7 @@ def test_changes_are_painted_as_a_whole_layer_would_be(panes: Page) -> None:
     assert panes.evaluate("clipped") >= 24
 
 
+@pytest.mark.slow
 def test_linked_panes_show_corresponding_points_at_the_same_relative_zoom(panes: Page) -> None:
     pose = {"shown": "linear", "stages": [{"stage": "linear", "parameters": []}]}
     panes.evaluate("(poses) => store.take({ slices: { 'poses:p1': poses } })", pose)
@@ -154,6 +155,7 @@ def test_linked_panes_show_corresponding_points_at_the_same_relative_zoom(panes:
     np.testing.assert_allclose(np.array(shown[1]) - shown[0], [10, -5], atol=0.6)
 
 
+@pytest.mark.slow
 def test_each_pane_says_what_to_do_while_it_is_empty(panes: Page) -> None:
     panes.evaluate("store.take({ slices: { scan: null, photos: [], shown: null, 'picks:p1': null } })")
     for side, what in (("scan", "No scan yet"), ("photo", "No photograph yet")):
@@ -162,6 +164,7 @@ def test_each_pane_says_what_to_do_while_it_is_empty(panes: Page) -> None:
     assert asked(panes, "add_pick") == []
 
 
+@pytest.mark.slow
 def test_a_running_simplex_moves_its_predictions_over_the_photograph_until_it_ends(panes: Page) -> None:
     match = {"id": "m1", "number": 1, "kind": "point", "scan": rays([[200.0, 100.0]]).tolist(), "photo": [[50, 50]]}
     panes.evaluate("(pick) => store.take({ slices: { 'picks:p1': [{ ...pick, on: true }] } })", match)

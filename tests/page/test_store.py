@@ -49,6 +49,7 @@ def follow(page: Page, texts: list[str], names: Any) -> Any:
     return page.evaluate(FOLLOWING, [texts, list(names)])
 
 
+@pytest.mark.slow
 def test_the_copy_is_the_servers_state_after_every_message(blank: Page) -> None:
     for seed in range(8):
         states = random_states(seed, 80)

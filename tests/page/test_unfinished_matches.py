@@ -22,6 +22,7 @@ def show_photo(page: Page, photo: str, *, known: str = "p1 p2") -> None:
     page.evaluate("([photos, shown]) => store.take({ slices: { photos, shown } })", [photos, photo])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", ["scan", "photo"])
 def test_an_unfinished_line_stays_with_its_photograph(panes: Page, first: str) -> None:
     lines = {"scan": SCAN_LINE, "photo": PHOTO_LINE}
@@ -41,6 +42,7 @@ def test_an_unfinished_line_stays_with_its_photograph(panes: Page, first: str) -
     np.testing.assert_allclose(pixels(pick["scan"]), SCAN_LINE, atol=0.01)
 
 
+@pytest.mark.slow
 def test_a_stroke_ends_when_another_photograph_is_shown(panes: Page) -> None:
     panes.mouse.move(*place(panes, "photo", PHOTO_LINE[0]))
     panes.mouse.down()

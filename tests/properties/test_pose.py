@@ -38,6 +38,7 @@ def brute_force_cost(case, pose, lens) -> float:
     return float(np.nanmin(s, axis=1).sum())
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 10_000), lens=st.sampled_from(LENSES))
 @settings(max_examples=15)
 def test_the_solution_is_the_minimum_of_the_exact_cost(seed: int, lens: Camera) -> None:
@@ -124,6 +125,7 @@ sigmas = st.sampled_from([None, 1e-6, 0.01, 1.0, 20.0, 1e3, 1e6])
 initials = st.sampled_from([None, "truth", "behind", "far"])
 
 
+@pytest.mark.slow
 @given(
     problem=problems(), sigma_px=sigmas, sigma_m=sigmas, start=initials, method=st.sampled_from(["robust", "linear"])
 )

@@ -81,6 +81,7 @@ def test_the_table_is_printed_and_the_files_are_written(
     assert [entry["name"] for entry in inputs] == ["scan.npz", "photo.png", "camera.json", "truth.json"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("no_pose", [(), ("default",)], ids=["not accepted", "no pose"])
 def test_the_default_decides_the_exit_code(
     no_pose: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -237,6 +237,7 @@ def test_a_page_beyond_the_limit_gets_a_reason(run: Running) -> None:
         assert (caught.value.rcvd.code, caught.value.rcvd.reason) == (1013, "1 page is open, the most: close it.")
 
 
+@pytest.mark.slow
 def test_a_view_beyond_the_limit_gets_a_reason(tmp_path: Path) -> None:
     server, address = open_locked_server(label="test")
     try:

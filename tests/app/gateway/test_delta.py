@@ -51,6 +51,7 @@ def many(count: int, **others: Any) -> list[dict[str, Any]]:
     return [{"id": str(k), "photo": [[k, 1.5]], "on": True, **others} for k in range(count)]
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32), st.lists(st.booleans(), min_size=40, max_size=40))
 def test_every_client_ends_with_the_servers_state(seed: int, looks: list[bool]) -> None:
     """One client receives everything, another only now and then through an outbox; a third connects in the middle."""

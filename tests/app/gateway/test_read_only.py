@@ -59,6 +59,7 @@ def test_a_read_only_cookie_is_not_accepted_as_another(run: Running) -> None:
         assert run.ask("GET", "/picture/scan")[0] == 401
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["POST", "PUT", "PATCH", "DELETE"])
 @pytest.mark.parametrize("path", ["/upload?what=scan", "/", "/document", "/anything"])
 def test_every_request_but_reading_is_refused(run: Running, method: str, path: str) -> None:

@@ -242,6 +242,7 @@ def test_a_slow_page_still_receives_everything(run: Running, viewer: tuple[viser
     server.scene.reset()
 
 
+@pytest.mark.slow
 def test_when_viser_ends_the_page_is_closed(tmp_path_factory: pytest.TempPathFactory) -> None:
     server, address = open_locked_server(label="short")
     with running(tmp_path_factory.mktemp("room"), address) as run:

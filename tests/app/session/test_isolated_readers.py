@@ -52,6 +52,7 @@ def test_a_file_whose_reader_crashes_is_refused(bench: WorkbenchDriver, what: st
     assert bench.workbench.take_upload(arrived(bench, "x2.png"), "good.png", "photo", None, bench.client) == "p2"
 
 
+@pytest.mark.slow
 def test_edits_and_other_files_do_not_wait_for_a_reader_that_hangs(bench: WorkbenchDriver) -> None:
     refusals: list[str] = []
 

@@ -104,6 +104,7 @@ def _result(folder: Path, scan: Path, *more: Path) -> Path:
     return folder / "registration.json"
 
 
+@pytest.mark.slow
 def test_an_earlier_result_says_which_clouds_belong_to_the_scan(tmp_path: Path) -> None:
     first, second, third = write_frames(tmp_path, 3)
     (tmp_path / "out").mkdir()
@@ -141,6 +142,7 @@ def test_a_scan_that_replaces_another_is_said_and_comes_back(tmp_path: Path) -> 
         workbench.close()
 
 
+@pytest.mark.slow
 def test_dropped_frames_are_one_step_and_named_as_they_were_dropped(bench: WorkbenchDriver, tmp_path: Path) -> None:
     before = work(bench)
     assert bench.slice("scan")["files"] == ["sweep0.npz"]
@@ -201,6 +203,7 @@ def test_frames_that_are_there_already_are_left_out(bench: WorkbenchDriver) -> N
     assert "part of the scan already" in bench.do("open_files", files=ids, scan="frames")["said"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["frames", "stations", "replace"])
 def test_several_clouds_in_an_empty_project(tmp_path: Path, how: str) -> None:
     bench = open_bench(tmp_path / "project")
@@ -242,6 +245,7 @@ def test_scans_of_the_served_folder_ask_as_well(bench: WorkbenchDriver) -> None:
     assert work(bench) == before
 
 
+@pytest.mark.slow
 def test_a_pose_says_that_it_was_solved_on_fewer_clouds(bench: WorkbenchDriver, tmp_path: Path) -> None:
     job = bench.job("robust")
     assert job.state == "done", job.message

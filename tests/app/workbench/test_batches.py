@@ -160,6 +160,7 @@ def test_two_scans_are_a_question(bench: WorkbenchDriver) -> None:
     assert sum(path.is_file() for path in bench.workbench.upload_folder().rglob("*")) == 2
 
 
+@pytest.mark.slow
 def test_descriptors_are_frames_as_well_and_wait_whole_if_they_are_refused(bench: WorkbenchDriver) -> None:
     parts = depth_scan()
     drop(bench, parts)

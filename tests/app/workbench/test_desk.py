@@ -165,6 +165,7 @@ def test_a_running_job_and_other_people_are_asked_about(bench: DeskDriver) -> No
     bench.desk.leave(other)
 
 
+@pytest.mark.slow
 def test_a_second_scan_begins_a_second_project_with_its_batch(bench: DeskDriver) -> None:
     bench.drop(SCAN)
     reply = bench.drop(SCAN, PHOTO)
@@ -206,6 +207,7 @@ def test_projects_of_earlier_versions_are_listed(bench: DeskDriver, tmp_path: Pa
     assert bench.names() == ["scan", "scan"]
 
 
+@pytest.mark.slow
 def test_folders_are_opened_by_their_path_only_where_that_is_allowed(bench: DeskDriver, tmp_path: Path) -> None:
     elsewhere = tmp_path / "elsewhere"
     open_workbench((SCAN,), project=elsewhere).close()

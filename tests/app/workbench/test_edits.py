@@ -28,6 +28,7 @@ def labels(bench: WorkbenchDriver) -> list[str]:
     return [entry["label"] for entry in bench.slice("history")["entries"]]
 
 
+@pytest.mark.slow
 def test_a_new_client_receives_all_slices(bench: WorkbenchDriver) -> None:
     slices = bench.workbench.slices(bench.client)
     assert {"project", "scan", "photos", "shown", "picks:p1", "history", "settings", "job", "people", "limits"} <= set(
@@ -66,6 +67,7 @@ def test_edits_are_published_saved_labelled_and_undone(bench: WorkbenchDriver) -
     assert not bench.workbench.session.document.photos
 
 
+@pytest.mark.slow
 def test_moves_of_one_end_are_merged_into_one_step(bench: WorkbenchDriver) -> None:
     pick = bench.do("add_pick", photo="p1", **LINE)["pick"]
     before = len(labels(bench))
@@ -149,6 +151,7 @@ def test_a_refused_command_returns_a_sentence_and_changes_nothing(
     assert bench.workbench.session.document is before
 
 
+@pytest.mark.slow
 def test_invalid_fields_are_never_an_internal_error(bench: WorkbenchDriver) -> None:
     for do in sorted(COMMANDS):
         for junk in ({}, {"photo": 7, "pick": [], "picks": 3, "scan": {}, "at": None, "n": "x"}, {"photo": "p1"}):

@@ -21,6 +21,7 @@ from testing.workbench.workbench_driver import open_bench
 from tests.formats.test_e57_images import STATIONS, write_e57
 
 
+@pytest.mark.slow
 def test_a_picture_of_the_scan_becomes_a_photograph_with_its_camera_and_pose(tmp_path: Path) -> None:
     pytest.importorskip("pye57")
     scan, _ = picture_e57(tmp_path / "a.e57", make_scan(60, 90))

@@ -42,6 +42,7 @@ def state(bench: WorkbenchDriver) -> str:
     return str(bench.slice("photos")[0]["state"])
 
 
+@pytest.mark.slow
 def test_an_edit_makes_the_verdict_out_of_date_and_undoing_it_makes_it_current_again(solved: WorkbenchDriver) -> None:
     assert stage(solved)["accepted"]
     assert (stage(solved)["stale"], state(solved)) == ("", "accepted")

@@ -167,6 +167,7 @@ def test_a_file_name_that_is_not_unicode_is_not_listed(tmp_path: Path) -> None:
         bench.workbench.close()
 
 
+@pytest.mark.slow
 def test_a_photo_without_focal_length_is_shown_and_a_camera_requested(bench: WorkbenchDriver, tmp_path: Path) -> None:
     buffer = io.BytesIO()
     Image.fromarray(np.random.default_rng(0).integers(0, 255, (90, 120, 3), np.uint8)).save(buffer, "PNG")

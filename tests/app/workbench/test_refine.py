@@ -23,6 +23,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WorkbenchDriver]
     found.workbench.close()
 
 
+@pytest.mark.slow
 def test_a_rough_pose_is_refined_to_the_true_one(bench: WorkbenchDriver) -> None:
     truth = read_pose(sample_folder() / "truth.json")
     turned = rotation_from_rotvec(np.radians([3.0, -4.0, 2.0])) @ truth.rotation

@@ -51,6 +51,7 @@ def test_a_registration_yields_matches_a_pose_and_a_verdict(registered: Workbenc
     assert [step["name"] for step in job["steps"]][:1] == ["photo"]
 
 
+@pytest.mark.slow
 def test_a_pose_predicts_matches_in_both_directions(registered: WorkbenchDriver) -> None:
     pick = registered.slice("picks:p1")[3]
     there = registered.do("predict", photo="p1", side="scan", scan=pick["scan"])["photo_uv"][0]
@@ -248,6 +249,7 @@ def test_the_first_image_of_the_scan_is_rendered_once(registered: WorkbenchDrive
     assert registered.workbench.picture("scan", {**asked, "gamma": "1"}) is not first
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("path", "query"),
     [("scan", {"view": "9"}), ("scan", {"low": "x"}), ("photo/p7", {}), ("sound", {}), ("scan/..", {})],

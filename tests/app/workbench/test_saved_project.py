@@ -87,6 +87,7 @@ def test_its_answers_are_shown_with_their_verdicts(bench: WorkbenchDriver) -> No
         assert result.reasons == entry.reasons
 
 
+@pytest.mark.slow
 def test_its_history_can_be_walked_to_both_ends(bench: WorkbenchDriver) -> None:
     assert labels(bench) == STEPS
     assert len(STEPS) == 28

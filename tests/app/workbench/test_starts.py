@@ -75,6 +75,7 @@ def test_a_reopened_project_shows_the_photograph_edited_last(tmp_path: Path) -> 
     assert worked_on == {"p1": "p1", second: second}
 
 
+@pytest.mark.slow
 def test_edits_continue_on_a_full_disk_and_are_saved_later(
     bench: WorkbenchDriver, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -230,6 +230,7 @@ def test_the_laser_is_off_after_a_cancel_a_break_and_a_call_from_elsewhere(bench
     assert bench.await_darkness()
 
 
+@pytest.mark.slow
 def test_another_thread_switches_the_laser_off(real_bench: Bench) -> None:
     scanner = real_bench.connect()
     lines = scanner.lines(99, check=goes_on)

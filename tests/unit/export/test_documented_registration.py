@@ -90,6 +90,7 @@ def documents(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, A
     return found
 
 
+@pytest.mark.slow
 def test_every_field_that_is_written_is_documented_and_no_other(documents: dict[str, dict[str, Any]]) -> None:
     written = set()
     for document in documents.values():

@@ -314,6 +314,7 @@ def test_several_photographs_and_a_given_pose_are_said(tmp_path: Path) -> None:
     assert np.median(np.abs(values["colorRed"] - paint(where)[:, 0])[in_second]) < 2
 
 
+@pytest.mark.slow
 def test_lists_of_equal_children_take_an_image_of_another_kind(tmp_path: Path) -> None:
     source = tmp_path / "a.e57"
     index = e57_samples.write_cartesian(source, scan_of())

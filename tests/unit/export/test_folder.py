@@ -157,6 +157,7 @@ def way(request, monkeypatch):
     return request.param
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stop", [Cancelled, KeyboardInterrupt, MemoryError])
 @pytest.mark.parametrize("at", range(len(FILE_NAMES) + 1))
 @pytest.mark.parametrize("existing", [False, True])

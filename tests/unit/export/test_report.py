@@ -159,6 +159,7 @@ def test_a_refusal_without_a_usable_candidate_shows_no_figures(scan: Scan, photo
         assert not re.search(r"\d", parsed.sections["guess"])
 
 
+@pytest.mark.slow
 def test_a_given_pose_says_that_it_was_not_verified(scan: Scan, photo: Photo) -> None:
     given = solved(scan, accepted=False, evidence="given", method="carried")
     text = report_of(given, scan, photo)

@@ -77,6 +77,7 @@ def wall(seed: int, *, period_m: float, doors: str = "none") -> Wall:
     return Wall(scan, lr.Photo((255 * fine ** (1 / 2.2)).astype(np.uint8), camera), pose)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "period_m", "doors"), [(1, 0.7, "none"), (2, 1.1, "recessed")])
 def test_a_wall_that_repeats_is_ambiguous(seed: int, period_m: float, doors: str) -> None:
     made = wall(seed, period_m=period_m, doors=doors)
@@ -117,6 +118,7 @@ def repeating() -> Panorama:
     return panorama((3, 3, 3))
 
 
+@pytest.mark.slow
 def test_a_photo_of_repeating_walls_is_not_accepted(repeating: Panorama) -> None:
     result = lr.register(repeating.scan, repeating.photo)
     assert not result.accepted

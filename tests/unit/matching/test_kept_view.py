@@ -46,6 +46,7 @@ def test_only_the_same_scan_and_camera_get_what_was_kept(case: PaintedRoom) -> N
     assert kept_of(case.scan, case.photo) is not None
 
 
+@pytest.mark.slow
 def test_what_was_kept_does_not_hold_the_scan(case: PaintedRoom) -> None:
     scan, photo = replace(case.scan), case.photo
     lr.register(scan, photo)

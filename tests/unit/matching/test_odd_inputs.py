@@ -77,6 +77,7 @@ def test_a_rolled_photo_registers_from_an_initial_pose(room: PaintedRoom, turn_d
     assert room.error_px(turn.inverse @ result.camera_from_scanner) < 0.5
 
 
+@pytest.mark.slow
 def test_photos_without_corners_are_refused_with_reasons(room: PaintedRoom) -> None:
     halves = np.zeros((340, 480, 3), np.uint8)
     halves[:, 240:] = 200

@@ -72,6 +72,7 @@ def room() -> PaintedRoom:
     return painted_room(seed=11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quarters", [0, 1, 2, 3])
 def test_roll_by_quarter_turns_is_detected(room: PaintedRoom, quarters: int) -> None:
     roll = roll_of(*sides(room.scan, quarter_turned(room.photo, quarters)))

@@ -154,6 +154,7 @@ def test_the_enlarged_covariance_covers_the_shift(seed: int, sigmas: float) -> N
     assert other @ np.linalg.solve(wider, other) <= 6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("focal_factor", [1.015, 0.985])
 def test_a_slightly_wrong_camera_is_detected_by_the_preview(room: PaintedRoom, focal_factor: float) -> None:
     true = room.photo.camera

@@ -174,6 +174,7 @@ def test_outlines_against_the_sky_are_edges_of_coarse_scans() -> None:
     assert coarse[near_roof].max() > 10 * fine[near_roof].max()
 
 
+@pytest.mark.slow
 def test_a_view_with_few_returns_has_smaller_blocks() -> None:
     room = painted_room(21)
     working = working_camera(room.scan, room.photo.camera)
@@ -186,6 +187,7 @@ def test_a_view_with_few_returns_has_smaller_blocks() -> None:
     assert few.block_px < whole.block_px == 48
 
 
+@pytest.mark.slow
 def test_a_scan_narrower_than_the_photo_is_found() -> None:
     """It fills a sixth of the photo: less than the overlap that was once asked for."""
     room = painted_room(22, baseline_m=0.3)

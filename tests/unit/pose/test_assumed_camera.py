@@ -86,6 +86,7 @@ def test_a_rotation_that_compensates_the_camera_leaves_the_picture_certain():
     assert stated < exact + 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distortion", [(), (-0.1, 0.02, 0.001, -0.001)])
 def test_pixels_are_as_uncertain_as_samples_of_pose_and_camera_scatter(distortion):
     case, result = registered(2)

@@ -79,6 +79,7 @@ def test_a_wrong_focal_length_is_found(seed, factor, stated):
     assert words[0].endswith(f" px (given: {974 * factor:.1f} px).")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stated", [True, False])
 def test_unstated_distortion_is_found(stated):
     positions = []

@@ -72,6 +72,7 @@ def test_every_intrinsic_is_found_exactly_without_noise(terms):
     assert fit.camera.distortion[1:] == (LENSES[terms] or (0.0,) * 4)[1:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("intrinsics", "k1", "shift"), [("focal", 0.0, 0.0), ("focal_k1", -0.1, 0.0), ("focal_k1_centre", -0.1, 12.0)]
 )

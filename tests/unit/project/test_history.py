@@ -176,6 +176,7 @@ def edited_at_random(document: Document, seed: int) -> Document:
 ANSWERS = [a_result(0), a_result(1)]
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(seeds=st.lists(st.integers(0, 10**6), min_size=1, max_size=12))
 def test_a_change_that_was_written_makes_one_document_of_the_other(seeds: list[int]) -> None:

@@ -48,6 +48,7 @@ def test_pieces_come_ten_times_closer_to_the_truth(refined: tuple[Refinement, li
     assert found.held_out_after_m < 0.7 * found.held_out_before_m
 
 
+@pytest.mark.slow
 def test_walls_are_single_afterwards_and_the_control_is_seen_to_be_double(
     refined: tuple[Refinement, list[Rigid], list[Rigid]],
 ) -> None:

@@ -70,6 +70,7 @@ def test_the_room_is_registered_and_unrelated_photos_are_refused(room: PaintedRo
     assert found.summary().startswith("With this scan and camera: ")
 
 
+@pytest.mark.slow
 def test_it_ends_in_time_and_can_be_cancelled(room: PaintedRoom) -> None:
     options = SelfTestOptions(photos=500, starts=0, wrong=0, seconds=1)
     assert 1 <= len(list(run_trials(room.scan, room.photo.camera, options))) < 20

@@ -77,6 +77,7 @@ def test_lines_are_true_where_the_unit_stands_and_the_same_when_it_is_back(
         assert np.array_equal(back.ranges_m, first.ranges_m, equal_nan=True)
 
 
+@pytest.mark.slow
 def test_files_appear_when_the_unit_has_arrived_and_not_when_it_was_halted(
     devices: TwinDevices, unit: FlirUnit, clock: SimulatedClock
 ) -> None:

@@ -33,6 +33,7 @@ def test_a_sweep_at_rest_is_true_but_for_the_noise_of_the_ranges() -> None:
     assert rms(sweep.sweeps[0].points_in_world(wrong) - sweep.true_points(0)) > 0.01
 
 
+@pytest.mark.slow
 def test_a_sweep_in_motion_is_true_with_its_latency_and_not_without() -> None:
     quiet = RangeNoise(sigma_m=0.0, resolution_m=1e-5)
     moving = Continuous(jitter_s=0.0, latency_s=0.04)

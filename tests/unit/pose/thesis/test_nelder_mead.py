@@ -123,6 +123,7 @@ def test_every_step_down_2_21_is_scipy_s(seed):
     )
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=15)
 def test_each_step_is_consistent(seed):

@@ -42,6 +42,7 @@ def solve(case: Case, method: str, *, initial: Rigid | None = None, **simplex):
     return solve_pose(case.matches, case.camera, options, initial=initial)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("outliers", [0.0, 0.3])
 def test_it_finds_the_pose_with_a_consistent_covariance(method, outliers):
@@ -60,6 +61,7 @@ def test_it_finds_the_pose_with_a_consistent_covariance(method, outliers):
     assert wrong_kept <= 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_it_converges_from_poor_starting_poses(method):
     for seed in range(200, 202):
