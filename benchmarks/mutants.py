@@ -1,5 +1,6 @@
 """What the tests notice: small random faults are put into the program one at a time, and the tests that reach them run.
 
+    pip install pytest-cov
     python -m pytest --cov=ladarreg_core --cov=app --cov-context=test --junitxml=durations.xml --long=all
     python -m benchmarks.mutants .coverage durations.xml --count 200
 
