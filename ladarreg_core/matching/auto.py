@@ -45,6 +45,7 @@ from ladarreg_core.validation import require_choice
 Reach = Literal["everywhere", "near_start"]
 _MAX_ROLLED_VIEWS, _MAX_GRID_VIEWS = 2, 3
 _MEDIAN_CELLS = 100_000
+_SURE_FINE_FRACTION = 0.8  # of regions that agree at the true pose of a simulated pair .8-1, beside it .66-.75
 _RANGE_M = (1e-6, 1e7)  # generous, to allow for wrong units; the limits of the estimator of matches
 ADVICE = "Draw a few matches by hand, or give an initial pose."
 """What to do about a photograph that is not accepted."""
@@ -142,28 +143,61 @@ def register_auto(
     if reason:
         return AutoResult(initial, None, None, (reason,))
 
+    prior = o.calibrated_prior if photo.calibrated else prior
+    prior = prior.covering(photo.pinhole, (other for other in photo.alternatives if isinstance(other, Camera)))
+    result = _searched(pair, photo.pinhole, photo, steps, initial, o, prior, channels)
+    if photo.assumed and _may_be_beside(result):
+        assert result.camera is not None, "it was estimated"
+        again = pair.with_camera(result.camera)
+        result = max(result, _searched(again, result.camera, photo, steps, None, o, prior, channels), key=_rank)
+    directions = viewing_directions(scan, working, initial=initial)
+    return _explain_if_sparse(result, scan, photo, [*directions, *([initial] if initial else [])])
+
+
+def _searched(
+    pair: PairLevels,
+    camera: Camera,
+    photo: Photo,
+    steps: StepLog,
+    initial: Rigid | None,
+    options: AutoOptions,
+    prior: CameraPrior,
+    channels: Channels | None,
+) -> AutoResult:
+    """Return the best pose of one search, in which the images are compared as seen by a camera."""
     with OtherCore() as other_core:
         search = ViewSearch(
             pair,
             steps,
             other_core,
-            gate=o.gate,
-            good_fraction=o.good_fraction,
-            seed=o.seed,
-            channel_set=o.channel_set,
+            gate=options.gate,
+            good_fraction=options.good_fraction,
+            seed=options.seed,
+            channel_set=options.channel_set,
             channels=channels,
         )
-        directions = viewing_directions(scan, working, initial=initial)
-        known = KnownPoses(scan, photo.pinhole, o.gate)
-        prior = o.calibrated_prior if photo.calibrated else prior
-        prior = prior.covering(photo.pinhole, (other for other in photo.alternatives if isinstance(other, Camera)))
-        found = CandidateSet(search, photo, known, steps, other_core, o, initial, prior)
-        if initial is not None and o.reach == "near_start":
+        directions = viewing_directions(pair.scan, pair.working, initial=initial)
+        known = KnownPoses(pair.scan, camera, options.gate)
+        found = CandidateSet(search, photo, camera, known, steps, other_core, options, initial, prior)
+        if initial is not None and options.reach == "near_start":
             _search_near(search, found, directions[0], initial)
         else:
             _search_everywhere(search, found, directions, initial)
-        result = found.result()
-    return _explain_if_sparse(result, scan, photo, [*directions, *([initial] if initial else [])])
+        return found.result()
+
+
+def _may_be_beside(result: AutoResult) -> bool:
+    """Return whether an accepted pose may be beside the true one, where pose and wrong focal length make up for
+    each other in part: its camera was estimated and many regions do not agree at full resolution."""
+    verdict = result.verification
+    if verdict is None or not verdict.accepted or result.camera is None:
+        return False
+    return (verdict.fine_fraction or 0.0) < _SURE_FINE_FRACTION
+
+
+def _rank(result: AutoResult) -> tuple[bool, float]:
+    verdict = result.verification
+    return (False, 0.0) if verdict is None else (verdict.accepted, verdict.fine_fraction or 0.0)
 
 
 def reason_against_scan(scan: Scan) -> str:
@@ -186,6 +220,7 @@ class CandidateSet:
         self,
         search: ViewSearch,
         photo: Photo,
+        camera: Camera,
         known: KnownPoses,
         steps: StepLog,
         other_core: OtherCore,
@@ -197,6 +232,7 @@ class CandidateSet:
         self._prior = prior
         self._search = search
         self._photo = photo
+        self._camera = camera
         self._steps = steps
         self._other_core = other_core
         self._options = options
@@ -223,7 +259,9 @@ class CandidateSet:
             return
         aligner, candidate = self._search.with_full_overlap(aligner, candidate)
         self._begin_second_minimum(aligner, candidate)
-        result, aligner = _finish(aligner, candidate, self._photo, self._steps, self._options.intrinsics, self._prior)
+        result, aligner = _finish(
+            aligner, candidate, self._photo, self._camera, self._steps, self._options.intrinsics, self._prior
+        )
         pose = result.camera_from_scanner
         if result.verification is None or not result.verification.accepted or pose is None:
             if self._refused is None or _fraction(result) > _fraction(self._refused):
@@ -394,6 +432,7 @@ def _finish(
     aligner: Aligner,
     candidate: Candidate,
     photo: Photo,
+    camera: Camera,
     steps: StepLog,
     intrinsics: FreeCamera,
     prior: CameraPrior,
@@ -406,7 +445,7 @@ def _finish(
     with steps.step("verify") as note:
         found = verify_finished(
             aligner,
-            photo.pinhole,
+            camera,
             pose,
             try_camera=intrinsics == "auto"
             and not (photo.assumed or photo.alternatives)

@@ -495,6 +495,12 @@ class PairLevels:
         other.coarse, other._photo_levels = False, self._photo_levels
         return other
 
+    def with_camera(self, camera: Camera) -> PairLevels:
+        """Return the pair with another camera of the photo; nothing is shared."""
+        other = PairLevels(self.scan, replace(self._photo, camera=camera), levels_of=self._levels_of)
+        other.coarse = self.coarse
+        return other
+
     @property
     def photo(self) -> PhotoLevels:
         """The photo's levels."""

@@ -471,7 +471,7 @@ def _estimate(
     The change of the lens is modelled in the undistorted image, which is exact only for a vanishing change: hence the
     rounds.
     """
-    aligner, pose, camera = fixed.aligner, start, change.applied_to(photo.pinhole)
+    aligner, pose, camera = fixed.aligner, start, change.applied_to(fixed.camera)
     agreeing = fixed.verification.fraction
     try:
         if change != NO_CHANGE:
