@@ -31,8 +31,9 @@ _HASH_WEIGHTS = np.sqrt([2.0, 3.0, 5.0])
 class AcceptanceOptions:
     """Thresholds of acceptance on match statistics."""
 
-    least_inliers: int = 12
-    """Minimum number of distinct inliers."""
+    least_surplus: int = 6
+    """Minimum number of distinct inliers beyond those that the unknowns need: three for a pose, and one for every two
+    intrinsics."""
     least_share: float = 0.5
     """Minimum share of the matches that are inliers."""
     most_chi2_per_dof: float = 3.0
@@ -49,6 +50,8 @@ class AcceptanceOptions:
     """Half of the maximum distance of a point on a plane from it, as a share of the points' middle extent."""
     plane_share: float = 0.7
     """Minimum share of the inliers on one plane for a pose that sees this plane from behind to be refused."""
+    least_left_out_chance: float = 1e-3
+    """Minimum probability that the largest leave-one-out error is as large as it is, over all matches."""
     critical_leverage: float = 0.9
     """Minimum leverage of a match for its removal to be tested."""
     most_growth: float = 6.0
@@ -68,6 +71,10 @@ class AcceptanceOptions:
     least_return_share: float = 0.25
     """Minimum share of the nearest starting poses that return to the pose."""
 
+    def least_inliers(self, unknowns: int = 6) -> int:
+        """Return the minimum number of distinct inliers to which so many unknowns, the pose's included, are fitted."""
+        return -(-unknowns // 2) + self.least_surplus
+
 
 DEFAULT_ACCEPTANCE = AcceptanceOptions()
 """The default thresholds."""
@@ -81,8 +88,10 @@ def decide_acceptance(
     chi2_per_dof: float,
     covariance: FloatArray,
     log10_chance: float,
+    unknowns: int = 6,
     second_pose: Rigid | None = None,
     critical_match: str | None = None,
+    inconsistent_match: str | None = None,
     second_pose_sought: bool = True,
     stated_covariance: FloatArray | None = None,
     options: AcceptanceOptions = DEFAULT_ACCEPTANCE,
@@ -96,8 +105,11 @@ def decide_acceptance(
         chi2_per_dof: of the inliers.
         covariance: (6, 6) of (w, c).
         log10_chance: `log10_false_alarms` of the inliers.
+        unknowns: number of fitted parameters.
         second_pose: another pose that explains the matches as well; None if none was found.
         critical_match: the pick without which the other matches barely determine the pose; None if there is none.
+        inconsistent_match: the pick that the pose of the other matches misses by more than chance allows; None if there
+            is none.
         second_pose_sought: whether a second pose was sought; the reasons then state that there is none.
         stated_covariance: (6, 6) to be stated in the reasons, including what is not known of the camera; None:
             `covariance`.
@@ -111,10 +123,9 @@ def decide_acceptance(
     share = np.count_nonzero(inliers & ~matches.across) / count
     of_lines = "" if matches.distinct_picks else " among points and line ends"
     against = []
-    if agree < options.least_inliers:
-        against.append(
-            f"only {agree} distinct inliers{of_lines}, {options.least_inliers} are needed; add or correct matches"
-        )
+    needed = options.least_inliers(unknowns)
+    if agree < needed:
+        against.append(f"only {agree} distinct inliers{of_lines}, {needed} are needed; add or correct matches")
     if share < options.least_share:
         against.append(
             f"only {share:.0%} of {count} {'points and line ends' if of_lines else 'matches'} are inliers, "
@@ -153,6 +164,11 @@ def decide_acceptance(
         against.append(
             f"the pose hinges on match {critical_match}: without it the other matches barely determine the pose; "
             "check it, or add matches near it"
+        )
+    if inconsistent_match is not None:
+        against.append(
+            f"the other matches agree on a pose that misses match {inconsistent_match} by more than their scatter "
+            "explains; check it, or add matches near it"
         )
     if second_pose is not None:
         against.append(
@@ -289,25 +305,11 @@ def find_critical_match(
 
     Source: Cook and Weisberg, Residuals and influence in regression (1982), for deletion.
     """
-    measured, seen, lin = at.measured, at.seen, at.lin
-    counts = inliers & (seen.s[0] < UNSEEN)
-    share = lin.m[0] / lin.h[0]
-    diagonal = counts * (measured.information - lin.m[0] * share)
-    cross = counts * (measured.cross_information - lin.m[0, :1] * share[1:])
-    J = lin.j_pose[0]  # (6, 2, N)
-    K = diagonal * J
-    K += cross * J[:, ::-1]
-    H = K.reshape(6, -1) @ J.reshape(6, -1).T
-    unit = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-    inverse = guarded_inverse(H * np.outer(unit, unit))
-    # a standard deviation grows noticeably only if a pick provides nearly all the information in some direction
-    scaled = (inverse * np.outer(unit, unit)) @ K.reshape(6, -1)
-    scaled *= J.reshape(6, -1)
-    leverage = scaled.sum(axis=0).reshape(2, -1).sum(axis=0)  # of each match
+    J, K = _parts_of_information(at, inliers)
+    H, unit, inverse = _information(J, K)
     names, pick = matches.numbered_picks()
-    if len(names) < len(matches):
-        leverage = np.bincount(pick, leverage)
-    heavy = np.flatnonzero(leverage > options.critical_leverage)
+    # a standard deviation grows noticeably only if a pick provides nearly all the information in some direction
+    heavy = np.flatnonzero(_leverages(J, K, unit, inverse, pick) > options.critical_leverage)
     if not len(heavy):
         return None
     own = [(K[..., pick == k].reshape(6, -1), J[..., pick == k].reshape(6, -1)) for k in heavy]
@@ -321,6 +323,89 @@ def find_critical_match(
     grown = np.maximum(angle / np.sqrt(with_all[:3].sum()), position / np.sqrt(with_all[3:].sum()))
     worst = int(np.argmax(np.maximum(beyond, grown / options.most_growth)))
     return str(names[heavy[worst]]) if max(beyond[worst], grown[worst] / options.most_growth) > 1 else None
+
+
+def find_inconsistent_match(
+    at: Evaluation,
+    matches: Matches,
+    inliers: BoolArray,
+    *,
+    unknowns: int = 6,
+    options: AcceptanceOptions = DEFAULT_ACCEPTANCE,
+) -> str | None:
+    """Return the pick that the pose fitted to the other inliers misses by more than chance allows, or None.
+
+    The squared error of pick k beside the pose of the others, in units of its own variance, is s_k + g (H - A)^-1 g
+    with g its part of the gradient and A its part of the information H. Its ratio to what the others leave has Fisher's
+    F distribution, however large the noise is; the bound on the largest of all is the sum of their probabilities.
+
+    Args:
+        at: all matches at the pose.
+        matches: the same matches.
+        inliers: (M,) bool.
+        unknowns: number of fitted parameters.
+        options: the thresholds.
+
+    Source: Cook and Weisberg, Residuals and influence in regression (1982), externally studentised residuals;
+    Bonferroni (1936).
+    """
+    from scipy.special import fdtrc, fdtri
+
+    counts = inliers & (at.seen.s[0] < UNSEEN)
+    names, pick = matches.numbered_picks()
+    s = np.bincount(pick, counts * at.seen.s[0], len(names))
+    own_dof = np.bincount(pick, counts * matches.dimensions, len(names))
+    dof = own_dof.sum() - unknowns
+    picked, most = np.count_nonzero(own_dof), own_dof.max(initial=0)
+    if dof <= most or not s.sum() > 0:
+        return None
+    # what the largest number of coordinates of a pick could exceed by chance is exceeded by few, if by any
+    ratio = fdtri(most, dof - most, 1 - options.least_left_out_chance / picked)
+    least = s.sum() / (1 + (dof - most) / (most * ratio)) / most  # for any smaller number it is smaller
+    J, K = _parts_of_information(at, inliers)
+    H, unit, inverse = _information(J, K)
+    spare = np.maximum(1 - _leverages(J, K, unit, inverse, pick), 1e-3)
+    e = at.seen.e[0] - at.lin.j[0] * at.seen.range_error[0]  # at the measured range
+    chances: dict[str, float] = {}
+    for k in np.flatnonzero((own_dof > 0) & (s / spare > least)):
+        mine = pick == k
+        A = K[..., mine].reshape(6, -1) @ J[..., mine].reshape(6, -1).T
+        g = K[..., mine].reshape(6, -1) @ e[:, mine].ravel()
+        rest = guarded_inverse((H - A) * np.outer(unit, unit)) * np.outer(unit, unit)
+        left_out = min(float(s[k] + g @ rest @ g), float(s.sum()))
+        others = (s.sum() - left_out) / (dof - own_dof[k])
+        worse = np.inf if others <= 0 else left_out / own_dof[k] / others
+        chances[names[k]] = picked * float(fdtrc(own_dof[k], dof - own_dof[k], worse))
+    worst = min(chances, key=chances.__getitem__, default=None)
+    return worst if worst is not None and chances[worst] < options.least_left_out_chance else None
+
+
+def _parts_of_information(at: Evaluation, inliers: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return J (6, 2, N) and K = J W (6, 2, N) of the inliers, with the ranges marginalised; K is 0 of the others."""
+    measured, lin = at.measured, at.lin
+    counts = inliers & (at.seen.s[0] < UNSEEN)
+    share = lin.m[0] / lin.h[0]
+    diagonal = counts * (measured.information - lin.m[0] * share)
+    cross = counts * (measured.cross_information - lin.m[0, :1] * share[1:])
+    J = lin.j_pose[0]
+    K = diagonal * J
+    K += cross * J[:, ::-1]
+    return J, K
+
+
+def _information(J: FloatArray, K: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return H (6, 6), the units (6,) in which its diagonal is 1, and its inverse in them."""
+    H = K.reshape(6, -1) @ J.reshape(6, -1).T
+    unit = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+    return H, unit, guarded_inverse(H * np.outer(unit, unit))
+
+
+def _leverages(J: FloatArray, K: FloatArray, unit: FloatArray, inverse: FloatArray, pick: IntArray) -> FloatArray:
+    """Return the leverage of each pick."""
+    scaled = (inverse * np.outer(unit, unit)) @ K.reshape(6, -1)
+    scaled *= J.reshape(6, -1)
+    of_match = scaled.sum(axis=0).reshape(2, -1).sum(axis=0)
+    return np.asarray(np.bincount(pick, of_match))
 
 
 def _log10_choose(n: int, k: int) -> float:

@@ -6,7 +6,13 @@ the excess along it is range noise:
     variance across = sigma_u^2,    variance along = sigma_u^2 + sigma_r^2 |d pi / d rho|^2
 
 If the baseline is too short to show the range noise, the range noise does not matter either, and a broad prior keeps
-the stated value. Source: maximum likelihood of the two variance components.
+the stated value.
+
+The inverse of the noise is what decides on inliers, weights and the covariance of a pose. So the estimate is the one
+whose inverse square is right in the mean: of few matches, it is larger than the scatter.
+
+Source: maximum likelihood of the two variance components; Rousseeuw and Leroy, Robust regression and outlier detection
+(1987), for the consistency of a scale of inliers.
 """
 
 from __future__ import annotations
@@ -15,12 +21,13 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, across_lines
 
 _PARAMETERS = 6
+_OF_INVERSE = 2  # E[1 / chi2_n] = 1 / (n - 2)
 _LEAST_PX = 0.05
 _PRIOR_LOG_SIGMA = np.log(3.0)
 _STEPS, _COARSE = 41, 5  # the cost has one minimum, so that every fifth value brackets it
@@ -39,6 +46,7 @@ def estimate_noise(
     most_range_m: float,
     fixed_px: float | None = None,
     fixed_range_m: float | None = None,
+    gate_chi2: float = np.inf,
 ) -> tuple[float, float]:
     """Return (sigma_px, sigma_range_m) of a match of weight 1.
 
@@ -52,6 +60,7 @@ def estimate_noise(
         most_range_m: upper bound of the range noise, m.
         fixed_px: pixel noise if known, px.
         fixed_range_m: range noise if known, m.
+        gate_chi2: largest cost s of a member, by which larger errors are missing from their scatter.
     """
     keep: Any = slice(None) if members is None else members
     rays = matches.rays[keep]
@@ -62,10 +71,12 @@ def estimate_noise(
     length2 = np.einsum("ni,ni->n", j, j)
     along2 = np.divide(np.einsum("ni,ni->n", e, j) ** 2, length2, out=np.zeros(len(e)), where=length2 > 0)
     across2 = np.maximum(np.einsum("ni,ni->n", e, e) - along2, 0)
-    dof = int(matches.dimensions[keep].sum())
+    dimensions = matches.dimensions[keep]
+    dof = int(dimensions.sum())
     free = dof - len(e)  # coordinates unaffected by range errors
-    fitted = dof / max(dof - _PARAMETERS, 1)  # the fitted pose absorbs part of the scatter
-    along2, across2 = along2 * fitted, across2 * fitted
+    kept = _share_of_scatter(dimensions, gate_chi2)
+    kept *= max(dof - _PARAMETERS - _OF_INVERSE, 1) / dof  # the fitted pose absorbs part of the scatter
+    along2, across2 = along2 / kept, across2 / kept
 
     least_range_m = min(stated_range_m, most_range_m) / 30
     grid = (
@@ -93,6 +104,17 @@ def estimate_noise(
     cost, variance = profile(fine)
     best = int(np.argmin(cost))
     return float(np.sqrt(variance[best])), float(fine[best])
+
+
+def _share_of_scatter(dimensions: IntArray, gate_chi2: float) -> float:
+    """Return the share of the variance of normal errors of d dimensions (N,) that is left below a gate."""
+    if not np.isfinite(gate_chi2) or not len(dimensions):
+        return 1.0
+    from scipy.special import gammainc
+
+    half = np.asarray(dimensions) / 2
+    left = gammainc(half + 1, gate_chi2 / 2) / gammainc(half, gate_chi2 / 2)
+    return float(half @ left / half.sum())
 
 
 def _pixel_variance(along2: FloatArray, rest: float, by_range: FloatArray, *, dof: int) -> FloatArray:

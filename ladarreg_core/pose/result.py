@@ -16,6 +16,7 @@ from ladarreg_core.pose.acceptance import (
     AcceptanceOptions,
     decide_acceptance,
     find_critical_match,
+    find_inconsistent_match,
     log10_false_alarms,
 )
 from ladarreg_core.pose.ambiguity import find_second_pose, is_planar, second_pose_of_outliers
@@ -63,7 +64,13 @@ class Fit:
 
 
 def noise_of_inliers(
-    pose: Rigid, inliers: BoolArray, matches: Matches, camera: CameraModel, options: PoseOptions
+    pose: Rigid,
+    inliers: BoolArray,
+    matches: Matches,
+    camera: CameraModel,
+    options: PoseOptions,
+    *,
+    gate_chi2: float = np.inf,
 ) -> tuple[float, float]:
     """Return (sigma_px, sigma_range_m) estimated from the inliers, within bounds for plausible matches."""
     return estimate_noise(
@@ -76,6 +83,7 @@ def noise_of_inliers(
         most_range_m=max(0.05, 0.03 * median(matches.ranges)),
         fixed_px=options.sigma_px,
         fixed_range_m=options.sigma_range_m,
+        gate_chi2=gate_chi2,
     )
 
 
@@ -109,15 +117,20 @@ def build_result(
     chance = log10_false_alarms(fit.at, matches, inliers, camera, gate=options.gate_chi2)
     verdict: dict[str, Any] = {
         "pose": pose, "matches": matches, "inliers": inliers, "chi2_per_dof": chi2, "covariance": covariance,
-        "log10_chance": chance, "second_pose_sought": options.check_ambiguity, "options": options.acceptance,
-        "stated_covariance": whole,
+        "log10_chance": chance, "unknowns": fit.free, "second_pose_sought": options.check_ambiguity,
+        "options": options.acceptance, "stated_covariance": whole,
     }  # fmt: skip
     accepted, reasons = decide_acceptance(**verdict)
     second_pose = None
     if accepted:
-        critical_match = find_critical_match(fit.at, matches, inliers, options.acceptance)
-        if critical_match is not None:
-            accepted, reasons = decide_acceptance(**verdict, critical_match=critical_match)
+        faults: dict[str, Any] = {
+            "critical_match": find_critical_match(fit.at, matches, inliers, options.acceptance),
+            "inconsistent_match": find_inconsistent_match(
+                fit.at, matches, inliers, unknowns=fit.free, options=options.acceptance
+            ),
+        }
+        if any(faults.values()):
+            accepted, reasons = decide_acceptance(**verdict, **faults)
     if accepted and options.check_ambiguity:  # the search is costly and cannot change a refusal
         second_pose = _second_pose(fit, matches, camera, options, sigma_px=sigma[0])
         if second_pose is not None:

@@ -182,9 +182,9 @@ def _with_estimated_noise(solution: _Solution, options: PoseOptions) -> _Solutio
     if not _noise_is_open(options):
         return solution
     last = False
-    while not last and solution.fit.count >= options.acceptance.least_inliers:
+    while not last and solution.fit.count >= options.acceptance.least_inliers():
         fit, rounds = solution.fit, solution.noise_rounds + 1
-        sigma = noise_of_inliers(fit.state.pose(), fit.inliers, solution.matches, solution.camera, options)
+        sigma = _noise_of(fit.state.pose(), fit.inliers, solution.matches, solution.camera, options)
         of_px, of_range = (a / b for a, b in zip(sigma, solution.sigma, strict=True))
         px_change, range_change = max(of_px, 1 / of_px), max(of_range, 1 / of_range)
         measured = fit.measured.with_noise(px_factor=of_px, range_factor=of_range)
@@ -205,6 +205,12 @@ def _with_estimated_noise(solution: _Solution, options: PoseOptions) -> _Solutio
     if last:
         return solution
     return replace(solution, fit=_fit(solution.fit.measured, solution.fit.state, options))
+
+
+def _noise_of(
+    pose: Rigid, inliers: BoolArray, matches: Matches, camera: CameraModel, options: PoseOptions
+) -> tuple[float, float]:
+    return noise_of_inliers(pose, inliers, matches, camera, options, gate_chi2=options.gate_chi2)
 
 
 def _noise_is_open(options: PoseOptions) -> bool:
@@ -255,9 +261,9 @@ def _noise_estimator(solution: _Solution, options: PoseOptions) -> Noise | None:
     """Return the estimator of the noise from a pose and its camera; None if the noise is stated."""
 
     def noise(pose: Rigid, of: CameraModel, inliers: BoolArray) -> tuple[float, float]:
-        if np.count_nonzero(inliers) < options.acceptance.least_inliers:
+        if np.count_nonzero(inliers) < options.acceptance.least_inliers():
             return solution.sigma
-        return noise_of_inliers(pose, inliers, solution.matches, of, options)
+        return _noise_of(pose, inliers, solution.matches, of, options)
 
     return noise if _noise_is_open(options) else None
 

@@ -32,7 +32,7 @@ def build_simplex_result(found: SimplexFit, matches: Matches, camera: Camera, op
     inliers = found.after.inliers & (seen.s[0] < UNSEEN)
     if (options.sigma_px is None or options.sigma_range_m is None) and np.count_nonzero(
         inliers
-    ) >= options.acceptance.least_inliers:
+    ) >= options.acceptance.least_inliers():
         sigma_px, sigma_m = noise_of_inliers(pose, inliers, matches, camera, options)
         measured = Measurements.of(matches, camera, sigma_px=sigma_px, sigma_range_m=sigma_m)
         state, seen = adjust_ranges(measured, States.of([pose], measured))

@@ -42,8 +42,8 @@ LEVELS: tuple[Level, ...] = ("good", "fair", "poor")
 
 COST = (1.4, 2.0)
 """Factors on the standard deviation from which a finding is fair, and poor."""
-FEW_MATCHES = (24, DEFAULT_ACCEPTANCE.least_inliers)
-"""Numbers of matches below which the standard deviation is 1.43 and 2.1 times that of 48 matches."""
+FEW_MATCHES = (24, DEFAULT_ACCEPTANCE.least_inliers())
+"""Numbers of matches below which the standard deviation is 1.43 and 2.6 times that of 48 matches."""
 LITTLE_DEPTH = (1.8, 1.4)
 """Ratio of far to near ranges below which the standard deviation is 1.4 and 2 times as large."""
 LITTLE_RELIEF = 0.15
@@ -354,7 +354,7 @@ def _bias(result: PoseResult) -> Finding | None:
     for k in np.flatnonzero(usable).tolist():
         by_pick.setdefault(result.matches.pick_ids[k], []).append(k)
     count = len(by_pick)
-    if count < DEFAULT_ACCEPTANCE.least_inliers:
+    if count < DEFAULT_ACCEPTANCE.least_inliers():
         return None
     # The errors of the samples of one line are correlated.
     residuals = np.array([result.residuals_px[members].mean(axis=0) for members in by_pick.values()])

@@ -77,7 +77,7 @@ def stereo_cautions(
 
 def _count(matches: Matches) -> str:
     count = count_distinct(matches.points, matches.uv) if len(matches) else 0
-    least = DEFAULT_ACCEPTANCE.least_inliers
+    least = DEFAULT_ACCEPTANCE.least_inliers()
     if count >= least:
         return ""
     return (

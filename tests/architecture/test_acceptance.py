@@ -33,5 +33,5 @@ def test_every_threshold_is_documented_and_saved(options: type) -> None:
 @pytest.mark.parametrize(("options", "room"), [(AcceptanceOptions, "pose"), (GateOptions, "matching")])
 def test_every_threshold_is_used(options: type, room: str) -> None:
     text = "\n".join(path.read_text(encoding="utf-8") for path in (CORE / room).rglob("*.py"))
-    used = set(re.findall(r"(?:\b(?:o|options|acceptance|gate)|GateOptions\(\)\))\.(\w+)", text))
+    used = set(re.findall(r"(?:\b(?:o|options|acceptance|gate|self)|GateOptions\(\)\))\.(\w+)", text))
     assert {field.name for field in fields(options)} <= used

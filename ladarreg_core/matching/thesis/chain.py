@@ -372,7 +372,7 @@ def _predicted_cautions(
     view = search.scan.view.view_from_scanner if search is not None else None
     sigma = options.pose.sigma_px or STATED_SIGMA_PX
     found = stereo_cautions(matches, camera, pose=pose, sigma_px=sigma, view_from_scanner=view)
-    few = len(matches) < options.pose.acceptance.least_inliers
+    few = len(matches) < options.pose.acceptance.least_inliers()
     turn = search.detect_roll() if search is not None and few else None
     return found if turn is None else (*found, turn.summary())
 

@@ -46,7 +46,7 @@ def has_second_pose(result: PoseResult) -> bool:
 @pytest.mark.parametrize(
     "thresholds",
     [
-        {"least_inliers": 60},
+        {"least_surplus": 60},
         {"least_share": 0.95},
         {"most_chi2_per_dof": 0.1},
         {"most_log10_chance": -1e6},
@@ -123,4 +123,4 @@ def test_rivals_at_the_limit_are_not_lost_in_refinement() -> None:
 
 def test_acceptance_must_be_options() -> None:
     with pytest.raises(OptionError, match="AcceptanceOptions"):
-        PoseOptions(acceptance={"least_inliers": 3})
+        PoseOptions(acceptance={"least_surplus": 3})

@@ -9,12 +9,14 @@ import pytest
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.matches import Matches
+from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.picks.measure import matches_from_picks
+from ladarreg_core.pose.acceptance import AcceptanceOptions
 from ladarreg_core.pose.estimate import PoseOptions, estimate_pose, solve_pose
 from ladarreg_core.registration import RegisterOptions
+from testing.scenes.pose_case import difference
 from testing.scenes.room import room_case, room_ranges
-from testing.scenes.room_lines import line_case
+from testing.scenes.room_lines import LineCase, line_case
 
 STATED = {"sigma_px": 1.0, "sigma_range_m": 0.015}
 
@@ -110,6 +112,43 @@ def test_lines_and_points_are_solved_in_one_cost():
     together = sum(np.linalg.inv(result.covariance) for result in results[:2])
     np.testing.assert_allclose(np.diag(np.linalg.inv(together)), np.diag(results[2].covariance), rtol=0.15)
     assert results[2].camera_from_scanner.distance_to(lines.pose) < 4 * sigmas[2]
+
+
+def _with_line_beside_its_edge(case: LineCase, px: float) -> tuple[Pick, ...]:
+    """Return the lines of a case, the third of which is drawn this far beside its edge in the photo."""
+    line = case.picks[2]
+    along = line.photo[1] - line.photo[0]
+    across = np.array([-along[1], along[0]]) / np.linalg.norm(along)
+    return (*case.picks[:2], replace(line, photo=line.photo + px * across), *case.picks[3:])
+
+
+def test_a_line_that_the_others_miss_is_named():
+    """It hides in the scatter that it causes itself, and moves the camera by four standard deviations."""
+    case = line_case(14, lines=6)
+    drawn, _ = matches_from_picks(case.scan, _with_line_beside_its_edge(case, 15.0), camera=case.camera)
+    solved = {
+        chance: solve_pose(drawn, case.camera, PoseOptions(acceptance=AcceptanceOptions(least_left_out_chance=chance)))
+        for chance in (1e-3, 0.0)
+    }
+    assert not solved[1e-3].accepted
+    assert any("misses match L3 by more than their scatter" in reason for reason in solved[1e-3].reasons)
+    assert solved[0.0].accepted
+    assert solved[0.0].camera_from_scanner.distance_to(case.pose) > 3 * solved[0.0].sigma_position_m
+
+
+@pytest.mark.parametrize(("make", "count"), [(room_case, 10), (line_case, 6)], ids=["points", "lines"])
+def test_the_sigma_of_few_matches_of_unknown_noise_holds(make, count):
+    """48 poses with 6 parameters each: the mean square has a standard deviation of .08 if the sigmas are right."""
+    distances = []
+    for seed in range(48):
+        case = make(seed, count=count) if make is room_case else make(seed, lines=count)
+        drawn = case.matches if make is room_case else matches_from_picks(case.scan, case.picks, camera=case.camera)[0]
+        result = solve_pose(drawn, case.camera, PoseOptions(intrinsics="fixed"))
+        if result.accepted:
+            off = difference(case.pose, result.camera_from_scanner)
+            distances.append(off @ np.linalg.solve(result.covariance, off))
+    assert len(distances) >= 45
+    assert np.sqrt(np.mean(distances) / 6) < 1.15
 
 
 @pytest.mark.parametrize("stated", [STATED, {}])
