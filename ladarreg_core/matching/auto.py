@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal, get_args
@@ -46,6 +46,7 @@ Reach = Literal["everywhere", "near_start"]
 _MAX_ROLLED_VIEWS, _MAX_GRID_VIEWS = 2, 3
 _MEDIAN_CELLS = 100_000
 _SURE_FINE_FRACTION = 0.8  # of regions that agree at the true pose of a simulated pair .8-1, beside it .66-.75
+_BESIDE = 0.02  # of the focal length: such poses are 1 to 4 % off it
 _RANGE_M = (1e-6, 1e7)  # generous, to allow for wrong units; the limits of the estimator of matches
 ADVICE = "Draw a few matches by hand, or give an initial pose."
 """What to do about a photograph that is not accepted."""
@@ -148,8 +149,11 @@ def register_auto(
     result = _searched(pair, photo.pinhole, photo, steps, initial, o, prior, channels)
     if photo.assumed and _may_be_beside(result):
         assert result.camera is not None, "it was estimated"
-        again = pair.with_camera(result.camera)
-        result = max(result, _searched(again, result.camera, photo, steps, None, o, prior, channels), key=_rank)
+        for camera in _cameras_beside(result.camera, photo.pinhole):
+            again = _searched(pair.with_camera(camera), camera, photo, steps, None, o, prior, channels)
+            result = max(result, again, key=_rank)
+            if not _may_be_beside(result):
+                break
     directions = viewing_directions(scan, working, initial=initial)
     return _explain_if_sparse(result, scan, photo, [*directions, *([initial] if initial else [])])
 
@@ -193,6 +197,14 @@ def _may_be_beside(result: AutoResult) -> bool:
     if verdict is None or not verdict.accepted or result.camera is None:
         return False
     return (verdict.fine_fraction or 0.0) < _SURE_FINE_FRACTION
+
+
+def _cameras_beside(camera: Camera, stated: Camera) -> Iterator[Camera]:
+    """Yield an estimated camera with longer and shorter focal lengths, first the one farther from what was stated."""
+    farther = 1 if camera.fx >= stated.fx else -1
+    for sign in (farther, -farther):
+        by = 1 + sign * _BESIDE
+        yield replace(camera, fx=camera.fx * by, fy=camera.fy * by)
 
 
 def _rank(result: AutoResult) -> tuple[bool, float]:
