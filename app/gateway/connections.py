@@ -275,7 +275,8 @@ class _Listener:
                 self._server.connections.evict_anonymous()
                 await asyncio.sleep(_ACCEPT_RETRY_S)
                 continue
-            connection = self._server.connections.add(str(address[0]))
+            peer = str(address[0]) if address else ""  # that of a Unix socket has none
+            connection = self._server.connections.add(peer)
             connection.handshake = self._loop.create_task(self._establish(accepted, connection))
             self._handshakes[connection.handshake] = None
             connection.handshake.add_done_callback(partial(self._established, accepted, connection))

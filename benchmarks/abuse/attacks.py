@@ -1,6 +1,6 @@
 """Attacks on a server, in a process of their own.
 
-`python -m benchmarks.abuse.attacks PORT COOKIE SECONDS NAME [ARGUMENTS]` prints one JSON object at the end: the
+`python -m benchmarks.abuse.attacks PORT COOKIE PATH SECONDS NAME [ARGUMENTS]` prints one JSON object at the end: the
 attempts, and the reactions of the server.
 """
 
@@ -18,13 +18,14 @@ from typing import Any
 from urllib.parse import quote
 
 from testing.attacks.held_connections import HeldConnections
+from testing.workbench.access import Access
 
 HOST = "127.0.0.1"
 
 
-async def hold(port: int, cookie: str, seconds: float, kind: str, count: str) -> dict[str, Any]:
+async def hold(port: int, access: Access, seconds: float, kind: str, count: str) -> dict[str, Any]:
     """Hold connections of a kind of `HeldConnections`, and reopen what the server closes."""
-    held = HeldConnections(kind, int(count), HOST, port, cookie)
+    held = HeldConnections(kind, int(count), HOST, port, access)
     until = time.monotonic() + seconds
     while time.monotonic() < until:
         held.fill()
@@ -32,7 +33,7 @@ async def hold(port: int, cookie: str, seconds: float, kind: str, count: str) ->
     return {"held": len(held.open), "opened": held.opened, "closed": held.closed, "failed": held.failed}
 
 
-async def tokens(port: int, cookie: str, seconds: float, count: str) -> dict[str, Any]:
+async def tokens(port: int, access: Access, seconds: float, count: str) -> dict[str, Any]:
     """Send wrong tokens, as an image on a foreign web page could."""
     found: Counter[str] = Counter()
 
@@ -56,21 +57,21 @@ async def tokens(port: int, cookie: str, seconds: float, count: str) -> dict[str
     return dict(found)
 
 
-async def upload(port: int, cookie: str, seconds: float, what: str, photo: str, *files: str) -> dict[str, Any]:
+async def upload(port: int, access: Access, seconds: float, what: str, photo: str, *files: str) -> dict[str, Any]:
     """Upload files one after another."""
     answers = []
     for file in files:
         began = time.monotonic()
-        answer = await asyncio.to_thread(_upload, port, cookie, what, photo, Path(file))
+        answer = await asyncio.to_thread(_upload, port, access, what, photo, Path(file))
         answers.append(f"{Path(file).name}: {answer} ({time.monotonic() - began:.1f} s)")
     return {"answers": answers}
 
 
-def _upload(port: int, cookie: str, what: str, photo: str, file: Path) -> str:
+def _upload(port: int, access: Access, what: str, photo: str, file: Path) -> str:
     connection = http.client.HTTPConnection(HOST, port, timeout=150)
-    headers = {"Cookie": cookie, "Origin": f"http://{HOST}:{port}", "X-File-Name": quote(file.name)}
+    headers = {"Cookie": access.cookie, "Origin": f"http://{HOST}:{port}", "X-File-Name": quote(file.name)}
     try:
-        connection.request("POST", f"/upload?what={what}&photo={photo}", file.read_bytes(), headers)
+        connection.request("POST", access.within(f"/upload?what={what}&photo={photo}"), file.read_bytes(), headers)
         answer = connection.getresponse()
         reply = json.loads(answer.read())
         return "taken" if reply.get("ok") else f"refused ({reply.get('error')})"
@@ -85,13 +86,13 @@ ATTACKS: dict[str, Callable[..., Coroutine[Any, Any, dict[str, Any]]]] = {
 }
 
 
-def main(port: str, cookie: str, seconds: str, name: str, *arguments: str) -> None:
+def main(port: str, cookie: str, path: str, seconds: str, name: str, *arguments: str) -> None:
     if sys.platform != "win32":
         import resource
 
         _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
         resource.setrlimit(resource.RLIMIT_NOFILE, (min(most, 8192) if most > 0 else 8192, most))
-    print(json.dumps(asyncio.run(ATTACKS[name](int(port), cookie, float(seconds), *arguments))))
+    print(json.dumps(asyncio.run(ATTACKS[name](int(port), Access(cookie, path), float(seconds), *arguments))))
 
 
 if __name__ == "__main__":

@@ -116,8 +116,8 @@ def _attack(
     process = None
     if arguments:
         process = subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.abuse.attacks", str(server.port), server.cookie, str(seconds),
-            *arguments], stdout=subprocess.PIPE, text=True,
+            [sys.executable, "-m", "benchmarks.abuse.attacks", str(server.port), server.access.cookie,
+            server.access.path, str(seconds), *arguments], stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
     least, most = time.monotonic() + seconds, time.monotonic() + _LONGEST_S
     try:

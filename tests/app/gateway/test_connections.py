@@ -78,8 +78,13 @@ def line_to(run: Running, sent: bytes = b"", *, receive_buffer: int | None = Non
 
 
 def header(run: Running, method: str, path: str, *more: str, known: bool = True) -> bytes:
-    lines = [f"{method} {path} HTTP/1.1", f"Host: 127.0.0.1:{run.port}", f"Origin: {run.origin}", *more]
-    lines += [f"Cookie: {run.cookie}"] if known else []
+    lines = [
+        f"{method} {run.access.within(path) if known else path} HTTP/1.1",
+        f"Host: 127.0.0.1:{run.port}",
+        f"Origin: {run.origin}",
+        *more,
+    ]
+    lines += [f"Cookie: {run.access.cookie}"] if known else []
     return "\r\n".join([*lines, "", ""]).encode()
 
 

@@ -38,8 +38,14 @@ def begin(run: Running, head: bytes) -> socket.socket:
     """Start an upload on a raw socket."""
     line = socket.create_connection(("127.0.0.1", run.port), timeout=60)
     line.sendall(
-        b"POST /upload?what=scan HTTP/1.1\r\nHost: 127.0.0.1:%d\r\nOrigin: %s\r\nCookie: %s\r\nX-File-Name: a.e57\r\n%s"
-        % (run.port, run.origin.encode(), run.cookie.encode(), head)
+        b"POST %s HTTP/1.1\r\nHost: 127.0.0.1:%d\r\nOrigin: %s\r\nCookie: %s\r\nX-File-Name: a.e57\r\n%s"
+        % (
+            run.access.within("/upload?what=scan").encode(),
+            run.port,
+            run.origin.encode(),
+            run.access.cookie.encode(),
+            head,
+        )
     )
     return line
 
@@ -266,7 +272,7 @@ def test_modules_are_served_as_javascript(run: Running, checkout: Path) -> None:
 def test_many_pictures_at_once_are_all_drawn(run: Running) -> None:
     lines = [http.client.HTTPConnection("127.0.0.1", run.port, timeout=60) for _ in range(20)]
     for line in lines:
-        line.request("GET", "/picture/scan?rev=2", headers={"Cookie": run.cookie})
+        line.request("GET", run.access.within("/picture/scan?rev=2"), headers={"Cookie": run.access.cookie})
     assert [line.getresponse().status for line in lines] == [200] * 20
     for line in lines:
         line.close()
