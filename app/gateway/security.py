@@ -30,6 +30,8 @@ VISER_POLICY = (
     "img-src blob: data:; connect-src 'self' blob: data:; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
 )
 """Content security policy of viser's page."""
+READERS_MESSAGE_BYTES = 1 << 16
+"""Length of the longest message accepted from a page or a 3-D view that may only look."""
 _DAY_S = 86_400
 _READING = ("GET", "HEAD")
 _NO_SESSION = "Open the workbench's page with its token first."
@@ -64,6 +66,8 @@ class Guard:
                 refusal = _plain(401, _NO_SESSION)
             refusal = refusal or _refusal_at_limit(scope)
             if refusal is None:
+                if scope["state"]["read_only"] and CONNECTION_KEY in scope["state"]:
+                    scope["state"][CONNECTION_KEY].limit_messages(READERS_MESSAGE_BYTES)
                 await self._inner(_within_session(scope, path), receive, send)
             else:
                 await WebSocket(scope, receive, send).send_denial_response(refusal)
@@ -168,7 +172,8 @@ def _is_viser(path: str) -> bool:
 def _refusal_at_limit(scope: Scope) -> Response | None:
     """Mark the connection as authenticated; return the refusal if there are too many."""
     connection: Connection | None = scope["state"].get(CONNECTION_KEY)
-    if connection is None or connection.authenticate():
+    read_only = scope["state"]["read_only"]
+    if connection is None or connection.authenticate(read_only=read_only):
         return None
     return _plain(503, "The workbench has reached its limit of open connections; close pages that are not needed.")
 

@@ -31,8 +31,8 @@ from .viser_backend import ViserAddress
 
 _START_TIMEOUT_S = 20.0
 _GRACE_S = 2
-# Messages to viser pass here too; those of the document have a limit of their own.
-_MAX_MESSAGE_BYTES = 64 << 20
+MAX_MESSAGE_BYTES = 1_000_000
+"""Length of the longest message accepted from a page or a 3-D view; counted while it arrives."""
 # On a slow line a ping waits behind the scene, which has megabytes.
 _PING_S, _PONG_S = 20.0, 120.0
 _SWITCH_INTERVAL_S = 0.0005
@@ -59,7 +59,7 @@ class Gateway:
             TrackedApp(build(self.port)),
             **PROTOCOLS,
             loop="asyncio",
-            ws_max_size=_MAX_MESSAGE_BYTES,
+            ws_max_size=MAX_MESSAGE_BYTES,
             ws_ping_interval=_PING_S,
             ws_ping_timeout=_PONG_S,
             ws_per_message_deflate=False,
