@@ -13,11 +13,14 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Coroutine
+from concurrent.futures import ThreadPoolExecutor
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from testing.attacks.held_connections import HeldConnections
+from testing.attacks.server_process import TOKEN
 from testing.workbench.access import Access
 
 HOST = "127.0.0.1"
@@ -67,6 +70,26 @@ async def upload(port: int, access: Access, seconds: float, what: str, photo: st
     return {"answers": answers}
 
 
+async def uploads(
+    port: int, access: Access, seconds: float, count: str, what: str, photo: str, *files: str
+) -> dict[str, Any]:
+    """Upload files in turn, so many at once, each from a browser of its own, which has a limit of its own."""
+    browsers = [_logged_in(port) for _ in range(int(count))]
+    jobs = zip(browsers, cycle(files))
+    with ThreadPoolExecutor(len(browsers)) as threads:
+        answers = list(threads.map(lambda job: _upload(port, job[0], what, photo, Path(job[1])), jobs))
+    return dict(Counter(answer.partition(" (")[0] for answer in answers))
+
+
+def _logged_in(port: int) -> Access:
+    connection = http.client.HTTPConnection(HOST, port, timeout=60)
+    connection.request("GET", f"/?token={TOKEN}")
+    answer = connection.getresponse()
+    answer.read()
+    connection.close()
+    return Access.granted({name.lower(): value for name, value in answer.getheaders()})
+
+
 def _upload(port: int, access: Access, what: str, photo: str, file: Path) -> str:
     connection = http.client.HTTPConnection(HOST, port, timeout=150)
     headers = {"Cookie": access.cookie, "Origin": f"http://{HOST}:{port}", "X-File-Name": quote(file.name)}
@@ -74,6 +97,8 @@ def _upload(port: int, access: Access, what: str, photo: str, file: Path) -> str
         connection.request("POST", access.within(f"/upload?what={what}&photo={photo}"), file.read_bytes(), headers)
         answer = connection.getresponse()
         reply = json.loads(answer.read())
+        if answer.status == 429:
+            return "busy (429)"
         return "taken" if reply.get("ok") else f"refused ({reply.get('error')})"
     except (OSError, http.client.HTTPException, ValueError) as error:
         return f"no answer ({type(error).__name__})"
@@ -82,7 +107,7 @@ def _upload(port: int, access: Access, what: str, photo: str, file: Path) -> str
 
 
 ATTACKS: dict[str, Callable[..., Coroutine[Any, Any, dict[str, Any]]]] = {
-    attack.__name__: attack for attack in (hold, tokens, upload)
+    attack.__name__: attack for attack in (hold, tokens, upload, uploads)
 }
 
 
