@@ -54,8 +54,8 @@ _SCRIPT_FILE = "login.js"
 _COOKIE = "ladarreg"
 _SESSION = re.compile(r"/s/([0-9a-f]{32})(/.*)", re.DOTALL)
 _EXPIRED = (
-    "This address has expired: the workbench has another token now, or the address belongs to another browser, or this"
-    " browser was closed since."
+    "This address has expired, or belongs to another browser: it opens the workbench only where the token was shown,"
+    " until that browser is closed or the token replaced."
 )
 
 
@@ -245,8 +245,7 @@ def _form(error: str, *, home: str = "./") -> Response:
     alert = f'<p class="bad" role="alert">{html.escape(error)}</p>' if error else ""
     body = (
         f"<h1>ladarreg</h1>{alert}"
-        "<p>Enter the token of this workbench. It is part of the address that was printed when the workbench was"
-        " started.</p>"
+        "<p>Open the address that the workbench printed when it was started, or enter the token from it.</p>"
         f'<form method="post" action="{home}enter"><label for="token">Token</label>'
         '<input id="token" name="token" type="password" autocomplete="current-password" required autofocus>'
         "<button>Enter</button></form>"

@@ -146,7 +146,7 @@ class Uploads:
 
     async def _stream(self, request: Request, part: Path, most: int) -> None:
         """Write the body of a request to a file."""
-        file = await self._in_thread(part.open, "xb")
+        file = await self._in_thread(lambda: part.open("xb"))
         try:
             await self._copy(request, file, part.parent, most)
         finally:
