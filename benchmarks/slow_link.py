@@ -19,6 +19,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+from ladarreg.gateway.login import session_name_and_path
+
 from benchmarks.throttling_proxy import ThrottlingProxy
 from testing.workbench.browser import FLAGS, find_chromium
 from testing.workbench.served import Page as Socket
@@ -103,7 +105,8 @@ def registered_sample(project: Path) -> Iterator[Served]:
 
 def kind_of(path: str) -> str:
     """Return what the bytes of a request are spent on."""
-    path = path.partition("?")[0]
+    address = path.removeprefix("websocket ")
+    path = path.removesuffix(address) + session_name_and_path(address.partition("?")[0])[1]
     if path.endswith((".js", ".css", ".svg")):
         return "scripts and styles"
     if path.startswith(("/picture/model/", "websocket /viser")):

@@ -45,6 +45,8 @@ class Arguments(CameraArguments):
     """Address to listen on; any other than the loopback address exposes the workbench, see docs/remote.md."""
     port: int = 8700
     """Port; if it is in use, the next free one. 0: any free port."""
+    socket: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
+    """Listen on a Unix socket instead, for a reverse proxy, see docs/remote.md; implies --behind-proxy."""
     token: Annotated[str | None, tyro.conf.arg(metavar="TOKEN")] = None
     """Access token, at least 22 characters; safer in LADARREG_TOKEN. Default: a random one, kept for the port."""
     new_token: bool = False
@@ -82,6 +84,7 @@ def run(arguments: Arguments) -> ExitCode:
     options = GatewayOptions(
         host=arguments.host,
         port=arguments.port,
+        socket=arguments.socket,
         certfile=str(arguments.certfile) if arguments.certfile else None,
         keyfile=str(arguments.keyfile) if arguments.keyfile else None,
         behind_proxy=arguments.behind_proxy,

@@ -3,7 +3,7 @@
 A connection is anonymous until a request on it shows a valid cookie, and authenticated from then on. Anonymous
 connections are never turned away: if there are too many, the peer that has the most loses its oldest one, so that a new
 connection that sends its request at once gets through any number of idle ones. Authenticated connections are trusted
-with the document; they are limited only by what the process can hold.
+with the document; they are limited by what the process can hold, and those of readers by their share of it.
 
 The accept loop is our own because asyncio's server hands a TLS connection over only after its handshake, which an idle
 peer never begins.
@@ -27,6 +27,7 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 
 from .options import ConnectionLimits
 from .request_source import network_of
+from .seats import Seats
 
 log = logging.getLogger(__name__)
 CONNECTION_KEY = "connection"
@@ -48,7 +49,8 @@ class Connection:
     def __init__(self, peer: str, connections: Connections) -> None:
         self.peer, self._connections = peer, connections
         self.handshake: asyncio.Task[None] | None = None
-        self.is_authenticated = self.is_busy = self.is_websocket = self.awaits_body = False
+        self.is_authenticated = self.read_only = self.is_busy = self.is_websocket = self.awaits_body = False
+        self._messages: WebSocketsSansIOProtocol | None = None
         self._transport: asyncio.Transport | None = None
         self._carrier: asyncio.Transport | None = None
         self._unsent = 0
@@ -71,9 +73,18 @@ class Connection:
         # Below TLS lies the plain transport: it holds the unsent bytes and closes without the peer's cooperation.
         self._carrier = getattr(getattr(transport, "_ssl_protocol", None), "_transport", None) or transport
 
-    def authenticate(self) -> bool:
-        """Record that a request showed a valid cookie; return whether the limit allows the connection."""
-        return self._connections.authenticate(self)
+    def authenticate(self, *, read_only: bool) -> bool:
+        """Record that a request belongs to a session; return whether the limit allows the connection."""
+        return self._connections.authenticate(self, read_only=read_only)
+
+    def carry(self, websocket: WebSocketsSansIOProtocol) -> None:
+        """Set the websocket that the connection has become."""
+        self._messages = websocket
+
+    def limit_messages(self, most_bytes: int) -> None:
+        """Limit the messages of the websocket; a longer one closes it as soon as its length is known."""
+        if self._messages is not None:
+            self._messages.conn.max_message_size = most_bytes
 
     def lost(self) -> None:
         """Record that it has ended."""
@@ -120,6 +131,7 @@ class Connections:
         self.limits, self.clock = limits, clock
         self._anonymous: dict[str, dict[Connection, None]] = {}  # by peer, the oldest first
         self._authenticated: dict[Connection, None] = {}
+        self._seats = Seats(limits.authenticated)
 
     @property
     def is_crowded(self) -> bool:
@@ -141,18 +153,25 @@ class Connections:
             own = self._anonymous[largest]
             next((connection for connection in own if not connection.is_served), next(iter(own))).drop()
 
-    def authenticate(self, connection: Connection) -> bool:
-        """Move a connection to the authenticated ones; at the limit an idle one is dropped, or False returned."""
-        if connection.is_authenticated:
+    def authenticate(self, connection: Connection, *, read_only: bool) -> bool:
+        """Move a connection to the authenticated ones; at the limit an idle one is dropped, or False returned.
+
+        An idle connection of a reader makes room for anyone, one of an editor for editors only.
+        """
+        if connection.is_authenticated:  # of a proxy that carries several browsers, an editor's counts
+            connection.read_only = connection.read_only and read_only
             return True
-        if len(self._authenticated) >= self.limits.authenticated:
-            idle = next((other for other in self._authenticated if not other.is_busy), None)
+        readers = [other for other in self._authenticated if other.read_only]
+        taken = len(self._authenticated)
+        if not self._seats.is_free(taken=taken, by_readers=len(readers), read_only=read_only):
+            yielding = readers if read_only else sorted(self._authenticated, key=lambda other: not other.read_only)
+            idle = next((other for other in yielding if not other.is_busy), None)
             if idle is None:
                 return False
             idle.drop()
         self.remove(connection)
         self._authenticated[connection] = None
-        connection.is_authenticated = True
+        connection.is_authenticated, connection.read_only = True, read_only
         return True
 
     def remove(self, connection: Connection) -> None:
@@ -220,6 +239,10 @@ class _Http(_Tracked, H11Protocol):
 class _Websocket(_Tracked, WebSocketsSansIOProtocol):
     """Protocol of a websocket connection."""
 
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        self.app_state[CONNECTION_KEY].carry(self)
+
 
 PROTOCOLS: dict[str, Any] = {"http": _Http, "ws": _Websocket}
 """uvicorn options that a `LimitedServer` requires."""
@@ -275,7 +298,8 @@ class _Listener:
                 self._server.connections.evict_anonymous()
                 await asyncio.sleep(_ACCEPT_RETRY_S)
                 continue
-            connection = self._server.connections.add(str(address[0]))
+            peer = str(address[0]) if address else ""  # that of a Unix socket has none
+            connection = self._server.connections.add(peer)
             connection.handshake = self._loop.create_task(self._establish(accepted, connection))
             self._handshakes[connection.handshake] = None
             connection.handshake.add_done_callback(partial(self._established, accepted, connection))

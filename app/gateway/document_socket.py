@@ -12,6 +12,7 @@ from collections.abc import Awaitable, Callable, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+from anyio import CapacityLimiter, to_thread
 from starlette.concurrency import run_in_threadpool
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
@@ -22,9 +23,7 @@ from .encoding import InvalidMessageError, SharedEncoder, decode_object, encode,
 from .protocol import URGENT, Client, Message, Visitor, Workbench
 
 log = logging.getLogger(__name__)
-MAX_MESSAGE_CHARACTERS = 1_000_000
-"""Length of the longest message accepted from a page."""
-_TOO_LONG, _FAULT, _FULL = 1009, 1011, 1013
+_FAULT, _FULL = 1011, 1013
 _RESTART = 1012
 _PROJECT_CHANGED = "project"
 """Event after which a page connects again."""
@@ -37,6 +36,8 @@ _MAX_URGENT_CHARACTERS = 1000
 _TOGETHER_S = 0.02
 """How long the changes by a page's command wait for its reply, to be sent with it."""
 _URGENT_THREADS = 4
+_READERS_THREADS = 4
+"""Commands of pages that may only look, at a time: however many there are, those of editors find a thread."""
 _SECRET = re.compile(r"[A-Za-z0-9_-]{16,64}")
 _MAX_FIELD = 100
 _LATEST_ONLY = frozenset({"simplex", "hover", "cursor", "view"})
@@ -58,6 +59,7 @@ class DocumentSocket:
         self._encoder = SharedEncoder()
         # Other requests, which may be slow, share a limited number of threads.
         self._urgent = ThreadPoolExecutor(_URGENT_THREADS, thread_name_prefix="urgent command")
+        self._for_readers = CapacityLimiter(_READERS_THREADS)
 
     async def serve(self, websocket: WebSocket) -> None:
         """Serve one page until it disconnects."""
@@ -105,8 +107,9 @@ class DocumentSocket:
 
     async def _receive(self, websocket: WebSocket, client: Client, outbox: Outbox, replied: asyncio.Event) -> None:
         waiting: asyncio.Queue[str | Awaitable[str] | None] = asyncio.Queue(_MAX_WAITING)
+        limiter = self._for_readers if websocket.state.read_only else None
         await _until_one_ends(
-            self._read(websocket, client, waiting), self._reply_in_order(client, waiting, outbox, replied)
+            self._read(websocket, client, waiting), self._reply_in_order(client, waiting, outbox, replied, limiter)
         )
 
     async def _read(
@@ -115,10 +118,6 @@ class DocumentSocket:
         """Read commands; urgent ones are executed at once, and only their replies wait for their turn."""
         while (received := await websocket.receive())["type"] != "websocket.disconnect":
             text = received.get("text")
-            if text is not None and len(text) > MAX_MESSAGE_CHARACTERS:
-                await waiting.join()
-                await websocket.close(_TOO_LONG, "a message of a page has at most 1 MB")
-                return
             if text is not None and _is_urgent(text):
                 loop = asyncio.get_running_loop()
                 await waiting.put(loop.run_in_executor(self._urgent, self._answer, client, text))
@@ -128,14 +127,14 @@ class DocumentSocket:
 
     async def _reply_in_order(
         self, client: Client, waiting: asyncio.Queue[str | Awaitable[str] | None], outbox: Outbox,
-        replied: asyncio.Event,
+        replied: asyncio.Event, limiter: CapacityLimiter | None,
     ) -> None:  # fmt: skip
         while True:
             command = await waiting.get()
             if command is None or isinstance(command, str):
                 outbox.hold()
                 late = asyncio.get_running_loop().call_later(_TOGETHER_S, outbox.release)
-                outbox.reply(await run_in_threadpool(self._answer, client, command))
+                outbox.reply(await to_thread.run_sync(self._answer, client, command, limiter=limiter))
                 late.cancel()
             else:
                 outbox.reply(await asyncio.shield(command))

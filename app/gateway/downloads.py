@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import nullcontext
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -32,11 +33,13 @@ class Pictures:
     def __init__(self, workbench: Workbench) -> None:
         self._workbench = workbench
         self._slots = asyncio.Semaphore(_MAX_CONCURRENT)
+        self._readers_slot = asyncio.Semaphore(1)  # an editor waits for at most one of theirs
 
     async def serve(self, request: Request) -> Response:
         """Return a picture."""
         query = dict(request.query_params)
-        async with self._slots:
+        readers = self._readers_slot if request.state.read_only else nullcontext()
+        async with readers, self._slots:
             if await request.is_disconnected():  # a slider that is being dragged has already requested the next one
                 return Response(status_code=_CLIENT_CLOSED_REQUEST)
             try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 from ladarreg_core.errors import OptionError
 
@@ -56,8 +57,10 @@ class GatewayOptions:
     """Certificate chain, PEM; enables TLS."""
     keyfile: str | None = None
     """Private key of the certificate, PEM; None: contained in `certfile`."""
+    socket: Path | None = None
+    """Unix socket to listen on in place of a port; only a reverse proxy connects there."""
     behind_proxy: bool = False
-    """True if a reverse proxy stands in front, whose X-Forwarded headers are trusted."""
+    """True if a reverse proxy stands in front, whose X-Forwarded headers are trusted; always with `socket`."""
     allowed_hosts: tuple[str, ...] = ()
     """Host names, besides those of loopback, under which browsers may request the page."""
     limits: ConnectionLimits = field(default_factory=ConnectionLimits)
@@ -66,6 +69,10 @@ class GatewayOptions:
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:
             raise OptionError(f"the port is {self.port}; it must be between 0 and 65535")
+        if self.socket is not None:
+            if self.certfile:
+                raise OptionError("a proxy speaks TLS in front of a socket: give --certfile to it, or omit --socket")
+            object.__setattr__(self, "behind_proxy", True)
         if self.keyfile and not self.certfile:
             raise OptionError("a key was given without its certificate; add --certfile")
         for name in self.allowed_hosts:
@@ -80,4 +87,4 @@ class GatewayOptions:
     @property
     def on_loopback(self) -> bool:
         """True if only this machine can connect."""
-        return is_loopback(self.host)
+        return self.socket is not None or is_loopback(self.host)

@@ -41,15 +41,20 @@ class RequestSource:
         return re.sub(r":[0-9]+$", "", self.host).lower()
 
     @property
+    def is_from_elsewhere(self) -> bool:
+        """True if the browser says that another page made the request: one of another site, or of another port."""
+        return self.fetch_site in ("same-site", "cross-site")
+
+    @property
     def is_same_origin(self) -> bool:
-        """True if the header Origin names the requested host."""
+        """True if the header Origin names the requested scheme, host and port."""
         if not self.host:
             return False
         try:
             parts = urlsplit(self.origin)
         except ValueError:
             return False
-        if parts.scheme not in ("http", "https") or parts.path or parts.query or parts.fragment:
+        if parts.scheme != ("https" if self.secure else "http") or parts.path or parts.query or parts.fragment:
             return False
         return _with_port(parts.netloc, parts.scheme) == _with_port(self.host, parts.scheme)
 

@@ -33,7 +33,6 @@ def build_site(
     read_only_token: str = "",
     viser: Callable[[], ViserAddress],
     options: GatewayOptions,
-    port: int,
     folder: Path | None = None,
 ) -> ASGIApp:
     """Return the application with all routes, behind its security layer.
@@ -44,7 +43,6 @@ def build_site(
         read_only_token: the token that grants looking only; empty: there is none.
         viser: returns the address of the locked viser server; may block until it is open.
         options: how the gateway is reached.
-        port: that it listens on, for the cookie's name.
         folder: of the page's files; None: those of the installation.
     """
     limits = options.limits.within(raise_descriptor_limit())
@@ -87,4 +85,4 @@ def build_site(
         ]
     )
     inner.router.redirect_slashes = False
-    return Guard(inner, Credentials(token, port=port, read_only_token=read_only_token), options)
+    return Guard(inner, Credentials(token, read_only_token=read_only_token), options)

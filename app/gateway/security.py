@@ -1,6 +1,8 @@
-"""The security layer in front of every route: checks Host, Origin and cookie, and adds the security headers."""
+"""The security layer in front of every route: checks Host, Origin and session, and adds the security headers."""
 
 from __future__ import annotations
+
+from urllib.parse import quote
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import Request
@@ -9,7 +11,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from .connections import CONNECTION_KEY, Connection
-from .login import Credentials, LoginPages, continue_page
+from .login import Credentials, LoginPages, session_name_and_path
 from .options import GatewayOptions
 from .protocol import READ_ONLY
 from .request_source import RequestSource, is_loopback, request_source
@@ -28,17 +30,22 @@ VISER_POLICY = (
     "img-src blob: data:; connect-src 'self' blob: data:; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
 )
 """Content security policy of viser's page."""
+READERS_MESSAGE_BYTES = 1 << 16
+"""Length of the longest message accepted from a page or a 3-D view that may only look."""
 _DAY_S = 86_400
 _READING = ("GET", "HEAD")
+_NO_SESSION = "Open the workbench's page with its token first."
 
 
 class Guard:
     """ASGI middleware that passes permitted requests to the application and answers all others itself.
 
+    Only the login is at the root; everything else is below the path of a session, which the application does not see.
+
     Args:
         inner: the application; it finds the browser's id in `scope["state"]["browser"]`, and in
             `scope["state"]["read_only"]` whether the browser may only look.
-        credentials: the tokens and their cookies.
+        credentials: the tokens and their sessions.
         options: host names under which the gateway is reached.
     """
 
@@ -51,20 +58,27 @@ class Guard:
         if scope["type"] not in ("http", "websocket"):
             return
         source = request_source(scope, behind_proxy=self._options.behind_proxy)
+        name, path = session_name_and_path(scope["path"])
         scope.setdefault("state", {})["address"] = source.address
         refusal = self._refusal(scope, source)
         if scope["type"] == "websocket":
-            if refusal is None and not self._has_cookie(scope):
-                refusal = _plain(401, "Open the workbench's page with its token first.")
+            if refusal is None and not self._has_session(scope, name):
+                refusal = _plain(401, _NO_SESSION)
             refusal = refusal or _refusal_at_limit(scope)
             if refusal is None:
-                await self._inner(scope, receive, send)
+                if scope["state"]["read_only"] and CONNECTION_KEY in scope["state"]:
+                    scope["state"][CONNECTION_KEY].limit_messages(READERS_MESSAGE_BYTES)
+                await self._inner(_within_session(scope, path), receive, send)
             else:
                 await WebSocket(scope, receive, send).send_denial_response(refusal)
             return
-        send = self._with_headers(scope, source, send)
-        response = refusal or await self._login_response(Request(scope, receive), source)
-        await (response or self._inner)(scope, receive, send)
+        send = self._with_headers(path, source, send)
+        if refusal is None and not source.is_from_elsewhere and self._has_session(scope, name):
+            answer = self._answer_in_session(scope, path) or self._inner
+            await answer(_within_session(scope, path), receive, send)
+        else:
+            answer = refusal or await self._login_response(Request(scope, receive), source)
+            await answer(scope, receive, send)
 
     def _refusal(self, scope: Scope, source: RequestSource) -> Response | None:
         if not source.host:
@@ -72,7 +86,9 @@ class Guard:
         if not self._is_allowed_host(source):
             return _plain(403, "The workbench is not reached by this host name; add it with --allow-host at the start.")
         reading = scope["type"] == "http" and scope["method"] in _READING
-        if not reading and not source.is_same_origin:
+        # Another page may link to the login, and nothing else: a link may stand in a mail.
+        linked = reading and source.fetch_dest == "document"
+        if (not reading and not source.is_same_origin) or (source.is_from_elsewhere and not linked):
             return _plain(403, "The request comes from a page that is not the workbench's.")
         return None
 
@@ -83,32 +99,37 @@ class Guard:
             return True
         return is_loopback(source.hostname) or source.hostname.strip("[]") in allowed | {options.host.lower()}
 
-    async def _login_response(self, request: Request, source: RequestSource) -> Response | None:
-        """Return the response to a browser that is not logged in; None if the request may pass."""
-        logged_in = self._has_cookie(request.scope)
+    async def _login_response(self, request: Request, source: RequestSource) -> Response:
+        """Return the response to a request without a session."""
         path, token = request.scope["path"], request.query_params.get("token")
-        if path == "/" and token is not None and request.method in _READING:
-            may_edit = logged_in and not request.scope["state"]["read_only"]
-            return continue_page() if may_edit else await self._login.submit_token(source, token)
+        reading = request.method in _READING
+        if path == "/" and token is not None and reading:
+            return await self._login.submit_token(source, token)
         if path == "/enter" and request.method == "POST":
             return await self._login.submit_form(request, source)
-        if logged_in:
-            if request.scope["state"]["read_only"] and request.method not in _READING:
-                return JSONResponse({"ok": False, "error": READ_ONLY}, status_code=403)
-            return _refusal_at_limit(request.scope)
-        if path in ("/", "/enter") and request.method in _READING:
-            return self._login.form()
-        return _plain(401, "Open the workbench's page with its token first.")
+        is_page = session_name_and_path(path)[1] in ("/", "/enter") or source.fetch_dest == "document"
+        if not (reading and is_page):
+            return _plain(401, _NO_SESSION)
+        return self._login.form(request.scope.get("raw_path", path.encode()).decode("latin-1"))
 
-    def _has_cookie(self, scope: Scope) -> bool:
+    def _answer_in_session(self, scope: Scope, path: str) -> Response | None:
+        """Return the response to what a session may not do, or need not ask the application; None: it may pass."""
+        read_only = scope["state"]["read_only"]
+        if read_only and scope["method"] not in _READING:
+            return JSONResponse({"ok": False, "error": READ_ONLY}, status_code=403)
+        if path == "/access":
+            return _plain(200, "look" if read_only else "edit")
+        return _refusal_at_limit(scope)
+
+    def _has_session(self, scope: Scope, name: str) -> bool:
         cookies = ";".join(Headers(scope=scope).getlist("cookie"))
-        browser = self._credentials.browser_of(cookies)
-        scope["state"]["browser"] = browser.id if browser else None
-        scope["state"]["read_only"] = browser is not None and browser.read_only
-        return browser is not None
+        session = self._credentials.session_of(cookies, name)
+        scope["state"]["browser"] = session.browser if session else None
+        scope["state"]["read_only"] = session is not None and session.read_only
+        return session is not None
 
-    def _with_headers(self, scope: Scope, source: RequestSource, send: Send) -> Send:
-        defaults = security_headers(scope["path"], source, tls=self._options.tls)
+    def _with_headers(self, path: str, source: RequestSource, send: Send) -> Send:
+        defaults = security_headers(path, source, tls=self._options.tls)
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
@@ -124,7 +145,7 @@ def security_headers(path: str, source: RequestSource, *, tls: bool) -> dict[str
     """Return the headers that a response gets unless it sets them itself.
 
     Args:
-        path: of the request.
+        path: of the request, within its session.
         source: of the request.
         tls: whether the gateway itself speaks TLS.
     """
@@ -151,9 +172,15 @@ def _is_viser(path: str) -> bool:
 def _refusal_at_limit(scope: Scope) -> Response | None:
     """Mark the connection as authenticated; return the refusal if there are too many."""
     connection: Connection | None = scope["state"].get(CONNECTION_KEY)
-    if connection is None or connection.authenticate():
+    read_only = scope["state"]["read_only"]
+    if connection is None or connection.authenticate(read_only=read_only):
         return None
     return _plain(503, "The workbench has reached its limit of open connections; close pages that are not needed.")
+
+
+def _within_session(scope: Scope, path: str) -> Scope:
+    """Return the scope that the application sees: paths relative to the session."""
+    return {**scope, "path": path, "raw_path": quote(path).encode()}
 
 
 def _plain(status: int, text: str) -> Response:

@@ -22,17 +22,17 @@ from ladarreg_core.errors import OptionError
 from ..process_resources import raise_descriptor_limit
 from ..stop_signals import StopSignals, print_error
 from .connections import PROTOCOLS, LimitedServer, TrackedApp
+from .listening import listening_socket, stop_listening
 from .options import GatewayOptions
 from .protocol import Workbench
 from .routes import build_site
 from .tokens import Tokens
 from .viser_backend import ViserAddress
 
-_PORTS_TRIED = 100
 _START_TIMEOUT_S = 20.0
 _GRACE_S = 2
-# Messages to viser pass here too; those of the document have a limit of their own.
-_MAX_MESSAGE_BYTES = 64 << 20
+MAX_MESSAGE_BYTES = 1_000_000
+"""Length of the longest message accepted from a page or a 3-D view; counted while it arrives."""
 # On a slow line a ping waits behind the scene, which has megabytes.
 _PING_S, _PONG_S = 20.0, 120.0
 _SWITCH_INTERVAL_S = 0.0005
@@ -47,19 +47,19 @@ class Gateway:
         options: where to listen.
 
     Raises:
-        OptionError: if the address is not one of this machine, no port is free, or the certificate is unusable.
+        OptionError: if it cannot listen there, or the certificate is unusable.
     """
 
     def __init__(self, build: Callable[[int], ASGIApp], options: GatewayOptions) -> None:
         check_certificate(options)
         self._options = options
-        self._socket = _bound_socket(options)
-        self.port: int = self._socket.getsockname()[1]
+        self._socket = listening_socket(options)
+        self.port: int = 0 if options.socket else self._socket.getsockname()[1]
         config = uvicorn.Config(
             TrackedApp(build(self.port)),
             **PROTOCOLS,
             loop="asyncio",
-            ws_max_size=_MAX_MESSAGE_BYTES,
+            ws_max_size=MAX_MESSAGE_BYTES,
             ws_ping_interval=_PING_S,
             ws_ping_timeout=_PONG_S,
             ws_per_message_deflate=False,
@@ -79,7 +79,9 @@ class Gateway:
 
     @property
     def address(self) -> str:
-        """URL to open in a browser, without the token."""
+        """URL to open in a browser, without the token; behind a Unix socket, of the proxy, as far as it is known."""
+        if self._options.socket is not None:
+            return f"https://{next(iter(self._options.allowed_hosts), 'NAME-OF-THE-PROXY')}/"
         host = self._options.host.strip("[]")
         if host in ("", "0.0.0.0", "::"):
             host = socket.gethostname()
@@ -111,7 +113,7 @@ class Gateway:
         self._server.should_exit = True
         if self._thread.ident is not None:
             self._ended.wait(timeout=_GRACE_S + 5.0)
-        self._socket.close()
+        stop_listening(self._socket, self._options)
 
     def _run(self) -> None:
         try:
@@ -153,20 +155,22 @@ def serve_until_interrupted(
     def build(port: int) -> ASGIApp:
         found.append(tokens(port))
         edit, look = found[-1].edit, found[-1].look
-        return build_site(workbench, token=edit, read_only_token=look, viser=viser, options=options, port=port)
+        return build_site(workbench, token=edit, read_only_token=look, viser=viser, options=options)
 
     gateway = Gateway(build, options)
     try:
         gateway.start()
-        if options.port not in (0, gateway.port):
+        if options.socket is None and options.port not in (0, gateway.port):
             print(f"ladarreg: port {options.port} is busy, using {gateway.port}", file=sys.stderr)
         if not options.on_loopback:
             print(f"ladarreg: {exposure_warning(options)}", file=sys.stderr)
         address, look = (f"{gateway.address}?token={quote(each, safe='')}" for each in (found[-1].edit, found[-1].look))
+        if options.socket is not None:
+            _print(f"Listening on {options.socket}, for the proxy that is opened as follows.")
         _print(f"Open {address}  (Ctrl-C ends)")
         if found[-1].look:
             _print(f"Read-only: {look}")
-        if browser:
+        if browser and options.socket is None:
             _open_browser(address)
         then()
         gateway.wait(stop.wait)
@@ -216,35 +220,6 @@ def check_certificate(options: GatewayOptions) -> None:
 
 def _no_password() -> str:
     raise ValueError("the key has a password")
-
-
-def _bound_socket(options: GatewayOptions) -> socket.socket:
-    """Return a listening socket on the first free port."""
-    host = options.host.strip("[]")
-    last = min(options.port + _PORTS_TRIED, 65536) if options.port else 1
-    for port in range(options.port, last):
-        try:
-            family, kind, protocol, _, address = socket.getaddrinfo(
-                host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-            )[0]
-        except OSError:
-            raise OptionError(f"{host!r} is not an address of this machine; give another with --host") from None
-        bound = socket.socket(family, kind, protocol)
-        if sys.platform == "win32":  # SO_REUSEADDR would let two servers share a port there
-            bound.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
-        else:
-            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            bound.bind(address)
-            bound.listen(1)  # of two servers that could both bind, the second fails here
-        except OSError as error:
-            bound.close()
-            if error.errno != errno.EADDRINUSE:
-                reason = error.strerror or error
-                raise OptionError(f"{host} port {port}: {reason}; give another with --host or --port") from None
-            continue
-        return bound
-    raise OptionError(f"no port is free from {options.port} to {last - 1}; give another with --port")
 
 
 def _open_browser(address: str) -> None:

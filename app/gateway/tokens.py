@@ -1,4 +1,4 @@
-"""The two tokens of a port, kept with the user's data so that links and open pages outlive a restart."""
+"""The two tokens of a port or Unix socket, kept with the user's data so that links and open pages outlive a restart."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ class Tokens:
     """Grants looking only; empty: nothing does."""
 
 
-def kept_tokens(folder: Path, port: int | None, *, chosen: str | None = None, renew: bool = False) -> Tokens:
-    """Return the tokens of a port: those of the last time, or new ones, which are kept.
+def kept_tokens(folder: Path, where: int | str | None, *, chosen: str | None = None, renew: bool = False) -> Tokens:
+    """Return the tokens of a place to listen: those of the last time, or new ones, which are kept.
 
     A file that others can read, or that belongs to somebody else, is not trusted: its tokens are replaced. If the
     folder cannot be written, new tokens apply to this start only.
 
     Args:
         folder: the folder for tokens.
-        port: the port; None: any, for which tokens are not kept.
+        where: the port, or a name of the Unix socket; None: any port, for which tokens are not kept.
         chosen: the operator's own token, which is not kept; None: the kept one.
         renew: replace the kept tokens.
     """
-    path = folder / f"{port}.json"
-    kept = None if renew or port is None else _read(path)
+    path = folder / f"{where}.json"
+    kept = None if renew or where is None else _read(path)
     if kept is None:
         kept = Tokens(new_token(), new_token())
-        if port is not None:
+        if where is not None:
             try:
                 _write(path, kept)
             except OSError as error:

@@ -11,13 +11,14 @@ import shutil
 import time
 import unicodedata
 from collections import Counter
-from collections.abc import AsyncGenerator, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager, suppress
+from functools import partial
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO, TypeVar
 from urllib.parse import unquote
 
-from starlette.concurrency import run_in_threadpool
+from anyio import CapacityLimiter, to_thread
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.types import Receive, Scope, Send
@@ -29,19 +30,25 @@ from .document_socket import ClientRegistry
 from .protocol import Workbench
 
 log = logging.getLogger(__name__)
+T = TypeVar("T")
 KINDS = ("scan", "photo", "camera", "matches")
 """Types of file that can be uploaded."""
 STATION = "station"
 """In place of `scan`: the scan of a further station."""
 _ANY = "any"
 """In place of a type: the content decides, when the batch is complete."""
-_MAX_CONCURRENT = 2
+_MAX_PER_BROWSER = 2
+_MAX_CONCURRENT, _SLOT_TIMEOUT_S = 8, 30.0
+"""Uploads under way, of all browsers, and how long a further one waits for one of them to end."""
+_WRITING_THREADS, _OPENING_THREADS = 4, 2
+"""Threads of their own: commands find theirs, however many files are written and opened."""
 _BLOCK_BYTES = 1 << 20
 _RESERVED_BYTES = 1 << 28
 """Free disk space that uploads must leave."""
 _DRAIN_S = 5.0
 _IDLE_TIMEOUT_S = 60.0
 """A browser that sends nothing for this long is considered disconnected."""
+_BUSY = f"{_MAX_CONCURRENT} files are being uploaded already, the most at a time; upload the file again in a moment"
 _PART = re.compile(r"[0-9a-f]{32}\.part")
 _FOLDER_MISSING = (
     "the folder of the project is missing: it was moved, renamed or deleted, or its disk was removed; the work is still"
@@ -68,13 +75,15 @@ class Uploads:
     def __init__(self, workbench: Workbench, clients: ClientRegistry) -> None:
         self._workbench, self._clients = workbench, clients
         self._under_way: Counter[str] = Counter()
+        self._slots = asyncio.Semaphore(_MAX_CONCURRENT)
+        self._writing, self._opening = CapacityLimiter(_WRITING_THREADS), CapacityLimiter(_OPENING_THREADS)
         remove_partial_uploads(workbench.upload_folder())
 
     async def serve(self, request: Request) -> Response:
         """Receive a file."""
         browser = request.state.browser
         try:
-            with self._slot(browser):
+            async with self._slot(browser):
                 return await self._receive(request, browser)
         except ClientDisconnect:
             log.debug("an upload was abandoned")
@@ -85,7 +94,7 @@ class Uploads:
             return _Refusal({"ok": False, "error": str(error)}, status_code=400)
         except OSError as error:
             log.warning("an upload failed: %s", error)
-            refusal = await run_in_threadpool(_disk_error, error, self._workbench.upload_folder())
+            refusal = await self._in_thread(_disk_error, error, self._workbench.upload_folder())
             return _Refusal({"ok": False, "error": str(refusal)}, status_code=refusal.status)
 
     async def _receive(self, request: Request, browser: str) -> Response:
@@ -95,19 +104,20 @@ class Uploads:
             raise OptionError(f"unknown type of file; give one of {', '.join(known)} as ?what=")
         name = upload_name(request.headers.get("x-file-name"))
         folder, most = self._workbench.upload_folder(), self._workbench.limits.upload_bytes
-        await run_in_threadpool(folder.mkdir, exist_ok=True)  # its parent is the project's folder, which must exist
+        await self._in_thread(partial(folder.mkdir, exist_ok=True))  # its parent, the project's folder, must exist
         _check_size(_declared_size(request), most, folder)
         part = folder / f"{secrets.token_hex(16)}.part"
         path = part.with_suffix(safe_suffix(name))
         try:
-            await _stream(request, part, most)
-            await run_in_threadpool(part.replace, path)
+            await self._stream(request, part, most)
+            await self._in_thread(part.replace, path)
         except BaseException:
             _remove(part, path)
             raise
         try:
             client = self._clients.find(browser, request.query_params.get("client", ""))
-            opened = await run_in_threadpool(self._workbench.take_upload, path, name, what, photo, client)
+            take = partial(self._workbench.take_upload, path, name, what, photo, client)
+            opened = await to_thread.run_sync(take, limiter=self._opening)
         except Exception as error:  # the workbench has removed the file, unless it is in the project
             if not isinstance(error, LadarregError):
                 raise
@@ -117,17 +127,48 @@ class Uploads:
             ) from None
         return JSONResponse({"ok": True, "id": opened})
 
-    @contextmanager
-    def _slot(self, browser: str) -> Iterator[None]:
-        if self._under_way[browser] >= _MAX_CONCURRENT:
-            text = f"this browser is already uploading {_MAX_CONCURRENT} files; wait until one has finished"
+    @asynccontextmanager
+    async def _slot(self, browser: str) -> AsyncGenerator[None]:
+        if self._under_way[browser] >= _MAX_PER_BROWSER:
+            text = f"this browser is already uploading {_MAX_PER_BROWSER} files; wait until one has finished"
             raise UploadError(text, status=429)
         self._under_way[browser] += 1
         try:
-            yield
+            async with _before(_SLOT_TIMEOUT_S, _BUSY, 429):
+                await self._slots.acquire()
+            try:
+                yield
+            finally:
+                self._slots.release()
         finally:
             self._under_way[browser] -= 1
             self._under_way += Counter()  # removes entries at zero
+
+    async def _stream(self, request: Request, part: Path, most: int) -> None:
+        """Write the body of a request to a file."""
+        file = await self._in_thread(lambda: part.open("xb"))
+        try:
+            await self._copy(request, file, part.parent, most)
+        finally:
+            file.close()  # before its removal, which some systems refuse while it is open
+
+    async def _copy(self, request: Request, file: BinaryIO, folder: Path, most: int) -> None:
+        received, block = 0, bytearray()
+        chunks = request.stream()
+        while (chunk := await _next(chunks)) is not None:
+            received += len(chunk)
+            block += chunk
+            _check_size(received, most, None)
+            if len(block) >= _BLOCK_BYTES:
+                await self._in_thread(file.write, bytes(block))
+                _check_size(0, most, folder)
+                block.clear()
+        await self._in_thread(file.write, bytes(block))
+        if not received:
+            raise OptionError("the file is empty; choose another")
+
+    async def _in_thread(self, do: Callable[..., T], *arguments: Any) -> T:
+        return await to_thread.run_sync(do, *arguments, limiter=self._writing)
 
 
 def remove_partial_uploads(folder: Path) -> None:
@@ -154,40 +195,21 @@ class _Refusal(JSONResponse):
         await send({"type": "http.response.body", "body": b"", "more_body": False})
 
 
-async def _stream(request: Request, part: Path, most: int) -> None:
-    """Write the body of a request to a file."""
-    file = await run_in_threadpool(part.open, "xb")
-    try:
-        await _copy(request, file, part.parent, most)
-    finally:
-        file.close()  # before its removal, which some systems refuse while it is open
-
-
-async def _copy(request: Request, file: BinaryIO, folder: Path, most: int) -> None:
-    received, block = 0, bytearray()
-    chunks = request.stream()
-    while (chunk := await _next(chunks)) is not None:
-        received += len(chunk)
-        block += chunk
-        _check_size(received, most, None)
-        if len(block) >= _BLOCK_BYTES:
-            await run_in_threadpool(file.write, bytes(block))
-            _check_size(0, most, folder)
-            block.clear()
-    await run_in_threadpool(file.write, bytes(block))
-    if not received:
-        raise OptionError("the file is empty; choose another")
-
-
 async def _next(chunks: AsyncGenerator[bytes, None]) -> bytes | None:
     """Return the next chunk of a body; None at its end."""
+    refusal = f"nothing was received for {_IDLE_TIMEOUT_S:g} s; upload the file again"
+    async with _before(_IDLE_TIMEOUT_S, refusal, 408):
+        return await anext(chunks, None)
+
+
+@asynccontextmanager
+async def _before(seconds: float, refusal: str, status: int) -> AsyncGenerator[None]:
+    """Refuse an upload if something takes too long."""
     try:
-        async with asyncio.timeout(_IDLE_TIMEOUT_S):
-            return await anext(chunks, None)
+        async with asyncio.timeout(seconds):
+            yield
     except TimeoutError:
-        raise UploadError(
-            f"nothing was received for {_IDLE_TIMEOUT_S:g} s; upload the file again", status=408
-        ) from None
+        raise UploadError(refusal, status=status) from None
 
 
 def _remove(*paths: Path) -> None:

@@ -21,6 +21,7 @@ from websockets.typing import Subprotocol
 
 from ..process_resources import return_memory_soon
 from .document_socket import ClientRegistry
+from .seats import Seats
 from .viser_backend import CLIENT_HEADER, SECRET_HEADER, ViserAddress
 from .viser_page import PAGE_NAME, ViserPage
 
@@ -59,13 +60,13 @@ class ViserProxy:
     Args:
         viser: returns the address of its server; may block until it is open, and raises `OSError` if it never is.
         clients: the open pages of each browser.
-        most: websockets at a time.
+        most: websockets at a time, those of readers included.
     """
 
     def __init__(self, viser: Callable[[], ViserAddress], clients: ClientRegistry, *, most: int) -> None:
-        self._viser, self._clients, self._most = viser, clients, most
+        self._viser, self._clients, self._seats = viser, clients, Seats(most)
         self._own_page: ViserPage | None = None
-        self._views = 0
+        self._views = {True: 0, False: 0}  # of those who may only look, and of the others
         self._next_start_s = 0.0
 
     @property
@@ -90,8 +91,8 @@ class ViserProxy:
         if any(part in (".", "..") for part in path.split("/")) or not _PATH.fullmatch(path):
             return PlainTextResponse("Not Found", status_code=404)
         client = _CLIENT.fullmatch(path[1:]) if path.endswith("/") else None
-        if (client or path == "/") and self._views >= self._most:
-            return self._full()
+        if (client or path == "/") and not self._has_seat(read_only=request.state.read_only):
+            return self._full(read_only=request.state.read_only)
         try:
             if client:
                 if not self._clients.has(request.state.browser, client[1]):
@@ -114,18 +115,23 @@ class ViserProxy:
         if name and not (client and self._clients.has(websocket.state.browser, client[1])):
             await websocket.send_denial_response(PlainTextResponse(f"{_STRANGER}\n", status_code=403))
             return
-        if self._views >= self._most:
-            await websocket.send_denial_response(self._full())
+        read_only = websocket.state.read_only
+        if not self._has_seat(read_only=read_only):
+            await websocket.send_denial_response(self._full(read_only=read_only))
             return
-        self._views += 1
+        self._views[read_only] += 1
         try:
             await self._serve(websocket, client[1] if client else "")
         finally:
-            self._views -= 1
+            self._views[read_only] -= 1
             return_memory_soon(force=True)
 
-    def _full(self) -> Response:
-        return PlainTextResponse(_FULL.format(most=self._most) + "\n", status_code=503)
+    def _has_seat(self, *, read_only: bool) -> bool:
+        return self._seats.is_free(taken=sum(self._views.values()), by_readers=self._views[True], read_only=read_only)
+
+    def _full(self, *, read_only: bool) -> Response:
+        most = self._seats.limit(read_only=read_only)
+        return PlainTextResponse(_FULL.format(most=most) + "\n", status_code=503)
 
     async def _wait_for_start(self) -> None:
         now = time.monotonic()

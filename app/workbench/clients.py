@@ -15,9 +15,11 @@ from ladarreg_core.errors import OptionError
 from ladarreg_core.project.history import Author
 
 from ..gateway.protocol import Visitor
+from ..gateway.seats import Seats
 from ..scene.model_view import ModelChoice
 
 MAX_CLIENTS = 64
+_LIMIT = Seats(MAX_CLIENTS)
 COLOURS = 6
 """Number of colours that tell people apart."""
 _MAX_NAME = 80
@@ -115,8 +117,7 @@ class Clients:
                 client_id = client_id if left else _id_of(f"{visitor.tab} {visitor.page}")
                 seat = self._seats.get(client_id)
             if seat is None:
-                if len(self._seats) >= MAX_CLIENTS:
-                    raise OptionError(f"{MAX_CLIENTS} pages are open, which is the maximum; close one to open this one")
+                self._check_room(read_only=visitor.read_only)
                 seat = self._seats[client_id] = _Seat(self._returning(client_id, visitor), visitor.page, 0)
             seat.connections += 1
             client = seat.client
@@ -187,6 +188,14 @@ class Clients:
                 for each in people
             ],
         }
+
+    def _check_room(self, *, read_only: bool) -> None:
+        readers = sum(seat.client.read_only for seat in self._seats.values())
+        if _LIMIT.is_free(taken=len(self._seats), by_readers=readers, read_only=read_only):
+            return
+        if read_only and len(self._seats) < MAX_CLIENTS:
+            raise OptionError(f"{readers} read-only pages are open, which is the maximum; close one to open this one")
+        raise OptionError(f"{MAX_CLIENTS} pages are open, which is the maximum; close one to open this one")
 
     def _returning(self, client_id: str, visitor: Visitor) -> Client:
         """Return the client of an id, new or as it left."""

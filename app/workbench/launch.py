@@ -208,7 +208,10 @@ def serve_and_close(
         from ..gateway.tokens import kept_tokens
 
         folder = data_folder() / "tokens"
-        found = kept_tokens(folder, port if options.port else None, chosen=tokens.chosen, renew=tokens.renew)
+        where: int | str | None = port if options.port else None
+        if options.socket is not None:
+            where = f"socket-{hashlib.sha256(os.fsencode(os.path.abspath(options.socket))).hexdigest()[:16]}"
+        found = kept_tokens(folder, where, chosen=tokens.chosen, renew=tokens.renew)
         workbench.clients.read_only_token = found.look
         return found
 

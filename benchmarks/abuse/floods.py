@@ -116,8 +116,8 @@ def _attack(
     process = None
     if arguments:
         process = subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.abuse.attacks", str(server.port), server.cookie, str(seconds),
-            *arguments], stdout=subprocess.PIPE, text=True,
+            [sys.executable, "-m", "benchmarks.abuse.attacks", str(server.port), server.access.cookie,
+            server.access.path, str(seconds), *arguments], stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
     least, most = time.monotonic() + seconds, time.monotonic() + _LONGEST_S
     try:
@@ -214,6 +214,18 @@ def _unviewable(room: Path) -> list[object]:
     return ["upload", "scan", "p1", room / "unviewable.npz"]
 
 
+def _at_once(room: Path) -> list[object]:
+    """Write a valid scan of 3 million cells, and upload it from 50 browsers at once."""
+    rng = np.random.default_rng(0)
+    rows, columns = 1_500, 2_000
+    write_npz_counts(
+        room / "large.npz", counts=rng.integers(500, 2000, (rows, columns)).astype(np.uint16),
+        intensity=rng.uniform(0, 255, (rows, columns)).astype(np.uint8),
+        geometry=AzimuthElevation(rows, columns, 0.0008, 0.0008), r0_m=1.0, dr_m=0.002,
+    )  # fmt: skip
+    return ["uploads", 50, "scan", "p1", room / "large.npz"]
+
+
 FLOODS = (
     Flood("no attack", lambda room: []),
     Flood("1,100 idle connections", lambda room: ["hold", "idle", 1100]),
@@ -228,6 +240,7 @@ FLOODS = (
     Flood("4 PNG pictures of 0.17 MB", _hostile("blank_png", "a.png", 4, "photo", width=13_000, height=13_000)),
     Flood("NPZ of 0.08 MB", _hostile("counts_npz", "a.npz", rows=6_000, columns=7_000)),
     Flood("PCD of 11 MB, compressed", _hostile("compressed_pcd", "a.pcd", width=7_500, height=8_000)),
+    Flood("50 uploads at once", _at_once),
     Flood("matches JSON, 0.9 M", _hostile("matches_json", "m.json", what="matches", count=900_000)),
     Flood("matches CSV, 2 M", _hostile("matches_csv", "m.csv", what="matches", count=2_000_000)),
     Flood("a scan that cannot be shown", _unviewable),

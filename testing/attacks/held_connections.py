@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from testing.workbench.access import Access
 from testing.workbench.served import Page, Served
 
 KINDS = ("idle", "slow", "cookie", "document", "viser")
@@ -21,28 +22,28 @@ _PROTOCOL = "viser-v1.1.1"
 class HeldConnections:
     """Connections that are held open, and reopened where the server closes them."""
 
-    def __init__(self, kind: str, count: int, host: str, port: int, cookie: str) -> None:
+    def __init__(self, kind: str, count: int, host: str, port: int, access: Access) -> None:
         if kind not in KINDS:
             raise ValueError(f"there is no kind of connection {kind!r}")
-        self.kind, self.count, self.address, self.cookie = kind, count, (host, port), cookie
+        self.kind, self.count, self.address, self.access = kind, count, (host, port), access
         self.selector = selectors.DefaultSelector()
         self.open: set[socket.socket] = set()
         self.opened = self.closed = self.failed = 0
 
     def first_request(self) -> bytes:
         host = f"Host: {self.address[0]}:{self.address[1]}\r\n"
-        known = f"Cookie: {self.cookie}\r\n"
+        known = f"Cookie: {self.access.cookie}\r\n"
         if self.kind == "idle":
             return b""
         if self.kind == "slow":
             return f"GET / HTTP/1.1\r\n{host}X-Slow: ".encode()
         if self.kind == "cookie":
-            return f"GET / HTTP/1.1\r\n{host}{known}\r\n".encode()
+            return f"GET {self.access.path} HTTP/1.1\r\n{host}{known}\r\n".encode()
         path, more = (
             ("/viser", f"Sec-WebSocket-Protocol: {_PROTOCOL}\r\n") if self.kind == "viser" else ("/document", "")
         )
         return (
-            f"GET {path} HTTP/1.1\r\n{host}{known}Origin: http://{self.address[0]}:{self.address[1]}\r\n{more}"
+            f"GET {self.access.within(path)} HTTP/1.1\r\n{host}{known}Origin: http://{self.address[0]}:{self.address[1]}\r\n{more}"
             "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
             "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
         ).encode()

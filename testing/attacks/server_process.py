@@ -21,6 +21,8 @@ from ladarreg.gateway.delta import apply_change
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
+from testing.workbench.access import Access
+
 CHECKOUT = Path(__file__).resolve().parents[2]
 TOKEN = "a-token-of-abuse-for-all"
 _ANSWERS_S = 60.0
@@ -39,7 +41,7 @@ class Server:
     port: int
     said: Path
     """File with its stderr."""
-    cookie: str = ""
+    access: Access = field(default_factory=Access)
 
     @property
     def origin(self) -> str:
@@ -51,20 +53,22 @@ class Server:
     ) -> tuple[int, dict[str, str], bytes]:  # fmt: skip
         """Send a request as a page would, and return status, headers and body."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=timeout_s)
-        sent = {"Origin": self.origin, "Cookie": self.cookie} | dict(headers or {})
+        sent = {"Origin": self.origin, "Cookie": self.access.cookie} | dict(headers or {})
         try:
-            connection.request(method, path, body, {name: value for name, value in sent.items() if value})
+            connection.request(
+                method, self.access.within(path), body, {name: value for name, value in sent.items() if value}
+            )
             answer = connection.getresponse()
             return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
         finally:
             connection.close()
 
     def enter(self) -> None:
-        """Log in with the token and keep the cookie."""
+        """Log in with the token and keep the session."""
         status, headers, _ = self.ask("GET", f"/?token={TOKEN}")
         if status != 200:
             raise ServerGone(f"the token was answered by {status}")
-        self.cookie = headers["set-cookie"].partition(";")[0]
+        self.access = Access.granted(headers)
 
     def upload(self, what: str, path: Path, *, photo: str = "", timeout_s: float = _ANSWERS_S) -> dict[str, Any]:
         """Upload a file and return the reply."""
@@ -188,8 +192,8 @@ class Page:
     def __init__(self, server: Server, *, timeout_s: float = _ANSWERS_S) -> None:
         try:
             self.socket: ClientConnection = connect(
-                f"ws://127.0.0.1:{server.port}/document",
-                additional_headers={"Cookie": server.cookie, "Origin": server.origin},
+                f"ws://127.0.0.1:{server.port}{server.access.within('/document')}",
+                additional_headers={"Cookie": server.access.cookie, "Origin": server.origin},
                 max_size=None, ping_interval=None, compression=None, proxy=None, open_timeout=timeout_s,
             )  # fmt: skip
         except (OSError, TimeoutError) as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import http.client
 import json
+import socket
 import ssl
 import threading
 import time
@@ -25,6 +26,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from ladarreg_core.errors import FormatError, OptionError
+from testing.workbench.access import Access
 
 TOKEN = "a-token-of-tests-for-all"
 LOOK_TOKEN = "a-read-only-token-of-tests"
@@ -136,6 +138,19 @@ class CountingWorkbench:
         return (path, "wände.zip") if photo == "p1" and path.is_file() else None
 
 
+class _SocketConnection(http.client.HTTPConnection):
+    """A connection to a Unix socket."""
+
+    def __init__(self, path: Path, port: int) -> None:
+        super().__init__("127.0.0.1", port, timeout=60)
+        self._path = path
+
+    def connect(self) -> None:
+        self.sock = socket.socket(socket.AF_UNIX)
+        self.sock.settimeout(self.timeout)
+        self.sock.connect(str(self._path))
+
+
 @dataclass
 class Running:
     """A running gateway, with helpers to send it requests."""
@@ -143,7 +158,9 @@ class Running:
     bench: CountingWorkbench
     gateway: Gateway
     tls: ssl.SSLContext | None = None
-    cookie: str = field(init=False, default="")
+    path: Path | None = None
+    """The Unix socket, if it listens on one."""
+    access: Access = field(init=False, default_factory=Access)
 
     @property
     def port(self) -> int:
@@ -156,25 +173,35 @@ class Running:
     def ask(
         self, method: str, path: str, headers: Mapping[str, str] | None = None, body: Any = None, *, known: bool = True
     ) -> tuple[int, dict[str, str], bytes]:
-        """Send a request as our own page would; headers with an empty value are omitted."""
+        """Send a request as our own page would; headers with an empty value are omitted.
+
+        With `known`, the path is that within the session.
+        """
         connection = (
             http.client.HTTPSConnection("127.0.0.1", self.port, timeout=60, context=self.tls)
             if self.tls
+            else _SocketConnection(self.path, self.port)
+            if self.path
             else http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
         )
-        sent = {"Origin": self.origin, "Cookie": self.cookie if known else ""} | dict(headers or {})
+        sent = {"Origin": self.origin, "Cookie": self.access.cookie if known else ""} | dict(headers or {})
         try:
-            connection.request(method, path, body, {name: value for name, value in sent.items() if value})
+            connection.request(
+                method,
+                self.access.within(path) if known else path,
+                body,
+                {name: value for name, value in sent.items() if value},
+            )
             answer = connection.getresponse()
             return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
         finally:
             connection.close()
 
     def enter(self, token: str = "") -> None:
-        """Submit a token and keep the cookie."""
+        """Submit a token and keep the session."""
         status, headers, _ = self.ask("GET", f"/?token={token or TOKEN}", known=False)
         assert status == 200
-        self.cookie = headers["set-cookie"].partition(";")[0]
+        self.access = Access.granted(headers)
 
     def socket(
         self, path: str = "/document", headers: Mapping[str, str] | None = None, **more: Any
@@ -183,12 +210,13 @@ class Running:
         assert self.tls is None, (
             "this client reads and writes in two threads, which Python's TLS sockets do not survive"
         )
-        sent = {"Origin": self.origin, "Cookie": self.cookie} | dict(headers or {})
+        sent = {"Origin": self.origin, "Cookie": self.access.cookie} | dict(headers or {})
         return connect(
-            f"ws://127.0.0.1:{self.port}{path}",
+            f"ws://127.0.0.1:{self.port}{self.access.within(path)}",
             additional_headers={name: value for name, value in sent.items() if value},
             proxy=None,
             open_timeout=60,  # a crowded machine may take its time; whatever hangs is still found
+            **({"unix": True, "path": str(self.path)} if self.path else {}),
             **({"max_size": None, "compression": None} | more),
         )
 
@@ -199,8 +227,8 @@ class Running:
             async with (
                 asyncio.timeout(60),
                 asyncio_connect(
-                    f"{self.origin.replace('http', 'ws', 1)}{path}",
-                    additional_headers={"Origin": self.origin, "Cookie": self.cookie},
+                    f"{self.origin.replace('http', 'ws', 1)}{self.access.within(path)}",
+                    additional_headers={"Origin": self.origin, "Cookie": self.access.cookie},
                     ssl=self.tls,
                     proxy=None,
                     open_timeout=60,
@@ -223,18 +251,17 @@ def running(
     bench = CountingWorkbench(room)
     where = viser or ViserAddress("127.0.0.1", 9, "no server")
     gateway = Gateway(
-        lambda port: build_site(
+        lambda _: build_site(
             bench,
             token=TOKEN,
             read_only_token=LOOK_TOKEN,
             viser=where if callable(where) else lambda: where,
             options=settings,
-            port=port,
         ),
         settings,
     )
     gateway.start()
-    run = Running(bench, gateway, tls)
+    run = Running(bench, gateway, tls, settings.socket)
     try:
         run.enter()
         yield run

@@ -106,6 +106,7 @@ def is_listening(there: Running) -> bool:
 def begin_upload(there: Running) -> socket.socket:
     """Begin an upload that is never completed."""
     line = socket.create_connection(("127.0.0.1", there.port), timeout=60)
-    head = "POST /upload?what=scan HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localhost\r\nX-File-Name: a.e57\r\n"
-    line.sendall(f"{head}Cookie: {there.cookie}\r\nContent-Length: 100000\r\n\r\nabc".encode())
+    target = there.access.within("/upload?what=scan")
+    head = f"POST {target} HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localhost\r\nX-File-Name: a.e57\r\n"
+    line.sendall(f"{head}Cookie: {there.access.cookie}\r\nContent-Length: 100000\r\n\r\nabc".encode())
     return line

@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote, urlsplit
@@ -21,6 +21,7 @@ from ladarreg.gateway.delta import apply_change
 from websockets.sync.client import ClientConnection, connect
 
 from ladarreg_core.simulate.sample import sample_folder
+from testing.workbench.access import Access
 
 CHECKOUT = Path(__file__).parents[2]
 _CLIENTS, _MOST_PICKS = 10, 12
@@ -35,7 +36,7 @@ class Served:
     host: str
     port: int
     token: str
-    cookie: str = ""
+    access: Access = field(default_factory=Access)
 
     @property
     def address(self) -> str:
@@ -43,7 +44,8 @@ class Served:
 
     def get(self, path: str) -> tuple[int, bytes, dict[str, str]]:
         connection = http.client.HTTPConnection(self.host, self.port, timeout=60)
-        connection.request("GET", f"/{path}", headers={"Cookie": self.cookie} if self.cookie else {})
+        cookie = self.access.cookie
+        connection.request("GET", self.access.within(f"/{path}"), headers={"Cookie": cookie} if cookie else {})
         reply = connection.getresponse()
         body = reply.read()
         connection.close()
@@ -52,8 +54,8 @@ class Served:
     def upload(self, path: Path) -> str:
         """Upload a file, which then waits to be opened; return its id."""
         connection = http.client.HTTPConnection(self.host, self.port, timeout=60)
-        headers = {"Cookie": self.cookie, "Origin": self.address.rstrip("/"), "X-File-Name": quote(path.name)}
-        connection.request("POST", "/upload?what=any", path.read_bytes(), headers)
+        headers = {"Cookie": self.access.cookie, "Origin": self.address.rstrip("/"), "X-File-Name": quote(path.name)}
+        connection.request("POST", self.access.within("/upload?what=any"), path.read_bytes(), headers)
         reply = json.loads(connection.getresponse().read())
         connection.close()
         assert reply["ok"], reply
@@ -62,7 +64,7 @@ class Served:
     def enter(self) -> None:
         status, _, headers = self.get(f"?token={self.token}")
         assert status == 200, status
-        self.cookie = headers["set-cookie"].split(";")[0]
+        self.access = Access.granted(headers)
 
     def memory_mb(self) -> float:
         """Resident memory of the server process."""
@@ -78,8 +80,8 @@ class Page:
 
     def __init__(self, served: Served) -> None:
         self.socket: ClientConnection = connect(
-            f"ws://{served.host}:{served.port}/document",
-            additional_headers={"Cookie": served.cookie, "Origin": served.address.rstrip("/")},
+            f"ws://{served.host}:{served.port}{served.access.within('/document')}",
+            additional_headers={"Cookie": served.access.cookie, "Origin": served.address.rstrip("/")},
             max_size=None,
             ping_interval=None,
         )

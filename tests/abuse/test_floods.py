@@ -70,7 +70,7 @@ def page(found: Served) -> Page:
 @contextmanager
 def flooded(found: Served, kind: str, count: int) -> Iterator[HeldConnections]:
     """Hold connections open, and open again what the server closes."""
-    held = HeldConnections(kind, count, found.host, found.port, found.cookie)
+    held = HeldConnections(kind, count, found.host, found.port, found.access)
     over = threading.Event()
 
     def hold() -> None:

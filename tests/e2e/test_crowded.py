@@ -35,8 +35,8 @@ def test_a_page_beyond_the_limit_shows_the_reason_and_connects_when_another_clos
     browser: Browser, tmp_path: Path
 ) -> None:
     with served(tmp_path / "project") as (found, _):
-        others = HeldConnections("document", 64, found.host, found.port, found.cookie)
-        views = HeldConnections("viser", 64, found.host, found.port, found.cookie)
+        others = HeldConnections("document", 64, found.host, found.port, found.access)
+        views = HeldConnections("viser", 64, found.host, found.port, found.access)
         others.fill()
         views.fill()
         for line in (*others.open, *views.open):

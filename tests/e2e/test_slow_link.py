@@ -83,7 +83,7 @@ def test_on_a_slow_link_only_what_is_looked_at_is_loaded_exactly(tab: Page, serv
         enter(tab, server, link.port)
 
         def pictures() -> list[str]:
-            return [path for path in link.downloaded if path.startswith(("/picture/scan", "/picture/photo"))]
+            return [path for path in link.downloaded if re.search(r"/picture/(scan|photo)", path)]
 
         until(tab, lambda: shown(tab, "scan").max() > 100 and shown(tab, "photo").max() > 100, "both pictures")
         assert not tab.locator(".first-picture").count(), "the canvas has taken over"

@@ -12,7 +12,7 @@ import { popoverOf } from "../ui/popover.js";
 const copyLink = async () => {
   const answer = await request("read_only_link");
   if (!answer) return;
-  const address = new URL("./", location.href);
+  const address = new URL("../../", location.href); // the login, outside this browser's session
   address.searchParams.set("token", answer.token);
   try {
     await navigator.clipboard.writeText(address.href);

@@ -7,17 +7,19 @@ import os
 import socket
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import pytest
 from ladarreg.gateway.connections import Connections
 from ladarreg.gateway.options import ConnectionLimits
+from ladarreg.gateway.protocol import Picture
 from ladarreg.gateway.viser_backend import close_server, open_locked_server
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from testing.workbench.gateway_driver import Running, hear, running, soon
+from testing.workbench.gateway_driver import LOOK_TOKEN, Running, hear, running, soon
 
 FEW = ConnectionLimits(header_s=10.0, stall_s=120.0, anonymous=8, authenticated=4, views=2)
 PROTOCOL = "viser-v1.1.1"
@@ -78,8 +80,13 @@ def line_to(run: Running, sent: bytes = b"", *, receive_buffer: int | None = Non
 
 
 def header(run: Running, method: str, path: str, *more: str, known: bool = True) -> bytes:
-    lines = [f"{method} {path} HTTP/1.1", f"Host: 127.0.0.1:{run.port}", f"Origin: {run.origin}", *more]
-    lines += [f"Cookie: {run.cookie}"] if known else []
+    lines = [
+        f"{method} {run.access.within(path) if known else path} HTTP/1.1",
+        f"Host: 127.0.0.1:{run.port}",
+        f"Origin: {run.origin}",
+        *more,
+    ]
+    lines += [f"Cookie: {run.access.cookie}"] if known else []
     return "\r\n".join([*lines, "", ""]).encode()
 
 
@@ -227,6 +234,70 @@ def test_authenticated_connections_have_their_own_limit_with_a_message(run: Runn
     assert soon(lambda: run.ask("GET", "/")[0] == 200)
 
 
+def test_readers_take_no_connection_that_is_reserved_for_editors(run: Running) -> None:
+    editor = run.access
+    run.enter(LOOK_TOKEN)
+    reader = run.access
+    with contextlib.ExitStack() as pages:
+        for _ in range(FEW.authenticated // 2):
+            hear(pages.enter_context(run.socket()))
+        status, _, said = run.ask("GET", "/")
+        assert (status, b"close pages" in said) == (503, True), "their share is taken"
+        run.access = editor
+        for _ in range(FEW.authenticated // 2):
+            hear(pages.enter_context(run.socket()))
+        assert run.ask("GET", "/")[0] == 503, "and so is the rest"
+    run.access = reader
+    assert soon(lambda: run.ask("GET", "/")[0] == 200)
+    with contextlib.ExitStack() as pages:
+        idle = [pages.enter_context(line_to(run, header(run, "HEAD", "/"))) for _ in range(2)]
+        for line in idle:
+            assert line.recv(1 << 20).startswith(b"HTTP/1.1 200")
+        run.access = editor
+        for _ in range(FEW.authenticated):
+            hear(pages.enter_context(run.socket()))
+        assert all(soon(lambda line=line: is_closed(line)) for line in idle), "idle ones make room"
+        run.access = reader
+        assert run.ask("GET", "/")[0] == 503, "an editor's are not closed for them"
+
+
+def test_an_idle_connection_of_an_editor_does_not_make_room_for_a_reader() -> None:
+    connections = Connections(ConnectionLimits(authenticated=4))
+    editors = [connections.add("192.0.2.7") for _ in range(4)]
+    assert all(connections.authenticate(line, read_only=False) for line in editors)
+    reader = connections.add("192.0.2.8")
+    assert not connections.authenticate(reader, read_only=True)
+    newcomer = connections.add("192.0.2.9")
+    assert connections.authenticate(newcomer, read_only=False), "but for another editor"
+    assert list(connections._authenticated) == [*editors[1:], newcomer]
+
+
+def test_an_editors_picture_waits_for_at_most_one_of_the_readers(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    held, drawing = threading.Event(), []
+    picture = run.bench.picture
+
+    def draw(path: str, query: Mapping[str, str]) -> Picture:
+        if query["show"] == "reader":
+            drawing.append(path)
+            held.wait(60)
+        return picture(path, query)
+
+    monkeypatch.setattr(run.bench, "picture", draw)
+    editor = run.access
+    run.enter(LOOK_TOKEN)
+    with contextlib.ExitStack() as lines:
+        try:
+            asked = header(run, "GET", "/picture/scan?show=reader")
+            for _ in range(2):
+                lines.enter_context(line_to(run, asked))
+            assert soon(lambda: bool(drawing))
+            run.access = editor
+            assert run.ask("GET", "/picture/scan?show=intensity")[0] == 200
+            assert len(drawing) == 1
+        finally:
+            held.set()
+
+
 def test_a_page_beyond_the_limit_gets_a_reason(run: Running) -> None:
     run.bench.most = 1
     with run.socket() as first, run.socket() as second:
@@ -253,6 +324,15 @@ def test_a_view_beyond_the_limit_gets_a_reason(tmp_path: Path) -> None:
             assert soon(lambda: run.ask("GET", "/viser/")[0] == 200)
             run.socket("/viser", subprotocols=[PROTOCOL]).close()
             second.close()
+            assert soon(lambda: run.ask("GET", "/viser/")[0] == 200)
+            editor = run.access
+            run.enter(LOOK_TOKEN)
+            with run.socket("/viser", subprotocols=[PROTOCOL]):
+                assert run.ask("GET", "/viser/")[0] == 503, "the share of readers is taken"
+                with pytest.raises(InvalidStatus):
+                    run.socket("/viser", subprotocols=[PROTOCOL])
+                run.access = editor
+                run.socket("/viser", subprotocols=[PROTOCOL]).close()
     finally:
         close_server(server)
 

@@ -6,6 +6,7 @@ import contextlib
 import json
 import math
 import socket
+import struct
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +19,7 @@ from ladarreg.gateway.document_socket import ClientState, Outbox
 from ladarreg.gateway.encoding import InvalidMessageError, SharedEncoder, decode_object, encode
 from websockets.exceptions import ConnectionClosed
 
-from testing.workbench.gateway_driver import Running, hear, running, soon
+from testing.workbench.gateway_driver import LOOK_TOKEN, TOKEN, Running, closing_code, hear, running, soon
 
 
 @pytest.fixture(scope="module")
@@ -107,6 +108,32 @@ def test_a_message_that_is_too_long_closes_only_its_connection(run: Running) -> 
         assert caught.value.rcvd.code == 1009
         other.send('{"id": 1, "do": "look"}')
         assert reply(other)["ok"] is True
+
+
+@pytest.mark.parametrize(("token", "most"), [(TOKEN, 1_000_000), (LOOK_TOKEN, 65_536)])
+@pytest.mark.parametrize("pieces", [1, 4])
+def test_the_length_of_a_message_counts_while_it_arrives(run: Running, token: str, most: int, pieces: int) -> None:
+    """Who begins a long message is refused before it is sent, whole or in fragments."""
+    own = run.access
+    run.enter(token)
+    try:
+        with run.socket() as page:
+            hear(page)
+            page.send(json.dumps({"id": 1, "do": "look", "x": "a" * (most - 100)}))
+            assert reply(page)["ok"] is True
+            share = most // pieces + 1
+            frames = [(0x1 if k == 0 else 0x0, share) for k in range(pieces)]
+            for opcode, length in frames[:-1]:
+                page.socket.sendall(frame_begin(opcode, length) + bytes(length))
+            page.socket.sendall(frame_begin(frames[-1][0], frames[-1][1]))  # and nothing of the content
+            assert closing_code(page) == 1009
+    finally:
+        run.access = own
+
+
+def frame_begin(opcode: int, length: int) -> bytes:
+    """Return the head of a masked frame that is not the last one of its message."""
+    return struct.pack("!BBQ", opcode, 0x80 | 127, length) + bytes(4)
 
 
 def test_replies_keep_the_order_of_the_commands(run: Running) -> None:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import socket
+import threading
 from collections import namedtuple
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import pytest
@@ -15,6 +19,7 @@ from hypothesis import strategies as st
 from ladarreg.gateway.uploads import safe_suffix, upload_name
 
 from ladarreg_core.errors import OptionError
+from testing.workbench.access import Access
 from testing.workbench.gateway_driver import PNG, Running, hear, running, soon
 
 LIMIT = 300_000
@@ -38,8 +43,14 @@ def begin(run: Running, head: bytes) -> socket.socket:
     """Start an upload on a raw socket."""
     line = socket.create_connection(("127.0.0.1", run.port), timeout=60)
     line.sendall(
-        b"POST /upload?what=scan HTTP/1.1\r\nHost: 127.0.0.1:%d\r\nOrigin: %s\r\nCookie: %s\r\nX-File-Name: a.e57\r\n%s"
-        % (run.port, run.origin.encode(), run.cookie.encode(), head)
+        b"POST %s HTTP/1.1\r\nHost: 127.0.0.1:%d\r\nOrigin: %s\r\nCookie: %s\r\nX-File-Name: a.e57\r\n%s"
+        % (
+            run.access.within("/upload?what=scan").encode(),
+            run.port,
+            run.origin.encode(),
+            run.access.cookie.encode(),
+            head,
+        )
     )
     return line
 
@@ -110,6 +121,63 @@ def test_an_interrupted_upload_leaves_nothing(run: Running, chunked: bool) -> No
     assert soon(lambda: not left(run))
     assert len(run.bench.taken) == before
     assert send(run, b"data")[0] == 200, "its slot is free again"
+
+
+def from_many_browsers(run: Running, count: int) -> list[Access]:
+    """Log in as so many browsers."""
+    own, found = run.access, []
+    for _ in range(count):
+        run.enter()
+        found.append(run.access)
+    run.access = own
+    return found
+
+
+def upload_of(run: Running, access: Access) -> tuple[int, bytes]:
+    headers = {"Cookie": access.cookie, "X-File-Name": "scan.e57"}
+    status, _, body = run.ask("POST", access.within("/upload?what=scan"), headers, b"data", known=False)
+    return status, body
+
+
+def test_an_edit_waits_for_no_upload(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other requests share a number of threads, which as many files that are being opened would take."""
+    held, take = threading.Event(), run.bench.take_upload
+    opening: list[Path] = []
+
+    def slow(path: Path, *others: Any) -> str:
+        opening.append(path)
+        assert held.wait(60)
+        return take(path, *others)
+
+    monkeypatch.setattr(run.bench, "take_upload", slow)
+    with ThreadPoolExecutor(50) as others, run.socket() as page:
+        hear(page)
+        try:
+            uploads = [others.submit(upload_of, run, access) for access in from_many_browsers(run, 50)]
+            assert soon(lambda: len(left(run)) == 8), "the limit"
+            assert soon(lambda: len(opening) == 2), "the threads"
+            page.send('{"id": 1, "do": "set", "number": 5}')
+            assert hear(page)["slices"] == {"number": 5}
+            assert run.ask("GET", "/picture/scan?rev=1")[0] == 200
+            assert not any(upload.done() for upload in uploads)
+        finally:
+            held.set()
+        assert {upload.result()[0] for upload in uploads} == {200}, "those that waited for their turn too"
+
+
+def test_an_upload_beyond_the_limit_waits_a_while_and_is_refused(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ladarreg.gateway.uploads._SLOT_TIMEOUT_S", 0.1)
+    own, browsers = run.access, from_many_browsers(run, 9)
+    with contextlib.ExitStack() as lines:
+        for access in browsers[:8]:
+            run.access = access
+            lines.enter_context(begin(run, b"Content-Length: 10\r\n\r\nabc"))
+        run.access = own
+        assert soon(lambda: len(left(run)) == 8)
+        status, body = upload_of(run, browsers[8])
+        assert (status, b"8 files are being uploaded already" in body) == (429, True)
+    assert soon(lambda: not left(run))
+    assert upload_of(run, browsers[8])[0] == 200
 
 
 def test_a_browser_uploads_at_most_two_files_at_a_time(run: Running) -> None:
@@ -266,7 +334,7 @@ def test_modules_are_served_as_javascript(run: Running, checkout: Path) -> None:
 def test_many_pictures_at_once_are_all_drawn(run: Running) -> None:
     lines = [http.client.HTTPConnection("127.0.0.1", run.port, timeout=60) for _ in range(20)]
     for line in lines:
-        line.request("GET", "/picture/scan?rev=2", headers={"Cookie": run.cookie})
+        line.request("GET", run.access.within("/picture/scan?rev=2"), headers={"Cookie": run.access.cookie})
     assert [line.getresponse().status for line in lines] == [200] * 20
     for line in lines:
         line.close()

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import string
 from collections.abc import Iterator
 from pathlib import Path
-from urllib.parse import urlencode
+from urllib.parse import urlencode, urljoin
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ladarreg.gateway.login import Browser, Credentials, checked_token, new_token
+from ladarreg.gateway.login import Credentials, checked_token, new_token
 from ladarreg.gateway.options import GatewayOptions
 from ladarreg.gateway.request_source import is_loopback, request_source
 from ladarreg.gateway.security import PAGE_POLICY, VISER_POLICY
 from websockets.exceptions import InvalidStatus
 
 from ladarreg_core.errors import OptionError
+from testing.workbench.access import Access
 from testing.workbench.gateway_driver import TOKEN, Running, running
 
 PATHS = (
@@ -46,13 +48,56 @@ def refused(run: Running, path: str, **headers: str) -> int:
 def test_the_token_is_replaced_by_a_cookie(run: Running) -> None:
     status, headers, body = run.ask("GET", f"/?token={TOKEN}", known=False)
     assert status == 200  # no redirect: browsers drop a strict cookie there after a foreign link
-    assert b'http-equiv="refresh" content="0; url=./"' in body
     cookie, *flags = headers["set-cookie"].split("; ")
-    assert cookie.startswith(f"ladarreg-{run.port}=")
-    assert {flag.lower() for flag in flags} == {"httponly", "samesite=strict", "path=/"}
+    access = Access.granted(headers)
+    assert re.fullmatch("/s/[0-9a-f]{32}/", access.path)
+    assert f'http-equiv="refresh" content="0; url=.{access.path}"'.encode() in body
+    assert {flag.lower() for flag in flags} == {"httponly", "samesite=strict", f"path={access.path}"}
     assert TOKEN not in str(headers) + body.decode()
     assert headers["cache-control"] == "no-store"
-    assert run.ask("GET", "/", {"Cookie": cookie})[0] == 200
+    assert run.ask("GET", access.path, {"Cookie": cookie}, known=False)[0] == 200
+
+
+def test_the_path_and_the_cookie_of_a_session_are_both_required(run: Running) -> None:
+    first = run.access
+    run.enter()
+    second = run.access
+    assert first.path != second.path
+    for path in ("", "picture/scan", "js/main.js", "viser/", "no/such/thing"):
+        mine = {"Cookie": first.cookie}
+        assert run.ask("GET", first.path + path, mine, known=False)[0] != 401
+        for stranger in (second.path, "/", f"/s/{'0' * 32}/", first.path.upper(), f"/{first.path}"):
+            status, headers, _ = run.ask("GET", stranger + path, mine, known=False)
+            assert (status, "set-cookie" in headers) == (401, False)
+        assert run.ask("GET", first.path + path, {"Cookie": second.cookie}, known=False)[0] == 401
+        both = f"{second.cookie}; {first.cookie}"
+        assert run.ask("GET", first.path + path, {"Cookie": both}, known=False)[0] != 401
+
+
+@pytest.mark.parametrize("site", ["same-site", "cross-site"])
+def test_in_a_session_only_its_own_page_is_answered(run: Running, site: str) -> None:
+    """Browsers send the cookies to another port of the host, and say `same-site` of what its pages request."""
+    asked = {"Sec-Fetch-Site": site}
+    for dest in ("empty", "image", "script", "iframe", ""):
+        for path in ("/", "/picture/scan", "/access", "/export/p1.zip"):
+            assert run.ask("GET", path, {**asked, "Sec-Fetch-Dest": dest})[0] == 403
+    status, _, body = run.ask("GET", "/", {**asked, "Sec-Fetch-Dest": "document"})
+    assert (status, b"<form" in body, b"scan-pane" in body) == (401, True, False), "a link leads to the login"
+    assert run.ask("POST", "/upload?what=scan", {**asked, "X-File-Name": "a.e57"}, b"data")[0] == 403
+    for path in ("/document", "/viser"):
+        assert refused(run, path, **asked) == 403
+    for site_ in ("same-origin", "none"):
+        assert run.ask("GET", "/", {"Sec-Fetch-Site": site_, "Sec-Fetch-Dest": "document"})[0] == 200
+
+
+@pytest.mark.parametrize("path", ["/s/{}/", "/s/{}/export/p1.html", "/picture/scan", "/s/{}"])
+def test_an_address_without_a_session_leads_to_the_form(run: Running, path: str) -> None:
+    status, _, body = run.ask("GET", path.format("0" * 32), {"Sec-Fetch-Dest": "document"}, known=False)
+    assert status == 401
+    found = re.search(rb'action="([./]+)enter"', body)
+    assert found is not None
+    assert urljoin(f"http://h{path.format('0')}", found[1].decode()) == "http://h/"
+    assert (b"has expired" in body) == path.startswith("/s/{}/")
 
 
 @pytest.mark.slow
@@ -69,7 +114,8 @@ def test_the_form_accepts_the_token(run: Running) -> None:
     form = {"Content-Type": "application/x-www-form-urlencoded"}
     status, headers, _ = run.ask("POST", "/enter", form, urlencode({"token": f" {TOKEN} "}), known=False)
     assert status == 200
-    assert run.ask("GET", "/", {"Cookie": headers["set-cookie"].partition(";")[0]})[0] == 200
+    access = Access.granted(headers)
+    assert run.ask("GET", access.path, {"Cookie": access.cookie}, known=False)[0] == 200
     assert run.ask("POST", "/enter", form, urlencode({"token": "no"}), known=False)[0] == 401
     assert run.ask("POST", "/enter", form, b"token=" + b"a" * 5000, known=False)[0] == 413
     assert run.ask("POST", "/enter", form, b"\xff\xfe&&&&===%%%", known=False)[0] == 401
@@ -95,30 +141,28 @@ def test_embedded_requests_do_not_log_in(run: Running, shown_as: str) -> None:
         assert "set-cookie" not in headers
 
 
-@given(st.text(st.characters(exclude_characters=";"), max_size=80), st.integers(1, 65535))
-def test_only_our_own_cookies_are_valid(value: str, port: int) -> None:
-    credentials = Credentials(TOKEN, port=port)
-    good = credentials.new_cookie(TOKEN)
-    assert credentials.browser_of(f"a=b; {credentials.cookie_name}={good}") == Browser(good.partition(".")[0], False)
-    assert Credentials(TOKEN, port=port).browser_of(f"{credentials.cookie_name}={good}") is not None, (
-        "known after a new start"
-    )
-    assert Credentials(new_token(), port=port).browser_of(f"{credentials.cookie_name}={good}") is None
-    for cookies in (
-        value,
-        f"{credentials.cookie_name}={value}",
-        f"{credentials.cookie_name}={good}{value}0",
-        f"x{credentials.cookie_name}={good}",
-    ):
-        assert credentials.browser_of(cookies) is None
-    assert TOKEN not in good
+@given(st.text(st.characters(exclude_characters=";"), max_size=80))
+def test_only_our_own_sessions_are_valid(value: str) -> None:
+    credentials = Credentials(TOKEN)
+    good = credentials.new_session(TOKEN)
+    cookie, name = f"ladarreg={good.cookie}", good.name
+    assert credentials.session_of(f"a=b; {cookie}", name) == good
+    assert Credentials(TOKEN).session_of(cookie, name) == good, "known after a new start"
+    assert Credentials(new_token()).session_of(cookie, name) is None
+    assert credentials.session_of(cookie, credentials.new_session(TOKEN).name) is None
+    for wrong in ("", value, f"{name}0", name[:-1]):
+        assert credentials.session_of(cookie, wrong) is None
+    for cookies in (value, f"ladarreg={value}", f"{cookie}{value}0", f"x{cookie}"):
+        assert credentials.session_of(cookies, name) is None
+    assert name not in good.cookie, "who sees the cookie does not know the path"
+    assert TOKEN not in good.cookie
 
 
 @given(st.text(string.ascii_letters + string.digits + "-_.~", min_size=22, max_size=60), st.text(max_size=80))
 def test_only_the_token_itself_is_accepted(token: str, word: str) -> None:
     assert checked_token(token) == token
-    assert Credentials(token, port=1).is_token(token)
-    assert Credentials(token, port=1).is_token(word) == (word == token)
+    assert Credentials(token).is_token(token)
+    assert Credentials(token).is_token(word) == (word == token)
 
 
 @pytest.mark.parametrize(
@@ -133,15 +177,16 @@ def test_a_weak_or_unencodable_token_is_refused(token: str) -> None:
 # --- everything behind it --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("cookie", ["", "ladarreg-{port}=", "ladarreg-{port}=a.b", "ladarreg-1={good}"])
+@pytest.mark.parametrize("cookie", ["", "ladarreg=", "ladarreg=a.b", "ladarreg-1={good}"])
 @pytest.mark.parametrize("path", PATHS)
 def test_without_a_cookie_nothing_is_served(run: Running, path: str, cookie: str) -> None:
-    sent = {"Cookie": cookie.format(port=run.port, good=run.cookie.partition("=")[2])}
-    for method in ("GET", "HEAD"):
-        status, headers, body = run.ask(method, path, sent)
-        assert status == 401
-        assert "set-cookie" not in headers
-    assert b"<form" not in body
+    sent = {"Cookie": cookie.format(good=run.access.cookie.partition("=")[2])}
+    for known in (True, False):
+        for method in ("GET", "HEAD"):
+            status, headers, body = run.ask(method, path, sent, known=known)
+            assert status == 401
+            assert "set-cookie" not in headers
+        assert b"<form" not in body
 
 
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "TRACE", "PROPFIND"])
@@ -161,7 +206,8 @@ def test_without_a_cookie_no_websocket_opens(run: Running, path: str) -> None:
 
 FOREIGN = (
     "https://elsewhere.example", "http://127.0.0.1", "http://127.0.0.1:1", "http://127.0.0.1:{port}.elsewhere.example",
-    "null", "http://elsewhere.example#127.0.0.1:{port}", "http://me@127.0.0.1:{port}", "file://", "http://[", "",
+    "https://127.0.0.1:{port}", "null", "http://elsewhere.example#127.0.0.1:{port}", "http://me@127.0.0.1:{port}",
+    "file://", "http://[", "",
 )  # fmt: skip
 
 
@@ -205,7 +251,10 @@ def test_forwarded_headers_are_trusted_only_behind_a_proxy(tmp_path: Path) -> No
     with running(tmp_path, behind_proxy=True) as run:
         status, headers, _ = run.ask("POST", "/enter", said, f"token={TOKEN}", known=False)
         assert status == 200
-        assert {"secure", "path=/ladar/"} <= {flag.lower() for flag in headers["set-cookie"].split("; ")}
+        assert "secure" in headers["set-cookie"].lower().split("; ")
+        assert Access.granted(headers).path.startswith("/ladar/s/")
+        plain = {**said, "Origin": "http://scans.example"}
+        assert run.ask("POST", "/enter", plain, f"token={TOKEN}", known=False)[0] == 403, "another scheme"
         assert "strict-transport-security" not in headers, "that is the proxy's to say"
     with running(tmp_path) as run:
         assert run.ask("POST", "/enter", said, f"token={TOKEN}", known=False)[0] == 403

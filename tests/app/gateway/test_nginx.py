@@ -18,6 +18,7 @@ from ladarreg.gateway.viser_backend import close_server, open_locked_server
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
+from testing.workbench.access import Access
 from testing.workbench.gateway_driver import TOKEN, Running, running, soon
 
 NGINX = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin:/usr/local/sbin:/opt/homebrew/bin")
@@ -36,8 +37,10 @@ http {{
 """
 
 
-@pytest.fixture(scope="module")
-def front(tmp_path_factory: pytest.TempPathFactory, checkout: Path) -> Iterator[tuple[Running, int]]:
+@pytest.fixture(scope="module", params=["port", "socket"])
+def front(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, checkout: Path
+) -> Iterator[tuple[Running, int]]:
     """The gateway behind nginx, configured as documented."""
     assert NGINX is not None
     folder = tmp_path_factory.mktemp("nginx")
@@ -48,10 +51,11 @@ def front(tmp_path_factory: pytest.TempPathFactory, checkout: Path) -> Iterator[
     viser, address = open_locked_server(label="nginx")
     room = tmp_path_factory.mktemp("room")
     try:
-        with running(room, address, behind_proxy=True, allowed_hosts=("scans.example",)) as run:
-            text = AROUND.format(
-                folder=folder, map=upgrade, port=port, location=location.replace(":8700/", f":{run.port}/")
-            )
+        where = {"socket": folder / "room.sock"} if request.param == "socket" else {"behind_proxy": True}
+        with running(room, address, allowed_hosts=("scans.example",), **where) as run:
+            target = f"http://unix:{run.path}:/" if run.path else f"http://127.0.0.1:{run.port}/"
+            location = location.replace("http://127.0.0.1:8700/", target)
+            text = AROUND.format(folder=folder, map=upgrade, port=port, location=location)
             (folder / "nginx.conf").write_text(text)
             process = subprocess.Popen([NGINX, "-p", str(folder), "-c", str(folder / "nginx.conf")])
             try:
@@ -80,12 +84,12 @@ def ask(port: int, method: str, path: str, body: object = None, **headers: str) 
 
 
 def websocket(
-    port: int, path: str, cookie: str, *, origin: str = "http://scans.example", **more: Any
+    port: int, access: Access, path: str = "document", *, origin: str = "http://scans.example", **more: Any
 ) -> ClientConnection:
     return connect(
-        f"ws://scans.example/ladar/{path}",
+        f"ws://scans.example{access.within(path)}",
         sock=socket.create_connection(("127.0.0.1", port), timeout=60),
-        additional_headers={"Origin": origin, "Cookie": cookie or "none=0"},
+        additional_headers={"Origin": origin, "Cookie": access.cookie or "none=0"},
         compression=None,
         max_size=None,
         **more,
@@ -97,28 +101,31 @@ def test_the_documented_recipe_works(front: tuple[Running, int]) -> None:
     assert ask(port, "GET", "/ladar/")[0] == 401
     status, headers, _ = ask(port, "GET", f"/ladar/?token={TOKEN}", **{"X-Forwarded-For": "6.6.6.6"})
     assert status == 200
-    assert "path=/ladar/" in headers["set-cookie"].lower()
-    cookie = headers["set-cookie"].partition(";")[0]
+    access = Access.granted(headers)
+    assert access.path.startswith("/ladar/s/")
+    cookie = access.cookie
 
     for path in ("", "tokens.css", "picture/scan?rev=1", "viser/"):
-        assert ask(port, "GET", f"/ladar/{path}", Cookie=cookie)[0] == 200
+        assert ask(port, "GET", access.within(f"/{path}"), Cookie=cookie)[0] == 200
     # A name that is relative and a folder that is the proxy's: the redirect must stay under it.
-    assert ask(port, "GET", "/ladar/viser", Cookie=cookie)[1]["location"] in (
+    assert ask(port, "GET", access.within("/viser"), Cookie=cookie)[1]["location"] in (
         "viser/",
-        "http://scans.example/ladar/viser/",
+        f"http://scans.example{access.path}viser/",
     )
+    expired = ask(port, "GET", "/ladar/s/0123456789abcdef0123456789abcdef/")
+    assert (expired[0], b'action="../../enter"' in expired[2]) == (401, True)
 
-    with websocket(port, "document", cookie) as page:
+    with websocket(port, access) as page:
         assert "number" in json.loads(page.recv(timeout=60))["slices"]
         assert [page.visitor.address for page in run.bench.pages] == ["127.0.0.1"]
         page.send('{"id": 1, "do": "set", "number": 5}')
         assert json.loads(page.recv(timeout=60))["slices"]["number"] == 5
         data = bytes(range(256)) * 1000
         sent = {"Cookie": cookie, "X-File-Name": "a.e57"}
-        status, _, body = ask(port, "POST", "/ladar/upload?what=scan", data, **sent)
+        status, _, body = ask(port, "POST", access.within("/upload?what=scan"), data, **sent)
         assert (status, json.loads(body)["ok"]) == (200, True)
         assert run.bench.taken[-1][3] == data
-    with websocket(port, "viser", cookie, subprotocols=["viser-v1.1.1"]) as view:
+    with websocket(port, access, "viser", subprotocols=["viser-v1.1.1"]) as view:
         assert view.subprotocol == "viser-v1.1.1"
         assert isinstance(view.recv(timeout=60), bytes)
 
@@ -127,7 +134,13 @@ def test_foreign_requests_are_refused_behind_nginx(front: tuple[Running, int]) -
     run, port = front
     assert ask(port, "POST", "/ladar/enter", f"token={TOKEN}", Origin="http://elsewhere.example")[0] == 403
     assert ask(port, "GET", "/ladar/", Host="elsewhere.example")[0] == 403
-    for cookie, origin, status in ((run.cookie, "http://elsewhere.example", 403), ("", "http://scans.example", 401)):
-        with pytest.raises(InvalidStatus) as caught, websocket(port, "document", cookie, origin=origin):
+    known = Access(run.access.cookie, f"/ladar{run.access.path}")
+    for access, origin, status in (
+        (known, "http://elsewhere.example", 403),
+        (known, "https://scans.example", 403),
+        (Access("", known.path), "http://scans.example", 401),
+        (Access(known.cookie, "/ladar/"), "http://scans.example", 401),
+    ):
+        with pytest.raises(InvalidStatus) as caught, websocket(port, access, origin=origin):
             pass
         assert caught.value.response.status_code == status

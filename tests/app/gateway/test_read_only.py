@@ -13,7 +13,8 @@ from ladarreg.gateway.protocol import READ_ONLY, Visitor
 from ladarreg.gateway.viser_proxy import _only_looks
 from ladarreg.workbench.commands import COMMANDS, LOOKING
 
-from testing.workbench.gateway_driver import LOOK_TOKEN, PNG, TOKEN, Running, hear, running
+from testing.workbench.access import Access
+from testing.workbench.gateway_driver import LOOK_TOKEN, PNG, Running, hear, running
 from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 
 
@@ -35,27 +36,29 @@ def test_a_page_may_look(run: Running) -> None:
 
 
 def test_with_the_other_token_it_is_not_read_only(run: Running) -> None:
-    look = run.cookie
+    look = run.access
     run.enter()
-    assert run.cookie != look
+    assert run.access.cookie != look.cookie
+    assert run.access.path != look.path
     with run.socket() as page:
         hear(page)
         assert not run.bench.pages[-1].visitor.read_only
 
 
-def test_the_editing_link_replaces_the_read_only_cookie_and_not_the_reverse(run: Running) -> None:
-    status, headers, _ = run.ask("GET", f"/?token={TOKEN}")
-    assert status == 200
-    run.cookie = headers["set-cookie"].partition(";")[0]
-    status, headers, _ = run.ask("GET", f"/?token={LOOK_TOKEN}")
-    assert (status, "set-cookie" in headers) == (200, False)
+def test_a_session_says_what_it_permits(run: Running) -> None:
+    assert run.ask("GET", "/access")[2] == b"look\n"
+    look = run.access
+    run.enter()
+    assert run.ask("GET", "/access")[2] == b"edit\n"
+    run.access = Access(run.access.cookie, look.path)
+    assert run.ask("GET", "/access")[0] == 401, "the path of the one does not open the other"
 
 
 def test_a_read_only_cookie_is_not_accepted_as_another(run: Running) -> None:
-    name, _, value = run.cookie.partition("=")
+    name, _, value = run.access.cookie.partition("=")
     browser, _, signature = value.partition(".")
     for forged in (f"{browser}.{signature[::-1]}", f"{browser[::-1]}.{signature}"):
-        run.cookie = f"{name}={forged}"
+        run.access = Access(f"{name}={forged}", run.access.path)
         assert run.ask("GET", "/picture/scan")[0] == 401
 
 

@@ -9,6 +9,7 @@ import shutil
 import signal
 import socket
 import ssl
+import stat
 import subprocess
 import sys
 import threading
@@ -97,6 +98,37 @@ def test_it_can_listen_on_ipv6(tmp_path: Path) -> None:
     gateway.close()
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="no Unix sockets there")
+def test_it_can_listen_on_a_unix_socket(tmp_path: Path) -> None:
+    path = tmp_path / "room.sock"
+    with socket.socket(socket.AF_UNIX) as left:  # by a killed program
+        left.bind(str(path))
+    with running(tmp_path, socket=path, allowed_hosts=("scans.example",)) as run:
+        assert stat.S_IMODE(path.stat().st_mode) == 0o660
+        assert run.gateway.address == "https://scans.example/"
+        said = {"X-Forwarded-Proto": "https", "X-Forwarded-For": "5.6.7.8", "X-Forwarded-Host": "scans.example"}
+        status, headers, _ = run.ask("GET", f"/?token={TOKEN}", said, known=False)
+        assert (status, "secure" in headers["set-cookie"].lower()) == (200, True), "the proxy's headers are trusted"
+        with run.socket(headers=said | {"Origin": "https://scans.example"}) as page:
+            assert "slices" in hear(page)
+            assert run.bench.pages[-1].visitor.address == "5.6.7.8"
+        with pytest.raises(OptionError, match="another program listens there"):
+            Gateway(lambda port: None, GatewayOptions(socket=path))  # type: ignore[arg-type, return-value]
+        assert path.is_socket(), "the other program's is not removed"
+    assert not path.exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no Unix sockets there")
+def test_a_path_that_cannot_be_listened_on_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"precious")
+    for path, reason in ((tmp_path / "file", "not a socket"), (tmp_path / "none" / "a.sock", "No such file")):
+        with pytest.raises(OptionError, match=f"{reason}.*--socket"):
+            Gateway(lambda port: None, GatewayOptions(socket=path))  # type: ignore[arg-type, return-value]
+    assert (tmp_path / "file").read_bytes() == b"precious"
+    with pytest.raises(OptionError, match="--certfile"):
+        GatewayOptions(socket=tmp_path / "a.sock", certfile="x")
+
+
 def test_listening_beyond_loopback_is_warned_of() -> None:
     assert "TLS" in exposure_warning(GatewayOptions(host="0.0.0.0"))
     assert "token" in exposure_warning(GatewayOptions(host="0.0.0.0", certfile="x"))
@@ -169,7 +201,8 @@ def begin_upload(there: Running) -> socket.socket:
     """Start an upload that is never completed."""
     line = socket.create_connection(("127.0.0.1", there.port), timeout=60)
     head = (
-        f"POST /upload?what=scan HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localhost\r\nCookie: {there.cookie}\r\n"
+        f"POST {there.access.within('/upload?what=scan')} HTTP/1.1\r\nHost: localhost\r\n"
+        f"Origin: http://localhost\r\nCookie: {there.access.cookie}\r\n"
     )
     line.sendall(f"{head}X-File-Name: a.e57\r\nContent-Length: 100000\r\n\r\nabc".encode())
     return line

@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 from ladarreg.gateway.protocol import Visitor
-from ladarreg.workbench.clients import COLOURS, Client, Clients
+from ladarreg.workbench.clients import COLOURS, MAX_CLIENTS, Client, Clients
 
+from ladarreg_core.errors import OptionError
 from ladarreg_core.simulate.sample import sample_folder
 from testing.workbench.workbench_driver import WorkbenchDriver, open_bench, sample_bench
 
@@ -34,6 +35,20 @@ def colleague(bench: WorkbenchDriver) -> Iterator[WorkbenchDriver]:
 
 def clients_alone() -> Clients:
     return Clients(lambda: None)
+
+
+def test_readers_take_no_page_that_is_reserved_for_editors() -> None:
+    clients = clients_alone()
+    readers = [clients.join(Visitor("reader", read_only=True)) for _ in range(MAX_CLIENTS // 2)]
+    with pytest.raises(OptionError, match="32 read-only pages are open"):
+        clients.join(Visitor("reader", read_only=True))
+    for _ in range(MAX_CLIENTS // 2):
+        clients.join(Visitor("editor"))
+    for read_only in (False, True):
+        with pytest.raises(OptionError, match="64 pages are open"):
+            clients.join(Visitor("another", read_only=read_only))
+    clients.leave(readers[0])
+    clients.join(Visitor("editor"))
 
 
 def second_photo(bench: WorkbenchDriver, by: Client) -> str:
