@@ -47,7 +47,7 @@ def verdict(result: PoseResult) -> str:
     """Return whether a pose is accepted, and on what evidence."""
     from ladarreg_core.results import verdict_words
 
-    return verdict_words(result.accepted, result.evidence, result.diagnostics)
+    return verdict_words(result.accepted, result.evidence, result.diagnostics, coarse=result.is_coarse)
 
 
 def position(result: PoseResult) -> str:

@@ -10,8 +10,8 @@ from typing import Any, Literal
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray, read_only
-from ladarreg_core.camera import CameraModel, camera_from_model_fields
-from ladarreg_core.camera.uncertainty import CameraUncertainty
+from ladarreg_core.camera import CameraModel, camera_from_model_fields, require_pinhole
+from ladarreg_core.camera.uncertainty import CameraUncertainty, pose_jacobian
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid, ThesisParameters, describe_direction, describe_position, rotation_from_rotvec
 from ladarreg_core.matches import Matches
@@ -39,6 +39,10 @@ STAGE_LABELS: dict[StageId | StageName, str] = {
 """Labels of all stages, in the order in which they are listed."""
 GIVEN_MARK = "given, not verified"
 """The mark of a pose that was given, not solved."""
+COARSE_CAVEAT = "accepted, coarse"
+"""What files say of an accepted pose that is coarse."""
+COARSE_SIGMA_PX = 3.0
+"""Standard deviation above which an accepted pose is called coarse, px of a photograph of 1 megapixel."""
 STATED_OFFSET_SIGMA_RAD = float(np.radians(0.2))
 """Standard deviation assumed for the rotation of an offset if none is given."""
 STATED_OFFSET_SIGMA_M = 0.005
@@ -58,10 +62,11 @@ VERDICTS: dict[str, str] = {
 """The verdict on a pose that is shown, by its evidence."""
 
 
-def verdict_words(accepted: bool, evidence: str, diagnostics: Mapping[str, Any]) -> str:
+def verdict_words(accepted: bool, evidence: str, diagnostics: Mapping[str, Any], *, coarse: bool = False) -> str:
     """Return whether a pose is accepted, and on what evidence, as a sentence; the arguments are a result's."""
     if accepted or evidence == "given":
-        return VERDICTS.get(evidence, VERDICTS["none"])
+        words = VERDICTS.get(evidence, VERDICTS["none"])
+        return words.replace("Accepted", "Accepted, coarse", 1) if coarse else words
     if (diagnostics.get("lengths") or {}).get("refusal"):
         return "Not accepted: lengths of the matches disagree with the scan."
     contradicted = (diagnostics.get("verification") or {}).get("outcome") == "contradicted"
@@ -204,7 +209,7 @@ class PoseResult:
     def __repr__(self) -> str:
         name = type(self).__name__
         if self.accepted:
-            verdict = f"accepted by {'the images' if self.evidence == 'image' else self.evidence}"
+            verdict = f"{self.caveat or 'accepted'} by {'the images' if self.evidence == 'image' else self.evidence}"
         else:
             verdict = self.mark or "not accepted"
         if not self.has_pose:
@@ -235,6 +240,26 @@ class PoseResult:
         return GIVEN_MARK if self.evidence == "given" and not self.accepted else ""
 
     @property
+    def is_coarse(self) -> bool:
+        """Whether it is accepted, and known to more than `COARSE_SIGMA_PX` only, in the median over its inliers."""
+        if not (self.accepted and self.inliers.any()):
+            return False
+        sigma_px, (width, height) = self.median_pixel_sigma(self.inliers), self.camera.size
+        return bool(np.isfinite(sigma_px) and sigma_px > COARSE_SIGMA_PX * np.sqrt(width * height / 1e6))
+
+    @property
+    def caveat(self) -> str:
+        """The mark, or of a pose that is coarse `COARSE_CAVEAT`; empty for any other one that was accepted."""
+        return self.mark or (COARSE_CAVEAT if self.is_coarse else "")
+
+    @property
+    def standing(self) -> str:
+        """What a file says of its pose: accepted, how precisely and on what evidence, or else its mark."""
+        if not self.accepted:
+            return self.mark or "not accepted"
+        return f"{self.caveat or 'accepted'} ({self.evidence})"
+
+    @property
     def joint_covariance(self) -> FloatArray | CameraUncertainty | None:
         """The uncertainty to propagate into pixels: with the camera's, if there is one; else the pose's.
 
@@ -243,6 +268,29 @@ class PoseResult:
         if self.evidence == "given" and not np.isfinite(self.covariance).all():
             return None
         return self.covariance if self.camera_uncertainty is None else self.camera_uncertainty
+
+    def pixel_jacobian(self, points_scanner: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return uv (N, 2) as `pose_jacobian`, and J (N, 2, 6 + K) by the pose and the uncertain intrinsics."""
+        pose, camera = self.camera_from_scanner, self.camera
+        uv, J = pose_jacobian(pose, points_scanner, camera)
+        if self.camera_uncertainty is None:
+            return uv, J
+        p = pose @ np.asarray(points_scanner, dtype=np.float64)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            xy = p[..., :2] / np.where(p[..., 2:] > 0, p[..., 2:], np.nan)
+        by_camera = self.camera_uncertainty.jacobian(require_pinhole(camera, "Its uncertainty"), xy)
+        return uv, np.concatenate([J, by_camera], axis=-1)
+
+    def median_pixel_sigma(self, matches: BoolArray) -> float:
+        """Return the median standard deviation of the pixels of some matches (M,) bool, px, as far as pose and camera
+        determine them; infinite without a covariance."""
+        _, J = self.pixel_jacobian(self.matches.points[matches])
+        J = J[np.isfinite(J).all(axis=(1, 2))]
+        if not len(J) or not np.isfinite(self.covariance).all():
+            return float("inf")
+        joint = self.camera_uncertainty
+        variance = np.einsum("nij,jk,nik->n", J, self.covariance if joint is None else joint.covariance, J)
+        return float(np.sqrt(max(float(np.median(variance)), 0.0)))
 
     @property
     def camera_from_world(self) -> Rigid | None:

@@ -162,7 +162,8 @@ def _state(photo: RegisteredPhoto) -> str:
     result = photo.registration
     if not result.accepted:
         return photo.mark or "not accepted"
-    return "accepted, verified on the image" if result.evidence == "image" else f"accepted, {result.evidence}"
+    evidence = "verified on the image" if result.evidence == "image" else result.evidence
+    return f"{result.caveat or 'accepted'}, {evidence}"
 
 
 def _of_results(arguments: Arguments, targets: Sequence[Target], bar: ProgressBar) -> RegisteredScan:

@@ -1,4 +1,4 @@
-"""What is not known of a camera that was not calibrated, before and after its photograph was registered."""
+"""Derivatives of pixels by the pose, and what is not known of a camera that was not calibrated."""
 
 from __future__ import annotations
 
@@ -10,12 +10,37 @@ from typing import Any
 import numpy as np
 
 from ladarreg_core.arrays import FloatArray, read_only
+from ladarreg_core.camera.model import CameraModel
 from ladarreg_core.camera.pinhole import Camera
 from ladarreg_core.errors import ShapeError
+from ladarreg_core.frames import Rigid
 from ladarreg_core.validation import require_number
 
 INTRINSICS = ("focal_px", "k1", "cx", "cy")
 """Names of the intrinsics that can be uncertain: px, 1, px, px; in the order of `Camera.intrinsics_jacobian`."""
+
+
+def pose_jacobian(
+    camera_from_scanner: Rigid, points_scanner: FloatArray, camera: CameraModel
+) -> tuple[FloatArray, FloatArray]:
+    """Project points and differentiate the pixels by the pose.
+
+    Args:
+        camera_from_scanner: the pose.
+        points_scanner: (N, 3), m.
+        camera: intrinsics.
+
+    Returns:
+        uv (N, 2), pixels, and J (N, 2, 6) = d uv / d (w, c), with R_true = exp([w]x) R and c the shift of the camera
+        centre in the scanner frame; NaN behind the camera.
+    """
+    p = camera_from_scanner @ np.asarray(points_scanner, dtype=np.float64)
+    uv, d_uv = camera.project_with_jacobian(p)
+    by_rotation = np.zeros((*p.shape[:-1], 3, 3))  # d p / d w = -[p]x
+    by_rotation[..., 0, 1], by_rotation[..., 0, 2] = p[..., 2], -p[..., 1]
+    by_rotation[..., 1, 0], by_rotation[..., 1, 2] = -p[..., 2], p[..., 0]
+    by_rotation[..., 2, 0], by_rotation[..., 2, 1] = p[..., 1], -p[..., 0]
+    return uv, np.concatenate([d_uv @ by_rotation, -d_uv @ camera_from_scanner.rotation], axis=-1)
 
 
 @dataclass(frozen=True, slots=True)

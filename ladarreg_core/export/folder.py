@@ -341,7 +341,6 @@ def registration_files(
             texture = _textured(registration, scan, photo)
     else:
         texture = None
-    mark = registration.mark
     jobs: list[FileJob] = [
         ("registration.json", lambda path: write_result(path, document())),
         (REPORT_FILE, lambda path: write_report(path, registration, scan, photo, document(), texture=texture)),
@@ -349,9 +348,9 @@ def registration_files(
     if texture is None:
         return [*jobs, (OVERLAY_FILE, lambda path: write_rejected_overlay(path, scan, photo, registration))]
     jobs += [
-        ("registered.png", lambda path: write_registered_png(path, texture, mark=mark)),
-        ("labels.png", lambda path: write_labels_png(path, texture, mark=mark)),
-        ("visibility.png", lambda path: write_visibility_png(path, texture, mark=mark)),
+        ("registered.png", lambda path: write_registered_png(path, texture, mark=registration.mark)),
+        ("labels.png", lambda path: write_labels_png(path, texture, mark=registration.caveat)),
+        ("visibility.png", lambda path: write_visibility_png(path, texture, mark=registration.caveat)),
     ]
     if (uncertainty := found.uncertainty) is not None:
         jobs.append(("uncertainty.png", lambda path: write_uncertainty_png(path, uncertainty.sigma_px)))
@@ -374,7 +373,7 @@ def _textured(registration: Registration, scan: Scan, photo: Photo) -> Registere
 def _models(
     registration: Registration, scan: Scan, photo: Photo, texture: RegisteredTexture, frame: OutputFrame
 ) -> list[FileJob]:
-    mark = registration.mark
+    mark = registration.caveat
 
     def write_model(path: Path) -> None:
         seen = ModelPhoto(photo.pixels, registration.camera, registration.camera_from_scanner, texture.labels)

@@ -127,6 +127,7 @@ def registration_document(
         "accepted": bool(r.accepted),
         "evidence": r.evidence,
         "mark": r.mark or None,
+        "coarse": r.is_coarse,
         "reasons": list(r.reasons),
         "matches": [
             {

@@ -26,21 +26,13 @@ from ladarreg_core.formatting import format_angle, format_length, format_number
 from ladarreg_core.inspection.figures import figures, parameters
 from ladarreg_core.photo import Photo
 from ladarreg_core.picks.lengths import lengths_by_end
-from ladarreg_core.results import Registration
+from ladarreg_core.results import Registration, verdict_words
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture import RegisteredTexture
 
 _MOST_WORST = 6
 _MOST_DRAWN_CELLS = 4_000_000
 _MOST_SIGMA_RAD = 0.5
-_VERDICTS = {
-    "image": "Accepted: verified against the image.",
-    "statistics": "Accepted on match statistics only, not verified against the image.",
-    "given": "Given, not verified: this pose was applied, not solved.",
-    "none": "Accepted without evidence.",
-}
-_REFUSED = "Not accepted: the evidence is insufficient."
-_OTHER_LENGTHS = "Not accepted: lengths of the matches disagree with the scan."
 _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")
 _UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "width": "px", "height": "px"}
 
@@ -174,9 +166,7 @@ class _Report:
 
     def _verdict(self) -> Html:
         r = self._r
-        lengths = (self._document.get("diagnostics") or {}).get("lengths") or {}
-        refused = _OTHER_LENGTHS if lengths.get("refusal") else _REFUSED
-        words = _VERDICTS.get(r.evidence, refused) if self._shown else refused
+        words = verdict_words(r.accepted, r.evidence, r.diagnostics, coarse=r.is_coarse)
         parts: list[Content] = [tag("p", words, class_="note warn lead" if self._given else "lead")]
         if self._stale:
             parts.append(tag("p", f"Out of date. {self._rests_on}", class_="note warn"))

@@ -99,7 +99,12 @@ def _registration(path: Path, fields: Fields) -> FileInfo:
     camera: CameraModel = camera_from_fields(fields["camera"])
     return FileInfo(
         **_about(path, fields, "registration"),
-        verdict=verdict_words(fields["accepted"], str(fields.get("evidence")), fields.get("diagnostics") or {}),
+        verdict=verdict_words(
+            fields["accepted"],
+            str(fields.get("evidence")),
+            fields.get("diagnostics") or {},
+            coarse=fields.get("coarse") is True,
+        ),
         evidence=one_line(fields.get("evidence"), 20),
         method=one_line(fields.get("method"), 40),
         reasons=_texts(fields.get("reasons")),

@@ -16,7 +16,8 @@ from ladarreg_core.camera.uncertainty import (
     CameraPrior,
     CameraUncertainty,
 )
-from ladarreg_core.frames import Rigid
+from ladarreg_core.formatting import format_length
+from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.aligner import Aligner, Candidate
 from ladarreg_core.matching.ambiguity import KnownPoses, ambiguity_sentence, second_minimum, second_starts
 from ladarreg_core.matching.blocks import BlockMatches
@@ -46,6 +47,8 @@ Reach = Literal["everywhere", "near_start"]
 _MAX_ROLLED_VIEWS, _MAX_GRID_VIEWS = 2, 3
 _MEDIAN_CELLS = 100_000
 _SURE_FINE_FRACTION = 0.8  # of regions that agree at the true pose of a simulated pair .8-1, beside it .66-.75
+_AS_WELL = 0.25  # of that fraction: true poses had up to .17 less than others that were a tenth of a metre off
+_ALIKE = 2.0  # standard deviations per parameter up to which two poses are the same
 _BESIDE = 0.02  # of the focal length: such poses are 1 to 4 % off it
 _RANGE_M = (1e-6, 1e7)  # generous, to allow for wrong units; the limits of the estimator of matches
 ADVICE = "Draw a few matches by hand, or give an initial pose."
@@ -149,11 +152,12 @@ def register_auto(
     result = _searched(pair, photo.pinhole, photo, steps, initial, o, prior, channels)
     if photo.assumed and _may_be_beside(result):
         assert result.camera is not None, "it was estimated"
+        found = [result]
         for camera in _cameras_beside(result.camera, photo.pinhole):
-            again = _searched(pair.with_camera(camera), camera, photo, steps, None, o, prior, channels)
-            result = max(result, again, key=_rank)
-            if not _may_be_beside(result):
+            found.append(_searched(pair.with_camera(camera), camera, photo, steps, None, o, prior, channels))
+            if not _may_be_beside(found[-1]):
                 break
+        result = _best_of_placements(found, photo.pinhole)
     directions = viewing_directions(scan, working, initial=initial)
     return _explain_if_sparse(result, scan, photo, [*directions, *([initial] if initial else [])])
 
@@ -205,6 +209,54 @@ def _cameras_beside(camera: Camera, stated: Camera) -> Iterator[Camera]:
     for sign in (farther, -farther):
         by = 1 + sign * _BESIDE
         yield replace(camera, fx=camera.fx * by, fy=camera.fy * by)
+
+
+def _best_of_placements(found: Sequence[AutoResult], stated: Camera) -> AutoResult:
+    """Return the best of several results; its uncertainty contains others on which the images agree nearly as well.
+
+    The covariance is that of a mixture of equal parts about the best.
+    """
+    best = max(found, key=_rank)
+    accepted, fine = _rank(best)
+    pose, evidence, joint = best.camera_from_scanner, best.evidence, best.camera_uncertainty
+    if not accepted or pose is None or evidence is None or not _may_be_beside(best):
+        return best
+    names = () if joint is None else joint.names
+    covariance = np.array(evidence.covariance if joint is None else joint.covariance)
+    spread, farthest = np.zeros_like(covariance), best
+    for other in found:
+        there = other.camera_from_scanner
+        if other is best or there is None or _rank(other) < (True, fine - _AS_WELL):
+            continue
+        camera, own = other.camera or stated, best.camera or stated
+        values = [_intrinsic(camera, name) - _intrinsic(own, name) for name in names]
+        turn = rotvec_from_rotation(there.rotation @ pose.rotation.T)
+        apart = np.concatenate([turn, there.centre - pose.centre, values])
+        if apart @ np.linalg.solve(covariance, apart) <= _ALIKE**2 * len(apart):
+            continue
+        spread += np.outer(apart, apart) / len(found)
+        if pose.distance_to(there) > pose.distance_to(farthest.camera_from_scanner or pose):
+            farthest = other
+    if farthest is best or farthest.camera_from_scanner is None:
+        return best
+    there, focal_px = farthest.camera_from_scanner, (farthest.camera or stated).focal_px
+    reason = (
+        f"The images agree nearly as well {format_length(pose.distance_to(there))} and "
+        f"{np.degrees(pose.angle_to(there)):.2g} deg away, with a focal length of {focal_px:.1f} px: the uncertainty "
+        "of the pose contains both. Calibrate the camera, or draw a few matches."
+    )
+    covariance += spread
+    if joint is not None:
+        joint = replace(joint, covariance=covariance)
+        best = replace(best, camera_sigmas={name: joint.sigmas.get(name, s) for name, s in best.camera_sigmas.items()})
+    evidence = replace(evidence, covariance=covariance[:6, :6])
+    return replace(best, evidence=evidence, camera_uncertainty=joint, reasons=(*best.reasons, reason))
+
+
+def _intrinsic(camera: Camera, name: str) -> float:
+    if name == "k1":
+        return camera.distortion[0] if camera.distortion else 0.0
+    return float(getattr(camera, name))
 
 
 def _rank(result: AutoResult) -> tuple[bool, float]:

@@ -15,12 +15,12 @@ import numpy as np
 
 from ladarreg_core.arrays import FloatArray, IntArray
 from ladarreg_core.camera import Camera
+from ladarreg_core.camera.uncertainty import pose_jacobian
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.matching.blocks import BlockComparison
 from ladarreg_core.matching.ecc import CameraAnchor, RefineOptions, block_systems
 from ladarreg_core.matching.sampling import ViewPoints
-from ladarreg_core.pose.covariance import pose_jacobian
 
 _TRUSTED_PX = 3.0
 _SD_OF_MEDIAN = 1.4826

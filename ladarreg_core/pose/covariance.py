@@ -1,4 +1,4 @@
-"""Covariance of a pose: derivatives of pixels by the pose, guarded inverses, and the sandwich covariance of a simplex.
+"""Covariance of a pose: guarded inverses, and the sandwich covariance of a simplex.
 
 Directions that the matches do not determine get a variance that is huge but finite.
 """
@@ -10,56 +10,18 @@ from dataclasses import replace
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
-from ladarreg_core.camera import CameraModel, require_pinhole
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.thesis.epipolar import epipolar_residuals
 from ladarreg_core.pose.thesis.stereo import StereoPairs
 from ladarreg_core.pose.thesis.stereo_simplex import Residual
-from ladarreg_core.results import PoseResult
 
 _STEP, _STEP_PX, _STEP_OF_RANGE = 1e-6, 1e-2, 1e-5
 _UNDETERMINED = 1e-12
 _HUGE_RAD2 = np.pi**2
 LEAST_EIGENVALUE = 1e-13
 """Lower bound of the eigenvalues of an information matrix scaled to a unit diagonal."""
-
-
-def pose_jacobian(
-    camera_from_scanner: Rigid, points_scanner: FloatArray, camera: CameraModel
-) -> tuple[FloatArray, FloatArray]:
-    """Project points and differentiate the pixels by the pose.
-
-    Args:
-        camera_from_scanner: the pose.
-        points_scanner: (N, 3), m.
-        camera: intrinsics.
-
-    Returns:
-        uv (N, 2), pixels, and J (N, 2, 6) = d uv / d (w, c), with R_true = exp([w]x) R and c the shift of the camera
-        centre in the scanner frame; NaN behind the camera.
-    """
-    p = camera_from_scanner @ np.asarray(points_scanner, dtype=np.float64)
-    uv, d_uv = camera.project_with_jacobian(p)
-    by_rotation = np.zeros((*p.shape[:-1], 3, 3))  # d p / d w = -[p]x
-    by_rotation[..., 0, 1], by_rotation[..., 0, 2] = p[..., 2], -p[..., 1]
-    by_rotation[..., 1, 0], by_rotation[..., 1, 2] = -p[..., 2], p[..., 0]
-    by_rotation[..., 2, 0], by_rotation[..., 2, 1] = p[..., 1], -p[..., 0]
-    return uv, np.concatenate([d_uv @ by_rotation, -d_uv @ camera_from_scanner.rotation], axis=-1)
-
-
-def joint_jacobian(result: PoseResult, points_scanner: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return uv (N, 2) as `pose_jacobian`, and J (N, 2, 6 + K) by the pose and the uncertain intrinsics."""
-    pose, camera = result.camera_from_scanner, result.camera
-    uv, J = pose_jacobian(pose, points_scanner, camera)
-    if result.camera_uncertainty is None:
-        return uv, J
-    p = pose @ np.asarray(points_scanner, dtype=np.float64)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        xy = p[..., :2] / np.where(p[..., 2:] > 0, p[..., 2:], np.nan)
-    return uv, np.concatenate(
-        [J, result.camera_uncertainty.jacobian(require_pinhole(camera, "Its uncertainty"), xy)], axis=-1
-    )
 
 
 def guarded_inverse(information: FloatArray) -> FloatArray:

@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike
 
 from ladarreg_core.arrays import BoolArray, FloatArray, read_only
 from ladarreg_core.camera import Camera
+from ladarreg_core.camera.uncertainty import pose_jacobian
 from ladarreg_core.errors import DegenerateGeometryError, DependencyError, OptionError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.pose.covariance import pose_jacobian
 
 Backend = Literal["auto", "poselib", "opencv"]
 

@@ -13,10 +13,10 @@ import numpy as np
 
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import CameraModel
+from ladarreg_core.camera.uncertainty import pose_jacobian
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, information_matrix, residuals
-from ladarreg_core.pose.covariance import pose_jacobian
 from ladarreg_core.pose.preconditions import LEAST_MATCHES
 from ladarreg_core.results import PoseResult
 

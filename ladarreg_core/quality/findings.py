@@ -17,10 +17,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray
 from ladarreg_core.formatting import format_length, format_number
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, count_distinct
-from ladarreg_core.pose.covariance import joint_jacobian
 from ladarreg_core.pose.diagnostics import diagnose
 from ladarreg_core.pose.thesis.linear import LEAST_PLANARITY
 from ladarreg_core.quality.camera_finding import camera_in_words
@@ -361,7 +359,7 @@ def _bias(result: PoseResult) -> Finding | None:
     mean = residuals.mean(axis=0)
     scatter = np.cov(residuals.T) + 1e-12 * np.eye(2)
     significance = float(count * mean @ np.linalg.solve(scatter, mean))
-    off, allowed = float(np.linalg.norm(mean)), _sigma_at_matches_px(result, usable)
+    off, allowed = float(np.linalg.norm(mean)), result.median_pixel_sigma(usable)
     values = {"u_px": float(mean[0]), "v_px": float(mean[1]), "hotelling_t2": significance, "picture_sigma_px": allowed}
     level: Level = "good"
     if significance > _BIAS_SIGNIFICANCE:
@@ -421,17 +419,6 @@ def _camera(result: PoseResult) -> Finding | None:
         return None
     level: Level = "poor" if words.cropped else "fair" if words.share_of_angle >= _NOTABLE_SHARE else "good"
     return Finding("camera", level, words.sentence, _unless_good(level, words.advice), words.values)
-
-
-def _sigma_at_matches_px(result: PoseResult, usable: BoolArray) -> float:
-    """Return the median standard deviation of pixel positions at some matches, px; infinite without a covariance."""
-    _, J = joint_jacobian(result, result.matches.points[usable])
-    J = J[np.isfinite(J).all(axis=(1, 2))]
-    if not len(J) or not np.isfinite(result.covariance).all():
-        return float("inf")
-    joint = result.camera_uncertainty
-    variance = np.einsum("nij,jk,nik->n", J, result.covariance if joint is None else joint.covariance, J)
-    return float(np.sqrt(max(float(np.median(variance)), 0.0)))
 
 
 def _method(result: PoseResult) -> str:

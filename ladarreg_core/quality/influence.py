@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladarreg_core.arrays import FloatArray, IntArray, read_only
+from ladarreg_core.camera.uncertainty import pose_jacobian
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.formatting import format_length
 from ladarreg_core.pose.bundle import (
@@ -28,7 +29,6 @@ from ladarreg_core.pose.bundle import (
     linearise,
     residuals,
 )
-from ladarreg_core.pose.covariance import pose_jacobian
 from ladarreg_core.pose.preconditions import LEAST_MATCHES
 from ladarreg_core.results import PoseResult
 

@@ -18,7 +18,6 @@ import numpy as np
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray, read_only
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.formatting import format_number
-from ladarreg_core.pose.covariance import joint_jacobian
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.ranges import surface_range
@@ -200,7 +199,7 @@ def _seen_at(scan: Scan, result: PoseResult, cells: IntArray) -> _Cells:
     """Return those cells that lie on a surface and inside the photo."""
     rays = scan.geometry.ray_at(cells)
     ranges = surface_range(scan, rays) if len(rays) else np.zeros(0)
-    uv, by_pose = joint_jacobian(result, rays * ranges[:, None])
+    uv, by_pose = result.pixel_jacobian(rays * ranges[:, None])
     usable = np.isfinite(ranges) & np.isfinite(by_pose).all(axis=(1, 2)) & result.camera.contains(uv)
     return _Cells(cells, rays, ranges, uv, by_pose).subset(usable)
 

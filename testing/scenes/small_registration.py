@@ -46,7 +46,7 @@ def sample_registration(*, accepted: bool = True) -> Registration:
         residuals_px=residuals,
         residuals_m=rng.normal(size=count) * 0.01,
         stereo_depth_error_m=np.full(count, np.nan),
-        covariance=np.diag([1e-8] * 3 + [1e-7] * 3),
+        covariance=np.diag([1e-14] * 3 + [1e-13] * 3),  # its rays are random, some nearly across the camera
         chi2_per_dof=float("nan"),
         sigma_px=0.7,
         sigma_range_m=0.015,

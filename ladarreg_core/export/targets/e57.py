@@ -223,5 +223,5 @@ def _add_image(
 
 
 def _about(one: RegisteredPhoto) -> str:
-    words = f"registered to the scan with {software_document()['name']}: {one.registration.evidence}"
+    words = f"registered to the scan with {software_document()['name']}: {one.registration.standing}"
     return f"{one.mark.capitalize()}: the pose was given and not solved" if one.mark else words

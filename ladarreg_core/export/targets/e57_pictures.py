@@ -67,7 +67,7 @@ def pictures(one: RegisteredPhoto, report: Callable[[], None]) -> Iterator[Pictu
         one: the photograph.
         report: called at least every second; may raise `Cancelled`.
     """
-    camera, name = one.camera, f"{one.photo.name} ({one.mark})" if one.mark else one.photo.name
+    camera, name = one.camera, f"{one.photo.name} ({one.caveat})" if one.caveat else one.photo.name
     pinhole = CAMERA_FROM_PINHOLE
     if isinstance(camera, Camera) and not any(camera.distortion):
         yield Picture(name, camera, camera.size, pinhole, _original(one))

@@ -112,6 +112,7 @@ def _document(
                 "accepted": one.registration.accepted,
                 "evidence": one.registration.evidence,
                 "mark": one.mark or None,
+                "coarse": one.registration.is_coarse,
             }
             for one in (*handed.photos, *handed.refused)
         ],

@@ -113,7 +113,7 @@ def _legend(handed: RegisteredScan, coordinates: str, intensity: str, unseen: st
     return {
         "coordinates": coordinates,
         "photo_id": {"0": None, **{str(k): one.photo.name for k, one in enumerate(handed.photos, 1)}},
-        "poses": {str(k): one.mark or "accepted" for k, one in enumerate(handed.photos, 1)},
+        "poses": {str(k): one.registration.standing for k, one in enumerate(handed.photos, 1)},
         "label": {str(int(label)): label.name.lower().replace("_", " ") for label in Label},
         "sigma_px": "standard deviation of the point's position in the photograph, px; NaN where it is not known",
         "colour": f"16 bits, of the photograph; where none shows the point, {unseen}",

@@ -75,10 +75,10 @@ def obj_files(handed: RegisteredScan, options: ExportOptions, report: Report | N
 
 
 def _mark(handed: RegisteredScan) -> str:
-    """Return what the files must say of poses that were not verified."""
+    """Return what the files must say of poses that were not verified, or are coarse."""
     if len(handed.photos) == 1:
-        return handed.photos[0].mark
-    return "; ".join(f"{one.id}: {one.mark}" for one in handed.photos if one.mark)
+        return handed.photos[0].caveat
+    return "; ".join(f"{one.id}: {one.caveat}" for one in handed.photos if one.caveat)
 
 
 def _offset(handed: RegisteredScan) -> list[FileJob]:

@@ -121,7 +121,7 @@ def _frame(handed: RegisteredScan, written: WrittenPhoto) -> dict[str, Any]:
     return {
         "file_path": f"images/{written.name}",
         "photograph": on_one_line(one.photo.name),
-        "pose_is": one.mark or f"accepted ({one.registration.evidence})",
+        "pose_is": one.registration.standing,
         "is_undistorted": written.is_undistorted,
         "camera_model": _MODELS[written.camera.model],
         "w": written.camera.width,

@@ -70,7 +70,7 @@ def _calibration(handed: RegisteredScan, one: RegisteredPhoto) -> str:
         *_matrix("R", pose.rotation),
         f"world: {_quoted(handed.frame.sentence)}",
         *_matrix("world_offset_m", np.array(handed.frame.offset_m)[:, None]),
-        f"pose_is: {_quoted(one.mark or f'accepted ({one.registration.evidence})')}",
+        f"pose_is: {_quoted(one.registration.standing)}",
     ]
     return "\n".join(lines) + "\n"
 

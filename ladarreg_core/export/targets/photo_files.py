@@ -49,7 +49,7 @@ def words_of(handed: RegisteredScan, one: RegisteredPhoto) -> list[str]:
         f"Photograph: {on_one_line(one.photo.name)} ({one.camera.width} x {one.camera.height} pixels)",
         f"World: {handed.frame.sentence}",
     ]
-    return [*lines, *([f"Pose: {one.mark}"] if one.mark else [])]
+    return [*lines, f"Pose: {one.registration.standing}"]
 
 
 class WrittenPhoto:

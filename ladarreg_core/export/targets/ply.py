@@ -16,7 +16,9 @@ from ladarreg_core.progress import Report
 def ply_files(handed: RegisteredScan, options: ExportOptions, report: Report | None) -> Sequence[FileJob]:
     """Return the cloud, and in the world `offset.json`."""
     del options
-    comments = [f"photo_id {k}: {one.photo.name} ({one.mark or 'accepted'})" for k, one in enumerate(handed.photos, 1)]
+    comments = [
+        f"photo_id {k}: {one.photo.name} ({one.registration.standing})" for k, one in enumerate(handed.photos, 1)
+    ]
 
     def write(path: Path) -> None:
         handed.compute_colours(report)

@@ -59,6 +59,11 @@ class RegisteredPhoto:
         """What every file must say of a pose that was not verified; empty for an accepted one."""
         return self.registration.mark
 
+    @property
+    def caveat(self) -> str:
+        """The mark, or that an accepted pose is coarse; empty for any other."""
+        return self.registration.caveat
+
     def assessment(self, scan: Scan) -> Assessment:
         """Return what the result is worth."""
         return assess(scan, self.registration)
@@ -149,8 +154,8 @@ class RegisteredScan:
 
     @property
     def marks(self) -> tuple[str, ...]:
-        """A sentence for every photograph whose pose was not verified."""
-        return tuple(f"{one.photo.name}: {one.mark}" for one in self.photos if one.mark)
+        """A sentence for every photograph whose pose was not verified, or is coarse."""
+        return tuple(f"{one.photo.name}: {one.caveat}" for one in self.photos if one.caveat)
 
     def written_from_camera(self, one: RegisteredPhoto) -> Rigid:
         """Return the pose of a camera in the frame of the written points, its offset subtracted."""

@@ -142,7 +142,7 @@ class _RosCamera:
                 f"{_RATIONAL_TERMS}: the calibration is of the undistorted picture {self.name}.png, not of the "
                 "photograph."
             )
-        return [*lines, *([f"Pose: {on_one_line(self.one.mark)}"] if self.one.mark else [])]
+        return [*lines, f"Pose: {self.one.registration.standing}"]
 
     def pixels(self) -> ByteArray:
         """Return the picture that the calibration is of, (h, w, 3) RGB."""

@@ -277,7 +277,7 @@ def test_another_scan_is_written_in_the_world(tmp_path: Path, in_world: bool) ->
     np.testing.assert_array_equal(rgb[seen], handed.colours.image[scan.valid][seen])
 
     header, _, body = (tmp_path / "out" / "ply" / "cloud.ply").read_bytes().partition(b"end_header\n")
-    assert b"comment photo_id 1: photo (accepted)" in header
+    assert b"comment photo_id 1: photo (accepted (image))" in header
     assert header.count(b"property") == 10
     layout = "<f4,<f4,<f4,u1,u1,u1,<f4,u1,<u2,<f4"
     vertices = np.frombuffer(body, np.dtype(layout))

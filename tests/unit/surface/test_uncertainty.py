@@ -4,9 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ladarreg_core.camera import Camera
+from ladarreg_core.camera.uncertainty import pose_jacobian
 from ladarreg_core.errors import CameraError, OptionError, ShapeError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
-from ladarreg_core.pose.covariance import pose_jacobian
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid
 from ladarreg_core.surface.uncertainty import picture_sigma, pixel_sigma
