@@ -50,6 +50,7 @@ class _Progress:
     seconds_left: float = 0.0
     complete: bool = False
     folder: str = ""
+    strays: str = ""
 
 
 class Acquisition:
@@ -366,13 +367,13 @@ class Acquisition:
             )  # fmt: skip
 
     def _see(self, event: RunEvent) -> None:
-        from ladarreg_core.acquisition.runner import Moved, Paused, PieceKept, Repeated, Resumed
+        from ladarreg_core.acquisition.runner import Moved, Paused, PieceKept, Repeated, Resumed, StraysKept
 
         if isinstance(event, Moved):
             self._at = event.at
         elif isinstance(event, PieceKept):
             self._progress.done, self._progress.seconds_left = event.done, event.seconds_left
-            self._said = ""
+            self._said = self._progress.strays
             if self._preview is not None:
                 self._preview.add(event.piece)
                 self._draw()
@@ -380,6 +381,9 @@ class Acquisition:
             self._state, self._said = ("fault" if event.fault else "paused"), as_fields(event.reason)
         elif isinstance(event, Repeated):
             self._said = event.reason
+        elif isinstance(event, StraysKept):
+            names = ", ".join(event.names)
+            self._progress.strays = f"Before stop {event.index}: {names} came on the way, and counts for no stop."
         elif isinstance(event, Resumed):
             self._state, self._said = "running", ""
         self._publish()
@@ -500,8 +504,15 @@ def _require_own_ports(plan: Plan) -> None:
     from ladarreg_core.acquisition.serial_port import port_names
     from ladarreg_core.acquisition.twin_address import is_twin
 
+    found = plan.scanner.trigger, None if plan.camera is None else plan.camera.trigger
+    triggers = [trigger for trigger in found if trigger is not None]
+    if any(trigger.command for trigger in triggers):
+        raise OptionError(
+            "the plan triggers shots by a command, which nobody may have this computer run from a page; run it by "
+            "`ladarreg acquire`, or trigger by 'file' or 'port'"
+        )
     own = port_names()
-    for port in filter(None, (plan.unit.port, plan.scanner.port)):
+    for port in filter(None, (plan.unit.port, plan.scanner.port, *(trigger.port for trigger in triggers))):
         if port not in own and not is_twin(port):
             there = f"its ports are {', '.join(own)}" if own else "it has none"
             raise OptionError(

@@ -96,8 +96,10 @@ def _connect_once(plan: Plan, stack: ExitStack, *, ports: OpenPorts) -> Connecte
             is_readable=_is_scan,
             timeout_s=plan.scanner.timeout_s,
             device="the scanner",
+            trigger=plan.scanner.trigger,
             clock=opened.clock,
         )
+        stack.callback(frames.close)
     camera = None if plan.camera is None else _camera(plan.camera, opened.clock)
     if camera is not None:
         stack.callback(camera.close)
@@ -149,8 +151,9 @@ def identified(address: str) -> FoundDevice:
 def _camera(plan: CameraPlan, clock: Clock) -> FrameSource:
     if plan.folder:
         return FolderSource(
-            watched_folder(plan.folder), is_readable=_is_photo, timeout_s=_PHOTO_S, device="the camera", clock=clock
-        )
+            watched_folder(plan.folder), is_readable=_is_photo, timeout_s=_PHOTO_S, device="the camera",
+            trigger=plan.trigger, clock=clock,
+        )  # fmt: skip
     return VideoCamera(plan.device or 0)
 
 

@@ -4,6 +4,7 @@
     run.jsonl       a record a piece, synchronised to disk, after the piece itself
     pieces/NNN.npz  the lines of a stop or a pass, or a scan
     photos/NNN.*    a photograph a stop
+    stray/NNN/      copies of files that came before the unit had arrived at the stop
 
 A piece counts once its record is there. A record whose piece is missing or changed does not count.
 """
@@ -15,7 +16,7 @@ import hashlib
 import io
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,7 @@ from ladarreg_core.formats.untrusted import shown_name
 from ladarreg_core.manifest import MANIFEST_FILE, ListedFile, manifest_bytes
 from ladarreg_core.scan import Scan
 
-PIECES, PHOTOS = "pieces", "photos"
+PIECES, PHOTOS, STRAYS = "pieces", "photos", "stray"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,7 +203,7 @@ class RunWriter(RunFolder):
 
     def keep(
         self, index: int, write: Callable[[Path], None], *, asked: PanTilt, read: PanTilt, time: str, passed: int = 0,
-        photo: Path | None = None,
+        photo: Path | None = None, strays: Sequence[Path] = (),
     ) -> Record:  # fmt: skip
         """Keep a piece: its file whole on disk first, then its record.
 
@@ -214,6 +215,7 @@ class RunWriter(RunFolder):
             time: UTC, ISO 8601.
             passed: number of the pass.
             photo: a photograph of the stop, in the folder `photos`.
+            strays: files that came before it, in the folder `stray`.
 
         Raises:
             ExportError: if it cannot be written; it does not count then.
@@ -224,7 +226,8 @@ class RunWriter(RunFolder):
             _sync(new)
         name = None if photo is None else photo.relative_to(self.path).as_posix()
         photo_sha256 = "" if photo is None else _sha256(photo)
-        record = Record(index, file, _sha256(self.path / file), asked, read, time, passed, name, photo_sha256)
+        aside = {path.relative_to(self.path).as_posix(): _sha256(path) for path in strays}
+        record = Record(index, file, _sha256(self.path / file), asked, read, time, passed, name, photo_sha256, aside)
         assert self._log is not None
         self._log.append(json.dumps(record.as_fields()).encode() + b"\n")
         self.records[index] = record
@@ -279,7 +282,10 @@ def _require_same(before: Plan, now: Plan, folder: Path) -> None:
     old, new = before.as_fields(), now.as_fields()
     whole = ("mode", "pan_deg", "tilt_deg", "continuous", "passes", "mount", "settle_s")
     differing = [name for name in whole if old[name] != new[name]]
-    for part, free in (("unit", ("port", "baud", "speed_deg_s")), ("scanner", ("port", "baud", "folder", "timeout_s"))):
+    for part, free in (
+        ("unit", ("port", "baud", "speed_deg_s")),
+        ("scanner", ("port", "baud", "folder", "timeout_s", "trigger")),
+    ):
         mine, theirs = ({k: v for k, v in fields[part].items() if k not in free} for fields in (old, new))
         differing += [part] if mine != theirs else []
     if differing:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,11 +15,11 @@ from numpy.typing import NDArray
 
 from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
 from ladarreg_core.acquisition.continuous import measured_pass
-from ladarreg_core.acquisition.devices import FrameSource, LineScanner, PanTilt, PanTiltUnit
+from ladarreg_core.acquisition.devices import Arrival, FrameSource, LineScanner, PanTilt, PanTiltUnit
 from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.acquisition.plan import Plan
 from ladarreg_core.acquisition.ports import GuardEndedError
-from ladarreg_core.acquisition.run_folder import PHOTOS, PIECES, RunWriter, ScanPiece, write_sweep
+from ladarreg_core.acquisition.run_folder import PHOTOS, PIECES, STRAYS, RunWriter, ScanPiece, write_sweep
 from ladarreg_core.acquisition.run_records import Record
 from ladarreg_core.acquisition.stops import Stop, forecast, require_possible, stops_of
 from ladarreg_core.errors import Cancelled, DeviceError, FormatError, OptionError
@@ -68,6 +69,15 @@ class Repeated:
 
 
 @dataclass(frozen=True, slots=True)
+class StraysKept:
+    """Files that came while the unit was on its way belong to no stop; copies of them lie in the run's folder."""
+
+    index: int
+    """The stop before which they came."""
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Resumed:
     """The run goes on."""
 
@@ -82,7 +92,7 @@ class Ended:
     total: int
 
 
-RunEvent = Moved | PieceKept | Paused | Repeated | Resumed | Ended
+RunEvent = Moved | PieceKept | Paused | Repeated | StraysKept | Resumed | Ended
 EventReport = Callable[[RunEvent], None]
 
 
@@ -118,6 +128,9 @@ class Run:
         self.plan, self.folder = plan, folder
         self._unit, self._lines, self._frames, self._camera = unit, line_scanner, frames, camera
         self._devices = [device for device in (unit, line_scanner) if device is not None]
+        self._sources = {
+            name: source for name, source in (("scanner", frames), ("camera", camera)) if source is not None
+        }
         self._in_doubt = False
         self._report, self._clock = report, clock
         self._stops = stops_of(plan)
@@ -204,6 +217,8 @@ class Run:
 
     def _measure(self, stop: Stop) -> tuple[Record, LineSweep | ScanPiece]:
         read = self._unit.move_to(stop.at, check=self._check)
+        for source in self._sources.values():
+            source.arrived(Arrival(stop.index, read))
         self._report(Moved(stop, read))
         self._rest_for(self.plan.settle_s)
         if self.plan.mode == "mosaic":
@@ -229,27 +244,39 @@ class Run:
 
     def _measure_frame(self, stop: Stop, read: PanTilt) -> tuple[Record, ScanPiece]:
         assert self._frames is not None
-        came = self._frames.next_file(self.folder.path / PIECES, f".{stop.index:03d}-as-it-came", check=self._check)
-        try:
-            scan = read_scan(came)
-            photo = self._photograph(stop)
-            record = self._keep(stop, read, lambda path: write_npz_xyz(path, scan), photo)
-        finally:
-            came.unlink(missing_ok=True)
-        return record, ScanPiece(scan, read)
+        with self._landing(PIECES, stop) as landing:
+            scan = read_scan(self._frames.next_file(landing, check=self._check))
+        photo = self._photograph(stop)
+        return self._keep(stop, read, lambda path: write_npz_xyz(path, scan), photo), ScanPiece(scan, read)
 
     def _photograph(self, stop: Stop) -> Path | None:
         if self._camera is None:
             return None
-        folder = self.folder.path / PHOTOS
-        folder.mkdir(exist_ok=True)
-        return self._camera.next_file(folder, f"{stop.index:03d}", check=self._check)
+        with self._landing(PHOTOS, stop) as landing:
+            came = self._camera.next_file(landing, check=self._check)
+            return came.replace(landing.parent / f"{stop.index:03d}{came.suffix}")
+
+    @contextlib.contextmanager
+    def _landing(self, kind: str, stop: Stop) -> Iterator[Path]:
+        """Give an empty folder for the files of a stop as they come, and remove it."""
+        landing = self.folder.path / kind / f".{stop.index:03d}-as-it-came"
+        shutil.rmtree(landing, ignore_errors=True)  # of a run that was killed
+        landing.mkdir(parents=True)
+        try:
+            yield landing
+        finally:
+            shutil.rmtree(landing, ignore_errors=True)
 
     def _keep(self, stop: Stop, read: PanTilt, write: Callable[[Path], None], photo: Path | None) -> Record:
         stamp = datetime.now(UTC).isoformat(timespec="milliseconds")
-        return self.folder.keep(
-            stop.index, write, asked=stop.at, read=read, time=stamp, passed=stop.passed, photo=photo
+        above = self.folder.path / STRAYS / f"{stop.index:03d}"
+        strays = [path for name, source in self._sources.items() for path in source.keep_strays(above / name)]
+        record = self.folder.keep(
+            stop.index, write, asked=stop.at, read=read, time=stamp, passed=stop.passed, photo=photo, strays=strays
         )
+        if strays:
+            self._report(StraysKept(stop.index, tuple(path.name for path in strays)))
+        return record
 
     def _rest_for(self, seconds: float) -> None:
         until = self._clock.now() + seconds
