@@ -113,7 +113,9 @@ def _composed(out: Path, *, quiet: bool) -> ExitCode:
     print(f"Panorama   {rows} x {columns} cells, {panorama.scan.valid.mean():.0%} with returns: {out / 'scan.npz'}")
     for note in panorama.scan.notes:
         print(f"Note       {one_line(note)}")
-    return ExitCode.ACCEPTED
+    for reason in panorama.reasons:
+        print(f"Refused    {one_line(reason)}")
+    return ExitCode.ACCEPTED if panorama.accepted else ExitCode.NOT_ACCEPTED
 
 
 class _Watch:
@@ -127,7 +129,7 @@ class _Watch:
 
     def see(self, event: RunEvent) -> None:
         """Show an event."""
-        from ladarreg_core.acquisition.runner import Ended, Paused, PieceKept, Repeated, Resumed, StraysKept
+        from ladarreg_core.acquisition.runner import Compared, Ended, Paused, PieceKept, Repeated, Resumed, StraysKept
         from ladarreg_core.progress import Progress
 
         if isinstance(event, PieceKept):
@@ -137,6 +139,8 @@ class _Watch:
         elif isinstance(event, Paused) and event.fault:
             self.fault = event.reason
             threading.Thread(target=self._ask, daemon=True).start()
+        elif isinstance(event, Compared):
+            print(f"\nClosure    {one_line(event.closure.sentence())}")
         elif isinstance(event, Repeated):
             print(f"\nladarreg: {one_line(event.reason)}", file=sys.stderr)
         elif isinstance(event, StraysKept):

@@ -350,11 +350,14 @@ class Acquisition:
             folder.close()
             self._run = None
             self._draw(now=True)
+        refused: tuple[str, ...] = ()
         if complete:
             self._said = "All pieces are kept; the panorama is being composed."
             self._publish()
             try:
-                add_to_run(folder.path, compose(folder.path, report=lambda progress: self._check()))
+                made = compose(folder.path, report=lambda progress: self._check())
+                add_to_run(folder.path, made)
+                refused = made.reasons
             except Cancelled:
                 with self._lock:
                     self._said = "Composing was stopped: all pieces are kept. Go on with the run to compose them."
@@ -362,7 +365,7 @@ class Acquisition:
         with self._lock:
             self._progress.complete = complete
             self._said = (
-                "The run is complete." if complete
+                " ".join(("The run is complete.", *(f"Not accepted: {reason}." for reason in refused))) if complete
                 else f"Stopped: {self._progress.done} of {self._progress.total} pieces are kept."
             )  # fmt: skip
 

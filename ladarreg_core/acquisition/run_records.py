@@ -13,10 +13,11 @@ import numpy as np
 
 from ladarreg_core.acquisition.devices import PanTilt
 from ladarreg_core.errors import FormatError
+from ladarreg_core.formats.json_file import read_json_object
 from ladarreg_core.formats.untrusted import inside_folder, one_line, reading
 from ladarreg_core.validation import is_int, is_number
 
-RECORDS = "run.jsonl"
+RECORDS, CLOSURE = "run.jsonl", "closure.json"
 _MOST_BYTES = 64 << 20
 _MOST_PIECES = 1_000_000
 
@@ -78,6 +79,21 @@ def read_records(folder: Path) -> Iterator[Record | FormatError]:
                 yield FormatError(f"line {number} is not a JSON object; restore it or remove it")
         except FormatError as error:
             yield error
+
+
+def read_closure(folder: Path) -> Mapping[str, Any] | None:
+    """Return what the first stop of a run looked like at the end; None if it was not measured again.
+
+    Raises:
+        FormatError: if the file says nothing of the kind.
+    """
+    if not (folder / CLOSURE).is_file():
+        return None
+    with reading(folder / CLOSURE) as file:
+        fields = read_json_object(file, "the closure of a run")
+        if not isinstance(fields.get("closed"), bool) or not isinstance(fields.get("said"), str):
+            raise FormatError("it does not say whether the run has closed; remove it and resume the run")
+        return {**fields, "said": one_line(fields["said"], 400)}
 
 
 def position_of(pan_deg: float, tilt_deg: float, where: str) -> PanTilt:

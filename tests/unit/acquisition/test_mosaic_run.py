@@ -13,10 +13,12 @@ import pytest
 
 pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
 
+from ladarreg_core.acquisition.closure import Closure
 from ladarreg_core.acquisition.connected import connected
 from ladarreg_core.acquisition.plan import Axis, Plan, ScannerPlan, UnitPlan
 from ladarreg_core.acquisition.run_folder import RunFolder, RunWriter, ScanPiece
-from ladarreg_core.acquisition.runner import PieceKept, RunEvent, StraysKept
+from ladarreg_core.acquisition.runner import Compared, PieceKept, RunEvent, StraysKept
+from ladarreg_core.panorama import compose
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.twins.devices import SCANNER, TwinDevices
 from ladarreg_core.twins.world import FRAME_MOUNT
@@ -53,6 +55,42 @@ def run(twins: TwinDevices, home: Path, plan: Plan, see: Callable[[RunEvent], No
     ):
         assert devices.run(plan, folder, see).go()
     return RunFolder.open(home)
+
+
+@pytest.mark.parametrize(("slip_deg", "closes"), [((0.0, 0.0), True), ((1.5, 0.0), False), ((0.0, -1.5), False)])
+def test_a_unit_that_slips_in_mid_run_does_not_close(
+    twins: TwinDevices, clock: SimulatedClock, tmp_path: Path, slip_deg: tuple[float, float], closes: bool
+) -> None:
+    found: list[Closure] = []
+
+    def see(event: RunEvent) -> None:
+        if isinstance(event, PieceKept) and event.done == 3:
+            twins.unit.slip(*np.radians(slip_deg), clock.now())
+        if isinstance(event, Compared):
+            found.append(event.closure)
+
+    kept = run(twins, tmp_path / "run", plan_of(twins), see)
+    (closure,) = found
+    assert closure.closed == kept.closed == closes
+    if closes:
+        assert closure.apart is not None
+        assert closure.apart < 0.01
+        assert compose(tmp_path / "run").accepted
+        return
+    assert closure.slip_deg is not None
+    assert np.allclose(closure.slip_deg, slip_deg, atol=0.6), "half a cell of this coarse scanner"
+    made = compose(tmp_path / "run")
+    assert not made.accepted
+    assert closure.sentence() in made.reasons
+    # Resumed, the run looks once more whether it closes.
+    twins.unit.slip(*-np.radians(slip_deg), clock.now())
+    with (
+        closing(RunWriter.begin(tmp_path / "run", plan_of(twins), resume=True)) as folder,
+        connected(folder.plan, ports=lambda: MemoryPorts(twins.server)) as devices,
+    ):
+        assert devices.run(folder.plan, folder, see).go()
+    assert found[-1].closed
+    assert RunFolder.open(tmp_path / "run").closed
 
 
 def test_a_stray_shot_does_not_shift_the_others(twins: TwinDevices, clock: SimulatedClock, tmp_path: Path) -> None:
