@@ -21,6 +21,7 @@ from ladarreg_core.acquisition.video_camera import VideoCamera
 from ladarreg_core.errors import DeviceError
 from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.image_file import read_image
+from ladarreg_core.formats.scan_files import scan_files
 
 _PHOTO_S = 60.0
 _UNIT_BAUDS = (9600, 115_200, 19_200, 38_400)
@@ -96,6 +97,7 @@ def _connect_once(plan: Plan, stack: ExitStack, *, ports: OpenPorts) -> Connecte
             is_readable=_is_scan,
             timeout_s=plan.scanner.timeout_s,
             device="the scanner",
+            files_of=scan_files,
             trigger=plan.scanner.trigger,
             clock=opened.clock,
         )

@@ -109,7 +109,7 @@ def _of_each(
     low: NDArray[np.intp], high: NDArray[np.intp], counts: NDArray[np.float64], pieces: int
 ) -> NDArray[np.float64]:
     """Return the counts (P,) of the pairs of each piece."""
-    return np.bincount(low, counts, pieces) + np.bincount(high, counts, pieces)
+    return np.asarray(np.bincount(low, counts, pieces) + np.bincount(high, counts, pieces), np.float64)
 
 
 def _from_each_on(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.errors import ExportError, FormatError, OptionError, ShapeError
 from ladarreg_core.formats.budget import ReadBudget
+from ladarreg_core.formats.byte_order import require_byte_order
 from ladarreg_core.formats.untrusted import (
     PathLike,
     as_float32,
@@ -66,11 +67,11 @@ def read_npz(path: PathLike, *, memory_bytes: int | None = None, report: Report 
 
     Args:
         path: a file with `intensity` (H, W) and either `xyz` (H, W, 3), m, NaN or (0, 0, 0) = no return, or `counts`
-            (H, W), 0 = no return, with `r0_m`, `dr_m`, `d_azimuth_rad`, `d_elevation_rad` and optional offsets.
-            Optional: `color` (H, W, 3) uint8, `rays` (H, W, 3), directions also of cells without a return (those of
-            the points are their own), `world_from_scanner` (4, 4), `note`, a sentence on the scan. With the four
-            scalars `SPHERE` the points lie on a spherical grid: row 0 at `top_latitude_rad`, the middle column at
-            `centre_longitude_rad`.
+            (H, W), 0 = no return, with `r0_m`, `dr_m`, `d_azimuth_rad`, `d_elevation_rad` and optional offsets;
+            counts may come without intensity. Optional: `color` (H, W, 3) uint8, `rays` (H, W, 3), directions also of
+            cells without a return (those of the points are their own), `world_from_scanner` (4, 4), `note`, a sentence
+            on the scan. With the four scalars `SPHERE` the points lie on a spherical grid: row 0 at `top_latitude_rad`,
+            the middle column at `centre_longitude_rad`.
         memory_bytes: memory that the read may use, bytes; None: see `budget`.
         report: receives the progress.
 
@@ -84,16 +85,17 @@ def read_npz(path: PathLike, *, memory_bytes: int | None = None, report: Report 
     """
     with reading(path) as file, _archive(file) as archive:
         members = _members(archive)
-        if "intensity" not in members:
+        if "intensity" not in members and "counts" not in members:
             raise FormatError(
                 f"the NPZ contains {_listed(members)} but no 'intensity'; a scan needs the laser's intensity (H, W)"
             )
         if ("xyz" in members) == ("counts" in members):
             found = "both 'xyz' and 'counts'" if "xyz" in members else f"{_listed(members)}"
             raise FormatError(f"the NPZ contains {found}; it needs either 'xyz' (H, W, 3) or 'counts' (H, W)")
-        intensity = members["intensity"]
+        intensity = members.get("intensity", members.get("counts"))
+        assert intensity is not None
         if len(intensity.shape) != 2:
-            raise ShapeError(f"'intensity' has the shape {intensity.shape}; it must be (H, W)")
+            raise ShapeError(f"the scan has the shape {intensity.shape}; it must be (H, W)")
         require_cells(*intensity.shape)
         name = "xyz" if "xyz" in members else "counts"
         measured = members[name]
@@ -115,7 +117,9 @@ def read_npz(path: PathLike, *, memory_bytes: int | None = None, report: Report 
         budget.require_cells(*intensity.shape, arrays + more)
         total = 2 + (color is not None)
         _report(report, 0, total)
-        shown = as_float32(intensity.read(archive))
+        shown = np.zeros(intensity.shape, np.float32)  # counts alone are a shape
+        if "intensity" in members:
+            shown = as_float32(intensity.read(archive))
         _report(report, 1, total)
         values = measured.read(archive)
         _report(report, 2, total)
@@ -403,6 +407,9 @@ def counts_geometry(shape: tuple[int, int], scalars: dict[str, float]) -> Azimut
 def _from_counts(counts: NDArray[Any], scalars: dict[str, float]) -> tuple[ScanGeometry, NDArray[np.float64]]:
     if counts.dtype.kind not in "ui":
         raise FormatError(f"'counts' has the type {counts.dtype}; it must contain integers (uint16)")
+    if counts.dtype.itemsize > 1:
+        wanted = "read the raw file in the other order and save it again"
+        require_byte_order(counts, counts.byteswap(), what="the counts", wanted=wanted)
     if counts.dtype.kind == "i" and counts.min(initial=0) < 0:
         raise FormatError(f"'counts' contains {counts.min()}; counts must not be negative, 0 = no return")
     geometry = counts_geometry((counts.shape[0], counts.shape[1]), scalars)
