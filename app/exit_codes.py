@@ -13,6 +13,6 @@ class ExitCode(IntEnum):
     BAD_INPUT = 2
     """Unusable input or arguments."""
     NOT_ACCEPTED = 3
-    """The registration finished, but its evidence is insufficient."""
+    """It finished and was written, but is not accepted: too little evidence, or pieces that do not fit."""
     INTERRUPTED = 130
     """Interrupted by the user; no incomplete files are left."""

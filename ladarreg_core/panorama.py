@@ -49,6 +49,16 @@ class Panorama:
     fields: Mapping[str, Any]
     """Contents of `panorama.json`."""
 
+    @property
+    def accepted(self) -> bool:
+        """Whether its pieces fit, and the run has closed as far as that was looked at."""
+        return not self.reasons
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why it is not accepted."""
+        return tuple(self.fields["reasons"])
+
 
 def compose(
     run_folder: str | Path,
@@ -140,7 +150,14 @@ def _mosaic(
         {"returns": one.returns, "shown": one.shown, "outdone": one.outdone, "folded": one.folded}
         for one in made.pieces
     ]
-    fields: dict[str, Any] = {"mount": mount_as_fields(held), "counts": counts, "each": each}
+    fit = made.fit.as_fields()
+    reasons = []
+    if made.fit.first_misfit is not None:
+        fit["first_misfit"] = listed.pieces[made.fit.first_misfit].index
+        reasons.append(made.fit.sentence(fit["first_misfit"]))
+    fields: dict[str, Any] = {
+        "mount": mount_as_fields(held), "counts": counts, "each": each, "fit": fit, "reasons": reasons,
+    }  # fmt: skip
     if found is not None:
         _state_refinement(fields, found, calibrated=calibrate_mount)
     return Panorama(made.scan, made.piece_of_cell, fields)
@@ -211,6 +228,9 @@ def _document(listed: PieceList, made: Panorama, checksums: Sequence[str], mount
     rows, columns = made.scan.shape
     counts = {"rows": rows, "columns": columns, "returns": int(made.scan.valid.sum()), **own.pop("counts")}
     mount = {"is": MOUNT_IS, "from": mount_from, **own.pop("mount")}
+    reasons = own.pop("reasons", [])
+    if listed.closure is not None and not listed.closure["closed"]:
+        reasons = [*reasons, listed.closure["said"]]
     numbers = [more.get("sweep", place) for place, more in enumerate(each)]
     colors = _colours(numbers)
     pieces = [
@@ -224,7 +244,8 @@ def _document(listed: PieceList, made: Panorama, checksums: Sequence[str], mount
     return {
         "version": _VERSION, "kind": "panorama", "software": {"name": "ladarreg", "version": VERSION},
         "mode": listed.mode, "scan": "scan.npz", "frame_is": PANORAMA_IS, "provenance": "provenance.png",
-        "provenance_is": PROVENANCE_IS, "counts": counts, "mount": mount, **own,
+        "provenance_is": PROVENANCE_IS, "accepted": not reasons, "reasons": reasons, "counts": counts, "mount": mount,
+        "closure": None if listed.closure is None else dict(listed.closure), **own,
         "notes": [*made.scan.notes, *own.get("notes", ())], "missing": list(listed.missing), "pieces": pieces,
     }  # fmt: skip
 
@@ -293,10 +314,11 @@ def _write_scan(path: Path, panorama: Panorama) -> None:
     from ladarreg_core.formats.npz import write_npz_panorama, write_npz_xyz
     from ladarreg_core.scanner.grids import SphericalGrid
 
+    note = f"not accepted: {'; '.join(panorama.reasons)}" if panorama.reasons else ""
     if isinstance(panorama.scan.geometry, SphericalGrid):
-        write_npz_panorama(path, panorama.scan, piece=panorama.piece_of_cell)
+        write_npz_panorama(path, panorama.scan, piece=panorama.piece_of_cell, note=note)
     else:
-        write_npz_xyz(path, panorama.scan)
+        write_npz_xyz(path, panorama.scan, note=note)
 
 
 def _write_provenance(path: Path, panorama: Panorama) -> None:

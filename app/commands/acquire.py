@@ -16,7 +16,7 @@ from ..progress_bar import progress_bar
 
 if TYPE_CHECKING:
     from ladarreg_core.acquisition.plan import Plan
-    from ladarreg_core.acquisition.runner import Run, RunEvent
+    from ladarreg_core.acquisition.runner import Run, RunEvent, StraysKept
 
     from ..progress_bar import ProgressBar
     from ..stop_signals import StopSignals
@@ -113,7 +113,9 @@ def _composed(out: Path, *, quiet: bool) -> ExitCode:
     print(f"Panorama   {rows} x {columns} cells, {panorama.scan.valid.mean():.0%} with returns: {out / 'scan.npz'}")
     for note in panorama.scan.notes:
         print(f"Note       {one_line(note)}")
-    return ExitCode.ACCEPTED
+    for reason in panorama.reasons:
+        print(f"Refused    {one_line(reason)}")
+    return ExitCode.ACCEPTED if panorama.accepted else ExitCode.NOT_ACCEPTED
 
 
 class _Watch:
@@ -127,7 +129,7 @@ class _Watch:
 
     def see(self, event: RunEvent) -> None:
         """Show an event."""
-        from ladarreg_core.acquisition.runner import Ended, Paused, PieceKept, Repeated, Resumed
+        from ladarreg_core.acquisition.runner import Compared, Ended, Paused, PieceKept, Repeated, Resumed, StraysKept
         from ladarreg_core.progress import Progress
 
         if isinstance(event, PieceKept):
@@ -137,8 +139,12 @@ class _Watch:
         elif isinstance(event, Paused) and event.fault:
             self.fault = event.reason
             threading.Thread(target=self._ask, daemon=True).start()
+        elif isinstance(event, Compared):
+            print(f"\nClosure    {one_line(event.closure.sentence())}")
         elif isinstance(event, Repeated):
             print(f"\nladarreg: {one_line(event.reason)}", file=sys.stderr)
+        elif isinstance(event, StraysKept):
+            print(f"\nladarreg: {one_line(_said_of_strays(event))}", file=sys.stderr)
         elif isinstance(event, Resumed):
             self.fault = ""
         elif isinstance(event, Ended):
@@ -153,6 +159,14 @@ class _Watch:
         print("Enter goes on, Ctrl-C ends the run; all pieces so far are kept.", file=sys.stderr)
         if sys.stdin.readline():
             self.run.resume()
+
+
+def _said_of_strays(event: StraysKept) -> str:
+    names = ", ".join(event.names)
+    return (
+        f"{names} came before the unit had arrived at stop {event.index} and count for no stop; copies lie in "
+        f"stray/{event.index:03d} of the run"
+    )
 
 
 def _stop_on_signal(signals: StopSignals, acquisition: Run) -> None:
@@ -181,6 +195,8 @@ def _described(plan: Plan) -> str:
         parts.append(f"about {ahead.cells:,} cells")
     if ahead.overlap is not None:
         parts.append(f"overlap {ahead.overlap[0]:.0%} across, {ahead.overlap[1]:.0%} down")
+    triggers = {"scanner": plan.scanner.trigger, "camera": plan.camera.trigger if plan.camera is not None else None}
+    parts += [f"{name} triggered by {one_line(str(each))}" for name, each in triggers.items() if each is not None]
     parts.append(f"about {_duration(ahead.seconds)}")
     return ", ".join(parts)
 

@@ -72,12 +72,12 @@ def run(arguments: Arguments) -> ExitCode:
 
         files = visible_files(arguments.out)
         print_json({**made.fields, "output": {"folder": os.path.abspath(arguments.out), "files": files}})
-        return ExitCode.ACCEPTED
+        return ExitCode.ACCEPTED if made.accepted else ExitCode.NOT_ACCEPTED
     for name, value in panorama_lines(made.fields):
         print(f"{name.capitalize():<10} {one_line(value)}")
     print(f"Wrote      scan.npz, panorama.json, provenance.png in {arguments.out}")
     print(f"Took       {time.perf_counter() - started:.1f} s")
-    return ExitCode.ACCEPTED
+    return ExitCode.ACCEPTED if made.accepted else ExitCode.NOT_ACCEPTED
 
 
 def _mount(text: str | None) -> Rigid | None:

@@ -50,6 +50,7 @@ class _Progress:
     seconds_left: float = 0.0
     complete: bool = False
     folder: str = ""
+    strays: str = ""
 
 
 class Acquisition:
@@ -349,11 +350,14 @@ class Acquisition:
             folder.close()
             self._run = None
             self._draw(now=True)
+        refused: tuple[str, ...] = ()
         if complete:
             self._said = "All pieces are kept; the panorama is being composed."
             self._publish()
             try:
-                add_to_run(folder.path, compose(folder.path, report=lambda progress: self._check()))
+                made = compose(folder.path, report=lambda progress: self._check())
+                add_to_run(folder.path, made)
+                refused = made.reasons
             except Cancelled:
                 with self._lock:
                     self._said = "Composing was stopped: all pieces are kept. Go on with the run to compose them."
@@ -361,18 +365,18 @@ class Acquisition:
         with self._lock:
             self._progress.complete = complete
             self._said = (
-                "The run is complete." if complete
+                " ".join(("The run is complete.", *(f"Not accepted: {reason}." for reason in refused))) if complete
                 else f"Stopped: {self._progress.done} of {self._progress.total} pieces are kept."
             )  # fmt: skip
 
     def _see(self, event: RunEvent) -> None:
-        from ladarreg_core.acquisition.runner import Moved, Paused, PieceKept, Repeated, Resumed
+        from ladarreg_core.acquisition.runner import Moved, Paused, PieceKept, Repeated, Resumed, StraysKept
 
         if isinstance(event, Moved):
             self._at = event.at
         elif isinstance(event, PieceKept):
             self._progress.done, self._progress.seconds_left = event.done, event.seconds_left
-            self._said = ""
+            self._said = self._progress.strays
             if self._preview is not None:
                 self._preview.add(event.piece)
                 self._draw()
@@ -380,6 +384,9 @@ class Acquisition:
             self._state, self._said = ("fault" if event.fault else "paused"), as_fields(event.reason)
         elif isinstance(event, Repeated):
             self._said = event.reason
+        elif isinstance(event, StraysKept):
+            names = ", ".join(event.names)
+            self._progress.strays = f"Before stop {event.index}: {names} came on the way, and counts for no stop."
         elif isinstance(event, Resumed):
             self._state, self._said = "running", ""
         self._publish()
@@ -500,8 +507,15 @@ def _require_own_ports(plan: Plan) -> None:
     from ladarreg_core.acquisition.serial_port import port_names
     from ladarreg_core.acquisition.twin_address import is_twin
 
+    found = plan.scanner.trigger, None if plan.camera is None else plan.camera.trigger
+    triggers = [trigger for trigger in found if trigger is not None]
+    if any(trigger.command for trigger in triggers):
+        raise OptionError(
+            "the plan triggers shots by a command, which nobody may have this computer run from a page; run it by "
+            "`ladarreg acquire`, or trigger by 'file' or 'port'"
+        )
     own = port_names()
-    for port in filter(None, (plan.unit.port, plan.scanner.port)):
+    for port in filter(None, (plan.unit.port, plan.scanner.port, *(trigger.port for trigger in triggers))):
         if port not in own and not is_twin(port):
             there = f"its ports are {', '.join(own)}" if own else "it has none"
             raise OptionError(

@@ -21,6 +21,7 @@ from ladarreg_core.acquisition.video_camera import VideoCamera
 from ladarreg_core.errors import DeviceError
 from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.image_file import read_image
+from ladarreg_core.formats.scan_files import scan_files
 
 _PHOTO_S = 60.0
 _UNIT_BAUDS = (9600, 115_200, 19_200, 38_400)
@@ -96,8 +97,11 @@ def _connect_once(plan: Plan, stack: ExitStack, *, ports: OpenPorts) -> Connecte
             is_readable=_is_scan,
             timeout_s=plan.scanner.timeout_s,
             device="the scanner",
+            files_of=scan_files,
+            trigger=plan.scanner.trigger,
             clock=opened.clock,
         )
+        stack.callback(frames.close)
     camera = None if plan.camera is None else _camera(plan.camera, opened.clock)
     if camera is not None:
         stack.callback(camera.close)
@@ -149,8 +153,9 @@ def identified(address: str) -> FoundDevice:
 def _camera(plan: CameraPlan, clock: Clock) -> FrameSource:
     if plan.folder:
         return FolderSource(
-            watched_folder(plan.folder), is_readable=_is_photo, timeout_s=_PHOTO_S, device="the camera", clock=clock
-        )
+            watched_folder(plan.folder), is_readable=_is_photo, timeout_s=_PHOTO_S, device="the camera",
+            trigger=plan.trigger, clock=clock,
+        )  # fmt: skip
     return VideoCamera(plan.device or 0)
 
 

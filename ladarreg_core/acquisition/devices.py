@@ -134,11 +134,32 @@ class LineScanner(Protocol):
         """Switch the laser off and disconnect."""
 
 
-class FrameSource(Protocol):
-    """A scanner or camera that delivers one whole file a stop."""
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """The unit stands at a stop."""
 
-    def next_file(self, folder: Path, stem: str, *, check: Check) -> Path:
-        """Await the next complete file and return its copy in `folder`, named `stem` with the file's own ending."""
+    index: int
+    """Number of the stop."""
+    at: PanTilt
+    """Position read back."""
+
+
+class FrameSource(Protocol):
+    """A scanner or camera that delivers one whole measurement a stop, in one file or in several."""
+
+    def arrived(self, stop: Arrival) -> None:
+        """Take note that the unit stands at a stop: only what is written from now on is measured there."""
+
+    def next_file(self, folder: Path, *, check: Check) -> Path:
+        """Await the measurement of the stop and copy its files, under their names, into `folder`; return what to read.
+
+        Raises:
+            DeviceError: if none comes.
+            Cancelled: if `check` raises it.
+        """
+
+    def keep_strays(self, folder: Path) -> list[Path]:
+        """Copy what was written, and belongs to no stop, into `folder`; return the copies. Each is given once."""
 
     def close(self) -> None:
         """Disconnect."""

@@ -98,11 +98,11 @@ def _own_files(folder: Path) -> list[str]:
 
 
 def _checksums(folder: Path) -> Mapping[str, str]:
-    """Return the checksums of pieces and photographs by their names."""
+    """Return the checksums of pieces, photographs and stray files by their names."""
     found: dict[str, str] = {}
     for record in read_records(folder) if (folder / RECORDS).is_file() else ():
         if isinstance(record, Record):
-            found[record.file] = record.sha256
+            found |= {record.file: record.sha256, **record.strays}
             if record.photo is not None:
                 found[record.photo] = record.photo_sha256
     return {name: value for name, value in found.items() if value}

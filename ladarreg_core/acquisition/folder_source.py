@@ -1,33 +1,56 @@
-"""A scanner or camera with software of its own: a folder in which a new file appears for each stop."""
+"""A scanner or camera with software of its own: a folder in which new files appear for each stop."""
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
-from ladarreg_core.acquisition.devices import Check
+from ladarreg_core.acquisition.devices import Arrival, Check
+from ladarreg_core.acquisition.trigger import Trigger, TriggerPlan, opened_trigger
 from ladarreg_core.errors import DeviceError
+from ladarreg_core.formats.scan_files import ScanFiles
 
 _NAP_S = 0.05
 _STABLE_S = 0.7
 _TEMPORARY = (".tmp", ".part", ".partial", ".crdownload", ".swp", ".lock", "~")
-_Signature = tuple[int, int]
+_MOST_NAMED = 5
+_BLOCK = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class _State:
+    """A file as the system describes it."""
+
+    inode: int
+    """0 where the system has none."""
+    size: int
+    time_ns: int
+    """Compared with itself only: the clock of another computer may have written it."""
 
 
 class FolderSource:
-    """Waits for the next complete file of a folder.
+    """Waits for the next complete measurement in a folder.
 
-    A file is complete when its size and time have not changed for a while and it can be read. Files that were there
-    before, hidden and temporary ones are passed over; one that is replaced under its old name counts as new.
+    What the folder has when the unit arrives was measured somewhere else, and belongs to no stop: also while it still
+    grows, and when it is given another name later. A measurement is complete when its files have not changed for a
+    while and can be read. A file that was taken for an earlier stop and is written anew under its old name counts as
+    new, unless it only gets longer.
 
     Args:
         folder: the watched folder.
         is_readable: raises a `LadarregError` for a file that cannot be read as what is expected.
-        timeout_s: longest wait for a file.
+        timeout_s: longest wait for a measurement.
         device: what writes there, for messages.
+        files_of: returns what belongs together with a file.
+        trigger: what starts a measurement; None: something else does.
         clock: what the waiting is measured by.
+
+    Raises:
+        DeviceError: if the folder is gone, or the port of the trigger cannot be opened.
     """
 
     def __init__(
@@ -37,74 +60,256 @@ class FolderSource:
         is_readable: Callable[[Path], None],
         timeout_s: float,
         device: str,
+        files_of: Callable[[Path], ScanFiles] = lambda path: ScanFiles(path, (path,)),
+        trigger: TriggerPlan | None = None,
         clock: Clock = REAL_CLOCK,
     ) -> None:
-        self._folder, self._is_readable = Path(folder).expanduser(), is_readable
+        self._folder, self._is_readable, self._files_of = Path(folder).expanduser(), is_readable, files_of
         self._timeout_s, self._device, self._clock = timeout_s, device, clock
-        self._seen = self._files()
+        self._ignored = trigger.file if trigger is not None else ""
+        self._trigger: Trigger | None = None
+        if trigger is not None:
+            self._trigger = opened_trigger(trigger, self._folder, timeout_s=timeout_s, device=device, clock=clock)
+        self._stop: Arrival | None = None
+        self._listed: dict[str, _State] = {}
+        self._known = self._files()
+        """Files that need no more looking at: there from the beginning, taken, or kept aside."""
+        self._before = _Before(self._known)
+        self._taken: dict[str, tuple[_State, str]] = {}
+        self._strays: list[str] = []
 
-    def next_file(self, folder: Path, stem: str, *, check: Check) -> Path:
-        """Await the next complete file and return its copy in `folder`, named `stem` with the file's own ending.
+    def arrived(self, stop: Arrival) -> None:
+        """Take note that the unit stands at a stop: only what is written from now on is measured there.
 
         Raises:
-            DeviceError: if none comes in time, the folder is gone, or the file cannot be read.
+            DeviceError: if the folder is gone.
+        """
+        self._stop = stop
+        there = self._files()
+        self._strays += [
+            name
+            for name, state in there.items()
+            if _is_finished(name) and self._known.get(name) != state and name not in self._strays
+        ]
+        self._known |= {name: state for name, state in there.items() if _is_finished(name)}
+        self._before = _Before(there)
+
+    def next_file(self, folder: Path, *, check: Check) -> Path:
+        """Await the measurement of the stop and copy its files, under their names, into `folder`; return what to read.
+
+        Raises:
+            DeviceError: if none comes in time, the folder is gone, or a file cannot be read.
             Cancelled: if `check` raises it.
         """
+        if self._trigger is not None:
+            assert self._stop is not None, "the unit has arrived somewhere before a measurement is asked for"
+            self.arrived(self._stop)  # what was written while the unit settled was not triggered either
+            self._trigger.fire(self._stop, check=check)
         begun = self._clock.now()
-        watched: dict[str, tuple[_Signature, float]] = {}
-        unreadable = ""
+        watch = _Watch()
+        unreadable: dict[str, str] = {}
         while True:
             check()
             now = self._clock.now()
-            for name, signature in self._files().items():
-                if self._seen.get(name) == signature:
+            there = self._files()
+            self._before.forget_removed(there)
+            watch.see(there, now)
+            new = [name for name, state in there.items() if _is_finished(name) and self._is_new(name, state)]
+            for name in new:
+                files = self._files_of(self._folder / name)
+                if not self._are_complete(files, watch, now):
                     continue
-                if name not in watched or watched[name][0] != signature:
-                    watched[name] = signature, now
-                elif now - watched[name][1] >= _STABLE_S:
-                    path = self._folder / name
-                    try:
-                        self._is_readable(path)
-                    except Exception as error:  # it may still be growing, by a writer that pauses
-                        unreadable = str(error)
-                        watched[name] = signature, now
-                        if now - begun > self._timeout_s / 2:
-                            self._seen[name] = signature
-                            raise DeviceError(
-                                f"{self._device} wrote {name}, which cannot be read ({unreadable}); measure again"
-                            ) from error
-                        continue
-                    copy = folder / f"{stem}{path.suffix}"
-                    shutil.copyfile(path, copy)
-                    if self._files().get(name) != signature:
-                        continue  # it was replaced meanwhile
-                    self._seen = self._files()
+                try:
+                    self._is_readable(files.opened)
+                except Exception as error:  # it may still be growing, by a writer that pauses
+                    unreadable[name] = str(error)
+                    watch.again(name, now)
+                    continue
+                if (copy := self._copied(files, folder)) is not None:
+                    self._take(files)
                     return copy
+            if unreadable and now - begun > self._timeout_s / 2 and unreadable.keys() >= {*new}:
+                self._known |= {name: there[name] for name in new}
+                name, why = next(iter(unreadable.items()))
+                raise DeviceError(f"{self._device} wrote {name}, which cannot be read ({why}); measure again")
             if now - begun > self._timeout_s:
-                came = (
-                    f"{', '.join(watched)} came but {'cannot be read: ' + unreadable if unreadable else 'is growing'}"
-                )
-                raise DeviceError(
-                    f"{self._device} has written no complete file into {self._folder} within {self._timeout_s:.0f} s"
-                    f"{' (' + came + ')' if watched else ''}; start its measurement, or check the folder, and resume"
-                )
+                raise DeviceError(self._late(new, unreadable))
             self._clock.sleep(_NAP_S)
 
-    def close(self) -> None:
-        """Do nothing: a folder stays."""
+    def keep_strays(self, folder: Path) -> list[Path]:
+        """Copy what was written, and belongs to no stop, into `folder`; return the copies. Each is given once.
 
-    def _files(self) -> dict[str, _Signature]:
+        A file that is gone by then is passed over.
+        """
+        strays, self._strays = self._strays, []
+        kept = []
+        for name in strays:
+            folder.mkdir(parents=True, exist_ok=True)
+            try:
+                shutil.copyfile(self._folder / name, folder / name)
+            except FileNotFoundError:
+                continue
+            kept.append(folder / name)
+        return kept
+
+    def close(self) -> None:
+        """Let go of the trigger; the folder stays."""
+        if self._trigger is not None:
+            self._trigger.close()
+
+    def _is_new(self, name: str, state: _State) -> bool:
+        """Return whether a file was written since the unit arrived."""
+        before = self._before.of(name, state)
+        if before is None:
+            return self._known.get(name) != state
+        return before != state and self._taken_as(before) is not None
+
+    def _only_grew(self, name: str, state: _State) -> bool:
+        """Return whether a file is one that was taken before, with something appended since."""
+        before = self._before.of(name, state)
+        digest = None if before is None else self._taken_as(before)
+        if before is None or digest is None or state.size < before.size:
+            return False
+        return _digest(self._folder / name, before.size) == digest
+
+    def _taken_as(self, state: _State) -> str | None:
+        """Return the SHA-256 of a file that was taken for an earlier stop as it was then; None if it was not."""
+        return next((digest for taken, digest in self._taken.values() if taken == state), None)
+
+    def _are_complete(self, files: ScanFiles, watch: _Watch, now: float) -> bool:
+        """Return whether all files of a measurement are there, at rest, and measured since the unit arrived."""
+        for path in files.all:
+            name = path.relative_to(self._folder).as_posix()
+            state = self._listed.get(name) or _state_of(path)
+            if state is None or not watch.is_at_rest(name, state, now):
+                return False
+            if path in files.measured and (not self._is_new(name, state) or self._only_grew(name, state)):
+                return False
+        return True
+
+    def _copied(self, files: ScanFiles, folder: Path) -> Path | None:
+        """Return the copy of the file to be read; None if one was changed meanwhile."""
+        before = [_state_of(path) for path in files.all]
+        for path in files.all:
+            copy = folder / path.relative_to(self._folder)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                shutil.copyfile(path, copy)
+            except FileNotFoundError:
+                return None
+        if [_state_of(path) for path in files.all] != before:
+            return None
+        return folder / files.opened.relative_to(self._folder)
+
+    def _take(self, files: ScanFiles) -> None:
+        for path in files.all:
+            name, state = path.relative_to(self._folder).as_posix(), _state_of(path)
+            if state is not None:
+                self._known[name] = state
+                if path in files.measured:
+                    self._taken[name] = state, _digest(path, state.size)
+        if self._trigger is not None:
+            self._trigger.taken()
+
+    def _late(self, new: list[str], unreadable: dict[str, str]) -> str:
+        """Return what was found in place of a measurement."""
+        came = [f"{name} came but cannot be read: {why}" for name, why in unreadable.items() if name in new]
+        growing = [name for name in new if name not in unreadable]
+        came += [f"{', '.join(growing[:_MOST_NAMED])} came but is not complete"] if growing else []
+        old = [name for name, state in self._listed.items() if self._before.was_changed(name, state)]
+        came += (
+            [f"{', '.join(old[:_MOST_NAMED])} was there before the unit arrived, so it does not count"] if old else []
+        )
+        return (
+            f"{self._device} has written no complete file into {self._folder} within {self._timeout_s:.0f} s"
+            f"{' (' + '; '.join(came) + ')' if came else ''}; start its measurement, or check the folder, and resume"
+        )
+
+    def _files(self) -> dict[str, _State]:
+        """Return the files of the folder that are not empty, those under temporary names included."""
         try:
             found = {}
             for path in self._folder.iterdir():
-                name = path.name
-                if name.startswith(".") or name.lower().endswith(_TEMPORARY) or not path.is_file():
-                    continue
-                status = path.stat()
-                if status.st_size:
-                    found[name] = status.st_size, status.st_mtime_ns
-            return found
-        except OSError as error:  # a file that has just been renamed, or a drive that is gone
+                if path.name != self._ignored and path.is_file() and (state := _state_of(path)) and state.size:
+                    found[path.name] = state
+        except OSError as error:  # a drive that is gone
             if not self._folder.is_dir():
                 raise DeviceError(f"the folder {self._folder} of {self._device} is gone; check the drive") from error
-            return dict(self._seen) if hasattr(self, "_seen") else {}
+            return dict(self._listed)
+        self._listed = found
+        return dict(found)
+
+
+class _Before:
+    """The files that were there when the unit arrived."""
+
+    def __init__(self, files: dict[str, _State]) -> None:
+        self._files = dict(files)
+        self._missed: set[int] = set()
+
+    def of(self, name: str, state: _State) -> _State | None:
+        """Return the state that a file had then, whatever its name was; None if it was not there."""
+        if state.inode:
+            return next((old for old in self._files.values() if old.inode == state.inode), None)
+        return self._files.get(name)
+
+    def was_changed(self, name: str, state: _State) -> bool:
+        """Return whether a file was there then and is not as it was."""
+        old = self.of(name, state)
+        return old is not None and old != state
+
+    def forget_removed(self, there: dict[str, _State]) -> None:
+        """Forget files that are gone: the system gives their inodes to new ones.
+
+        Only what is missing twice is gone, since a file may be given another name while the folder is listed.
+        """
+        inodes = {state.inode for state in there.values()}
+        missing = {state.inode for state in self._files.values() if state.inode} - inodes
+        gone = missing & self._missed
+        self._files = {name: state for name, state in self._files.items() if state.inode not in gone or not state.inode}
+        self._missed = missing
+
+
+class _Watch:
+    """Since when files have been as they are."""
+
+    def __init__(self) -> None:
+        self._since: dict[str, tuple[_State, float]] = {}
+
+    def see(self, files: dict[str, _State], now: float) -> None:
+        """Note the states of files."""
+        for name, state in files.items():
+            if name not in self._since or self._since[name][0] != state:
+                self._since[name] = state, now
+
+    def is_at_rest(self, name: str, state: _State, now: float) -> bool:
+        """Return whether a file has not changed for a while."""
+        self.see({name: state}, now)
+        return now - self._since[name][1] >= _STABLE_S
+
+    def again(self, name: str, now: float) -> None:
+        """Watch a file for another while."""
+        self._since[name] = self._since[name][0], now
+
+
+def _is_finished(name: str) -> bool:
+    """Return whether a name is that of a file and not of one that is still written, or hidden."""
+    return not name.startswith(".") and not name.lower().endswith(_TEMPORARY)
+
+
+def _state_of(path: Path) -> _State | None:
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return _State(status.st_ino, status.st_size, status.st_mtime_ns)
+
+
+def _digest(path: Path, size: int) -> str:
+    """Return the SHA-256 of the first bytes of a file."""
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        while size and (block := file.read(min(size, _BLOCK))):
+            digest.update(block)
+            size -= len(block)
+    return digest.hexdigest()

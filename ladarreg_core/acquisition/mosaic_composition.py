@@ -7,12 +7,15 @@ from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import combinations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.acquisition.mosaic_piece import Float32, LoadedPiece, PlacedPiece, SeenSurface
 from ladarreg_core.acquisition.panorama_grid import Footprint, footprint_of, grid_around
+from ladarreg_core.acquisition.piece_fit import Overlaps, PieceFit
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import IntensityKind, Scan
@@ -55,6 +58,8 @@ class MosaicComposition:
     """Cells that more than one piece shows."""
     disagreeing: int
     """Of these, cells where two pieces show surfaces that are clearly apart: something moved, or a depth edge."""
+    fit: PieceFit
+    """Whether the pieces fit each other, and which was the first that does not."""
 
     @property
     def folded(self) -> int:
@@ -130,13 +135,18 @@ class _Result:
         self.who = np.full(law.shape, NO_PIECE, np.int16)
         self.outdone = np.zeros(pieces, np.int64)
         self.overlapping = self.disagreeing = 0
+        self._overlaps = Overlaps()
         self._lock = threading.Lock()
 
-    def count(self, outdone: NDArray[np.int64], overlapping: int, disagreeing: int) -> None:
+    def count(self, outdone: NDArray[np.int64], shown: _Shown, numbers: NDArray[np.int16]) -> None:
         with self._lock:
             self.outdone += outdone
-            self.overlapping += overlapping
-            self.disagreeing += disagreeing
+            self.overlapping += shown.overlapping
+            self.disagreeing += shown.disagreeing
+            self._overlaps.add(
+                (int(numbers[first]), int(numbers[second]), shared, apart)
+                for first, second, shared, apart in shown.pairs
+            )
 
     def composition(self, intensity_is: IntensityKind, cache: _Cache, name: str) -> MosaicComposition:
         shown = np.bincount(self.who.ravel() + 1, minlength=len(self.outdone) + 1)[1:]
@@ -149,7 +159,9 @@ class _Result:
             if array is not None:
                 array.flags.writeable = False
         scan = Scan(self.law, self.ranges, self.intensity, color=self.color, intensity_is=intensity_is, name=name)
-        return MosaicComposition(scan, self.who, counts, self.overlapping, self.disagreeing)
+        return MosaicComposition(
+            scan, self.who, counts, self.overlapping, self.disagreeing, self._overlaps.fit(len(counts))
+        )
 
 
 class _Cache:
@@ -196,7 +208,7 @@ def _fill(
     if not seen:
         return
     shape = rows.stop - rows.start, columns.stop - columns.start
-    best, shown = _best(seen)
+    best, shown = _best(seen, shape)
     there = best >= 0
     numbers = np.array([number for number, _ in seen], np.int16)
     result.who[tile] = np.where(there, numbers[best], NO_PIECE).reshape(shape)
@@ -209,7 +221,7 @@ def _fill(
     outdone = np.zeros(len(footprints), np.int64)
     for place, (number, _) in enumerate(seen):
         outdone[number] = int((shown.visible[place] & (best != place)).sum())
-    result.count(outdone, int(shown.overlapping), int(shown.disagreeing))
+    result.count(outdone, shown, numbers)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,15 +229,18 @@ class _Shown:
     visible: NDArray[np.bool_]
     overlapping: int
     disagreeing: int
+    pairs: list[tuple[int, int, int, int]]
+    """Places in `seen` of two pieces, cells that both show, and cells in which they are apart."""
 
 
-def _best(seen: Sequence[tuple[int, SeenSurface]]) -> tuple[NDArray[np.intp], _Shown]:
-    """Return the place in `seen` of the best surface (N,), -1 where there is none."""
+def _best(seen: Sequence[tuple[int, SeenSurface]], shape: tuple[int, int]) -> tuple[NDArray[np.intp], _Shown]:
+    """Return the place in `seen` of the best surface (N,), -1 where there is none, for the N cells of a tile."""
     ranges = np.stack([surface.ranges for _, surface in seen])
     visible = np.isfinite(ranges)
     score = np.where(visible, np.stack([surface.score for _, surface in seen]), -1)
     several = visible.sum(axis=0) > 1
     apart = np.zeros(ranges.shape[1], bool)
+    pairs = []
     if several.any():
         some = ranges[:, several]
         with np.errstate(invalid="ignore"):
@@ -233,8 +248,29 @@ def _best(seen: Sequence[tuple[int, SeenSurface]]) -> tuple[NDArray[np.intp], _S
         support = agrees.sum(axis=1)
         apart[several] = (support < visible[:, several].sum(axis=0)).any(axis=0, where=visible[:, several])
         score[:, several] += np.where(visible[:, several], support, 0)
+        pairs = list(_compared(ranges, shape))
     best = np.where(visible.any(axis=0), score.argmax(axis=0), -1)
-    return best, _Shown(visible, int(several.sum()), int(apart.sum()))
+    return best, _Shown(visible, int(several.sum()), int(apart.sum()), pairs)
+
+
+def _compared(ranges: Float32, shape: tuple[int, int]) -> Iterator[tuple[int, int, int, int]]:
+    """Yield for each pair of surfaces (K, N) the cells that both show, and those where they are clearly apart.
+
+    They are apart where no range of one in the cells around is near to any of the other: an edge that two pieces show a
+    cell apart says nothing about where they are.
+    """
+    around = np.ones((3, 3), np.uint8)
+    planes = ranges.reshape(-1, *shape)
+    there = np.isfinite(planes)
+    low = np.stack([cv2.erode(plane, around) for plane in np.where(there, planes, np.float32(np.inf))])
+    high = np.stack([cv2.dilate(plane, around) for plane in np.where(there, planes, np.float32(-np.inf))])
+    for first, second in combinations(range(len(planes)), 2):
+        both = there[first] & there[second]
+        if (shared := int(both.sum())) == 0:
+            continue
+        gap = np.maximum(low[first][both] - high[second][both], low[second][both] - high[first][both])
+        apart = int((gap > _APART_M + _APART_SHARE * low[first][both]).sum())
+        yield first, second, shared, apart
 
 
 def _taken(planes: Sequence[Float32 | NDArray[np.uint8]], best: NDArray[np.intp], none: float) -> NDArray[np.generic]:

@@ -13,7 +13,7 @@ from typing import Any
 from ladarreg_core.acquisition.devices import PanTilt
 from ladarreg_core.acquisition.mount_fields import mount_from_fields
 from ladarreg_core.acquisition.plan import Mode
-from ladarreg_core.acquisition.run_records import RECORDS, position_of, read_records
+from ladarreg_core.acquisition.run_records import RECORDS, position_of, read_closure, read_records
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.json_file import read_json_object
 from ladarreg_core.formats.untrusted import inside_folder, one_line, reading, shown_name
@@ -71,6 +71,8 @@ class PieceList:
     """`unit_from_scanner` of the plan, if there is a plan."""
     planned: int | None
     """Number of pieces planned; None: unknown."""
+    closure: Mapping[str, Any] | None = None
+    """Whether the first stop looked the same at the end, as `closure.json` says; None if nobody looked."""
 
     @property
     def missing(self) -> tuple[int, ...]:
@@ -117,7 +119,8 @@ def _of_run(folder: Path) -> PieceList:
         found[record.index] = ListedPiece(record.index, path, record.read, record.sha256 or None)
     if not found:
         raise FormatError(f"the folder {shown_name(folder)} has no piece yet; resume the run")
-    return PieceList(folder, mode, tuple(found[index] for index in sorted(found)), mount, planned)
+    pieces = tuple(found[index] for index in sorted(found))
+    return PieceList(folder, mode, pieces, mount, planned, read_closure(folder))
 
 
 def _of_csv(file: Path) -> tuple[ListedPiece, ...]:

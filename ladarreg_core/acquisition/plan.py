@@ -13,6 +13,7 @@ from typing import Any, Literal, cast, get_args
 import numpy as np
 
 from ladarreg_core.acquisition.mount_fields import mount_as_fields, mount_from_fields
+from ladarreg_core.acquisition.trigger import TriggerPlan
 from ladarreg_core.acquisition.twin_address import check_twin, is_twin
 from ladarreg_core.atomic_write import replaced_file, write_bytes
 from ladarreg_core.errors import DeviceError, FormatError, LadarregError, OptionError
@@ -62,6 +63,8 @@ class ScannerPlan:
     """Lines that a line scanner measures at each stop of a sweep."""
     timeout_s: float = 600.0
     """Longest wait for the next file of a folder."""
+    trigger: TriggerPlan | None = None
+    """What starts a shot of a scanner with a folder; None: somebody, or its software."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +75,8 @@ class CameraPlan:
     device: int | None = None
     mount: Rigid | None = None
     """`unit_from_camera`, if it is known."""
+    trigger: TriggerPlan | None = None
+    """What starts a photograph of a camera with a folder; None: its software."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +124,8 @@ class Plan:
             scanner |= {"folder": self.scanner.folder, "timeout_s": self.scanner.timeout_s}
             if self.scanner.fov_deg is not None:
                 scanner["fov_deg"] = list(self.scanner.fov_deg)
+            if self.scanner.trigger is not None:
+                scanner["trigger"] = self.scanner.trigger.as_fields()
         unit: dict[str, Any] = {
             "kind": self.unit.kind, "port": self.unit.port, "baud": self.unit.baud, "signs": list(self.unit.signs),
         }  # fmt: skip
@@ -128,6 +135,8 @@ class Plan:
         if self.camera is not None:
             source = {"folder": self.camera.folder} if self.camera.folder else {"device": self.camera.device}
             camera = {**source, "mount": None if self.camera.mount is None else self.camera.mount.matrix.tolist()}
+            if self.camera.trigger is not None:
+                camera["trigger"] = self.camera.trigger.as_fields()
         return {
             "version": VERSION,
             "unit": unit,
@@ -315,7 +324,9 @@ class _Reader:
             return None if port is None or baud is None or lines is None else ScannerPlan(
                 "scip2", port=port, baud=baud, lines=lines
             )  # fmt: skip
-        self._refuse_unknown(fields, ("kind", "folder", "fov_deg", "timeout_s"), "'scanner' of kind 'folder'")
+        self._refuse_unknown(
+            fields, ("kind", "folder", "fov_deg", "timeout_s", "trigger"), "'scanner' of kind 'folder'"
+        )
         folder = self._folder(fields, "'scanner'")
         timeout = self._number(fields, "timeout_s", 600.0, 1.0, 1e5, "'scanner'")
         fov = fields.get("fov_deg")
@@ -327,7 +338,9 @@ class _Reader:
         if folder is None or timeout is None:
             return None
         across = None if fov is None else (float(fov[0]), float(fov[1]))
-        return ScannerPlan("folder", folder=folder, fov_deg=across, timeout_s=timeout)
+        return ScannerPlan(
+            "folder", folder=folder, fov_deg=across, timeout_s=timeout, trigger=self._trigger(fields, "scanner")
+        )
 
     def _camera(self, value: Any) -> CameraPlan | None:
         if value is None:
@@ -335,7 +348,7 @@ class _Reader:
         fields = self._object(value, "camera")
         if fields is None:
             return None
-        self._refuse_unknown(fields, ("folder", "device", "mount"), "'camera'")
+        self._refuse_unknown(fields, ("folder", "device", "mount", "trigger"), "'camera'")
         if ("folder" in fields) == ("device" in fields):
             self._fault("camera", "'camera' needs either 'folder' or 'device', the number of a video device")
             return None
@@ -344,9 +357,21 @@ class _Reader:
             mount = self._matrix(fields["mount"])
         if "folder" in fields:
             folder = self._folder(fields, "'camera'")
-            return None if folder is None else CameraPlan(folder=folder, mount=mount)
+            trigger = self._trigger(fields, "camera")
+            return None if folder is None else CameraPlan(folder=folder, mount=mount, trigger=trigger)
+        if "trigger" in fields:
+            self._fault("camera.trigger", "'trigger' is for a camera with a folder; a video device needs none")
         device = self._whole(fields, "device", 0, 0, 99, "'camera'")
         return None if device is None else CameraPlan(device=device, mount=mount)
+
+    def _trigger(self, fields: Mapping[str, Any], part: str) -> TriggerPlan | None:
+        if fields.get("trigger") is None:
+            return None
+        try:
+            return TriggerPlan.from_fields(fields["trigger"])
+        except OptionError as error:
+            self._fault(f"{part}.trigger", f"'trigger' of {part!r} is {_shown(fields['trigger'])}: {error}")
+            return None
 
     def _axis(self, fields: Mapping[str, Any], name: str, most: float) -> Axis | None:
         value = fields.get(name, [0.0, 0.0, 0.0] if name == "tilt_deg" else None)

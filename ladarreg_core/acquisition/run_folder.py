@@ -4,6 +4,8 @@
     run.jsonl       a record a piece, synchronised to disk, after the piece itself
     pieces/NNN.npz  the lines of a stop or a pass, or a scan
     photos/NNN.*    a photograph a stop
+    closure.*       the first stop measured again at the end, and whether it looked the same
+    stray/NNN/      copies of files that came before the unit had arrived at the stop
 
 A piece counts once its record is there. A record whose piece is missing or changed does not count.
 """
@@ -15,30 +17,32 @@ import hashlib
 import io
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ladarreg_core.acquisition.closure import Closure
 from ladarreg_core.acquisition.devices import PanTilt
 from ladarreg_core.acquisition.earlier_run import LOCK, PLAN, remove_set_aside, set_aside
 from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.acquisition.piece_list import ListedPiece
 from ladarreg_core.acquisition.plan import Plan, plan_from_fields, write_plan
-from ladarreg_core.acquisition.run_records import RECORDS, Record, in_degrees, read_records
+from ladarreg_core.acquisition.run_records import CLOSURE, RECORDS, Record, in_degrees, read_closure, read_records
 from ladarreg_core.acquisition.sweep_pieces import read_sweeps
 from ladarreg_core.atomic_write import AppendedFile, replaced_file, sync_folder, write_bytes
 from ladarreg_core.errors import ExportError, FormatError, OptionError
 from ladarreg_core.folder_lock import FolderLock
 from ladarreg_core.formats import read_scan
-from ladarreg_core.formats.json_file import read_json_object
+from ladarreg_core.formats.json_file import read_json_object, write_json
 from ladarreg_core.formats.untrusted import shown_name
-from ladarreg_core.manifest import MANIFEST_FILE, ListedFile, manifest_bytes
+from ladarreg_core.manifest import MANIFEST_FILE, ListedFile, manifest_bytes, update_manifest
 from ladarreg_core.scan import Scan
 
-PIECES, PHOTOS = "pieces", "photos"
+PIECES, PHOTOS, STRAYS = "pieces", "photos", "stray"
+_CLOSING = "closure.npz"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,12 +62,14 @@ class RunFolder:
         plan: the plan.
         records: of the pieces that count, by their number.
         faults: what does not count, in sentences.
+        closed: whether the first stop looked the same at the end; None if it was not measured again.
     """
 
     def __init__(self, path: Path, plan: Plan) -> None:
         self.path, self.plan = path, plan
         self.records: dict[int, Record] = {}
         self.faults: list[str] = []
+        self.closed: bool | None = None
 
     @staticmethod
     def open(path: str | Path) -> RunFolder:
@@ -99,6 +105,8 @@ class RunFolder:
         return sweep
 
     def _read_records(self) -> None:
+        closure = read_closure(self.path)
+        self.closed = None if closure is None else bool(closure["closed"])
         if not (self.path / RECORDS).is_file():
             return
         for record in read_records(self.path):
@@ -202,7 +210,7 @@ class RunWriter(RunFolder):
 
     def keep(
         self, index: int, write: Callable[[Path], None], *, asked: PanTilt, read: PanTilt, time: str, passed: int = 0,
-        photo: Path | None = None,
+        photo: Path | None = None, strays: Sequence[Path] = (),
     ) -> Record:  # fmt: skip
         """Keep a piece: its file whole on disk first, then its record.
 
@@ -214,6 +222,7 @@ class RunWriter(RunFolder):
             time: UTC, ISO 8601.
             passed: number of the pass.
             photo: a photograph of the stop, in the folder `photos`.
+            strays: files that came before it, in the folder `stray`.
 
         Raises:
             ExportError: if it cannot be written; it does not count then.
@@ -224,11 +233,29 @@ class RunWriter(RunFolder):
             _sync(new)
         name = None if photo is None else photo.relative_to(self.path).as_posix()
         photo_sha256 = "" if photo is None else _sha256(photo)
-        record = Record(index, file, _sha256(self.path / file), asked, read, time, passed, name, photo_sha256)
+        aside = {path.relative_to(self.path).as_posix(): _sha256(path) for path in strays}
+        record = Record(index, file, _sha256(self.path / file), asked, read, time, passed, name, photo_sha256, aside)
         assert self._log is not None
         self._log.append(json.dumps(record.as_fields()).encode() + b"\n")
         self.records[index] = record
         return record
+
+    def keep_closure(self, closure: Closure, write: Callable[[Path], None]) -> None:
+        """Keep what the first stop looked like at the end.
+
+        Args:
+            closure: what came of comparing it.
+            write: writes the measurement to a path.
+
+        Raises:
+            ExportError: if it cannot be written.
+        """
+        with replaced_file(self.path / _CLOSING) as new:
+            write(new)
+        with replaced_file(self.path / CLOSURE) as new:
+            write_json(new, closure.as_fields())
+        update_manifest(self.path, (_CLOSING, CLOSURE))
+        self.closed = closure.closed
 
     def close(self) -> None:
         """Close the folder for other programs to go on."""
@@ -279,7 +306,10 @@ def _require_same(before: Plan, now: Plan, folder: Path) -> None:
     old, new = before.as_fields(), now.as_fields()
     whole = ("mode", "pan_deg", "tilt_deg", "continuous", "passes", "mount", "settle_s")
     differing = [name for name in whole if old[name] != new[name]]
-    for part, free in (("unit", ("port", "baud", "speed_deg_s")), ("scanner", ("port", "baud", "folder", "timeout_s"))):
+    for part, free in (
+        ("unit", ("port", "baud", "speed_deg_s")),
+        ("scanner", ("port", "baud", "folder", "timeout_s", "trigger")),
+    ):
         mine, theirs = ({k: v for k, v in fields[part].items() if k not in free} for fields in (old, new))
         differing += [part] if mine != theirs else []
     if differing:

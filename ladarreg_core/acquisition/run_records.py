@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,11 @@ import numpy as np
 
 from ladarreg_core.acquisition.devices import PanTilt
 from ladarreg_core.errors import FormatError
+from ladarreg_core.formats.json_file import read_json_object
 from ladarreg_core.formats.untrusted import inside_folder, one_line, reading
 from ladarreg_core.validation import is_int, is_number
 
-RECORDS = "run.jsonl"
+RECORDS, CLOSURE = "run.jsonl", "closure.json"
 _MOST_BYTES = 64 << 20
 _MOST_PIECES = 1_000_000
 
@@ -40,6 +41,8 @@ class Record:
     photo: str | None = None
     photo_sha256: str = ""
     """Of the photograph; empty in records of earlier versions."""
+    strays: Mapping[str, str] = field(default_factory=dict)
+    """SHA-256 of each file that came before the unit had arrived, by its name relative to the run's folder."""
 
     def as_fields(self) -> dict[str, Any]:
         """Return the record's JSON object."""
@@ -47,7 +50,9 @@ class Record:
             "index": self.index, "file": self.file, "sha256": self.sha256, "asked_deg": in_degrees(self.asked),
             "read_deg": in_degrees(self.read), "time": self.time, "pass": self.passed,
         }  # fmt: skip
-        return fields if self.photo is None else {**fields, "photo": self.photo, "photo_sha256": self.photo_sha256}
+        if self.photo is not None:
+            fields |= {"photo": self.photo, "photo_sha256": self.photo_sha256}
+        return {**fields, "strays": dict(self.strays)} if self.strays else fields
 
 
 def read_records(folder: Path) -> Iterator[Record | FormatError]:
@@ -74,6 +79,21 @@ def read_records(folder: Path) -> Iterator[Record | FormatError]:
                 yield FormatError(f"line {number} is not a JSON object; restore it or remove it")
         except FormatError as error:
             yield error
+
+
+def read_closure(folder: Path) -> Mapping[str, Any] | None:
+    """Return what the first stop of a run looked like at the end; None if it was not measured again.
+
+    Raises:
+        FormatError: if the file says nothing of the kind.
+    """
+    if not (folder / CLOSURE).is_file():
+        return None
+    with reading(folder / CLOSURE) as file:
+        fields = read_json_object(file, "the closure of a run")
+        if not isinstance(fields.get("closed"), bool) or not isinstance(fields.get("said"), str):
+            raise FormatError("it does not say whether the run has closed; remove it and resume the run")
+        return {**fields, "said": one_line(fields["said"], 400)}
 
 
 def position_of(pan_deg: float, tilt_deg: float, where: str) -> PanTilt:
@@ -105,13 +125,18 @@ def _record(folder: Path, fields: object, where: str) -> Record:
         raise FormatError(f"{where} has a sha256 that is not a text")
     if not is_int(passed) or int(passed) < 0:
         raise FormatError(f"{where} has the pass {one_line(repr(passed), 40)}; it must be a whole number from 0")
+    strays = fields.get("strays") or {}
+    if not (isinstance(strays, Mapping) and all(isinstance(each, str) for each in strays.values())):
+        raise FormatError(f"{where} has strays that are not names with a SHA-256 each")
+    for name in strays:
+        inside_folder(folder, name, f"a stray file of {where}")
     at = _position(read, where)
     inside_folder(folder, fields.get("file"), f"the file of {where}")
     if photo is not None:
         inside_folder(folder, photo, f"the photograph of {where}")
     return Record(
         int(index), str(fields["file"]), sha256, _position(fields.get("asked_deg", read), where), at,
-        str(fields.get("time", "")), int(passed), None if photo is None else str(photo), photo_sha256,
+        str(fields.get("time", "")), int(passed), None if photo is None else str(photo), photo_sha256, strays,
     )  # fmt: skip
 
 

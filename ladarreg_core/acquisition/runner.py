@@ -3,28 +3,34 @@
 from __future__ import annotations
 
 import contextlib
+import math
+import shutil
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
+from ladarreg_core.acquisition.closure import SEARCHED_DEG, Closure, closure_of_scans, closure_of_sweep
 from ladarreg_core.acquisition.continuous import measured_pass
-from ladarreg_core.acquisition.devices import FrameSource, LineScanner, PanTilt, PanTiltUnit
+from ladarreg_core.acquisition.devices import Arrival, FrameSource, LineScanner, PanTilt, PanTiltUnit
 from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.acquisition.plan import Plan
 from ladarreg_core.acquisition.ports import GuardEndedError
-from ladarreg_core.acquisition.run_folder import PHOTOS, PIECES, RunWriter, ScanPiece, write_sweep
+from ladarreg_core.acquisition.run_folder import PHOTOS, PIECES, STRAYS, RunWriter, ScanPiece, write_sweep
 from ladarreg_core.acquisition.run_records import Record
 from ladarreg_core.acquisition.stops import Stop, forecast, require_possible, stops_of
 from ladarreg_core.errors import Cancelled, DeviceError, FormatError, OptionError
 from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.npz import write_npz_xyz
+from ladarreg_core.scan import Scan
 
+_T = TypeVar("_T")
 _NAP_S = 0.02
 _AVERAGED = 0.3  # weight of the latest piece in the time that a piece takes
 _MOST_REPEATS = 6  # of a piece; each of two devices tells of the same hang
@@ -68,6 +74,22 @@ class Repeated:
 
 
 @dataclass(frozen=True, slots=True)
+class StraysKept:
+    """Files that came while the unit was on its way belong to no stop; copies of them lie in the run's folder."""
+
+    index: int
+    """The stop before which they came."""
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """The first stop was measured again at the end."""
+
+    closure: Closure
+
+
+@dataclass(frozen=True, slots=True)
 class Resumed:
     """The run goes on."""
 
@@ -82,7 +104,7 @@ class Ended:
     total: int
 
 
-RunEvent = Moved | PieceKept | Paused | Repeated | Resumed | Ended
+RunEvent = Moved | PieceKept | Paused | Repeated | StraysKept | Compared | Resumed | Ended
 EventReport = Callable[[RunEvent], None]
 
 
@@ -118,6 +140,9 @@ class Run:
         self.plan, self.folder = plan, folder
         self._unit, self._lines, self._frames, self._camera = unit, line_scanner, frames, camera
         self._devices = [device for device in (unit, line_scanner) if device is not None]
+        self._sources = {
+            name: source for name, source in (("scanner", frames), ("camera", camera)) if source is not None
+        }
         self._in_doubt = False
         self._report, self._clock = report, clock
         self._stops = stops_of(plan)
@@ -132,6 +157,8 @@ class Run:
     def go(self) -> bool:
         """Measure all pieces that are missing; return whether all are there, or the run was stopped.
 
+        In the end the first stop is measured again, which shows whether the unit has lost steps.
+
         A device that fails pauses the run until `resume` or `stop`. Devices that were stopped because this program hung
         for a moment have not failed: their piece is begun again, a few times.
 
@@ -142,6 +169,8 @@ class Run:
             for stop in self._stops:
                 if stop.index not in self.folder.records:
                     self._measure_until_kept(stop)
+            if self.total > 1 and not self.folder.closed:
+                self._report(Compared(self._until_done(self._stops[0], self._close)))
         except Cancelled:
             pass
         finally:
@@ -164,16 +193,25 @@ class Run:
         self._rest()
 
     def _measure_until_kept(self, stop: Stop) -> None:
+        begun = self._clock.now()
+        record, piece = self._until_done(stop, self._measure)
+        taken = self._clock.now() - begun
+        self._seconds_a_piece += _AVERAGED * (taken - self._seconds_a_piece)
+        done = len(self.folder.records)
+        left = (self.total - done) * self._seconds_a_piece
+        self._report(PieceKept(record, piece, done, self.total, left))
+
+    def _until_done(self, stop: Stop, work: Callable[[Stop], _T]) -> _T:
+        """Return what comes of some work at a stop, which is begun again after each pause for a fault."""
         repeats = 0
         while True:
             if self._paused.is_set():
                 self._wait("paused", fault=False)
-            begun = self._clock.now()
             try:
                 if self._in_doubt:
                     self._find_devices()
                     self._in_doubt = False
-                record, piece = self._measure(stop)
+                return work(stop)
             except (DeviceError, FormatError) as error:
                 if self._stopped.is_set():
                     raise Cancelled from None
@@ -186,13 +224,6 @@ class Run:
                 self._paused.set()
                 self._wait(str(error), fault=True)
                 repeats = 0
-                continue
-            taken = self._clock.now() - begun
-            self._seconds_a_piece += _AVERAGED * (taken - self._seconds_a_piece)
-            done = len(self.folder.records)
-            left = (self.total - done) * self._seconds_a_piece
-            self._report(PieceKept(record, piece, done, self.total, left))
-            return
 
     def _wait(self, reason: str, *, fault: bool) -> None:
         self._report(Paused(reason, fault))
@@ -202,10 +233,17 @@ class Run:
         self._require_wanted()
         self._report(Resumed())
 
-    def _measure(self, stop: Stop) -> tuple[Record, LineSweep | ScanPiece]:
+    def _arrive(self, stop: Stop) -> PanTilt:
+        """Move to a stop and let the unit settle; return the position read back."""
         read = self._unit.move_to(stop.at, check=self._check)
+        for source in self._sources.values():
+            source.arrived(Arrival(stop.index, read))
         self._report(Moved(stop, read))
         self._rest_for(self.plan.settle_s)
+        return read
+
+    def _measure(self, stop: Stop) -> tuple[Record, LineSweep | ScanPiece]:
+        read = self._arrive(stop)
         if self.plan.mode == "mosaic":
             return self._measure_frame(stop, read)
         assert self._lines is not None
@@ -228,28 +266,66 @@ class Run:
         )  # fmt: skip
 
     def _measure_frame(self, stop: Stop, read: PanTilt) -> tuple[Record, ScanPiece]:
+        scan = self._frame(stop)
+        photo = self._photograph(stop)
+        return self._keep(stop, read, lambda path: write_npz_xyz(path, scan), photo), ScanPiece(scan, read)
+
+    def _frame(self, stop: Stop) -> Scan:
         assert self._frames is not None
-        came = self._frames.next_file(self.folder.path / PIECES, f".{stop.index:03d}-as-it-came", check=self._check)
-        try:
-            scan = read_scan(came)
-            photo = self._photograph(stop)
-            record = self._keep(stop, read, lambda path: write_npz_xyz(path, scan), photo)
-        finally:
-            came.unlink(missing_ok=True)
-        return record, ScanPiece(scan, read)
+        with self._landing(PIECES, stop) as landing:
+            return read_scan(self._frames.next_file(landing, check=self._check))
+
+    def _close(self, stop: Stop) -> Closure:
+        """Measure the first stop again and compare it with its piece."""
+        read = self._arrive(stop)
+        first = self.folder.piece(stop.index)
+        if isinstance(first, ScanPiece):
+            scan = self._frame(stop)
+            closure = closure_of_scans(first.scan, scan)
+            self.folder.keep_closure(closure, lambda path: write_npz_xyz(path, scan))
+            return closure
+        again = self._measure_lines(read)
+        closure = closure_of_sweep(first, again, self._lines_near(stop), read)
+        self.folder.keep_closure(closure, lambda path: write_sweep(path, again))
+        return closure
+
+    def _lines_near(self, first: Stop) -> Iterator[LineSweep]:
+        """Yield the pieces beside the first stop that show where the unit may have been instead."""
+        for stop in self._stops[1:]:
+            beside = abs(stop.at.pan_rad - first.at.pan_rad) <= math.radians(SEARCHED_DEG)
+            if first.to is None and beside and stop.at.tilt_rad == first.at.tilt_rad:
+                piece = self.folder.piece(stop.index)
+                assert isinstance(piece, LineSweep)
+                yield piece
 
     def _photograph(self, stop: Stop) -> Path | None:
         if self._camera is None:
             return None
-        folder = self.folder.path / PHOTOS
-        folder.mkdir(exist_ok=True)
-        return self._camera.next_file(folder, f"{stop.index:03d}", check=self._check)
+        with self._landing(PHOTOS, stop) as landing:
+            came = self._camera.next_file(landing, check=self._check)
+            return came.replace(landing.parent / f"{stop.index:03d}{came.suffix}")
+
+    @contextlib.contextmanager
+    def _landing(self, kind: str, stop: Stop) -> Iterator[Path]:
+        """Give an empty folder for the files of a stop as they come, and remove it."""
+        landing = self.folder.path / kind / f".{stop.index:03d}-as-it-came"
+        shutil.rmtree(landing, ignore_errors=True)  # of a run that was killed
+        landing.mkdir(parents=True)
+        try:
+            yield landing
+        finally:
+            shutil.rmtree(landing, ignore_errors=True)
 
     def _keep(self, stop: Stop, read: PanTilt, write: Callable[[Path], None], photo: Path | None) -> Record:
         stamp = datetime.now(UTC).isoformat(timespec="milliseconds")
-        return self.folder.keep(
-            stop.index, write, asked=stop.at, read=read, time=stamp, passed=stop.passed, photo=photo
+        above = self.folder.path / STRAYS / f"{stop.index:03d}"
+        strays = [path for name, source in self._sources.items() for path in source.keep_strays(above / name)]
+        record = self.folder.keep(
+            stop.index, write, asked=stop.at, read=read, time=stamp, passed=stop.passed, photo=photo, strays=strays
         )
+        if strays:
+            self._report(StraysKept(stop.index, tuple(path.name for path in strays)))
+        return record
 
     def _rest_for(self, seconds: float) -> None:
         until = self._clock.now() + seconds

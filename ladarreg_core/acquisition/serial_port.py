@@ -12,6 +12,7 @@ import threading
 import time
 from typing import Any, Protocol
 
+from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
 from ladarreg_core.errors import DeviceError
 
 _POLL_S = 0.02
@@ -119,6 +120,50 @@ class SerialPort:
             self._serial.timeout = 0
             return bytes(self._serial.read(_PIECE))
         return bytes(self._serial.read(max(1, self._serial.in_waiting)))
+
+
+class ControlLine:
+    """A control line of a serial port, which drives the trigger input of a device; inactive until it is pulsed.
+
+    Args:
+        address: name of a serial port, or a pyserial URL.
+        line: `rts` or `dtr`.
+        clock: what a pulse is measured by.
+
+    Raises:
+        DeviceError: as of `SerialPort`.
+    """
+
+    def __init__(self, address: str, line: str, *, clock: Clock = REAL_CLOCK) -> None:
+        import serial
+
+        self._address, self._line, self._clock = address, line, clock
+        try:
+            self._serial: Any = serial.serial_for_url(address, do_not_open=True)
+            self._serial.rts = self._serial.dtr = False  # opening must not trigger anything
+            self._serial.open()
+        except _FAILURES as error:
+            raise DeviceError(_refusal(address, error)) from error
+
+    def pulse(self, seconds: float) -> None:
+        """Make the line active for a moment.
+
+        Raises:
+            PortLostError: if the port has disappeared.
+        """
+        try:
+            setattr(self._serial, self._line, True)
+            try:
+                self._clock.sleep(seconds)
+            finally:
+                setattr(self._serial, self._line, False)
+        except _FAILURES as error:
+            raise PortLostError(_lost(self._address)) from error
+
+    def close(self) -> None:
+        """Close the port."""
+        with contextlib.suppress(*_FAILURES):
+            self._serial.close()
 
 
 def port_names() -> list[str]:

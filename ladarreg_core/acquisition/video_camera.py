@@ -6,7 +6,7 @@ from pathlib import Path
 
 import cv2
 
-from ladarreg_core.acquisition.devices import Check
+from ladarreg_core.acquisition.devices import Arrival, Check
 from ladarreg_core.atomic_write import replaced_file, write_bytes
 from ladarreg_core.errors import DeviceError
 
@@ -32,8 +32,11 @@ class VideoCamera:
                 "program uses it, and its number"
             )
 
-    def next_file(self, folder: Path, stem: str, *, check: Check) -> Path:
-        """Take a photograph and return it as a PNG in `folder`, named `stem`.
+    def arrived(self, stop: Arrival) -> None:
+        """Do nothing: the photograph is taken when it is asked for."""
+
+    def next_file(self, folder: Path, *, check: Check) -> Path:
+        """Take a photograph and return it as a PNG in `folder`.
 
         Raises:
             DeviceError: if the camera gives no picture.
@@ -48,10 +51,14 @@ class VideoCamera:
         good, data = cv2.imencode(".png", picture)
         if not good:
             raise DeviceError(f"the picture of the video device {self._device} cannot be stored; check the camera")
-        target = folder / f"{stem}.png"
+        target = folder / "photo.png"
         with replaced_file(target) as new:
             write_bytes(new, data.tobytes())
         return target
+
+    def keep_strays(self, folder: Path) -> list[Path]:
+        """Return nothing: there are no photographs that nobody asked for."""
+        return []
 
     def close(self) -> None:
         """Release the device."""

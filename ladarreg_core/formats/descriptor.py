@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.errors import CameraError, FormatError, ShapeError
 from ladarreg_core.formats.budget import ReadBudget
+from ladarreg_core.formats.byte_order import require_byte_order
 from ladarreg_core.formats.camera_file import pinhole_from_fields
 from ladarreg_core.formats.image_file import read_image
 from ladarreg_core.formats.json_file import choice, number, read_json_object, whole_number
@@ -26,7 +27,7 @@ from ladarreg_core.formats.untrusted import (
     unit_notes,
 )
 from ladarreg_core.progress import Progress, Report
-from ladarreg_core.scan import IntensityKind, Scan
+from ladarreg_core.scan import NO_INTENSITY_NOTE, IntensityKind, Scan
 from ladarreg_core.scanner.grids import PinholeGrid, range_from_counts
 
 # Measured peak memory per cell of a read; undistorting takes the most.
@@ -143,18 +144,18 @@ def _counts(file: Path, fields: Mapping[str, Any], memory_bytes: int | None, rep
     require_cells(rows, columns)
     scalars = {name: number(fields, name) for name in SCALARS} | {name: number(fields, name, 0.0) for name in OFFSETS}
     packed = fields.get("intensity_mask") is not None
-    if packed == (fields.get("intensity_file") is not None):
-        both = (
-            "both 'intensity_file' and 'intensity_mask'" if packed else "neither 'intensity_file' nor 'intensity_mask'"
-        )
-        raise FormatError(f"it names {both}; a scan needs its intensity from one of them")
+    if packed and fields.get("intensity_file") is not None:
+        raise FormatError("it names both 'intensity_file' and 'intensity_mask'; the intensity is in one of them")
     budget = _budget(file, fields, ("file", "intensity_file"), memory_bytes)
     budget.require_cells(rows, columns, _COUNTS_BYTES)
     words, notes = _raster(file, fields, "file", "dtype", (rows, columns))
     _report(report, 1)
     counts = _bits(words, fields, "count")
+    _require_byte_order(words, counts, fields)
     if packed:
         intensity = _bits(words, fields, "intensity")
+    elif fields.get("intensity_file") is None:
+        intensity, notes = np.zeros(counts.shape, np.float32), (*notes, NO_INTENSITY_NOTE)
     else:
         intensity, more = _raster(file, fields, "intensity_file", "intensity_dtype", (rows, columns))
         notes += more
@@ -171,6 +172,15 @@ def _counts(file: Path, fields: Mapping[str, Any], memory_bytes: int | None, rep
         name=file.parent.name if file.stem == "scan" else file.stem,
         notes=(*notes, *unit_notes(ranges)),
     )
+
+
+def _require_byte_order(words: NDArray[Any], counts: NDArray[Any], fields: Mapping[str, Any]) -> None:
+    code = str(fields.get("dtype"))
+    order = "<" if _dtype(code, "dtype").byteorder == ">" else ">"
+    other = f"{order}{words.dtype.str.lstrip('<>=|')}"
+    swapped = _bits(words.byteswap(), fields, "count")
+    if words.dtype.itemsize > 1:
+        require_byte_order(counts, swapped, what="the counts", wanted=f"'dtype' should be {other!r}, not {code!r}")
 
 
 def _raster(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.errors import ExportError, FormatError, OptionError, ShapeError
 from ladarreg_core.formats.budget import ReadBudget
+from ladarreg_core.formats.byte_order import require_byte_order
 from ladarreg_core.formats.untrusted import (
     PathLike,
     as_float32,
@@ -46,6 +47,7 @@ SPHERE = ("d_longitude_rad", "d_latitude_rad", "centre_longitude_rad", "top_lati
 """Scalars of a panorama: with them the directions of its cells need no table."""
 _LONGEST_HEADER = 4096
 _PIECE = 1 << 20
+_LONGEST_NOTE = 600
 _MOST_APART_RAD = 5e-3
 _MOST_APART_SHARE = 0.01
 # Measured peak memory per cell of a read, beyond the file's arrays.
@@ -65,10 +67,11 @@ def read_npz(path: PathLike, *, memory_bytes: int | None = None, report: Report 
 
     Args:
         path: a file with `intensity` (H, W) and either `xyz` (H, W, 3), m, NaN or (0, 0, 0) = no return, or `counts`
-            (H, W), 0 = no return, with `r0_m`, `dr_m`, `d_azimuth_rad`, `d_elevation_rad` and optional offsets.
-            Optional: `color` (H, W, 3) uint8, `rays` (H, W, 3), directions also of cells without a return (those of
-            the points are their own), `world_from_scanner` (4, 4). With the four scalars `SPHERE` the points lie on a
-            spherical grid: row 0 at `top_latitude_rad`, the middle column at `centre_longitude_rad`.
+            (H, W), 0 = no return, with `r0_m`, `dr_m`, `d_azimuth_rad`, `d_elevation_rad` and optional offsets;
+            counts may come without intensity. Optional: `color` (H, W, 3) uint8, `rays` (H, W, 3), directions also of
+            cells without a return (those of the points are their own), `world_from_scanner` (4, 4), `note`, a sentence
+            on the scan. With the four scalars `SPHERE` the points lie on a spherical grid: row 0 at `top_latitude_rad`,
+            the middle column at `centre_longitude_rad`.
         memory_bytes: memory that the read may use, bytes; None: see `budget`.
         report: receives the progress.
 
@@ -82,16 +85,17 @@ def read_npz(path: PathLike, *, memory_bytes: int | None = None, report: Report 
     """
     with reading(path) as file, _archive(file) as archive:
         members = _members(archive)
-        if "intensity" not in members:
+        if "intensity" not in members and "counts" not in members:
             raise FormatError(
                 f"the NPZ contains {_listed(members)} but no 'intensity'; a scan needs the laser's intensity (H, W)"
             )
         if ("xyz" in members) == ("counts" in members):
             found = "both 'xyz' and 'counts'" if "xyz" in members else f"{_listed(members)}"
             raise FormatError(f"the NPZ contains {found}; it needs either 'xyz' (H, W, 3) or 'counts' (H, W)")
-        intensity = members["intensity"]
+        intensity = members.get("intensity", members.get("counts"))
+        assert intensity is not None
         if len(intensity.shape) != 2:
-            raise ShapeError(f"'intensity' has the shape {intensity.shape}; it must be (H, W)")
+            raise ShapeError(f"the scan has the shape {intensity.shape}; it must be (H, W)")
         require_cells(*intensity.shape)
         name = "xyz" if "xyz" in members else "counts"
         measured = members[name]
@@ -113,7 +117,9 @@ def read_npz(path: PathLike, *, memory_bytes: int | None = None, report: Report 
         budget.require_cells(*intensity.shape, arrays + more)
         total = 2 + (color is not None)
         _report(report, 0, total)
-        shown = as_float32(intensity.read(archive))
+        shown = np.zeros(intensity.shape, np.float32)  # counts alone are a shape
+        if "intensity" in members:
+            shown = as_float32(intensity.read(archive))
         _report(report, 1, total)
         values = measured.read(archive)
         _report(report, 2, total)
@@ -140,7 +146,7 @@ def read_npz(path: PathLike, *, memory_bytes: int | None = None, report: Report 
             intensity_is=_intensity_is(archive, members),
             world_from_scanner=world_from_scanner,
             name=file.stem,
-            notes=(*notes, *unit_notes(ranges)),
+            notes=(*notes, *unit_notes(ranges), *_note(archive, members)),
         )
         return scan if scan.has_intensity else replace(scan, notes=(*scan.notes, NO_INTENSITY_NOTE))
 
@@ -178,10 +184,11 @@ def write_npz_counts(
     _save(path, {"counts": counts.astype(np.uint16), "intensity": intensity, **scalars})
 
 
-def write_npz_xyz(path: PathLike, scan: Scan) -> None:
+def write_npz_xyz(path: PathLike, scan: Scan, *, note: str = "") -> None:
     """Write a scan in the xyz form, float32 metres in the scanner frame, NaN = no return.
 
-    With `rays`, the directions of all cells, and `world_from_scanner` if it is known.
+    With `rays`, the directions of all cells, and `world_from_scanner` if it is known; with `note`, a sentence that
+    whoever reads the scan is to know.
 
     Raises:
         ExportError: if the file cannot be written.
@@ -196,10 +203,14 @@ def write_npz_xyz(path: PathLike, scan: Scan) -> None:
         arrays["world_from_scanner"] = scan.world_from_scanner.matrix
     if scan.color is not None:
         arrays["color"] = scan.color
+    if note:
+        arrays["note"] = note
     _save(path, arrays)
 
 
-def write_npz_panorama(path: PathLike, scan: Scan, *, piece: NDArray[np.integer[Any]] | None = None) -> None:
+def write_npz_panorama(
+    path: PathLike, scan: Scan, *, piece: NDArray[np.integer[Any]] | None = None, note: str = ""
+) -> None:
     """Write a scan on a spherical grid in the xyz form, with the scalars `SPHERE`, in bounded memory.
 
     Args:
@@ -207,6 +218,7 @@ def write_npz_panorama(path: PathLike, scan: Scan, *, piece: NDArray[np.integer[
         scan: the scan; its geometry is a `SphericalGrid`.
         piece: (H, W) the piece of a mosaic that each return is from; negative for none, which becomes the largest
             number of the type that is written.
+        note: a sentence that whoever reads the scan is to know.
 
     Raises:
         ShapeError: if the scan has another geometry.
@@ -218,6 +230,8 @@ def write_npz_panorama(path: PathLike, scan: Scan, *, piece: NDArray[np.integer[
     rows, columns = scan.shape
     small: dict[str, Any] = {name: getattr(grid, name) for name in SPHERE}
     small["intensity_is"] = scan.intensity_is
+    if note:
+        small["note"] = note
     if scan.world_from_scanner is not None:
         small["world_from_scanner"] = scan.world_from_scanner.matrix
     large: dict[str, tuple[tuple[int, ...], Any, Callable[[slice], NDArray[Any]]]] = {
@@ -297,7 +311,7 @@ class _Member:
 
 def _members(archive: zipfile.ZipFile) -> dict[str, _Member]:
     """Return the known arrays of an archive by name; other arrays are ignored, even pickled ones."""
-    optional = {"color", "rays", "world_from_scanner", "intensity_is"}
+    optional = {"color", "rays", "world_from_scanner", "intensity_is", "note"}
     wanted = {"intensity", "xyz", "counts", *optional, *SCALARS, *OFFSETS, *SPHERE}
     found: dict[str, _Member] = {}
     for entry in archive.infolist():
@@ -336,7 +350,7 @@ def _header_of(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str) -> _
         offset = np.lib.format.MAGIC_LEN + begin.tell()
     if dtype.hasobject:
         raise FormatError(f"the array {name!r} contains pickled Python objects, which are never loaded; save numbers")
-    if dtype.kind not in ("US" if name == "intensity_is" else "fiub"):
+    if dtype.kind not in ("US" if name in ("intensity_is", "note") else "fiub"):
         raise FormatError(f"the array {name!r} has the type {one_line(dtype, 40)}; it must contain numbers")
     if dtype.kind in "US" and dtype.itemsize > _LONGEST_HEADER:
         raise FormatError(
@@ -393,6 +407,9 @@ def counts_geometry(shape: tuple[int, int], scalars: dict[str, float]) -> Azimut
 def _from_counts(counts: NDArray[Any], scalars: dict[str, float]) -> tuple[ScanGeometry, NDArray[np.float64]]:
     if counts.dtype.kind not in "ui":
         raise FormatError(f"'counts' has the type {counts.dtype}; it must contain integers (uint16)")
+    if counts.dtype.itemsize > 1:
+        wanted = "read the raw file in the other order and save it again"
+        require_byte_order(counts, counts.byteswap(), what="the counts", wanted=wanted)
     if counts.dtype.kind == "i" and counts.min(initial=0) < 0:
         raise FormatError(f"'counts' contains {counts.min()}; counts must not be negative, 0 = no return")
     geometry = counts_geometry((counts.shape[0], counts.shape[1]), scalars)
@@ -518,6 +535,14 @@ def _intensity_is(archive: zipfile.ZipFile, members: dict[str, _Member]) -> Inte
     if word == "range_normalised":
         return "range_normalised"
     raise FormatError(f"'intensity_is' is {one_line(repr(word), 40)}; it must be 'raw' or 'range_normalised'")
+
+
+def _note(archive: zipfile.ZipFile, members: dict[str, _Member]) -> tuple[str, ...]:
+    """Return what the program that wrote the scan has to say of it."""
+    member = members.get("note")
+    if member is None or member.shape != () or member.dtype.kind != "U" or member.dtype.itemsize > 4 * _LONGEST_NOTE:
+        return ()
+    return (one_line(str(member.read(archive).reshape(())[()]), _LONGEST_NOTE),)
 
 
 def _report(report: Report | None, done: int, total: int) -> None:

@@ -13,7 +13,8 @@ def panorama_lines(fields: Mapping[str, Any]) -> list[tuple[str, str]]:
     xyz = ", ".join(f"{1000 * value:.1f}" for value in mount["xyz_m"])
     rpy = ", ".join(f"{value:.3f}" for value in mount["rpy_deg"])
     what = "sweeps" if fields["mode"] == "sweep" else "mosaic"
-    lines = [
+    lines = [("refused", f"not accepted: {reason}") for reason in fields.get("reasons") or []]
+    lines += [
         (
             "panorama",
             f"{counts['rows']} x {counts['columns']} cells, {100 * counts['returns'] / cells:.0f} % with returns",
@@ -35,6 +36,8 @@ def panorama_lines(fields: Mapping[str, Any]) -> list[tuple[str, str]]:
     if checked:
         change = f"{checked['held_out_before_mm'] or 0:.2f} -> {checked['held_out_after_mm'] or 0:.2f} mm"
         lines.append(("checked", f"{change} on surfaces left out; {'used' if checked['accepted'] else 'not used'}"))
+    if fields.get("closure"):
+        lines.append(("closure", str(fields["closure"]["said"])))
     lines += [("note", str(note)) for note in fields.get("notes") or []]
     if counts.get("overlapping"):
         share = 100 * counts.get("disagreeing", 0) / counts["overlapping"]

@@ -33,6 +33,7 @@ SCANNER, CAMERA = "scanner", "camera"
 """Names of the devices with folders."""
 _INTENSITY = 2000.0
 _AT_REST_RAD = 1e-9
+_DELAY_S = 0.5  # whoever drives the unit is to learn of its arrival before a file is written
 
 
 class TwinDevices:
@@ -87,9 +88,10 @@ class TwinDevices:
                     where[SCANNER],
                     geometry=self._geometry,
                     file_format=self._scan_format,
+                    delay_s=_DELAY_S,
                     clock=self.server.clock,
                 ),
-                CAMERA: camera_twin(self.bench, where[CAMERA], clock=self.server.clock),
+                CAMERA: camera_twin(self.bench, where[CAMERA], delay_s=_DELAY_S, clock=self.server.clock),
             }
             for name, twin in twins.items():
                 twin.on = False  # a sweep would be slowed down by photographs that nobody asked for

@@ -99,8 +99,8 @@ class FlirTwin:
     """The simulated unit.
 
     Failures on request: `silent` answers nothing, `rubbish` answers noise, `late_s` delays every answer, `stuck` ends
-    every movement halfway; `hit_limit` reports a limit unasked and stops; `misreads` has the next answer to a query, by
-    its name, be off by so many counts; `twice` sends the next answer two times.
+    every movement halfway; `hit_limit` reports a limit unasked and stops; `slip` loses steps; `misreads` has the next
+    answer to a query, by its name, be off by so many counts; `twice` sends the next answer two times.
 
     Args:
         baud: bits a second of its port.
@@ -119,6 +119,7 @@ class FlirTwin:
         self.twice = False
         self.late_s = 0.0
         self.halted_at_s: float | None = None
+        self._slips: list[tuple[float, NDArray[np.float64]]] = []
         self._axes = {name: _Axis(*limits) for name, limits in _LIMITS.items()}
         self._outbox = Outbox(baud)
         self._received = ""
@@ -130,7 +131,10 @@ class FlirTwin:
 
     def angles_at(self, time_s: ArrayLike) -> NDArray[np.float64]:
         """Return pan and tilt, rad (N, 2), at times (N,), also past ones."""
-        return np.stack([self._axes[name].at(time_s) / COUNTS_PER_RAD for name in "PT"], axis=-1)
+        angles = np.stack([self._axes[name].at(time_s) / COUNTS_PER_RAD for name in "PT"], axis=-1)
+        for since_s, angle in self._slips:
+            angles[np.atleast_1d(np.asarray(time_s)) >= since_s] += angle
+        return angles
 
     def moving(self, now_s: float) -> bool:
         """Return whether an axis moves."""
@@ -145,6 +149,10 @@ class FlirTwin:
         """Report a limit that nobody asked for, and stop."""
         self._stop(now_s)
         self._outbox.send(f"!{axis}\r\n".encode(), now_s)
+
+    def slip(self, pan_rad: float, tilt_rad: float, now_s: float) -> None:
+        """Lose steps: from now on it is elsewhere than it says."""
+        self._slips.append((now_s, np.array([pan_rad, tilt_rad])))
 
     def switch_on(self, now_s: float) -> None:
         """Have lost its power and got it back: it has forgotten its modes, finds its zero again, and talks."""

@@ -155,7 +155,6 @@ def test_intensity_from_a_separate_file(tmp_path: Path) -> None:
         ({"dr_m": 0}, "dr_m"),
         ({"d_azimuth_rad": 3.0}, "d_azimuth_rad"),
         ({"d_elevation_rad": -0.1}, "d_elevation_rad"),
-        ({"intensity_file": None}, "neither"),
         ({"intensity_mask": 255}, "both"),
         ({"intensity_file": "../x.raw"}, "leads out"),
         ({"count_mask": 1 << 20}, "do not fit"),

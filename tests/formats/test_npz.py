@@ -116,7 +116,7 @@ def bad_files(folder: Path) -> dict[str, Path]:
     good = good_counts()
     files = {
         "pickled": save(folder / "pickle.npz", **good | {"intensity": objects}),
-        "no 'intensity'": save(folder / "none.npz", counts=good["counts"], **SCALARS),
+        "no 'intensity'": save(folder / "none.npz", xyz=np.ones((6, 8, 3))),
         "either 'xyz'": save(folder / "neither.npz", intensity=good["intensity"]),
         "both 'xyz' and 'counts'": save(folder / "both.npz", **good, xyz=np.ones((6, 8, 3))),
         "must agree": save(folder / "shape.npz", **good | {"intensity": np.ones((6, 9))}),

@@ -11,6 +11,7 @@ import pytest
 from ladarreg.cli import main
 from PIL import Image
 
+from ladarreg_core.acquisition.closure import Closure
 from ladarreg_core.acquisition.mount_fields import mount_as_fields, mount_from_fields
 from ladarreg_core.errors import ExportError, FormatError, LadarregError, OptionError
 from ladarreg_core.export.images import write_provenance_png
@@ -71,6 +72,42 @@ def test_a_run_becomes_a_scan_that_is_read_again(run: Path, tmp_path: Path) -> N
     with np.load(out / "scan.npz", allow_pickle=False) as archive:
         piece = archive["piece"]
     assert ((piece < 255) == scan.valid).all()
+
+
+def test_pieces_of_other_angles_are_written_and_refused(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A unit that has lost its place on the way: from piece 3 on each is 12 deg from where it says."""
+    records = [json.loads(line) for line in (run / "run.jsonl").read_text().splitlines()]
+    for record in records[3:]:
+        record["read_deg"][0] += 12
+    (run / "run.jsonl").write_text("".join(json.dumps(record) + "\n" for record in records))
+    out = tmp_path / "out"
+    assert main(["panorama", str(run), "-o", str(out), "--quiet"]) == 3
+    said = capsys.readouterr().out
+    assert "pieces do not fit" in said
+    assert "from piece 3 on they lie elsewhere" in said
+    fields = json.loads((out / "panorama.json").read_text())
+    assert not fields["accepted"]
+    assert fields["fit"]["first_misfit"] == 3
+    assert any("not accepted: pieces do not fit" in note for note in read_scan(out / "scan.npz").notes)
+    assert main(["panorama", str(run), "-o", str(tmp_path / "again"), "--json", "--quiet"]) == 3
+    assert main(["info", str(out)]) == 0
+    assert "pieces do not fit" in capsys.readouterr().out
+
+
+def test_a_run_that_does_not_close_is_written_and_refused(run: Path, tmp_path: Path) -> None:
+    closure = Closure(False, 0.2, (1.5, 0.0))
+    (run / "closure.json").write_text(json.dumps(closure.as_fields()))
+    assert main(["panorama", str(run), "-o", str(tmp_path / "out"), "--quiet"]) == 3
+    fields = json.loads((tmp_path / "out" / "panorama.json").read_text())
+    assert fields["fit"]["fits"]
+    assert fields["reasons"] == [closure.sentence()]
+    (run / "closure.json").write_text(json.dumps(Closure(True, 0.01).as_fields()))
+    assert compose(run).accepted
+    (run / "closure.json").write_text("{}")
+    with pytest.raises(FormatError, match="does not say whether the run has closed"):
+        compose(run)
 
 
 def test_the_picture_of_the_pieces_says_which_one_each_cell_is_from(run: Path, tmp_path: Path) -> None:

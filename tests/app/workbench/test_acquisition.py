@@ -82,6 +82,17 @@ def test_a_plan_is_kept_as_it_is_edited_and_its_faults_are_said_with_their_field
     assert bench.do("acquire_ports")["draft"] == wrong
 
 
+def test_no_page_has_this_computer_run_a_command(bench: WorkbenchDriver, tmp_path: Path) -> None:
+    shots = {"kind": "folder", "folder": str(tmp_path), "trigger": {"command": ["touch", str(tmp_path / "run")]}}
+    plan = plan_of(bench, mode="mosaic", scanner=shots)
+    assert "run it by `ladarreg acquire`" in bench.refused("acquire_connect", plan=plan)
+    camera = {"folder": str(tmp_path), "trigger": {"command": ["touch", str(tmp_path / "run")]}}
+    assert "run it by `ladarreg acquire`" in bench.refused("acquire_connect", plan=plan_of(bench, camera=camera))
+    camera["trigger"] = {"port": "/dev/tty-absent"}
+    assert "has no port /dev/tty-absent" in bench.refused("acquire_connect", plan=plan_of(bench, camera=camera))
+    assert state(bench) == "off"
+
+
 def test_what_an_operator_does(bench: WorkbenchDriver) -> None:
     plan = plan_of(bench)
     assert bench.do("acquire_check", plan=plan)["forecast"]["pieces"] == 7

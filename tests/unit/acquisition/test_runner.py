@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ladarreg_core.acquisition.closure import Closure
 from ladarreg_core.acquisition.devices import PanTilt
 from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.acquisition.plan import Axis
 from ladarreg_core.acquisition.run_folder import RunFolder, RunWriter
-from ladarreg_core.acquisition.runner import Ended, Paused, PieceKept, Resumed, RunEvent
+from ladarreg_core.acquisition.runner import Compared, Ended, Paused, PieceKept, Resumed, RunEvent
 from ladarreg_core.errors import ExportError, OptionError
 from ladarreg_core.twins.devices import TwinDevices
 from testing.devices.runs import Devices, pieces_of, same
@@ -237,3 +238,36 @@ def test_a_continuous_sweep_follows_the_unit(devices: Devices, tmp_path: Path) -
     assert 35 < len(there.pan_rad) < 99
     middle = (np.degrees(there.pan_rad) > -8) & (np.degrees(there.pan_rad) < 8)
     np.testing.assert_allclose(np.diff(np.degrees(there.pan_rad[middle])), 0.5, atol=0.35)
+
+
+@pytest.mark.parametrize("slip_deg", [0.0, 1.5, -1.5, 0.75])
+def test_a_sweep_whose_unit_slips_does_not_close(
+    devices: Devices, clock: SimulatedClock, tmp_path: Path, slip_deg: float
+) -> None:
+    found: list[Closure] = []
+
+    def see(event: RunEvent) -> None:
+        if isinstance(event, PieceKept) and event.done == 5:
+            devices.twins.unit.slip(math.radians(slip_deg), 0.0, clock.now())
+        if isinstance(event, Compared):
+            found.append(event.closure)
+
+    folder = RunWriter.begin(tmp_path / "run", devices.plan())
+    try:
+        assert devices.run(folder, [], see).go()
+    finally:
+        folder.close()
+        devices.twins.unit.slip(math.radians(-slip_deg), 0.0, clock.now())
+    (closure,) = found
+    assert closure.closed == (not slip_deg), closure
+    assert RunFolder.open(tmp_path / "run").closed == closure.closed
+
+
+@pytest.mark.slow
+def test_a_continuous_sweep_closes_but_for_the_latency(devices: Devices, tmp_path: Path) -> None:
+    events: list[RunEvent] = []
+    folder = RunWriter.begin(tmp_path / "run", devices.plan(pan=Axis(-10, 10, 0.25), continuous=True, passes=2))
+    assert devices.run(folder, events).go()
+    folder.close()
+    (compared,) = [event for event in events if isinstance(event, Compared)]
+    assert compared.closure.closed, compared
