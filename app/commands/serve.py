@@ -40,7 +40,11 @@ class Arguments(CameraArguments):
     initial: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Pose from which the search begins: a pose JSON (scanner or world), registration.json, or transforms.json."""
     folder: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
-    """Let clients open files below this folder."""
+    """Let clients open files below this folder, and acquisitions watch it."""
+    watch: Annotated[tyro.conf.UseAppendAction[tuple[Path, ...]], tyro.conf.arg(metavar="DIR")] = ()
+    """Let acquisitions watch this folder, in which a scanner or camera writes; may be repeated."""
+    video_device: Annotated[tyro.conf.UseAppendAction[tuple[int, ...]], tyro.conf.arg(metavar="N")] = ()
+    """Let acquisitions take photographs with this video device; may be repeated."""
     host: str = "127.0.0.1"
     """Address to listen on; any other than the loopback address exposes the workbench, see docs/remote.md."""
     port: int = 8700
@@ -98,6 +102,9 @@ def run(arguments: Arguments) -> ExitCode:
             raise OptionError(f"--{name.replace('_', '-')} is {getattr(arguments, name)}; it must be at least 1")
     if arguments.folder is not None and not arguments.folder.is_dir():
         raise OptionError(f"{arguments.folder}: folder not found; give another with --folder")
+    for path in arguments.watch:
+        if not path.is_dir():
+            raise OptionError(f"{path}: folder not found; give another with --watch")
     _serve(arguments, token, options)
     return ExitCode.ACCEPTED
 
@@ -135,20 +142,29 @@ def _serve(arguments: Arguments, token: str | None, options: GatewayOptions) -> 
     from ..process_resources import limit_arenas
     from ..stop_signals import StopSignals
     from ..workbench.launch import TokenChoice, open_workbench, serve_and_close
+    from ..workbench.watchable import Watchable
 
     limit_arenas()
     stop = StopSignals()
     stop.listen()
+    watchable = Watchable(arguments.watch, arguments.video_device)
     workbench = open_workbench(
         arguments.inputs,
         project=arguments.project,
         reading=_reading(arguments),
         folder=arguments.folder,
+        watchable=watchable,
         upload_bytes=arguments.upload_limit_mb << 20,
         cache_bytes=arguments.cache_mb * 1_000_000,
         check=stop.check,
     )
     tokens = TokenChoice(chosen=token, renew=arguments.new_token)
     serve_and_close(
-        workbench, tokens=tokens, options=options, browser=not arguments.no_browser, stop=stop, folder=arguments.folder
+        workbench,
+        tokens=tokens,
+        options=options,
+        browser=not arguments.no_browser,
+        stop=stop,
+        folder=arguments.folder,
+        watchable=watchable,
     )

@@ -22,8 +22,10 @@ from ladarreg_core.errors import Cancelled, LadarregError, OptionError
 from ..argument_names import as_fields
 from ..gateway.protocol import Picture
 from ..messages import internal_error
+from ..session.isolated_readers import READERS
 from .clients import Client
 from .runs import Runs
+from .watchable import Watchable
 
 if TYPE_CHECKING:
     from ladarreg_core.acquisition.connected import Connected
@@ -64,12 +66,14 @@ class Acquisition:
         open_scan: opens a finished panorama as the project's scan.
         present: whether a client is still connected, by its id.
         scene: returns the 3-D scene, which shows the points of a run; None where there is none.
+        watchable: what plans may watch.
     """
 
     def __init__(
         self, folder: Path, publish: Callable[[], None], open_scan: Callable[[Path, Client], None],
-        present: Callable[[str], bool], scene: Callable[[], Scene3D | None],
+        present: Callable[[str], bool], scene: Callable[[], Scene3D | None], watchable: Watchable,
     ) -> None:  # fmt: skip
+        self._watchable = watchable
         self._publish, self._open_scan, self._present = publish, open_scan, present
         self._runs = Runs(folder / RUNS)
         self._scene = scene
@@ -116,10 +120,13 @@ class Acquisition:
         from ladarreg_core.acquisition.plan import PlanError, plan_from_fields
         from ladarreg_core.acquisition.stops import device_faults, forecast
 
+        refused = self._watchable.faults(fields)
         try:
-            plan = plan_from_fields(fields)
+            plan = plan_from_fields(fields, folders_exist=not refused)
         except PlanError as error:
-            return {"faults": _faults_slice(error.faults), "forecast": None}
+            return {"faults": _faults_slice([*refused, *error.faults]), "forecast": None}
+        if refused:
+            return {"faults": _faults_slice(refused), "forecast": None}
         devices = self._devices
         scanner = None if devices is None or devices.line_scanner is None else devices.line_scanner.identity
         faults = [] if devices is None else device_faults(plan, devices.unit.identity, scanner)
@@ -136,10 +143,7 @@ class Acquisition:
         Raises:
             OptionError: if the plan has faults, or devices are connected.
         """
-        from ladarreg_core.acquisition.plan import plan_from_fields
-
-        plan = plan_from_fields(fields)
-        _require_own_ports(plan)
+        plan = self._allowed(fields)
         with self._lock:
             if self._state == "disconnecting":
                 raise OptionError("devices are still being disconnected; wait for it")
@@ -198,12 +202,11 @@ class Acquisition:
         Raises:
             OptionError: if another client drives, the plan has faults, or the devices cannot run it.
         """
-        from ladarreg_core.acquisition.plan import plan_from_fields
         from ladarreg_core.acquisition.preview import RunPreview
         from ladarreg_core.acquisition.run_folder import RunWriter
 
         self._require_driver(client)
-        plan = plan_from_fields(fields) if resume is None else self._runs.plan(resume)
+        plan = self._allowed(fields if resume is None else self._runs.plan(resume).as_fields())
         with self._lock:
             devices = self._require_ready()
             name = resume or self._runs.new_name()
@@ -329,7 +332,7 @@ class Acquisition:
         from ladarreg_core.acquisition.connected import connected
 
         assert self._plan is not None
-        devices = self._stack.enter_context(connected(self._plan))
+        devices = self._stack.enter_context(connected(self._plan, read=READERS.run))
         self._check()  # whoever stopped it meanwhile does not expect devices that are ready to move
         with self._lock:
             self._devices = devices
@@ -477,6 +480,20 @@ class Acquisition:
                 if self._present(self._driver[0]):
                     raise OptionError(f"{self._driver[1]} drives the devices; take over first")
                 self._driver = client.id, client.name
+
+    def _allowed(self, fields: Mapping[str, Any]) -> Plan:
+        """Return a plan that may be run from a page.
+
+        Raises:
+            OptionError: if it has faults, or names what the computer does not have or the operator did not name.
+        """
+        from ladarreg_core.acquisition.plan import PlanError, plan_from_fields
+
+        if refused := self._watchable.faults(fields):
+            raise PlanError(refused)
+        plan = plan_from_fields(fields)
+        _require_own_ports(plan)
+        return plan
 
     def _require_ready(self) -> Connected:
         if self._devices is None:

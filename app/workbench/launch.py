@@ -26,6 +26,7 @@ from ..session.loader import DEFAULT_CACHE_BYTES, Loader
 from ..session.session import Session, now
 from ..stop_signals import StopSignals, exit_now, print_error
 from .given_files import Reading, add_files
+from .watchable import SIMULATED_ONLY, Watchable
 
 if TYPE_CHECKING:
     import viser
@@ -49,6 +50,7 @@ def open_workbench(
     *,
     project: Path | None = None,
     folder: Path | None = None,
+    watchable: Watchable = SIMULATED_ONLY,
     upload_bytes: int = 2 << 30,
     cache_bytes: int = DEFAULT_CACHE_BYTES,
     name: str = "",
@@ -63,6 +65,7 @@ def open_workbench(
         inputs: a project folder, or a scan and photographs; empty: an empty project, whose page is the start page.
         project: folder of the project; None: a folder in the user's data.
         folder: folder whose files clients may open.
+        watchable: what plans of acquisitions may watch, beside that folder.
         upload_bytes: the largest upload.
         cache_bytes: the largest size of what is kept for reuse, besides the scan.
         name: name of a project that is started with a scan and photographs; empty: that of the scan.
@@ -112,6 +115,7 @@ def open_workbench(
             Loader(kept, cache_bytes=cache_bytes),
             upload_bytes=upload_bytes,
             served=folder,
+            watchable=watchable,
             clients=clients,
             solve_automatically=solve_automatically,
         )
@@ -165,6 +169,7 @@ def serve_and_close(
     browser: bool,
     stop: StopSignals,
     folder: Path | None = None,
+    watchable: Watchable = SIMULATED_ONLY,
 ) -> None:
     """Serve a workbench until a stop signal, and close it.
 
@@ -176,6 +181,7 @@ def serve_and_close(
         options: where to listen.
         browser: whether to open a browser.
         folder: folder whose files clients may open; None: none.
+        watchable: what plans of acquisitions may watch, beside that folder.
         stop: the stop signals; a second, later one ends the process as soon as everything is saved.
 
     Raises:
@@ -194,6 +200,7 @@ def serve_and_close(
         open_workbench=partial(
             open_workbench,
             folder=folder,
+            watchable=watchable,
             upload_bytes=workbench.limits.upload_bytes,
             cache_bytes=workbench.loader.cache_bytes,
         ),

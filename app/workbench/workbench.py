@@ -51,6 +51,7 @@ from .state import (
     scan_slice,
 )
 from .stations import Stations
+from .watchable import SIMULATED_ONLY, Watchable
 
 if TYPE_CHECKING:
     from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
@@ -80,6 +81,7 @@ class Workbench:
         loader: its loader.
         upload_bytes: the largest upload.
         served: a folder whose files clients may open; None: none.
+        watchable: what plans of acquisitions may watch, beside that folder.
         clients: the clients of the workbench that this one replaces; None: it is the first.
         solve_automatically: whether matches are solved after edits, where the project's settings want it.
     """
@@ -91,6 +93,7 @@ class Workbench:
         *,
         upload_bytes: int,
         served: Path | None = None,
+        watchable: Watchable = SIMULATED_ONLY,
         clients: Clients | None = None,
         solve_automatically: bool = True,
     ) -> None:
@@ -116,8 +119,9 @@ class Workbench:
             workspace, self.runner, watch, self.publish_event, self._publish if solve_automatically else None
         )
         self.acquisition = Acquisition(
-            session.folder.path, self._publish, self._open_panorama, self._is_present, lambda: self.scene
-        )
+            session.folder.path, self._publish, self._open_panorama, self._is_present, lambda: self.scene,
+            watchable.beside(served),
+        )  # fmt: skip
         self.images = Images(session, loader)
         self.model_parts = ModelParts(session, loader)
         self._pick_entries, self._history_entries = ListCache(pick_entry), ListCache(history_entry)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
 
 from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
-from ladarreg_core.acquisition.devices import FrameSource
+from ladarreg_core.acquisition.devices import FrameSource, Read, read_here
 from ladarreg_core.acquisition.flir_unit import FlirUnit
 from ladarreg_core.acquisition.folder_source import FolderSource
 from ladarreg_core.acquisition.plan import CameraPlan, Plan, ScannerPlan, UnitPlan
@@ -20,7 +20,7 @@ from ladarreg_core.acquisition.twin_address import watched_folder
 from ladarreg_core.acquisition.video_camera import VideoCamera
 from ladarreg_core.errors import DeviceError
 from ladarreg_core.formats import read_scan
-from ladarreg_core.formats.image_file import read_image
+from ladarreg_core.formats.image_file import require_image
 from ladarreg_core.formats.scan_files import scan_files
 
 _PHOTO_S = 60.0
@@ -41,6 +41,8 @@ class Connected:
     camera: FrameSource | None
     clock: Clock = REAL_CLOCK
     """The one that they live by."""
+    read: Read = read_here
+    """Reads the files of a watched folder."""
 
     def run(self, plan: Plan, folder: RunWriter, report: EventReport) -> Run:
         """Return a run of a plan on these devices.
@@ -50,31 +52,32 @@ class Connected:
         """
         return Run(
             plan, folder, unit=self.unit, line_scanner=self.line_scanner, frames=self.frames, camera=self.camera,
-            report=report, clock=self.clock,
+            report=report, clock=self.clock, read=self.read,
         )  # fmt: skip
 
 
 @contextmanager
-def connected(plan: Plan, *, ports: OpenPorts = Ports) -> Iterator[Connected]:
+def connected(plan: Plan, *, ports: OpenPorts = Ports, read: Read = read_here) -> Iterator[Connected]:
     """Connect to the devices of a plan, halted and dark, and disconnect at the end.
 
     Args:
         plan: the plan.
         ports: opens the ports; by default real ones, which a guard holds.
+        read: reads the files of a watched folder; by default in this process.
 
     Raises:
         DeviceError: if one cannot be reached.
     """
     with ExitStack() as stack:
-        yield _connect(plan, stack, ports=ports)
+        yield _connect(plan, stack, ports=ports, read=read)
 
 
-def _connect(plan: Plan, stack: ExitStack, *, ports: OpenPorts) -> Connected:
+def _connect(plan: Plan, stack: ExitStack, *, ports: OpenPorts, read: Read) -> Connected:
     """Return the devices, disconnected by `stack`; once more if this program hung for a moment meanwhile."""
     for last in (False, False, True):
         try:
             with ExitStack() as attempt:
-                devices = _connect_once(plan, attempt, ports=ports)
+                devices = _connect_once(plan, attempt, ports=ports, read=read)
                 stack.push(attempt.pop_all())
                 return devices
         except GuardEndedError as error:
@@ -83,7 +86,7 @@ def _connect(plan: Plan, stack: ExitStack, *, ports: OpenPorts) -> Connected:
     raise AssertionError("the last attempt returns or raises")
 
 
-def _connect_once(plan: Plan, stack: ExitStack, *, ports: OpenPorts) -> Connected:
+def _connect_once(plan: Plan, stack: ExitStack, *, ports: OpenPorts, read: Read) -> Connected:
     opened = stack.enter_context(ports())
     unit = FlirUnit.connect(opened, plan.unit)
     stack.callback(unit.close)
@@ -94,7 +97,7 @@ def _connect_once(plan: Plan, stack: ExitStack, *, ports: OpenPorts) -> Connecte
     else:
         frames = FolderSource(
             watched_folder(plan.scanner.folder),
-            is_readable=_is_scan,
+            is_readable=partial(read, read_scan),
             timeout_s=plan.scanner.timeout_s,
             device="the scanner",
             files_of=scan_files,
@@ -102,10 +105,10 @@ def _connect_once(plan: Plan, stack: ExitStack, *, ports: OpenPorts) -> Connecte
             clock=opened.clock,
         )
         stack.callback(frames.close)
-    camera = None if plan.camera is None else _camera(plan.camera, opened.clock)
+    camera = None if plan.camera is None else _camera(plan.camera, opened.clock, read)
     if camera is not None:
         stack.callback(camera.close)
-    return Connected(unit, line_scanner, frames, camera, opened.clock)
+    return Connected(unit, line_scanner, frames, camera, opened.clock, read)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,18 +153,14 @@ def identified(address: str) -> FoundDevice:
     )
 
 
-def _camera(plan: CameraPlan, clock: Clock) -> FrameSource:
+def _camera(plan: CameraPlan, clock: Clock, read: Read) -> FrameSource:
     if plan.folder:
         return FolderSource(
-            watched_folder(plan.folder), is_readable=_is_photo, timeout_s=_PHOTO_S, device="the camera",
-            trigger=plan.trigger, clock=clock,
-        )  # fmt: skip
+            watched_folder(plan.folder),
+            is_readable=partial(read, require_image),  # its focal length may be known later
+            timeout_s=_PHOTO_S,
+            device="the camera",
+            trigger=plan.trigger,
+            clock=clock,
+        )
     return VideoCamera(plan.device or 0)
-
-
-def _is_scan(path: Path) -> None:
-    read_scan(path)
-
-
-def _is_photo(path: Path) -> None:
-    read_image(path)  # its focal length may be known later

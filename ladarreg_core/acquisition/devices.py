@@ -5,13 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 Check = Callable[[], None]
 """Called often while a device is awaited; raises `Cancelled` to stop, after which the device is halted."""
+Read = Callable[..., Any]
+"""Calls a reader with a file, here or in a process of its own, and returns what it returns."""
+
+
+def read_here(reader: Callable[[Path], Any], path: Path) -> Any:
+    """Read a file in this process; a `Read`."""
+    return reader(path)
 
 
 @dataclass(frozen=True, slots=True)

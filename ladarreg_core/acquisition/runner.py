@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
 from ladarreg_core.acquisition.closure import SEARCHED_DEG, Closure, closure_of_scans, closure_of_sweep
 from ladarreg_core.acquisition.continuous import measured_pass
-from ladarreg_core.acquisition.devices import Arrival, FrameSource, LineScanner, PanTilt, PanTiltUnit
+from ladarreg_core.acquisition.devices import Arrival, FrameSource, LineScanner, PanTilt, PanTiltUnit, Read, read_here
 from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.acquisition.plan import Plan
 from ladarreg_core.acquisition.ports import GuardEndedError
@@ -123,6 +123,7 @@ class Run:
         camera: takes a photograph at each stop.
         report: receives the events, on the thread of `go`.
         clock: the one that the devices live by.
+        read: reads the files of a watched folder.
 
     Raises:
         OptionError: if the devices cannot run the plan; nothing has moved then.
@@ -131,8 +132,9 @@ class Run:
     def __init__(
         self, plan: Plan, folder: RunWriter, *, unit: PanTiltUnit, line_scanner: LineScanner | None = None,
         frames: FrameSource | None = None, camera: FrameSource | None = None, report: EventReport,
-        clock: Clock = REAL_CLOCK,
+        clock: Clock = REAL_CLOCK, read: Read = read_here,
     ) -> None:  # fmt: skip
+        self._read = read
         if (plan.mode == "sweep") != (line_scanner is not None) or (plan.mode == "mosaic") != (frames is not None):
             raise OptionError(f"a {plan.mode} needs {'a line scanner' if plan.mode == 'sweep' else 'a watched folder'}")
         identity = None if line_scanner is None else line_scanner.identity
@@ -273,7 +275,8 @@ class Run:
     def _frame(self, stop: Stop) -> Scan:
         assert self._frames is not None
         with self._landing(PIECES, stop) as landing:
-            return read_scan(self._frames.next_file(landing, check=self._check))
+            scan: Scan = self._read(read_scan, self._frames.next_file(landing, check=self._check))
+            return scan
 
     def _close(self, stop: Stop) -> Closure:
         """Measure the first stop again and compare it with its piece."""

@@ -85,6 +85,15 @@ class ImageData:
     """The XMP packet, unchecked; empty: none."""
 
 
+def require_image(path: Path) -> None:
+    """Decode an image file, and keep nothing of it.
+
+    Raises:
+        FormatError: as `read_image`.
+    """
+    read_image(path)
+
+
 def read_image(path: Path, *, budget: ReadBudget | None = None) -> ImageData:
     """Decode a complete image; a truncated one is an error.
 

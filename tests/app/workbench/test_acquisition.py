@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from ladarreg.gateway.protocol import Visitor
+from ladarreg.workbench.watchable import Watchable
 from PIL import Image
 
 from ladarreg_core import panorama
@@ -23,7 +24,9 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WorkbenchDriver]:
-    found = open_bench(tmp_path_factory.mktemp("acquisition") / "project")
+    home = tmp_path_factory.mktemp("acquisition")
+    (home / "watched").mkdir()
+    found = open_bench(home / "project", watchable=Watchable((home / "watched",), (3,)))
     yield found
     found.workbench.close()
 
@@ -82,11 +85,53 @@ def test_a_plan_is_kept_as_it_is_edited_and_its_faults_are_said_with_their_field
     assert bench.do("acquire_ports")["draft"] == wrong
 
 
+def watched(bench: WorkbenchDriver) -> Path:
+    """Return the folder that the workbench was started with."""
+    return Path(bench.workbench.session.folder.path).parent / "watched"
+
+
+def test_plans_name_only_folders_and_devices_of_the_command_line(bench: WorkbenchDriver, tmp_path: Path) -> None:
+    there = watched(bench)
+    (there / "camera").mkdir()
+    (tmp_path / "link").symlink_to("/etc", target_is_directory=True)
+    (there / "away").symlink_to("/etc", target_is_directory=True)
+    said = set()
+    for folder in (
+        tmp_path,
+        tmp_path / "absent",
+        "/etc",
+        f"{there}/../absent",
+        there / "away",
+        tmp_path / "link",
+        "~",
+        "\0",
+    ):
+        plan = plan_of(bench, camera={"folder": str(folder)})
+        (fault,) = bench.do("acquire_check", plan=plan)["faults"]
+        assert fault["field"] == "camera.folder"
+        said.add(fault["said"])
+        said.add(bench.refused("acquire_connect", plan=plan).removeprefix("The plan has a fault: "))
+        scanner = {"kind": "folder", "folder": str(folder)}
+        faults = bench.do("acquire_check", plan=plan_of(bench, mode="mosaic", scanner=scanner))["faults"]
+        assert "scanner.folder" in {fault["field"] for fault in faults}
+    assert len(said) <= 2, "whether a folder exists is not answered"
+    (fault,) = bench.do("acquire_check", plan=plan_of(bench, camera={"device": 0}))["faults"]
+    assert "--video-device" in fault["said"]
+    for camera in ({"folder": str(there)}, {"folder": str(there / "camera")}, {"device": 3}):
+        assert bench.do("acquire_check", plan=plan_of(bench, camera=camera))["faults"] == []
+    (fault,) = bench.do("acquire_check", plan=plan_of(bench, camera={"folder": str(there / "absent")}))["faults"]
+    assert "does not exist" in fault["said"]
+    bench.do("acquire_connect", plan=plan_of(bench))
+    bench.eventually(lambda: ready(bench))
+    assert "--watch" in bench.refused("acquire_start", plan=plan_of(bench, camera={"folder": "/etc"}))
+
+
 def test_no_page_has_this_computer_run_a_command(bench: WorkbenchDriver, tmp_path: Path) -> None:
-    shots = {"kind": "folder", "folder": str(tmp_path), "trigger": {"command": ["touch", str(tmp_path / "run")]}}
+    folder = str(watched(bench))
+    shots = {"kind": "folder", "folder": folder, "trigger": {"command": ["touch", str(tmp_path / "run")]}}
     plan = plan_of(bench, mode="mosaic", scanner=shots)
     assert "run it by `ladarreg acquire`" in bench.refused("acquire_connect", plan=plan)
-    camera = {"folder": str(tmp_path), "trigger": {"command": ["touch", str(tmp_path / "run")]}}
+    camera = {"folder": folder, "trigger": {"command": ["touch", str(tmp_path / "run")]}}
     assert "run it by `ladarreg acquire`" in bench.refused("acquire_connect", plan=plan_of(bench, camera=camera))
     camera["trigger"] = {"port": "/dev/tty-absent"}
     assert "has no port /dev/tty-absent" in bench.refused("acquire_connect", plan=plan_of(bench, camera=camera))

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,9 +16,11 @@ pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`"
 
 from ladarreg_core.acquisition.closure import Closure
 from ladarreg_core.acquisition.connected import connected
+from ladarreg_core.acquisition.devices import Read, read_here
 from ladarreg_core.acquisition.plan import Axis, Plan, ScannerPlan, UnitPlan
 from ladarreg_core.acquisition.run_folder import RunFolder, RunWriter, ScanPiece
 from ladarreg_core.acquisition.runner import Compared, PieceKept, RunEvent, StraysKept
+from ladarreg_core.formats.isolated import IsolatedReaders
 from ladarreg_core.panorama import compose
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.twins.devices import SCANNER, TwinDevices
@@ -48,10 +51,12 @@ def plan_of(twins: TwinDevices) -> Plan:
     )  # fmt: skip
 
 
-def run(twins: TwinDevices, home: Path, plan: Plan, see: Callable[[RunEvent], None]) -> RunFolder:
+def run(
+    twins: TwinDevices, home: Path, plan: Plan, see: Callable[[RunEvent], None], read: Read = read_here
+) -> RunFolder:
     with (
         closing(RunWriter.begin(home, plan)) as folder,
-        connected(plan, ports=lambda: MemoryPorts(twins.server)) as devices,
+        connected(plan, ports=lambda: MemoryPorts(twins.server), read=read) as devices,
     ):
         assert devices.run(plan, folder, see).go()
     return RunFolder.open(home)
@@ -91,6 +96,20 @@ def test_a_unit_that_slips_in_mid_run_does_not_close(
         assert devices.run(folder.plan, folder, see).go()
     assert found[-1].closed
     assert RunFolder.open(tmp_path / "run").closed
+
+
+def test_files_of_the_watched_folder_can_be_read_in_other_processes(twins: TwinDevices, tmp_path: Path) -> None:
+    decoded: list[str] = []
+
+    def read(reader: Callable[[Path], Any], path: Path) -> Any:
+        decoded.append(reader.__name__)
+        return readers.run(reader, path)
+
+    with closing(IsolatedReaders()) as readers:
+        kept = run(twins, tmp_path / "run", plan_of(twins), lambda event: None, read)
+    assert kept.complete
+    assert set(decoded) == {"read_scan"}
+    assert len(decoded) >= 2 * len(kept.records), "looked at in the folder, and read from the copy"
 
 
 def test_a_stray_shot_does_not_shift_the_others(twins: TwinDevices, clock: SimulatedClock, tmp_path: Path) -> None:
