@@ -205,6 +205,8 @@ class PoseResult:
     """Reasons of the verdict, as sentences."""
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
     """Planarity, baseline, spread, why the solver stopped, and more; JSON-ready."""
+    said_coarse: bool = False
+    """What its file says of `is_coarse`; used where it was read without its matches."""
 
     def __repr__(self) -> str:
         name = type(self).__name__
@@ -243,7 +245,7 @@ class PoseResult:
     def is_coarse(self) -> bool:
         """Whether it is accepted, and known to more than `COARSE_SIGMA_PX` only, in the median over its inliers."""
         if not (self.accepted and self.inliers.any()):
-            return False
+            return self.accepted and self.said_coarse
         sigma_px, (width, height) = self.median_pixel_sigma(self.inliers), self.camera.size
         return bool(np.isfinite(sigma_px) and sigma_px > COARSE_SIGMA_PX * np.sqrt(width * height / 1e6))
 

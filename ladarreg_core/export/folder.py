@@ -350,7 +350,7 @@ def registration_files(
     jobs += [
         ("registered.png", lambda path: write_registered_png(path, texture, mark=registration.mark)),
         ("labels.png", lambda path: write_labels_png(path, texture, mark=registration.caveat)),
-        ("visibility.png", lambda path: write_visibility_png(path, texture, mark=registration.caveat)),
+        ("visibility.png", lambda path: write_visibility_png(path, texture, mark=registration.mark)),
     ]
     if (uncertainty := found.uncertainty) is not None:
         jobs.append(("uncertainty.png", lambda path: write_uncertainty_png(path, uncertainty.sigma_px)))

@@ -85,6 +85,7 @@ def read_registration(path: PathLike, *, trust_edited: bool = False, option: str
             sigma_px=number(sigma, "pixel_px", 1.0),
             sigma_range_m=number(sigma, "range_m", 0.015),
             accepted=fields["accepted"],
+            said_coarse=fields.get("coarse") is True,
             evidence=cast(Evidence, choice(fields, "evidence", get_args(Evidence))),
             reasons=tuple(reasons),
             diagnostics={} if has_pose else {"no_candidate": True},

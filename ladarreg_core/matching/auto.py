@@ -46,7 +46,9 @@ from ladarreg_core.validation import require_choice
 Reach = Literal["everywhere", "near_start"]
 _MAX_ROLLED_VIEWS, _MAX_GRID_VIEWS = 2, 3
 _MEDIAN_CELLS = 100_000
-_SURE_FINE_FRACTION = 0.8  # of regions that agree at the true pose of a simulated pair .8-1, beside it .66-.75
+_SURE_FINE_FRACTION = (
+    0.85  # of regions that agree: at true poses of simulated pairs .8-1, at those beside them up to .81
+)
 _AS_WELL = 0.25  # of that fraction: true poses had up to .17 less than others that were a tenth of a metre off
 _ALIKE = 2.0  # standard deviations per parameter up to which two poses are the same
 _BESIDE = 0.02  # of the focal length: such poses are 1 to 4 % off it

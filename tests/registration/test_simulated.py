@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 import ladarreg_core as lr
+from benchmarks.trust import cases
 from ladarreg_core.frames import rotation_from_rotvec
 from ladarreg_core.registration import RegisterOptions
 from ladarreg_core.simulate import SimulatedCase
+from testing.scenes.pose_case import difference
 from testing.scenes.simulated import simulated
 
 pytestmark = pytest.mark.slow
@@ -91,3 +93,15 @@ def test_photographs_of_other_rooms_are_refused(scene: str, seed: int) -> None:
     assert not result.accepted
     assert result.evidence == "none"
     assert result.reasons
+
+
+@pytest.mark.parametrize(("seed", "number"), [(10121, 3), pytest.param(10586, 1, marks=pytest.mark.long)])
+def test_a_pose_that_nearly_makes_up_for_a_wrong_focal_length(seed: int, number: int) -> None:
+    """The first search ends .13 m off where most regions agree, or one of the next: far beyond its own uncertainty."""
+    case = list(cases(seed, 5))[number]
+    result = lr.register(case.scan, case.photo)
+    assert result.accepted
+    off = difference(case.truth, result.camera_from_scanner)
+    assert off @ np.linalg.solve(result.covariance, off) < 5**2
+    if case.truth.distance_to(result.camera_from_scanner) > 0.03:
+        assert any("agree nearly as well" in reason for reason in result.reasons)

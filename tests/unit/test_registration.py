@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pickle
 import re
@@ -20,11 +21,15 @@ from ladarreg.messages import matches as matches_line
 
 import ladarreg_core as lr
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
+from ladarreg_core.export.folder import export_registration
+from ladarreg_core.formats import describe
+from ladarreg_core.formats.registration_file import read_registration
 from ladarreg_core.frames import rotation_from_rotvec
 from ladarreg_core.inspection.figures import parameters
 from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.quality.assessment import assess
 from ladarreg_core.registration import RegisterOptions, register
+from ladarreg_core.results import COARSE_CAVEAT, COARSE_SIGMA_PX
 from ladarreg_core.surface.ranges import surface_range
 from testing.scenes.painted_room import PaintedRoom, painted_room, registered_room
 
@@ -302,3 +307,28 @@ def test_nonsense_is_refused(room: PaintedRoom) -> None:
         RegisterOptions(seed=-1)
     with pytest.raises(DegenerateGeometryError):
         register(room.scan, room.photo, picks=point_picks(room, 2))
+
+
+def test_a_pose_known_to_a_few_pixels_is_called_coarse_in_every_file(
+    registration: lr.Registration, room: PaintedRoom, tmp_path: Path
+) -> None:
+    limit_px = COARSE_SIGMA_PX * np.sqrt(np.prod(registration.camera.size) / 1e6)
+    known_px = replace(registration, camera_uncertainty=None).median_pixel_sigma(registration.inliers)
+    for share, coarse in ((0.95, False), (1.05, True)):
+        covariance = registration.covariance * (share * limit_px / known_px) ** 2
+        found = replace(registration, covariance=covariance, camera_uncertainty=None)
+        assert found.is_coarse == coarse
+        assert found.standing == ("accepted, coarse (image)" if coarse else "accepted (image)")
+        assert report(found).startswith("Accepted, coarse:" if coarse else "Accepted: verified")
+        assert (COARSE_CAVEAT in repr(found)) == coarse
+        out = tmp_path / str(coarse)
+        export_registration(out, found, room.scan, room.photo)
+        assert json.loads((out / "registration.json").read_text())["coarse"] == coarse
+        assert read_registration(out / "registration.json").is_coarse == coarse
+        for name in ("model.glb", "cloud.ply", "labels.png"):
+            assert (COARSE_CAVEAT.encode() in (out / name).read_bytes()) == coarse, name
+        assert ("Accepted, coarse: verified" in (out / "report.html").read_text(encoding="utf-8")) == coarse
+        assert ("Accepted, coarse" in str(describe(out / "registration.json").verdict)) == coarse
+    refused = replace(found, accepted=False, evidence="none")
+    assert not refused.is_coarse
+    assert refused.standing == "not accepted"
