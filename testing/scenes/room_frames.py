@@ -46,10 +46,10 @@ def write_frames(folder: Path, count: int) -> list[Path]:
 
 
 def room_matches() -> list[dict[str, Any]]:
-    """Points of the room as a camera beside the scanner sees them, as fields of the command `add_pick`."""
+    """Points of the room as a camera beside the scanner sees them, too few for a pose, as fields of `add_pick`."""
     camera = read_photo(PHOTO, camera=CAMERA).camera
     camera_from_scanner = Rigid.from_centre(look_along([1, 0.05, 0]), np.array([-0.3, -0.2, 0.1]))
-    rays = np.array([[1, y, z] for y in (-0.3, -0.1, 0.2) for z in (-0.2, -0.05, 0.15)])
+    rays = np.array([[1, y, z] for y in (-0.3, 0.2) for z in (-0.2, -0.05, 0.15)])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     uv = camera.project(camera_from_scanner @ (rays * distances(np.zeros(3), rays)[:, None])).tolist()
     return [{"kind": "point", "scan": [ray], "photo_uv": [at]} for ray, at in zip(rays.tolist(), uv, strict=True)]

@@ -21,7 +21,7 @@ from ladarreg_core.simulate.sample import sample_folder
 from testing.command_line import complaint, sample
 from testing.workbench.processes import restore_stop_signals
 
-NO_COUNTS, COUNTS = np.zeros((9, 9), np.uint16), np.ones((9, 9), np.uint16)
+NO_COUNTS = np.zeros((9, 9), np.uint16)
 
 
 def npz(**arrays: object) -> Callable[[Path], Path]:
@@ -65,7 +65,6 @@ BAD_SCANS: dict[str, Callable[[Path], Path]] = {
     "a claim without data": file("claim.pcd", HUGE_PCD.encode()),
     "pickled": npz(xyz=np.array([{}]), intensity=np.ones((4, 4))),
     "no returns": npz(counts=NO_COUNTS, intensity=np.ones((9, 9)), **SCALARS),
-    "no intensity": npz(counts=COUNTS, **SCALARS),
     "one cell": npz(xyz=np.ones((1, 1, 3)), intensity=np.ones((1, 1))),
     "shapes that disagree": npz(xyz=np.ones((9, 9, 3)), intensity=np.ones((9, 8))),
     "not numbers": npz(xyz=np.full((9, 9, 3), np.nan), intensity=np.full((9, 9), np.inf)),

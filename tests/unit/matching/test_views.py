@@ -60,7 +60,7 @@ def test_the_view_is_directed_at_the_overlap(room: PaintedRoom) -> None:
 @pytest.mark.parametrize("start", ["none", pytest.param("truth", marks=pytest.mark.long)])
 @pytest.mark.slow
 def test_a_sparse_scan_is_refused_for_that_reason(room: PaintedRoom, start: str) -> None:
-    sparse = thinned(room.scan, 6)
+    sparse = thinned(room.scan, 10)
     result = register(sparse, room.photo, initial=room.camera_from_scanner if start == "truth" else None)
     assert not result.accepted
     assert result.reasons[0].startswith("The scan is too sparse for this photo: 1 point per "), result.reasons
