@@ -36,6 +36,7 @@ from ladarreg_core.frames import Rigid
 
 _HEAD_BYTES = 4096
 _MOST_LISTED = 12
+_FLAT_TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # OpenCV's order
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,10 +296,10 @@ def _cameras_of_fields(fields: Mapping[str, Any]) -> tuple[FileCamera, ...]:
 
 
 def _camera_from_own_fields(fields: Mapping[str, Any]) -> CameraModel:
-    terms = fields.get("distortion", [])
+    model = fields.get("model", "pinhole")
+    terms = _flat_terms(fields) or fields.get("distortion", [])
     if not isinstance(terms, list):
         raise FormatError(f"the field 'distortion' is {one_line(repr(terms), 60)}; it must be a list of numbers")
-    model = fields.get("model", "pinhole")
     values: dict[str, Any] = {"model": model, **{name: whole_number(fields, name) for name in ("width", "height")}}
     if model == "equirectangular":
         window = fields.get("window")
@@ -308,6 +309,22 @@ def _camera_from_own_fields(fields: Mapping[str, Any]) -> CameraModel:
         values |= {name: number(fields, name) for name in ("fx", "fy", "cx", "cy")}
         values["distortion"] = tuple(numbers_of(terms, "the distortion"))
     return camera_from_model_fields(values)
+
+
+def _flat_terms(fields: Mapping[str, Any]) -> list[float]:
+    """Return the distortion that fields of its own state (`k1`, `p1`, ...), in OpenCV's order; empty: none."""
+    given = [name for name in _FLAT_TERMS if name in fields]
+    if not given:
+        return []
+    if "distortion" in fields:
+        raise FormatError(f"it states its distortion twice, as 'distortion' and as {given[0]!r}; keep one of them")
+    if fields.get("model", "pinhole") != "pinhole":
+        raise FormatError(
+            f"the field {given[0]!r} is for a pinhole camera; give this model's terms as a list, 'distortion'"
+        )
+    last = max(_FLAT_TERMS.index(name) for name in given) + 1
+    count = next(each for each in (4, 5, 8) if each >= last)
+    return [number(fields, name, 0.0) for name in _FLAT_TERMS[:count]]
 
 
 def describe_camera(camera: CameraModel) -> dict[str, Any]:
