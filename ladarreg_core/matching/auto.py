@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal, get_args
@@ -16,13 +16,13 @@ from ladarreg_core.camera.uncertainty import (
     CameraPrior,
     CameraUncertainty,
 )
-from ladarreg_core.formatting import format_length
-from ladarreg_core.frames import Rigid, rotvec_from_rotation
+from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.aligner import Aligner, Candidate
 from ladarreg_core.matching.ambiguity import KnownPoses, ambiguity_sentence, second_minimum, second_starts
 from ladarreg_core.matching.blocks import BlockMatches
 from ladarreg_core.matching.covariance import WindowEvidence, window_evidence
 from ladarreg_core.matching.kept_channels import Channels
+from ladarreg_core.matching.placements import best_of_placements, cameras_beside, may_be_beside
 from ladarreg_core.matching.pyramid import ChannelSet, PairLevels
 from ladarreg_core.matching.roll import Roll
 from ladarreg_core.matching.self_calibration import (
@@ -46,12 +46,6 @@ from ladarreg_core.validation import require_choice
 Reach = Literal["everywhere", "near_start"]
 _MAX_ROLLED_VIEWS, _MAX_GRID_VIEWS = 2, 3
 _MEDIAN_CELLS = 100_000
-_SURE_FINE_FRACTION = (
-    0.85  # of regions that agree: at true poses of simulated pairs .8-1, at those beside them up to .81
-)
-_AS_WELL = 0.25  # of that fraction: true poses had up to .17 less than others that were a tenth of a metre off
-_ALIKE = 2.0  # standard deviations per parameter up to which two poses are the same
-_BESIDE = 0.02  # of the focal length: such poses are 1 to 4 % off it
 _RANGE_M = (1e-6, 1e7)  # generous, to allow for wrong units; the limits of the estimator of matches
 ADVICE = "Draw a few matches by hand, or give an initial pose."
 """What to do about a photograph that is not accepted."""
@@ -152,14 +146,14 @@ def register_auto(
     prior = o.calibrated_prior if photo.calibrated else prior
     prior = prior.covering(photo.pinhole, (other for other in photo.alternatives if isinstance(other, Camera)))
     result = _searched(pair, photo.pinhole, photo, steps, initial, o, prior, channels)
-    if photo.assumed and _may_be_beside(result):
+    if photo.assumed and may_be_beside(result):
         assert result.camera is not None, "it was estimated"
         found = [result]
-        for camera in _cameras_beside(result.camera, photo.pinhole):
-            found.append(_searched(pair.with_camera(camera), camera, photo, steps, None, o, prior, channels))
-            if not _may_be_beside(found[-1]):
+        for camera in cameras_beside(result.camera, photo.pinhole):
+            found.append(_searched(pair.with_camera(camera), camera, photo, steps, initial, o, prior, channels))
+            if not may_be_beside(found[-1]):
                 break
-        result = _best_of_placements(found, photo.pinhole)
+        result = best_of_placements(found, photo.pinhole)
     directions = viewing_directions(scan, working, initial=initial)
     return _explain_if_sparse(result, scan, photo, [*directions, *([initial] if initial else [])])
 
@@ -194,76 +188,6 @@ def _searched(
         else:
             _search_everywhere(search, found, directions, initial)
         return found.result()
-
-
-def _may_be_beside(result: AutoResult) -> bool:
-    """Return whether an accepted pose may be beside the true one, where pose and wrong focal length make up for
-    each other in part: its camera was estimated and many regions do not agree at full resolution."""
-    verdict = result.verification
-    if verdict is None or not verdict.accepted or result.camera is None:
-        return False
-    return (verdict.fine_fraction or 0.0) < _SURE_FINE_FRACTION
-
-
-def _cameras_beside(camera: Camera, stated: Camera) -> Iterator[Camera]:
-    """Yield an estimated camera with longer and shorter focal lengths, first the one farther from what was stated."""
-    farther = 1 if camera.fx >= stated.fx else -1
-    for sign in (farther, -farther):
-        by = 1 + sign * _BESIDE
-        yield replace(camera, fx=camera.fx * by, fy=camera.fy * by)
-
-
-def _best_of_placements(found: Sequence[AutoResult], stated: Camera) -> AutoResult:
-    """Return the best of several results; its uncertainty contains others on which the images agree nearly as well.
-
-    The covariance is that of a mixture of equal parts about the best.
-    """
-    best = max(found, key=_rank)
-    accepted, fine = _rank(best)
-    pose, evidence, joint = best.camera_from_scanner, best.evidence, best.camera_uncertainty
-    if not accepted or pose is None or evidence is None or not _may_be_beside(best):
-        return best
-    names = () if joint is None else joint.names
-    covariance = np.array(evidence.covariance if joint is None else joint.covariance)
-    spread, farthest = np.zeros_like(covariance), best
-    for other in found:
-        there = other.camera_from_scanner
-        if other is best or there is None or _rank(other) < (True, fine - _AS_WELL):
-            continue
-        camera, own = other.camera or stated, best.camera or stated
-        values = [_intrinsic(camera, name) - _intrinsic(own, name) for name in names]
-        turn = rotvec_from_rotation(there.rotation @ pose.rotation.T)
-        apart = np.concatenate([turn, there.centre - pose.centre, values])
-        if apart @ np.linalg.solve(covariance, apart) <= _ALIKE**2 * len(apart):
-            continue
-        spread += np.outer(apart, apart) / len(found)
-        if pose.distance_to(there) > pose.distance_to(farthest.camera_from_scanner or pose):
-            farthest = other
-    if farthest is best or farthest.camera_from_scanner is None:
-        return best
-    there, focal_px = farthest.camera_from_scanner, (farthest.camera or stated).focal_px
-    reason = (
-        f"The images agree nearly as well {format_length(pose.distance_to(there))} and "
-        f"{np.degrees(pose.angle_to(there)):.2g} deg away, with a focal length of {focal_px:.1f} px: the uncertainty "
-        "of the pose contains both. Calibrate the camera, or draw a few matches."
-    )
-    covariance += spread
-    if joint is not None:
-        joint = replace(joint, covariance=covariance)
-        best = replace(best, camera_sigmas={name: joint.sigmas.get(name, s) for name, s in best.camera_sigmas.items()})
-    evidence = replace(evidence, covariance=covariance[:6, :6])
-    return replace(best, evidence=evidence, camera_uncertainty=joint, reasons=(*best.reasons, reason))
-
-
-def _intrinsic(camera: Camera, name: str) -> float:
-    if name == "k1":
-        return camera.distortion[0] if camera.distortion else 0.0
-    return float(getattr(camera, name))
-
-
-def _rank(result: AutoResult) -> tuple[bool, float]:
-    verdict = result.verification
-    return (False, 0.0) if verdict is None else (verdict.accepted, verdict.fine_fraction or 0.0)
 
 
 def reason_against_scan(scan: Scan) -> str:

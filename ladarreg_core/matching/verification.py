@@ -85,8 +85,8 @@ class GateOptions:
     few_sigma_px: float = 4.0
     """The same for a pose accepted on `few` regions or more, but fewer than `many`; smaller photos: less."""
     coarse_sigma_px: float = 6.0
-    """The same for any other pose of a scan that is coarse, if only between its lines; smaller photos: less. Beyond
-    half of it, the pose is called coarse."""
+    """The same for any other pose of a scan that is coarse, if only between its lines; smaller photos: less. From
+    half of the default on, the pose is called coarse."""
     any_sigma_px: float = 8.0
     """The same for every other pose; larger photos: more. The matches of such a pose do not agree on it."""
     same_pose_px: float = 8.0
