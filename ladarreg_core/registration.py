@@ -16,7 +16,8 @@ from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.errors import DegenerateGeometryError, OptionError, ShapeError
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matches import Matches, Pick, picks_of_arrays
-from ladarreg_core.matching.auto import AutoOptions, AutoResult
+from ladarreg_core.matching.auto import AutoOptions
+from ladarreg_core.matching.auto_result import AutoResult
 from ladarreg_core.matching.kept_channels import Channels
 from ladarreg_core.matching.modality import register_by_modality
 from ladarreg_core.matching.support import carries_intensity

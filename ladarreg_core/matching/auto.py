@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal, get_args
@@ -10,17 +10,12 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.camera.uncertainty import (
-    CALIBRATED_CAMERA_PRIOR,
-    DEFAULT_CAMERA_PRIOR,
-    CameraPrior,
-    CameraUncertainty,
-)
+from ladarreg_core.camera.uncertainty import CALIBRATED_CAMERA_PRIOR, DEFAULT_CAMERA_PRIOR, CameraPrior
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.aligner import Aligner, Candidate
 from ladarreg_core.matching.ambiguity import KnownPoses, ambiguity_sentence, second_minimum, second_starts
-from ladarreg_core.matching.blocks import BlockMatches
-from ladarreg_core.matching.covariance import WindowEvidence, window_evidence
+from ladarreg_core.matching.auto_result import AutoResult
+from ladarreg_core.matching.covariance import window_evidence
 from ladarreg_core.matching.kept_channels import Channels
 from ladarreg_core.matching.placements import best_of_placements, cameras_beside, may_be_beside
 from ladarreg_core.matching.pyramid import ChannelSet, PairLevels
@@ -76,28 +71,6 @@ class AutoOptions:
     def __post_init__(self) -> None:
         check_free_camera(self.intrinsics)
         require_choice(self.reach, get_args(Reach), "the reach")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AutoResult:
-    """The best pose found, with its verdict and uncertainty."""
-
-    camera_from_scanner: Rigid | None
-    """The pose; None if no candidate was found."""
-    verification: Verification | None
-    """The verdict; None if no candidate was good enough to verify."""
-    evidence: WindowEvidence | None
-    """Uncertainty of the pose."""
-    reasons: tuple[str, ...]
-    """The verdict in sentences."""
-    blocks: BlockMatches | None = None
-    """Sub-pixel point matches at the pose."""
-    camera: Camera | None = None
-    """The camera estimated with the pose; None: as stated."""
-    camera_sigmas: Mapping[str, float] = field(default_factory=dict)
-    """Standard deviations of the estimated intrinsics, as in `PoseResult`."""
-    camera_uncertainty: CameraUncertainty | None = None
-    """Joint uncertainty of the pose and the estimated intrinsics."""
 
 
 def register_auto(

@@ -15,7 +15,8 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.ambiguity import KnownPoses, ambiguity_sentence, competes
-from ladarreg_core.matching.auto import ADVICE, AutoOptions, AutoResult, reason_against_scan
+from ladarreg_core.matching.auto import ADVICE, AutoOptions, reason_against_scan
+from ladarreg_core.matching.auto_result import AutoResult
 from ladarreg_core.matching.face_alignment import JointAligner, face_view, joint_aligner
 from ladarreg_core.matching.face_search import FaceHypothesis, FaceSearch
 from ladarreg_core.matching.faces import Face, FaceSet

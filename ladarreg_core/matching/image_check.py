@@ -15,7 +15,8 @@ from threadpoolctl import threadpool_limits
 from ladarreg_core.formatting import format_length, format_number
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.aligner import verify_pose
-from ladarreg_core.matching.auto import AutoOptions, AutoResult
+from ladarreg_core.matching.auto import AutoOptions
+from ladarreg_core.matching.auto_result import AutoResult
 from ladarreg_core.matching.face_registration import is_wide, verify_faces
 from ladarreg_core.matching.modality import register_by_modality
 from ladarreg_core.matching.verification import GateOptions, Verification

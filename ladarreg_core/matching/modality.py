@@ -14,7 +14,8 @@ import numpy as np
 
 from ladarreg_core.camera.uncertainty import DEFAULT_CAMERA_PRIOR, CameraPrior
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
-from ladarreg_core.matching.auto import AutoOptions, AutoResult, Reach, register_auto
+from ladarreg_core.matching.auto import AutoOptions, Reach, register_auto
+from ladarreg_core.matching.auto_result import AutoResult
 from ladarreg_core.matching.face_registration import is_wide, register_faces
 from ladarreg_core.matching.kept_channels import Channels
 from ladarreg_core.matching.pyramid import ChannelSet, PairLevels

@@ -9,16 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.formatting import format_length
 from ladarreg_core.frames import rotvec_from_rotation
-
-if TYPE_CHECKING:
-    from ladarreg_core.matching.auto import AutoResult
+from ladarreg_core.matching.auto_result import AutoResult
 
 _SURE_FINE_FRACTION = 0.85  # of regions that agree: at true poses of simulated pairs .8-1, beside them up to .81
 _AS_WELL = 0.25  # of that fraction: true poses had up to .17 less than others that were a tenth of a metre off

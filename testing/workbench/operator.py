@@ -31,6 +31,10 @@ DROP = """([selector, files]) => {
   for (const kind of ["dragenter", "dragover", "drop"])
     document.querySelector(selector).dispatchEvent(new DragEvent(kind, given));
 }"""
+CLOSE_REOPENED = """() => {
+  for (const notice of document.querySelectorAll(".notice"))
+    if (notice.textContent.includes("Reopened")) notice.querySelector("button").click();
+}"""
 SLICE = "(name) => import('./js/net/store.js').then(({ store }) => store.get(name))"
 
 
@@ -47,8 +51,7 @@ class Operator:
         self.page.goto(f"{self.server.address}?token={self.server.token}")
         self.page.get_by_role("button", name="connected").wait_for()
         two_frames(self.page)
-        for told in self.page.locator(".notice").filter(has_text="Reopened").all():  # it lies over the pictures
-            told.get_by_role("button").first.click()
+        self.page.evaluate(CLOSE_REOPENED)  # it lies over the pictures, and may go by itself at any moment
 
     def slice(self, name: str) -> Any:
         """Return the current value of a slice."""

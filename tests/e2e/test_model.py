@@ -96,9 +96,8 @@ class Visit:
         """Wait for the model and return viser's frame."""
         self.page.locator(DRAWN).wait_for(timeout=90_000)
         self.page.locator(".model-loading").wait_for(state="hidden")
-        for told in self.page.locator(".notice").filter(has_text="Reopened").all():  # it lies over the picture
-            told.get_by_role("button").first.click()
-            told.wait_for(state="detached")
+        # Notices lie over the picture, and come and go by the clock.
+        self.page.add_style_tag(content=".notice { display: none }")
         frame = self.page.frame(url=lambda address: "/viser/" in address)
         assert frame is not None
         return frame
