@@ -70,15 +70,11 @@ class GateOptions:
     """`contrast` for such a scan."""
     shape_fine_fraction: float = 0.45
     """`fine_fraction` for such a scan: outlines may agree at level 1 beside the pose."""
-    own_false_alarm: float = 1e-3
-    """Of a coarse scan with fewer than `few` or `many` agreeing regions: maximum probability of a false agreement, as
-    measured at wrong poses of the pair itself."""
+    own_false_alarm: float = 1e-4
+    """Of a coarse scan with too few agreeing regions for a verdict by their number: maximum probability of a false
+    agreement, as measured at wrong poses of the pair itself."""
     own_margin: float = 1.6
     """Minimum correlation of such a pose at full resolution, relative to the highest at a wrong pose."""
-    own_fraction: float = 0.8
-    """`fraction` for such a pose."""
-    own_fine_fraction: float = 0.55
-    """`fine_fraction` for such a pose."""
     most_sigma_px: float = 1.0
     """Maximum median uncertainty of a pose accepted on fewer than `few` regions, px of a 1-megapixel photo; larger
     photos: more."""
@@ -261,10 +257,10 @@ def rests_on_number(verdict: Verification, options: GateOptions) -> bool:
         return verdict.by_few
     return (
         verdict.windows >= options.least_regions
-        and verdict.fraction >= max(options.fraction, options.own_fraction)
+        and verdict.fraction >= options.fraction
         and verdict.contrast >= options.contrast
         and verdict.fine_fraction is not None
-        and verdict.fine_fraction >= max(options.fine_fraction, options.own_fine_fraction)
+        and verdict.fine_fraction >= options.fine_fraction
     )
 
 

@@ -8,19 +8,22 @@ import numpy as np
 
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.frames import Rigid
+from ladarreg_core.matching.agreement import Agreement
 from ladarreg_core.rig.joint import JointPairs
 from ladarreg_core.rig.options import FINE_NEAR_PX, LEAST_PAIRS, NEAR_PX, RigOptions
 from ladarreg_core.rig.results import PairEvidence, PairOutcome, RigPair
 
 ADVICE = "Add pairs of other places with near objects, accumulate longer, or give a rough initial pose."
 """What to do about a rig that is not accepted."""
+_LEAST_EXCHANGED = 3  # photographs of other places: fewer have no scatter
+_LEAST_BLOCKS = 8
 
 
 class Jury:
     """The pairs of a rig as judges of one pose.
 
-    Photographs of other pairs are compared with each scan at the pose: their agreement is that of chance in these very
-    places, unless both show the same place.
+    Photographs of other pairs, and the mirror images of all, are compared with each scan at the pose: their agreement
+    is that of chance in these very places, unless both show the same place.
 
     Args:
         joint: the pairs in their views.
@@ -47,10 +50,15 @@ class Jury:
         self._alone = alone
         self._options = options
         count = len(pairs)
-        self._shares, self._chances = np.zeros((count, count)), np.zeros((count, count))
+        self._shares, self._chances = np.zeros((2, count, count))
+        self._gains, self._variances = np.zeros((2, count, 2 * count))  # of photographs, then of their mirror images
         for scan in range(count):
             for photo in range(count):
-                self._shares[scan, photo], self._chances[scan, photo] = self._agreement(pose, scan, photo)
+                maps = self._agreement(pose, scan, photo)
+                self._shares[scan, photo], self._chances[scan, photo] = _shares(maps)
+                self._gains[scan, photo], self._variances[scan, photo] = _gain(maps)
+                mirrored = self._agreement(pose, scan, photo, mirrored=True)
+                self._gains[scan, count + photo], self._variances[scan, count + photo] = _gain(mirrored)
 
     def same_place(self, index: int) -> set[int]:
         """Return the other pairs that show the same place as one: their photographs agree with its scan, or its own
@@ -78,13 +86,14 @@ class Jury:
         if coarse is None or fine is None or coarse.windows < o.least_windows:
             compared = 0 if coarse is None else coarse.windows
             why = self._unfit.get(index) or f"only {compared} regions of {name} can be compared with its photo there"
-            return PairEvidence(name, "undecided", compared, 0, 0.0, 1.0, 0.0, alone, why)
+            return PairEvidence(name, "undecided", compared, 0, 0.0, 1.0, 1.0, 0.0, alone, why)
         others = [k for k in range(len(self._pairs)) if k != index and k not in self.same_place(index)]
         swapped = float(self._shares[index, others].max(initial=0.0))
         chance = float(self._chances[index, others].mean()) if others else 0.0
         agreeing = int(coarse.agreeing(NEAR_PX).sum())
         share = agreeing / coarse.windows
         alarm = coarse.false_alarm(NEAR_PX, least_chance=max(o.least_chance, chance))
+        exchanged = self._exchange_alarm(index, others, coarse)
         fine_share = float(fine.agreeing(FINE_NEAR_PX).mean()) if fine.windows else 0.0
         least = max(o.agrees_fraction, o.of_swapped * swapped)
         sentence = (
@@ -99,7 +108,32 @@ class Jury:
         elif agreeing < o.few and alarm > o.few_false_alarm:
             outcome = "undecided"
             sentence += f", which may be chance (probability {alarm:.2g})"
-        return PairEvidence(name, outcome, coarse.windows, agreeing, fine_share, alarm, swapped, alone, sentence)
+        return PairEvidence(
+            name, outcome, coarse.windows, agreeing, fine_share, alarm, exchanged, swapped, alone, sentence
+        )
+
+    def _exchange_alarm(self, index: int, others: Sequence[int], own: Agreement) -> float:
+        """Return the probability that a photograph of another place correlates as well with a scan as its own does.
+
+        Mirror images of all photographs are of other places, too: with the same horizon, verticals and texture. A
+        correlation is the mean over many blocks and nearly normal, so that a further one exceeds the mean of K others
+        by their standard deviation times Student's t. That is no smaller than what the scatter of the blocks implies,
+        since a few photographs may be alike by chance.
+
+        Source: Geisser, Predictive inference (1993).
+        """
+        from scipy.special import stdtr
+
+        count = len(self._pairs)
+        others = [*others, *range(count, 2 * count)]
+        gains = self._gains[index, others]
+        known = np.isfinite(gains)
+        gain, _ = _gain(own)
+        if known.sum() < _LEAST_EXCHANGED or not np.isfinite(gain):
+            return 1.0
+        gains, within = gains[known], float(self._variances[index, others][known].mean())
+        spread = np.sqrt(max(float(gains.var(ddof=1)), within) * (1 + 1 / len(gains)))
+        return float(stdtr(len(gains) - 1, -(gain - gains.mean()) / spread)) if spread > 0 else 1.0
 
     def _is_same(self, scan: int, photo: int) -> bool:
         share, own, o = self._shares[scan, photo], self._shares[scan, scan], self._options
@@ -114,20 +148,31 @@ class Jury:
             return f"the photo of {self._pairs[best].name} agrees with its scan, so that photos may be swapped"
         return "its scan and photo do not belong together, or the camera was moved"
 
-    def _agreement(self, pose: Rigid, scan: int, photo: int) -> tuple[float, float]:
-        """Return the shares of regions and of single blocks of a scan that agree with a photograph at the pose."""
-        same_size = self._pairs[scan].photo.camera == self._pairs[photo].photo.camera
-        if scan in self._unfit or not same_size:
-            return 0.0, 0.0
-        maps = (
-            self._joint.agreement_at(pose, scan, 1)
-            if scan == photo
-            else self._joint.swapped_agreement(pose, scan, self._pairs[photo].photo)
-        )
-        if maps is None or not maps.windows:
-            return 0.0, 0.0
-        blocks = maps.agreeing_blocks(NEAR_PX) / max(len(maps.block_maps), 1)
-        return float(maps.agreeing(NEAR_PX).mean()), float(blocks)
+    def _agreement(self, pose: Rigid, scan: int, photo: int, *, mirrored: bool = False) -> Agreement | None:
+        """Return the agreement of a scan with a photograph, or its mirror image, at the pose; None if they cannot be
+        compared."""
+        if scan in self._unfit or self._pairs[scan].photo.camera != self._pairs[photo].photo.camera:
+            return None
+        if scan == photo and not mirrored:
+            return self._joint.agreement_at(pose, scan, 1)
+        return self._joint.swapped_agreement(pose, scan, photo, mirrored=mirrored)
+
+
+def _shares(maps: Agreement | None) -> tuple[float, float]:
+    """Return the shares of regions and of single blocks that agree; 0 without any."""
+    if maps is None or not maps.windows:
+        return 0.0, 0.0
+    blocks = maps.agreeing_blocks(NEAR_PX) / max(len(maps.block_maps), 1)
+    return float(maps.agreeing(NEAR_PX).mean()), float(blocks)
+
+
+def _gain(maps: Agreement | None) -> tuple[float, float]:
+    """Return the correlation of the blocks at zero shift above that at all shifts, and its variance; NaN for few."""
+    if maps is None or len(maps.block_maps) < _LEAST_BLOCKS:
+        return np.nan, np.nan
+    near = slice(maps.radius - 1, maps.radius + 2)
+    gains = maps.block_maps[:, near, near].mean(axis=(1, 2))
+    return float(gains.mean()), float(gains.var(ddof=1) / len(gains))
 
 
 def held_out(
@@ -157,11 +202,18 @@ def joint_alarm(evidence: Collection[PairEvidence], options: RigOptions) -> floa
     """Return the probability that the pairs agree so well by chance, without the pair that agrees best.
 
     A pose may have been proposed by one pair and be fitted to its images; what the others say of it is evidence. Pairs
-    that could not be judged say nothing.
+    that could not be judged say nothing. The number of regions that agree, and their correlation beside photographs of
+    other places, are two measures, of which the more telling one counts; that there are two is paid for.
 
-    Source: Fisher's method of combining probabilities.
+    Source: Fisher's method of combining probabilities; Bonferroni (1936).
     """
-    others = sorted(one.false_alarm for one in evidence if one.outcome != "undecided")[1:]
+    judged = [one for one in evidence if one.outcome != "undecided"]
+    measures = ([one.false_alarm for one in judged], [one.exchange_alarm for one in judged])
+    return min(1.0, len(measures) * min(_combined(sorted(each)[1:]) for each in measures))
+
+
+def _combined(others: Sequence[float]) -> float:
+    """Return the probability of independent ones together; 1 without any."""
     if not others:
         return 1.0
     half = -float(np.sum(np.log(np.maximum(others, 1e-300))))

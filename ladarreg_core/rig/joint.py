@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 
 from ladarreg_core.arrays import FloatArray
+from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.agreement import Agreement, agreement
 from ladarreg_core.matching.aligner import FINE, FINISH, FINISH_ROUNDS, REFINEMENT, STILL_PX, Aligner
@@ -32,7 +33,7 @@ from ladarreg_core.matching.sampling import ViewPoints
 from ladarreg_core.matching.support import carries_intensity
 from ladarreg_core.matching.verification import GateOptions
 from ladarreg_core.matching.views import viewing_directions
-from ladarreg_core.photo import Photo
+from ladarreg_core.matching.wrong_poses import mirrored_photo
 from ladarreg_core.rig.results import RigPair
 
 _SAME_VIEW_RAD = np.radians(4.0)
@@ -79,6 +80,7 @@ class JointPairs:
 
     def __init__(self, pairs: Sequence[PairViews], pose: Rigid) -> None:
         self._pairs = pairs
+        self._swapped: dict[tuple[int, bool, Camera, int], Target] = {}
         self.aligners = [pair.at(pose) for pair in pairs]
 
     def refine(self, start: Rigid, members: Sequence[int], levels: Sequence[int] = (2, 1)) -> Rigid | None:
@@ -108,15 +110,27 @@ class JointPairs:
         aligner = self.aligners[index]
         return None if aligner is None else aligner.agreement_at(pose, level)
 
-    def swapped_agreement(self, pose: Rigid, index: int, photo: Photo) -> Agreement | None:
-        """Return the agreement of the scan of a pair with the photograph of another one, of the same size."""
+    def swapped_agreement(self, pose: Rigid, index: int, other: int, *, mirrored: bool = False) -> Agreement | None:
+        """Return the agreement of the scan of a pair with the photograph of another one, of the same size.
+
+        Args:
+            pose: `camera_from_scanner`.
+            index: the pair of the scan.
+            other: the pair of the photograph; its own, too, if `mirrored`.
+            mirrored: whether left and right of the photograph are exchanged.
+        """
         aligner = self.aligners[index]
         if aligner is None:
             return None
-        side = photo_levels(photo, aligner.photo.cameras[0], harmonics=aligner.photo.harmonics)
-        level = _LEVEL_OF_SWAPPED
-        target = Target(side.cameras[level], side.channels[level], side.usable[level])
-        return agreement(aligner.points[level], target, aligner.occluder, pose, level=level, radius=_RADIUS)
+        working, harmonics = aligner.photo.cameras[0], aligner.photo.harmonics
+        key = (other, mirrored, working, harmonics)
+        if key not in self._swapped:
+            side = photo_levels(self._pairs[other].pair.photo, working, harmonics=harmonics)
+            side = mirrored_photo(side) if mirrored else side
+            level = _LEVEL_OF_SWAPPED
+            self._swapped[key] = Target(side.cameras[level], side.channels[level], side.usable[level])
+        points, level = aligner.points[_LEVEL_OF_SWAPPED], _LEVEL_OF_SWAPPED
+        return agreement(points, self._swapped[key], aligner.occluder, pose, level=level, radius=_RADIUS)
 
     def covariance(self, pose: Rigid, members: Sequence[int]) -> FloatArray | None:
         """Return the (6, 6) covariance of a finished pose by leaving out regions of pairs; None if they are few."""

@@ -43,7 +43,9 @@ class PairEvidence:
     fine_fraction: float
     """Share of the regions that agree at full resolution."""
     false_alarm: float
-    """Bound on the probability of such agreement by chance."""
+    """Bound on the probability that so many regions agree by chance."""
+    exchange_alarm: float
+    """Probability that a photograph of another place correlates as well with this scan; 1 with fewer than three."""
     swapped_fraction: float
     """The largest share of agreeing regions of this scan with a photograph of another pair, at the pose."""
     accepted_alone: bool
@@ -66,6 +68,7 @@ class PairEvidence:
             "fraction": round(self.fraction, 4),
             "fine_fraction": round(self.fine_fraction, 4),
             "false_alarm": float(f"{self.false_alarm:.3g}"),
+            "exchange_alarm": float(f"{self.exchange_alarm:.3g}"),
             "swapped_fraction": round(self.swapped_fraction, 4),
             "accepted_alone": self.accepted_alone,
             "sentence": self.sentence,

@@ -47,7 +47,7 @@ def simulate_outdoors(
 
     Args:
         scene: a name in `OUTDOORS`: street or courtyard.
-        lidar: petals and narrow (accumulated, petals without intensity), or 64 or 128 lines, one turn.
+        lidar: petals and narrow (accumulated, petals without intensity), or lines of one turn (64, 128, 40, dome).
         seed: not negative; every seed gives another place and pose.
         camera_from_scanner: the pose instead of the seed's, as of a camera that is mounted on the lidar.
 

@@ -15,13 +15,17 @@ from ladarreg_core.simulate.ray_cast import RayCaster, in_strips
 from ladarreg_core.simulate.world import Viewpoint, World
 from ladarreg_core.validation import require_choice
 
-LidarName = Literal["petals", "narrow", "64 lines", "128 lines"]
+LidarName = Literal["petals", "narrow", "64 lines", "128 lines", "40 lines", "dome"]
 """The lidars that are simulated."""
 
 _STRIP_RAYS = 65_536
 _REFERENCE_M = 2.5  # range at which a simulated echo has its albedo as amplitude
 _FULL_SCALE = 255
 _FULL_REFLECTIVITY = 0.9
+_DOME_DEG = np.linspace(-30.0, 60.0, 43)  # elevations of the lines
+_CAR_DEG = np.concatenate(
+    [[-25.0, -19.0, -14.0, -11.0, -9.0, -8.0, -7.0], np.linspace(-6.0, 2.0, 25), np.arange(3.0, 11.0)]
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +62,10 @@ class LidarPoints:
 def lidar_rays(lidar: str, rng: np.random.Generator) -> NDArray[np.float64]:
     """Return the unit rays (N, 3) of a lidar in the order in which it sends them; the seed turns and spaces them.
 
-    `petals` fills a cone of 70 degrees about the X axis and `narrow` one of 38; lines go all around, unevenly spaced
-    for half of the seeds, densest at the horizon.
+    `petals` fills a cone of 70 degrees about the X axis and `narrow` one of 38. Lines go all around: 64 and 128 of
+    them are unevenly spaced for half of the seeds, densest at the horizon; 40 are those of a car's lidar, a third of a
+    degree apart at the horizon and up to five elsewhere; those of a dome are even, ten times as far apart as the
+    returns along them.
 
     Args:
         lidar: of `LidarName`.
@@ -71,6 +77,10 @@ def lidar_rays(lidar: str, rng: np.random.Generator) -> NDArray[np.float64]:
     require_choice(lidar, get_args(LidarName), "the lidar")
     if lidar in ("petals", "narrow"):
         return _petals(*((70.4, 300_000) if lidar == "petals" else (38.4, 200_000)), rng)
+    if lidar == "dome":
+        return _turn(_DOME_DEG, 1800, rng)
+    if lidar == "40 lines":
+        return _turn(_CAR_DEG + rng.uniform(-1, 1), 1800, rng)
     return _lines(int(lidar.split()[0]), rng)
 
 
@@ -84,11 +94,16 @@ def _petals(cone_deg: float, count: int, rng: np.random.Generator) -> NDArray[np
     return np.stack([np.cos(polar), np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around)], axis=-1)
 
 
-def _lines(count: int, rng: np.random.Generator, columns: int = 2048) -> NDArray[np.float64]:
+def _lines(count: int, rng: np.random.Generator) -> NDArray[np.float64]:
     place = np.linspace(-1, 1, count)
     if rng.random() < 0.5:
         place = 0.35 * place + 0.65 * place**3
-    elevation = np.radians(rng.uniform(-6, 0) + 22.0 * place)[::-1]
+    return _turn(rng.uniform(-6, 0) + 22.0 * place, 2048, rng)
+
+
+def _turn(elevation_deg: FloatArray, columns: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return the rays of one turn, column by column, of lines that are sorted upwards."""
+    elevation = np.radians(elevation_deg)[::-1]
     azimuth = np.pi - 2 * np.pi * (np.arange(columns) + rng.uniform(0, 1)) / columns
     across = azimuth[:, None] + 0 * elevation
     up = np.broadcast_to(elevation, across.shape)
