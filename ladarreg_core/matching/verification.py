@@ -70,7 +70,7 @@ class GateOptions:
     """`contrast` for such a scan."""
     shape_fine_fraction: float = 0.45
     """`fine_fraction` for such a scan: outlines may agree at level 1 beside the pose."""
-    own_false_alarm: float = 1e-4
+    own_false_alarm: float = 1e-3
     """Of a coarse scan with too few agreeing regions for a verdict by their number: maximum probability of a false
     agreement, as measured at wrong poses of the pair itself."""
     own_margin: float = 1.6
