@@ -18,32 +18,20 @@ from ladarreg_core.matching.ecc import NO_CHANGE, CameraAnchor, CameraChange, Re
 from ladarreg_core.matching.pyramid import (
     BLOCK_PX,
     LEVELS,
-    ChannelSet,
     PhotoLevels,
     ScanLevels,
-    harmonics_of,
-    pair_levels,
-    photo_levels,
-    working_camera,
 )
 from ladarreg_core.matching.sampling import ViewPoints, draw_points, edge_strength
-from ladarreg_core.matching.support import carries_intensity, common_variance, is_coarse, is_interpolated
+from ladarreg_core.matching.support import common_variance
 from ladarreg_core.matching.verification import (
     GateOptions,
     Verification,
-    coarse_gate,
-    interpolated_gate,
-    shape_alone_gate,
     small_regions_gate,
     verify,
 )
-from ladarreg_core.matching.views import viewing_directions
 from ladarreg_core.matching.zbuffer import Occluder
-from ladarreg_core.photo import Photo
 from ladarreg_core.pose.ransac import ransac_pose
-from ladarreg_core.scan import Scan
 from ladarreg_core.side_by_side import made_once, side_by_side
-from ladarreg_core.surface.perspective import perspective_view
 
 REFINEMENT = {2: RefineOptions(tau_px=8, iterations=8), 1: RefineOptions(tau_px=6, iterations=6)}
 FINISH = RefineOptions(tau_px=3, iterations=6)
@@ -326,33 +314,6 @@ class Aligner:
         seen = compare_blocks(self.fine_points, target, self.occluder, buffer, pose)
         self._last_blocks = pose, change, seen
         return seen
-
-
-def verify_pose(
-    scan: Scan, photo: Photo, camera_from_scanner: Rigid, *, gate: GateOptions | None = None, seed: int = 0
-) -> Verification | None:
-    """Verify a given pose against the image; return None if there is too little structure to compare.
-
-    Args:
-        scan: the scan.
-        photo: the photograph, with the camera used in finding the pose.
-        camera_from_scanner: the pose.
-        gate: thresholds of verification.
-        seed: random seed of the points drawn.
-    """
-    working = working_camera(scan, photo.pinhole)
-    direction = viewing_directions(scan, working, initial=camera_from_scanner)[0]
-    view = perspective_view(scan, working, view_from_scanner=direction)
-    channel_set: ChannelSet = "both" if carries_intensity(scan) else "geometry"
-    coarse = is_coarse(scan, photo.pinhole)
-    harmonics = harmonics_of(scan, photo.pinhole)
-    levels = pair_levels(scan, view, channel_set=channel_set, coarse=coarse, harmonics=harmonics)
-    chosen = gate or GateOptions()
-    if coarse:
-        chosen = shape_alone_gate(chosen) if channel_set == "geometry" else coarse_gate(chosen)
-        chosen = interpolated_gate(chosen) if is_interpolated(scan, photo.pinhole) else chosen
-    aligner = Aligner(levels, photo_levels(photo, working, harmonics=harmonics), gate=chosen, seed=seed)
-    return aligner.verify(camera_from_scanner)[0] if aligner.usable else None
 
 
 def flow_step(points: ViewPoints, target: Target, maps: Agreement, *, seed: int) -> Rigid | None:

@@ -14,17 +14,28 @@ from threadpoolctl import threadpool_limits
 
 from ladarreg_core.formatting import format_length, format_number
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
-from ladarreg_core.matching.aligner import verify_pose
+from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.auto import AutoOptions
 from ladarreg_core.matching.auto_result import AutoResult
 from ladarreg_core.matching.face_registration import is_wide, verify_faces
 from ladarreg_core.matching.modality import register_by_modality
-from ladarreg_core.matching.verification import GateOptions, Verification
+from ladarreg_core.matching.pyramid import ChannelSet, harmonics_of, pair_levels, photo_levels, working_camera
+from ladarreg_core.matching.support import carries_intensity, is_coarse, is_interpolated
+from ladarreg_core.matching.verification import (
+    GateOptions,
+    Verification,
+    coarse_gate,
+    interpolated_gate,
+    shape_alone_gate,
+)
+from ladarreg_core.matching.views import viewing_directions
+from ladarreg_core.matching.wrong_poses import verdict_beside_wrong_poses, wrong_poses_decide
 from ladarreg_core.photo import Photo
 from ladarreg_core.picks.lengths import refused_by_lengths
 from ladarreg_core.progress import StepLog
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
+from ladarreg_core.surface.perspective import perspective_view
 
 Outcome = Literal["verified", "contradicted", "undecidable"]
 ResultT = TypeVar("ResultT", bound=PoseResult)
@@ -73,7 +84,7 @@ def check_against_images(scan: Scan, photo: Photo, result: PoseResult, steps: St
 def _checked(scan: Scan, photo: Photo, result: PoseResult, steps: StepLog, seed: int) -> ImageCheck:
     pose = result.camera_from_scanner
     with steps.step("image check") as note:
-        verify = verify_faces if is_wide(photo) else verify_pose
+        verify = verify_faces if is_wide(photo) else _verified_in_view
         found = verify(scan, photo, pose, seed=seed)
         note.update(verified=found is not None and found.accepted)
     if found is None:
@@ -87,6 +98,28 @@ def _checked(scan: Scan, photo: Photo, result: PoseResult, steps: StepLog, seed:
     options = AutoOptions(seed=seed, intrinsics="fixed", reach="near_start")
     rival = register_by_modality(scan, photo, steps, initial=pose, options=options)
     return _judged(scan, result, found, rival)
+
+
+def _verified_in_view(scan: Scan, photo: Photo, pose: Rigid, *, seed: int) -> Verification | None:
+    """Return the verdict of the images on a given pose; None if there is too little structure to compare."""
+    working = working_camera(scan, photo.pinhole)
+    direction = viewing_directions(scan, working, initial=pose)[0]
+    view = perspective_view(scan, working, view_from_scanner=direction)
+    channel_set: ChannelSet = "both" if carries_intensity(scan) else "geometry"
+    coarse = is_coarse(scan, photo.pinhole)
+    harmonics = harmonics_of(scan, photo.pinhole)
+    levels = pair_levels(scan, view, channel_set=channel_set, coarse=coarse, harmonics=harmonics)
+    gate = GateOptions()
+    if coarse:
+        gate = shape_alone_gate(gate) if channel_set == "geometry" else coarse_gate(gate)
+        gate = interpolated_gate(gate) if is_interpolated(scan, photo.pinhole) else gate
+    aligner = Aligner(levels, photo_levels(photo, working, harmonics=harmonics), gate=gate, seed=seed)
+    if not aligner.usable:
+        return None
+    verdict, _, fine = aligner.verify(pose)
+    if wrong_poses_decide(verdict, aligner):
+        verdict = verdict_beside_wrong_poses(verdict, fine, aligner, pose, tried=1)
+    return verdict
 
 
 def with_image_check(result: ResultT, check: ImageCheck) -> ResultT:

@@ -221,3 +221,17 @@ def test_the_verdict_states_its_false_alarm(street: OutdoorCase) -> None:
     assert alone.accepted
     assert alone.as_dict()["wrong_poses"] > 16
     assert among.false_alarm == pytest.approx(20 * alone.false_alarm)
+
+
+@pytest.mark.slow
+def test_a_given_pose_with_few_regions_is_judged_beside_wrong_poses() -> None:
+    pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
+    case = outdoors("courtyard", lidar="40 lines", seed=910)
+    truth = case.camera_from_scanner
+    check = lr.verify_pose(case.scan, case.photo, truth)
+    assert check.outcome == "verified"
+    assert check.verification is not None
+    assert check.verification.wrong_poses > 0
+    assert check.verification.agreeing < GateOptions().many
+    turned = Rigid.from_centre(rotation_from_rotvec(np.radians([0.0, 2.0, 0.0])) @ truth.rotation, truth.centre)
+    assert lr.verify_pose(case.scan, case.photo, turned).outcome == "contradicted"
