@@ -233,5 +233,5 @@ def test_a_given_pose_with_few_regions_is_judged_beside_wrong_poses() -> None:
     assert check.verification is not None
     assert check.verification.wrong_poses > 0
     assert check.verification.agreeing < GateOptions().many
-    turned = Rigid.from_centre(rotation_from_rotvec(np.radians([0.0, 2.0, 0.0])) @ truth.rotation, truth.centre)
+    turned = Rigid.from_centre(rotation_from_rotvec(np.radians([1.5, 1.0, 0.0])) @ truth.rotation, truth.centre)
     assert lr.verify_pose(case.scan, case.photo, turned).outcome == "contradicted"
