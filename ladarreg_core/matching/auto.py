@@ -31,7 +31,7 @@ from ladarreg_core.matching.support import is_coarse
 from ladarreg_core.matching.verification import GateOptions, Verification, check_precision, region_markers
 from ladarreg_core.matching.view_search import ViewSearch
 from ladarreg_core.matching.views import rolled_view, scan_density, viewing_directions
-from ladarreg_core.matching.wrong_poses import verdict_beside_wrong_poses, wrong_poses_decide
+from ladarreg_core.matching.wrong_poses import WrongPoses, verdict_beside_wrong_poses, wrong_poses_decide
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import StepLog
 from ladarreg_core.scan import Scan
@@ -201,6 +201,7 @@ class CandidateSet:
         self._options = options
         self._initial = initial
         self._starts: tuple[Aligner, Begun[list[Rigid]]] | None = None
+        self._wrong: WrongPoses | None = None
         self._accepted: AutoResult | None = None
         self._accepted_by: Aligner | None = None
         self._ambiguous_poses: tuple[Rigid, Rigid] | None = None
@@ -222,9 +223,10 @@ class CandidateSet:
             return
         aligner, candidate = self._search.with_full_overlap(aligner, candidate)
         self._begin_second_minimum(aligner, candidate)
-        result, aligner = _finish(
-            aligner, candidate, self._photo, self._camera, self._steps, self._options.intrinsics, self._prior
-        )
+        result, aligner, self._wrong = _finish(
+            aligner, candidate, self._photo, self._camera, self._steps, self._options.intrinsics, self._prior,
+            self._wrong,
+        )  # fmt: skip
         pose = result.camera_from_scanner
         if result.verification is None or not result.verification.accepted or pose is None:
             if self._refused is None or _fraction(result) > _fraction(self._refused):
@@ -399,8 +401,9 @@ def _finish(
     steps: StepLog,
     intrinsics: FreeCamera,
     prior: CameraPrior,
-) -> tuple[AutoResult, Aligner]:
-    """Return the finished and verified result, and the aligner of its camera."""
+    wrong: WrongPoses | None,
+) -> tuple[AutoResult, Aligner, WrongPoses | None]:
+    """Return the finished and verified result, the aligner of its camera, and wrong poses if they are known."""
     start = candidate.camera_from_scanner
     with steps.step("finish"):
         pose = aligner.finish(start)
@@ -426,8 +429,8 @@ def _finish(
     if found.verification is of_images and wrong_poses_decide(of_images, found.aligner):
         with steps.step("wrong poses") as note:
             tried = sum(step.name == "climb" for step in steps.steps)
-            verdict = verdict_beside_wrong_poses(
-                found.verification, found.fine, found.aligner, found.camera_from_scanner, tried=tried
+            verdict, wrong = verdict_beside_wrong_poses(
+                found.verification, found.fine, found.aligner, found.camera_from_scanner, tried=tried, known=wrong
             )
             found = replace(found, verification=verdict)
             note.update(found.verification.as_dict())
@@ -452,4 +455,4 @@ def _finish(
     return AutoResult(
         pose, verification, evidence, (*reasons, *found.summary(photo.pinhole), *advice), blocks,
         camera if found.free else None, found.camera_sigmas, uncertainty,
-    ), aligner  # fmt: skip
+    ), aligner, wrong  # fmt: skip

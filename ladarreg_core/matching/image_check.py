@@ -118,7 +118,7 @@ def _verified_in_view(scan: Scan, photo: Photo, pose: Rigid, *, seed: int) -> Ve
         return None
     verdict, _, fine = aligner.verify(pose)
     if wrong_poses_decide(verdict, aligner):
-        verdict = verdict_beside_wrong_poses(verdict, fine, aligner, pose, tried=1)
+        verdict, _ = verdict_beside_wrong_poses(verdict, fine, aligner, pose, tried=1)
     return verdict
 
 

@@ -30,6 +30,7 @@ _SAME_PX = 20.0  # working pixels; an end nearer to the candidate says nothing a
 _LEAST_BLOCKS = 8
 _LEAST_POSES = 16
 _SAMPLES = 500
+_SAME_VIEW_RAD = np.radians(6.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,6 +39,10 @@ class WrongPoses:
 
     gains: FloatArray
     """(K,)."""
+    ends: tuple[Rigid | None, ...] = ()
+    """Where these are, K of them; None: in the mirror image."""
+    about: Rigid | None = None
+    """The pose they were turned away from."""
 
     @property
     def enough(self) -> bool:
@@ -78,9 +83,15 @@ def wrong_poses_decide(verdict: Verification, aligner: Aligner) -> bool:
 
 
 def verdict_beside_wrong_poses(
-    verdict: Verification, fine: Agreement, aligner: Aligner, pose: Rigid, *, tried: int
-) -> Verification:
-    """Return the verdict on a finished pose on which wrong poses decide.
+    verdict: Verification,
+    fine: Agreement,
+    aligner: Aligner,
+    pose: Rigid,
+    *,
+    tried: int,
+    known: WrongPoses | None = None,
+) -> tuple[Verification, WrongPoses]:
+    """Return the verdict on a finished pose on which wrong poses decide, and these.
 
     Args:
         verdict: of `verify`.
@@ -88,17 +99,22 @@ def verdict_beside_wrong_poses(
         aligner: the pair that the pose was found with.
         pose: `camera_from_scanner`.
         tried: number of poses of which it is the best.
+        known: wrong poses of the pair, of an earlier candidate; used if it looked about where this one does.
     """
-    wrong, gain = wrong_poses(aligner, pose), correlation_gain(fine)
+    if known is None or known.about is None or known.about.angle_to(pose) > _SAME_VIEW_RAD:
+        known = wrong_poses(aligner, pose)
+    apart = [end is None or _apart_px(aligner, pose, end) >= _SAME_PX for end in known.ends]
+    wrong, gain = WrongPoses(known.gains[apart]), correlation_gain(fine)
     if not (wrong.enough and gain > 0):
-        return verdict
-    return beside_wrong_poses(
+        return verdict, known
+    judged = beside_wrong_poses(
         verdict,
         false_alarm=wrong.false_alarm(gain, tried=tried),
         highest=wrong.highest / gain,
         count=len(wrong.gains),
         options=aligner.gate,
     )
+    return judged, known
 
 
 def correlation_gain(fine: Agreement) -> float:
@@ -126,8 +142,8 @@ def wrong_poses(aligner: Aligner, pose: Rigid) -> WrongPoses:
         _ = side.fine_points, side.fine_target, [target.squares for target in side.targets.values()]
     starts = [(aligner, start) for start in _turned(aligner, pose)]
     starts += [(mirror, start) for start in _turned_level(mirror, pose)]
-    gains = side_by_side(partial(_gain_from, pose=pose, own=aligner), starts)
-    return WrongPoses(np.array([gain for gain in gains if gain is not None]))
+    found = [one for one in side_by_side(partial(_gain_from, pose=pose, own=aligner), starts) if one is not None]
+    return WrongPoses(np.array([gain for gain, _ in found]), tuple(end for _, end in found), pose)
 
 
 def mirrored_photo(photo: PhotoLevels) -> PhotoLevels:
@@ -140,8 +156,9 @@ def mirrored_photo(photo: PhotoLevels) -> PhotoLevels:
     )
 
 
-def _gain_from(start: tuple[Aligner, Rigid], *, pose: Rigid, own: Aligner) -> float | None:
-    """Return the gain where refinement from a start ends; None if it fails, or leads back to the candidate."""
+def _gain_from(start: tuple[Aligner, Rigid], *, pose: Rigid, own: Aligner) -> tuple[float, Rigid | None] | None:
+    """Return the gain where refinement from a start ends, and that pose, None if in the mirror image; None if it
+    fails, or leads back to the candidate."""
     aligner, first = start
     candidate = aligner.refine(first)
     if candidate is None:
@@ -150,7 +167,9 @@ def _gain_from(start: tuple[Aligner, Rigid], *, pose: Rigid, own: Aligner) -> fl
     if aligner is own and _apart_px(aligner, pose, end) < _SAME_PX:
         return None
     fine = aligner.agreement_at(end, 0)
-    return correlation_gain(fine) if len(fine.block_maps) >= _LEAST_BLOCKS else None
+    if len(fine.block_maps) < _LEAST_BLOCKS:
+        return None
+    return correlation_gain(fine), end if aligner is own else None
 
 
 def _apart_px(aligner: Aligner, first: Rigid, second: Rigid) -> float:
