@@ -221,7 +221,7 @@ class CandidateSet:
             if self._unfinished is None or candidate.fraction > self._unfinished.fraction:
                 self._unfinished = candidate
             return
-        aligner, candidate = self._search.with_full_overlap(aligner, candidate)
+        aligner, candidate = self._search.settled(*self._search.with_full_overlap(aligner, candidate))
         self._begin_second_minimum(aligner, candidate)
         result, aligner, self._wrong = _finish(
             aligner, candidate, self._photo, self._camera, self._steps, self._options.intrinsics, self._prior,

@@ -21,7 +21,7 @@ from ladarreg_core.matching.kept_view import keep, recall
 from ladarreg_core.matching.pyramid import LEVELS, ChannelSet, PairLevels, ScanLevels
 from ladarreg_core.matching.roll import Roll, roll_between
 from ladarreg_core.matching.verification import GateOptions
-from ladarreg_core.matching.views import direction_towards_overlap
+from ladarreg_core.matching.views import direction_towards_overlap, settled_view
 from ladarreg_core.progress import StepLog
 from ladarreg_core.side_by_side import Begun, OtherCore, side_by_side
 
@@ -29,6 +29,7 @@ _Attempt = Hypothesis | str
 _COARSEST = LEVELS[-1]
 _COARSE_REFINEMENT = RefineOptions(tau_px=8, iterations=8)
 _MAX_GRID_POSES = 2
+_AS_WELL = 0.9  # share of the regions that agreed in another view
 
 
 class ViewSearch:
@@ -171,6 +172,23 @@ class ViewSearch:
         if again is None or again.coarse_verdict.agreeing <= candidate.coarse_verdict.agreeing:
             return aligner, candidate
         return whole, again
+
+    def settled(self, aligner: Aligner, candidate: Candidate) -> tuple[Aligner, Candidate]:
+        """Return aligner and candidate of a coarse scan in the view that all starts near this pose lead to."""
+        if not aligner.scan.coarse:
+            return aligner, candidate
+        with self._steps.step("finish"):
+            pose = aligner.finish(candidate.camera_from_scanner)
+            self._steps.pose = pose
+        towards = direction_towards_overlap(self._scan, self._photo.cameras[0], pose)
+        view = None if towards is None else self.view(settled_view(towards), name="about the pose")
+        if view is None:
+            return aligner, candidate
+        self._prepare_to_finish(view)
+        again = self._refined(view, "the pose found in another view", pose)
+        if again is None or again.fraction < _AS_WELL * candidate.fraction:
+            return aligner, candidate
+        return view, again
 
     def _best(
         self,

@@ -19,6 +19,7 @@ _MIN_SHARE = 0.05
 _SAMPLES = 10_000
 _MIN_SEEN = 30
 _ENOUGH_SEEN, _MIN_GAIN_SEEN = 0.7, 0.1
+_SETTLED_RAD = np.radians(6.0)
 _MOSTLY = 0.5
 _COMBINE, _ACCUMULATE = "combine several scans", "accumulate longer from the same place"
 MIN_RETURNS_IN_PHOTO = 25_000
@@ -106,6 +107,25 @@ def direction_towards_overlap(scan: Scan, camera: Camera, pose: Rigid, *, view: 
         if now >= _ENOUGH_SEEN or then < now + _MIN_GAIN_SEEN:
             return None
     return found
+
+
+def settled_view(direction: Rigid) -> Rigid:
+    """Return the rotation (view from scanner) of the nearest of a fixed set of views, some degrees apart.
+
+    How the cells of a coarse scan fall on the pixels of a view displaces what is found there by parts of a cell. All
+    that is found near a pose is therefore compared in one and the same view.
+
+    Args:
+        direction: rotation (view from scanner) towards what is compared.
+    """
+    forward = direction.rotation[2]
+    steps = np.array([np.arctan2(forward[1], forward[0]), np.arcsin(np.clip(forward[2], -1, 1))]) / _SETTLED_RAD
+    azimuth, elevation = np.rint(steps) * _SETTLED_RAD
+    along = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+    upright = Rigid(look_along(along), np.zeros(3))
+    right = upright.rotation @ direction.rotation[0]
+    roll = np.rint(np.arctan2(right[1], right[0]) / _SETTLED_RAD) * _SETTLED_RAD
+    return rolled_view(upright, roll)
 
 
 @dataclass(frozen=True, slots=True)
