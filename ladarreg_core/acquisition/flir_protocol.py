@@ -137,9 +137,13 @@ def _first_answer(received: bytes, sent: bytes) -> tuple[int, str, tuple[str, ..
     is_query = not any(chr(byte).isdigit() for byte in sent) and sent.strip() in _QUERIES
     notices: list[str] = []
     start = 0
+    echo = sent.decode("ascii", "replace").strip()
     for match in re.finditer(rb"[^\r\n]*[\r\n]", received):
         line = match.group().decode("ascii", "replace").strip(_SPACE)
-        echo = sent.decode("ascii", "replace").strip()
+        # What comes unasked may stand before the echo, too, and nothing separates them.
+        if echo and (before := re.match(rf"((?:![PT][ \t]*)+)(?={re.escape(echo)})", line)):
+            notices += [{"P": "pan", "T": "tilt"}[axis] for axis in re.findall("[PT]", before[1])]
+            line = line[before.end() :]
         if echo and line.startswith(echo):
             line = line[len(echo) :].strip(_SPACE)
         elif _OF_A_HALT.fullmatch(line):
