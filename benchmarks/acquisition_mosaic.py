@@ -29,7 +29,8 @@ from ladarreg_core.acquisition.mosaic_piece import LoadedPiece, PlacedPiece
 from ladarreg_core.acquisition.panorama_grid import footprint_of, grid_around
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.frames import Rigid, rotation_about, rotvec_from_rotation
-from ladarreg_core.range_alignment.piece_refinement import Refinement, refine_pieces
+from ladarreg_core.range_alignment.piece_refinement import refine_pieces
+from ladarreg_core.range_alignment.refined_pieces import Refinement
 from ladarreg_core.scanner.grids import SphericalGrid
 from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
 from ladarreg_core.twins.recordings import simulate_mosaic

@@ -15,10 +15,26 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.range_alignment.intensity_links import IntensityView, Link, disagreement, noise_of, seen_points
+from ladarreg_core.range_alignment.intensity_links import (
+    LEAST_CONTRAST,
+    LEAST_OF_PATCH,
+    LEAST_SIGMA,
+    LINK_MISFIT_BLURS,
+    MAD,
+    MISFIT_BLURS,
+    Link,
+    comparable,
+    residuals,
+    sums_of,
+)
+from ladarreg_core.range_alignment.intensity_view import IntensityView, lookup
 
 _STEP_CELLS = 0.5
 _MOST_STEPS = 15
+_SAMPLES_A_PATCH = 8
+_ALIKE = 3.0  # of them, those that a misfit shifts alike
+_MOST_SQUARE = 9.0
+_SHOWN_SIGMAS = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,3 +113,59 @@ def _with_turn(poses: Sequence[Rigid], number: int, turn: FloatArray) -> list[Ri
     moved = list(poses)
     moved[number] = turned(poses[number], turn)
     return moved
+
+
+def seen_points(link: Link, level: int, views: Sequence[IntensityView], poses: Sequence[Rigid]) -> BoolArray:
+    """Return which points (N,) of a link can be compared at some poses."""
+    local = poses[link.second].inverse @ (poses[link.first] @ link.points)
+    return comparable(link, level, views, poses, local, lookup(views[link.second], local))
+
+
+def disagreement(
+    link: Link, level: int, views: Sequence[IntensityView], poses: Sequence[Rigid], sigma: float, among: BoolArray
+) -> float:
+    """Return how badly both views of a link agree where the first shows texture, at some poses, however far off.
+
+    It is a sum of squares in units of what noise and `MISFIT_BLURS` explain, each limited, and of each patch no more
+    than a few: one long edge, which says little along itself, must not outweigh the end of another.
+
+    Args:
+        link: the link.
+        level: its level to compare.
+        views: the views, of that level.
+        poses: `world_from_scan` of each.
+        sigma: standard deviation of the noise of a difference.
+        among: (N,) the points to compare. Between poses whose disagreements are compared, they should be seen at all of
+            them: a pose is not better for what comes into view.
+    """
+    view, other = views[link.first], views[link.second]
+    local = poses[link.second].inverse @ (poses[link.first] @ link.points)
+    light, own = link.light[level], link.slopes[level]
+    cell = np.linalg.norm(link.points, axis=-1) * float(np.mean(view.scan.geometry.step_rad))
+    steep = np.linalg.norm(own, axis=-1) * cell
+    seen = lookup(other, local)
+    use = comparable(link, level, views, poses, local, seen) & among
+    if not use.any():
+        return 0.0
+    _, patch, count = np.unique(link.patch[level][use], return_inverse=True, return_counts=True)
+    light, steep = light[use], steep[use]
+    contrast = sums_of(np.square(light)[:, None], patch, len(count))[:, 0] / count
+    contrast -= np.square(sums_of(light[:, None], patch, len(count))[:, 0] / count)
+    textured = (contrast > max(LEAST_CONTRAST, _SHOWN_SIGMAS * sigma) ** 2) & (count >= LEAST_OF_PATCH)
+    steep_there = np.linalg.norm(seen.slopes[use], axis=-1)
+    residual = seen.light[use] - light
+    residual -= float(np.median(residual))
+    # Noise is each sample's own; a misfit is common to those of a patch, and some of it to all patches of a link.
+    common = MISFIT_BLURS**2 + LINK_MISFIT_BLURS**2 * float(textured.sum())
+    misfit = _ALIKE * common * view.blur_cells**2
+    squares = np.square(residual) / (sigma**2 + misfit * (np.square(steep) + np.square(steep_there)) / 2)
+    # What is seen no more counts as what fits.
+    excess = np.minimum(squares, _MOST_SQUARE) - 1
+    sums = sums_of(excess[:, None], patch, len(count))[:, 0]
+    return float((sums * np.minimum(1.0, _SAMPLES_A_PATCH / count))[textured].sum())
+
+
+def noise_of(link: Link, level: int, views: Sequence[IntensityView], poses: Sequence[Rigid]) -> float:
+    """Return the standard deviation of what differs between the views of a link."""
+    residual = residuals(link, level, views, poses, None, 1).residual
+    return max(MAD * float(np.median(np.abs(residual))), LEAST_SIGMA) if len(residual) else LEAST_SIGMA

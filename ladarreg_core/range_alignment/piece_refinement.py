@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,24 +24,25 @@ from ladarreg_core.range_alignment.adjustment import (
     off_planes,
     planes_of,
 )
-from ladarreg_core.range_alignment.intensity_links import (
-    BLUR_CELLS,
-    IntensityView,
-    Link,
-    common_floor,
-    link_equations,
-    links_of,
-)
+from ladarreg_core.range_alignment.intensity_links import BLUR_CELLS, Link, link_equations, links_of
+from ladarreg_core.range_alignment.intensity_view import IntensityView, common_floor
 from ladarreg_core.range_alignment.light_search import search_turn, turned
-from ladarreg_core.range_alignment.piece_findings import WEAK_DEG, knocked_pieces, knocked_reason, weak_reasons
-from ladarreg_core.range_alignment.run_faults import RunFault, blow, fault_of_run, together
+from ladarreg_core.range_alignment.piece_findings import knocked_pieces
+from ladarreg_core.range_alignment.refined_pieces import (
+    PARAMETERS,
+    RefinedPiece,
+    Refinement,
+    State,
+    against_all,
+    calibrated_mount,
+    judged,
+    kept,
+)
+from ladarreg_core.range_alignment.run_faults import blow, fault_of_run, together
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grid_window import GridWindow
 from ladarreg_core.scanner.grids import TabulatedGrid
 from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
-
-PARAMETERS = ("x", "y", "z", "roll", "pitch", "yaw")
-"""Parameters of a mount, in this order."""
 
 _SIGMA_ANGLE_RAD = float(np.radians(0.3))
 _SIGMA_ROLL_RAD = float(np.radians(0.005))
@@ -56,74 +56,14 @@ _MOST_CELLS = 10_000_000
 _LEAST_CELLS = 40_000  # of a piece
 _LEAST_POINTS = 300
 _UNDETERMINED_RAD = float(np.radians(0.1))
-_UNDETERMINED_MOUNT = (0.005, float(np.radians(0.1)))
 _HELD_BY_RANGES_RAD = float(np.radians(0.015))
 _SEARCHED_LEVEL = 2
 _SEARCHES = 4
 _CLEARLY_BETTER = 4.0
 _LEAST_WORTH = 0.01
-_HELD_WELL = 2.0  # median standard deviations
 _HELD_OUT = 4
 _WORSE = 1.02
 _MOUNT_GATES = ((0.25, 12.0), (0.2, 10.0), (0.12, 6.0), (0.06, 4.0), (0.04, 3.0), (0.04, 3.0))
-
-State = Literal["refined", "no overlap", "not determined", "kept"]
-"""`refined`; too little overlap, or surfaces that do not hold it: the unit's angles stay; `kept`: the refinement as a
-whole was no better and none of it is used."""
-
-
-@dataclass(frozen=True, slots=True)
-class RefinedPiece:
-    """One piece after the refinement."""
-
-    world_from_scanner: Rigid
-    """The pose to use."""
-    state: State
-    """Whether it was refined."""
-    turn_deg: tuple[float, float, float]
-    """Correction about the pan axis, about the tilt axis, and about the axis ahead, degrees."""
-    shift_scanner_mm: tuple[float, float, float]
-    """The shift beside it, in the scanner's own frame."""
-    sigma_deg: tuple[float, float]
-    """Standard deviations of its pan and tilt against the pieces that are held well: what turns all alike is the
-    unit's."""
-    points: int
-    """Points that it shares with other pieces."""
-    weak: tuple[str, ...] = ()
-    """`pan`, `tilt`: which of its angles are held only weakly."""
-    knocked: bool = False
-    """It does not lie where the unit carries the others."""
-
-
-@dataclass(frozen=True, slots=True)
-class Refinement:
-    """Pieces refined against each other, and how well they then agree."""
-
-    pieces: tuple[RefinedPiece, ...]
-    """One a piece."""
-    accepted: bool
-    """Surfaces that were not fitted to agree better than before."""
-    mount: Rigid
-    """`unit_from_scanner`: calibrated if that was asked and is `accepted`."""
-    mount_covariance: NDArray[np.float64] | None
-    """(6, 6) of `PARAMETERS`, m and rad, infinite on the diagonal where not determined; None: not calibrated."""
-    held_out_before_m: float
-    """RMS distance from planes that were not fitted to, before; NaN without any."""
-    held_out_after_m: float
-    """The same after."""
-    noise_m: float
-    """RMS distance from planes fitted to each piece alone: what no pose can remove."""
-    planes: int
-    """Planes that pieces share."""
-    reasons: tuple[str, ...] = field(default=())
-    """Sentences for the operator."""
-
-    @property
-    def mount_determined(self) -> tuple[bool, ...]:
-        """(6,) whether the overlaps show each parameter of the mount."""
-        if self.mount_covariance is None:
-            return (False,) * 6
-        return tuple(bool(value) for value in np.isfinite(np.diag(self.mount_covariance)))
 
 
 def refine_pieces(
@@ -154,7 +94,7 @@ def refine_pieces(
     common = _mount_moves() if calibrate_mount else None
     gates = _MOUNT_GATES if calibrate_mount else GATES
     if enough.sum() < 2:
-        return _kept(pieces, mount, enough, "the pieces do not overlap: each stays where the unit's angles say")
+        return kept(pieces, mount, enough, "the pieces do not overlap: each stays where the unit's angles say")
     links = links_of(light, placed)
 
     worth = np.ones(len(pieces))
@@ -173,13 +113,13 @@ def refine_pieces(
             if not np.isfinite(before)
             else f"surfaces left out would disagree by {1000 * after:.2f} mm instead of {1000 * before:.2f} mm"
         )
-        return _kept(pieces, mount, enough, f"nothing was refined: {why}", before, after)
+        return kept(pieces, mount, enough, f"nothing was refined: {why}", before, after)
     found = adjust(views, common=common, more=printed, report=report, gates=gates)
     spread = np.zeros((len(pieces), 2))
     fault = fault_of_run(found, views, common) if refine else None
     notes = () if fault is None else (fault.sentence,)
     if fault is not None and fault.kind == "mount" and fault.is_large:
-        return _kept(pieces, mount, enough, f"nothing was refined: {fault.sentence}", before, after)
+        return kept(pieces, mount, enough, f"nothing was refined: {fault.sentence}", before, after)
     if fault is not None and fault.kind != "mount":
         common = together(common, blow(fault.first, fault.kind))
         found = adjust(views, common=common, more=printed, report=report, gates=gates[-3:], start=found)
@@ -208,7 +148,7 @@ def refine_pieces(
     held = _weak(found, positions, enough)
     if refine and held.all():
         why = "nothing was refined: too little in the overlaps shows how the pieces lie; the unit's angles stay"
-        return _kept(pieces, mount, enough, why, before, after)
+        return kept(pieces, mount, enough, why, before, after)
     if refine and held.any():
         # What the surfaces do not hold is put back; the others are adjusted without it.
         fixed = [_fixed(view) if hold else view for view, hold in zip(views, held, strict=True)]
@@ -218,7 +158,7 @@ def refine_pieces(
         pieces, positions, views, found, mount, held, (before, after), refine=refine, calibrated=calibrate_mount
     )
     made = replace(made, reasons=(*notes, *made.reasons))
-    return _judged(made, spread, fault) if refine else made
+    return judged(made, spread, fault) if refine else made
 
 
 def overlap_points(scans: Sequence[Scan], poses: Sequence[Rigid], number: int, *, most: int) -> NDArray[np.float32]:
@@ -438,11 +378,11 @@ def _result(
 ) -> Refinement:
     new_mount, covariance, reasons = mount, None, []
     if calibrated and found.common is not None and found.common_covariance is not None:
-        new_mount, covariance = _new_mount(mount, found.common[:6], found.common_covariance[:6, :6])
+        new_mount, covariance = calibrated_mount(mount, found.common[:6], found.common_covariance[:6, :6])
         lost = [name for name, value in zip(PARAMETERS, np.diag(covariance), strict=True) if not np.isfinite(value)]
         if lost:
             reasons.append(f"not determined, kept as given: {', '.join(lost)} of the mount")
-    out, turns = [], _against_all(found.covariance)
+    out, turns = [], against_all(found.covariance)
     for k in range(len(pieces)):
         at = positions[k]
         by_unit = pan_tilt_pose(at.pan_rad, at.tilt_rad, unit_from_scanner=new_mount)
@@ -474,85 +414,4 @@ def _result(
     return Refinement(
         tuple(out), accepted=True, mount=new_mount, mount_covariance=covariance, held_out_before_m=checked[0],
         held_out_after_m=checked[1], noise_m=noise, planes=found.planes, reasons=tuple(reasons),
-    )  # fmt: skip
-
-
-def _judged(made: Refinement, spread_rad: FloatArray, fault: RunFault | None) -> Refinement:
-    """Return a refinement with what is to be said about its pieces."""
-    known = np.array([one.state == "refined" for one in made.pieces])
-    sigma = np.maximum([one.sigma_deg for one in made.pieces], np.degrees(spread_rad))
-    turns = np.array([one.turn_deg for one in made.pieces])
-    shifts = np.array([one.shift_scanner_mm for one in made.pieces])
-    first = fault.first if fault is not None and fault.kind != "mount" else len(known)
-    before = np.arange(len(known)) < first
-    knocked = knocked_pieces(turns, shifts, known & before)
-    weak = [
-        tuple(name for name, value in zip(("pan", "tilt"), of, strict=True) if there and value > WEAK_DEG)
-        for of, there in zip(sigma, known, strict=True)
-    ]
-    reasons = [*made.reasons, *weak_reasons(weak, sigma)]
-    if knocked.any():
-        reasons.append(knocked_reason(knocked, turns, shifts))
-    knocked |= known & ~before
-    pieces = tuple(
-        replace(one, sigma_deg=(float(of[0]), float(of[1])), weak=names, knocked=bool(off))
-        for one, of, names, off in zip(made.pieces, sigma, weak, knocked, strict=True)
-    )
-    return replace(made, pieces=pieces, reasons=tuple(reasons))
-
-
-def _against_all(covariance: FloatArray) -> NDArray[np.float64]:
-    """Return the covariance (V, 3, 3) of each view's turn less the mean turn of those that are held well.
-
-    One that is held by nothing would else make all the others uncertain.
-    """
-    views = len(covariance) // 6
-    turns = covariance.reshape(views, 6, views, 6)[:, :3, :, :3]
-    each = np.arange(views)
-    share = np.full(views, 1 / views)
-    for _ in range(2):
-        mixed = np.einsum("aibj,b->aij", turns, share)  # of one view with all
-        mean = np.einsum("aij,a->ij", mixed, share)
-        own = turns[each, :, each] - mixed - mixed.transpose(0, 2, 1) + mean
-        size = np.trace(own, axis1=1, axis2=2)
-        strong = size <= _HELD_WELL**2 * np.median(size)
-        share = strong / strong.sum()
-    return np.asarray(own)
-
-
-def _new_mount(mount: Rigid, moved: FloatArray, covariance: FloatArray) -> tuple[Rigid, NDArray[np.float64]]:
-    """Return the mount with what is determined of its correction, and its covariance."""
-    limit = np.repeat(_UNDETERMINED_MOUNT, 3)
-    known = np.sqrt(np.diag(covariance)) < limit
-    # What is not determined is set back to zero, and the rest follows as its correlation says.
-    step = np.array(moved, np.float64)
-    if not known.all() and known.any():
-        lost = ~known
-        gain = covariance[np.ix_(known, lost)] @ np.linalg.pinv(covariance[np.ix_(lost, lost)])
-        step[known] -= gain @ step[lost]
-    step[~known] = 0
-    out = np.array(covariance, np.float64)
-    out[~known] = 0
-    out[:, ~known] = 0
-    out[~known, ~known] = np.inf
-    return mount @ Rigid.from_rotvec(step[3:], step[:3]), out
-
-
-def _kept(
-    pieces: Sequence[PlacedPiece],
-    mount: Rigid,
-    enough: BoolArray,
-    why: str,
-    before: float = float("nan"),
-    after: float = float("nan"),
-) -> Refinement:
-    nothing = (0.0, 0.0, 0.0)
-    nan = float("nan")
-    return Refinement(
-        tuple(
-            RefinedPiece(one.world_from_scanner, "kept" if there else "no overlap", nothing, nothing, (nan, nan), 0)
-            for one, there in zip(pieces, enough, strict=True)
-        ),
-        accepted=False, mount=mount, mount_covariance=None, held_out_before_m=before, held_out_after_m=after,
-        noise_m=nan, planes=0, reasons=(why,),
     )  # fmt: skip

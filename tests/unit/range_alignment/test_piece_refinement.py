@@ -11,7 +11,8 @@ from ladarreg_core.acquisition.devices import PanTilt
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.range_alignment.adjustment import off_planes, planes_of
-from ladarreg_core.range_alignment.piece_refinement import Refinement, _views, refine_pieces
+from ladarreg_core.range_alignment.piece_refinement import _views, refine_pieces
+from ladarreg_core.range_alignment.refined_pieces import Refinement
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
 from testing.scenes.mosaic_pieces import MOUNT, mosaic, piece_scan, placed
