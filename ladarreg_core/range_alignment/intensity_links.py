@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.frames import Rigid
-from ladarreg_core.range_alignment.intensity_view import IntensityView, Seen, by_point, lookup
+from ladarreg_core.range_alignment.intensity_view import IntensityView, Seen, by_point, lengths, lookup
 
 BLUR_CELLS = (6.0, 3.0, 1.5)
 """Smoothing of the intensities, in turn: from far off only what is coarse leads to the right place."""
@@ -98,10 +98,10 @@ def links_of(levels: Sequence[Sequence[IntensityView]], poses: Sequence[Rigid], 
                 continue
             there, most = poses[b].inverse, most_gap(view, other, poses[a], poses[b])
             few = there @ world[::_PROBED]
-            if not lookup(other, few).good(few, most).any():
+            if not lookup(other, few).good(lengths(few), most).any():
                 continue
             local = there @ world
-            at = np.flatnonzero(lookup(other, local).good(local, most) & (view.gap.ravel()[cells] <= most))
+            at = np.flatnonzero(lookup(other, local).good(lengths(local), most) & (view.gap.ravel()[cells] <= most))
             if len(at) < _LEAST_POINTS:
                 continue
             if len(at) > _POINTS_A_LINK:
@@ -115,13 +115,10 @@ def links_of(levels: Sequence[Sequence[IntensityView]], poses: Sequence[Rigid], 
 
 
 def _link(first: int, second: int, levels: Sequence[IntensityView], points: FloatArray, cells: IntArray) -> Link:
-    slopes = [
-        by_point(
-            levels[0].scan, points, np.stack([slope.ravel()[cells] for slope in view.by_cell], axis=-1).astype(float)
-        )
-        for view in levels
-    ]
     row, column = np.divmod(cells, levels[0].light.shape[1])
+    at = np.stack([row, column], axis=-1).astype(np.float64)
+    by_cell = (np.stack([slope.ravel()[cells] for slope in view.by_cell], axis=-1) for view in levels)
+    slopes = [by_point(levels[0].scan, points, each.astype(np.float64), at) for each in by_cell]
     patch = []
     for view in levels:
         size = _patch_cells(view)
@@ -200,7 +197,7 @@ def _link_equation(
     # Two directions across the rays to each patch, a cell long.
     place = summed(seen.world) / count[:, None]
     ray = place - centre
-    far = np.linalg.norm(ray, axis=-1, keepdims=True)
+    far = lengths(ray)[:, None]
     ray /= far
     aside = np.cross(ray, np.where(np.abs(ray[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]]))
     aside /= np.linalg.norm(aside, axis=-1, keepdims=True)
@@ -274,7 +271,7 @@ def comparable(
     a, b = link.first, link.second
     most = most_gap(views[a], views[b], poses[a], poses[b])
     own = np.isfinite(link.light[level]) & np.isfinite(link.slopes[level][:, 0]) & (link.gap[level] <= most)
-    return np.asarray(own & seen.good(local, most))
+    return np.asarray(own & seen.good(lengths(local), most))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -310,7 +307,7 @@ def residuals(
     world, local = world[use], local[use]
     light = link.light[level][use]
     residual = seen.light[use] - light
-    by_world = by_point(other.scan, local, seen.slopes[use]) @ there.rotation
+    by_world = by_point(other.scan, local, seen.slopes[use], seen.cells[use]) @ there.rotation
     own = link.slopes[level][use] @ pose.rotation.T
     return _Compared(
         residual - (float(np.median(residual)) if len(residual) else 0.0),

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.range_alignment.voxel_planes import dots
 from ladarreg_core.scan import Scan
 
 _BAND = 5.0
@@ -95,10 +96,12 @@ class Seen:
     """(N, 2)"""
     ranges: FloatArray
     gap: FloatArray
+    cells: FloatArray
+    """(N, 2) where that is."""
 
-    def good(self, points: FloatArray, most_gap: float) -> BoolArray:
-        """Return which points (N, 3), in this view's frame, lie on the surface that it sees, with no larger gap."""
-        apart = np.abs(np.linalg.norm(points, axis=-1) - self.ranges)
+    def good(self, distances: FloatArray, most_gap: float) -> BoolArray:
+        """Return which points, (N,) m from this view, lie on the surface that it sees, with no larger gap."""
+        apart = np.abs(distances - self.ranges)
         with np.errstate(invalid="ignore"):
             same = (apart < _SAME_SURFACE[0] + _SAME_SURFACE[1] * self.ranges) & (self.gap <= most_gap)
         return np.asarray(same & np.isfinite(self.light) & np.isfinite(self.slopes).all(axis=-1))
@@ -106,8 +109,13 @@ class Seen:
 
 def lookup(view: IntensityView, points: FloatArray) -> Seen:
     """Return what a view sees at points (N, 3) in its frame; NaN beyond its border."""
+    return lookup_at(view, np.asarray(view.scan.geometry.cell_of(points), np.float64))
+
+
+def lookup_at(view: IntensityView, cells: FloatArray) -> Seen:
+    """Return what a view sees at fractional cells (N, 2); NaN beyond its border."""
     height, width = view.scan.shape
-    cell = np.asarray(view.scan.geometry.cell_of(points), np.float64)
+    cell = cells
     with np.errstate(invalid="ignore"):
         inside = (cell >= 0).all(axis=-1) & (cell[:, 0] <= height - 1) & (cell[:, 1] <= width - 1)
     cell = np.where(inside[:, None], cell, 0)
@@ -125,19 +133,38 @@ def lookup(view: IntensityView, points: FloatArray) -> Seen:
     slopes = np.stack([between(view.by_cell[0]), between(view.by_cell[1])], axis=-1)
     nearest = np.rint(cell[:, 0]).astype(int), np.rint(cell[:, 1]).astype(int)
     ranges = np.where(inside, view.scan.ranges[nearest], np.nan)
-    return Seen(between(view.light), slopes, ranges, view.gap[nearest])
+    return Seen(between(view.light), slopes, ranges, view.gap[nearest], cells)
 
 
-def by_point(scan: Scan, local: FloatArray, slopes: FloatArray) -> NDArray[np.float64]:
-    """Return derivatives by the point (N, 3), in the scan's frame, of what has slopes (N, 2) by row and column."""
-    small = 1e-4 * np.linalg.norm(local, axis=-1)
-    out = np.empty((len(local), 3))
-    for axis in range(3):
-        beside = np.zeros((len(local), 3))
-        beside[:, axis] = small
-        cells = np.asarray(scan.geometry.cell_of(local + beside)) - scan.geometry.cell_of(local - beside)
-        out[:, axis] = (cells * slopes).sum(-1) / (2 * small)
-    return out
+def by_point(scan: Scan, local: FloatArray, slopes: FloatArray, cells: FloatArray) -> NDArray[np.float64]:
+    """Return derivatives by the point (N, 3), in the scan's frame, of what has slopes (N, 2) by row and column.
+
+    Args:
+        scan: the scan.
+        local: (N, 3) m, the points.
+        slopes: (N, 2).
+        cells: (N, 2) where the scan sees the points.
+    """
+    geometry = scan.geometry
+    half = np.full(2, 0.5)
+    # How rays turn from cell to cell, which is inverted: finding the cells of points beside would take much longer.
+    turns = np.stack(
+        [np.subtract(geometry.ray_at(cells + half * side), geometry.ray_at(cells - half * side)) for side in np.eye(2)],
+        axis=1,
+    )  # (N, 2, 3)
+    rr, rc, cc = (dots(turns[:, i], turns[:, j]) for i, j in ((0, 0), (0, 1), (1, 1)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        det = rr * cc - rc**2
+        by_row = (cc * slopes[:, 0] - rc * slopes[:, 1]) / det
+        by_column = (rr * slopes[:, 1] - rc * slopes[:, 0]) / det
+        by_ray = by_row[:, None] * turns[:, 0] + by_column[:, None] * turns[:, 1]
+        squared = dots(local, local)[:, None]
+        return np.asarray((by_ray - dots(by_ray, local)[:, None] * local / squared) / np.sqrt(squared))
+
+
+def lengths(vectors: FloatArray) -> NDArray[np.float64]:
+    """Return the lengths (N,) of vectors (N, 3)."""
+    return np.sqrt(dots(vectors, vectors))
 
 
 def _slope(field: FloatArray, axis: int) -> NDArray[np.float16]:
