@@ -114,7 +114,11 @@ def refine_pieces(
             else f"surfaces left out would disagree by {1000 * after:.2f} mm instead of {1000 * before:.2f} mm"
         )
         return kept(pieces, mount, enough, f"nothing was refined: {why}", before, after)
-    found = adjust(views, common=common, more=printed, report=report, gates=gates)
+    # With the planes that were held out, it goes on from there: they agree.
+    found = adjust(
+        views, common=common, more=lambda poses, _: printed(poses, len(light)), report=report, gates=gates[-2:],
+        start=train,
+    )  # fmt: skip
     spread = np.zeros((len(pieces), 2))
     fault = fault_of_run(found, views, common) if refine else None
     notes = () if fault is None else (fault.sentence,)
