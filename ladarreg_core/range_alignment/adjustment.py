@@ -89,6 +89,7 @@ def adjust(
     more: Callable[[Sequence[Rigid], int], tuple[FloatArray, FloatArray]] | None = None,
     gates: Sequence[tuple[float, float]] = GATES,
     start: Adjustment | None = None,
+    steps: int = _STEPS_A_GATE,
     report: Report | None = None,
 ) -> Adjustment:
     """Adjust the poses of all views by the planes that they share.
@@ -101,6 +102,7 @@ def adjust(
             poses and with the number of the gate.
         gates: as `GATES`.
         start: an earlier adjustment of the same views, to begin with its result; by the first of the common parameters.
+        steps: at each gate.
         report: receives the progress; may raise `Cancelled`.
 
     Source: planes eliminated as in bundle adjustment; Triggs et al. 2000, section 6.1.
@@ -114,7 +116,7 @@ def adjust(
     prior = np.zeros((6 * count, 6 * count))
     for k, view in enumerate(views):
         prior[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = view.information
-    done, total = 0, len(gates) * _STEPS_A_GATE
+    done, total = 0, len(gates) * steps
     equations = _Equations.none(count)
     of_planes = equations.information
     jacobian = np.zeros((6 * count, extra))
@@ -127,7 +129,7 @@ def adjust(
             found = found.select(use_blocks(found.block))
         groups = _Groups.of(found, owner, count)
         relief = _relief(found, groups, world)
-        for _ in range(_STEPS_A_GATE):
+        for _ in range(steps):
             if report is not None:
                 report(Progress(done, total, "aligning the pieces"))
             done += 1

@@ -9,20 +9,22 @@ Source: direct alignment by Gauss and Newton, after Lucas and Kanade 1981.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.frames import Rigid
-from ladarreg_core.range_alignment.intensity_view import IntensityView, Seen, by_point, lengths, lookup
+from ladarreg_core.range_alignment.intensity_view import IntensityView, Seen, by_point, lengths, lookup, lookup_at
+from ladarreg_core.range_alignment.voxel_planes import dots
 
 BLUR_CELLS = (6.0, 3.0, 1.5)
 """Smoothing of the intensities, in turn: from far off only what is coarse leads to the right place."""
 
 _POINTS_A_LINK = 5_000
 _LEAST_POINTS = 200
+_STRAIGHT_RAD = 0.003  # off by half of its square
 _PROBED = 97  # of so many points one is looked up first
 _HUBER = 1.5
 MAD = 1.4826
@@ -48,6 +50,25 @@ little more than once."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Anchor:
+    """Where the second view of a link saw its points at some poses."""
+
+    local: FloatArray
+    """(N, 3) m, in its frame."""
+    cells: FloatArray
+    """(N, 2)"""
+    by_local: FloatArray
+    """(N, 2, 3) derivatives of the cells by the point."""
+
+    def cells_at(self, local: FloatArray) -> FloatArray | None:
+        """Return the cells (N, 2) of the points after a small move; None if it was too far for a straight line."""
+        move = local - self.local
+        if not (dots(move, move) < _STRAIGHT_RAD**2 * dots(local, local)).all():
+            return None
+        return np.asarray(self.cells + np.einsum("nij,nj->ni", self.by_local, move))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Link:
     """Points of one view that another one sees, too, with what the first one sees there."""
 
@@ -63,6 +84,8 @@ class Link:
     """(N,) number of the patch of the first's grid in which a point lies, of each level."""
     gap: tuple[FloatArray, ...]
     """(N,) the first's `IntensityView.gap` there, of each level."""
+    anchor: Anchor | None = None
+    """Where the second saw the points at some poses."""
 
     def every(self, stride: int) -> Link:
         """Return the link of every n-th point."""
@@ -70,7 +93,21 @@ class Link:
         light, slopes = (tuple(one[thin] for one in each) for each in (self.light, self.slopes))
         patch = tuple(one[thin] for one in self.patch)
         gap = tuple(one[thin] for one in self.gap)
-        return Link(self.first, self.second, self.points[thin], light, slopes, patch, gap)
+        anchor = None
+        if self.anchor is not None:
+            anchor = Anchor(self.anchor.local[thin], self.anchor.cells[thin], self.anchor.by_local[thin])
+        return Link(self.first, self.second, self.points[thin], light, slopes, patch, gap, anchor)
+
+    def anchored(self, views: Sequence[IntensityView], poses: Sequence[Rigid]) -> Link:
+        """Return the link with its cells of the second view found at some poses, from which small moves lead on.
+
+        Finding the cells of rays in a table takes as long as all the rest of a comparison.
+        """
+        scan = views[self.second].scan
+        local = poses[self.second].inverse @ (poses[self.first] @ self.points)
+        cells = np.asarray(scan.geometry.cell_of(local), np.float64)
+        along = [by_point(scan, local, np.broadcast_to(unit, cells.shape), cells) for unit in np.eye(2)]
+        return replace(self, anchor=Anchor(local, cells, np.stack(along, axis=1)))
 
 
 def links_of(levels: Sequence[Sequence[IntensityView]], poses: Sequence[Rigid], *, seed: int = 0) -> list[Link]:
@@ -299,7 +336,8 @@ def residuals(
     world = pose @ link.points
     there = poses[link.second].inverse
     local = there @ world
-    seen = lookup(other, local)
+    cells = None if link.anchor is None else link.anchor.cells_at(local)
+    seen = lookup(other, local) if cells is None else lookup_at(other, cells)
     use = comparable(link, level, views, poses, local, seen)
     if keep is not None:
         block = np.floor(world).astype(np.int64) @ np.array([1, 3, 2])
@@ -307,7 +345,11 @@ def residuals(
     world, local = world[use], local[use]
     light = link.light[level][use]
     residual = seen.light[use] - light
-    by_world = by_point(other.scan, local, seen.slopes[use], seen.cells[use]) @ there.rotation
+    if cells is not None and link.anchor is not None:
+        by_local = np.einsum("ni,nij->nj", seen.slopes[use], link.anchor.by_local[use])
+    else:
+        by_local = by_point(other.scan, local, seen.slopes[use], seen.cells[use])
+    by_world = by_local @ there.rotation
     own = link.slopes[level][use] @ pose.rotation.T
     return _Compared(
         residual - (float(np.median(residual)) if len(residual) else 0.0),

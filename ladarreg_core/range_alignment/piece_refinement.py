@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,6 +40,7 @@ from ladarreg_core.range_alignment.refined_pieces import (
     kept,
 )
 from ladarreg_core.range_alignment.run_faults import blow, fault_of_run, together
+from ladarreg_core.range_alignment.voxel_planes import dots
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grid_window import GridWindow
 from ladarreg_core.scanner.grids import TabulatedGrid
@@ -62,6 +64,8 @@ _SEARCHES = 4
 _CLEARLY_BETTER = 4.0
 _LEAST_WORTH = 0.01
 _HELD_OUT = 4
+_THINNED = 3
+_BESIDE = 4
 _WORSE = 1.02
 _MOUNT_GATES = ((0.25, 12.0), (0.2, 10.0), (0.12, 6.0), (0.06, 4.0), (0.04, 3.0), (0.04, 3.0))
 
@@ -95,12 +99,16 @@ def refine_pieces(
     gates = _MOUNT_GATES if calibrate_mount else GATES
     if enough.sum() < 2:
         return kept(pieces, mount, enough, "the pieces do not overlap: each stays where the unit's angles say")
-    links = links_of(light, placed)
+    links = [link.anchored(light[0], placed) for link in links_of(light, placed)]
 
     worth = np.ones(len(pieces))
 
+    thin = [link.every(_THINNED) for link in links]
+
     def printed(poses: Sequence[Rigid], stage: int, keep: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
-        return link_equations(links, light[: stage + 1], poses, keep=keep, held_out=_HELD_OUT, worth=worth)
+        levels = light[: stage + 1]
+        used = links if len(levels) == len(light) else thin  # coarse levels only lead there
+        return link_equations(used, levels, poses, keep=keep, held_out=_HELD_OUT, worth=worth)
 
     train = adjust(
         views, common=common, use_blocks=lambda block: ~_held(block),
@@ -115,6 +123,7 @@ def refine_pieces(
         )
         return kept(pieces, mount, enough, f"nothing was refined: {why}", before, after)
     # With the planes that were held out, it goes on from there: they agree.
+    links = [link.anchored(light[0], train.poses) for link in links]
     found = adjust(
         views, common=common, more=lambda poses, _: printed(poses, len(light)), report=report, gates=gates[-2:],
         start=train,
@@ -146,7 +155,7 @@ def refine_pieces(
             # The likelihood of all turns says less than the curvature at the best one promises.
             doubted = adjust(
                 views, common=common, more=lambda poses, _: printed(poses, len(light)), report=report,
-                gates=gates[-1:], start=found,
+                gates=gates[-1:], start=found, steps=1,
             )  # fmt: skip
             found = replace(found, covariance=doubted.covariance)
     held = _weak(found, positions, enough)
@@ -157,6 +166,7 @@ def refine_pieces(
         # What the surfaces do not hold is put back; the others are adjusted without it.
         fixed = [_fixed(view) if hold else view for view, hold in zip(views, held, strict=True)]
         links = [link for link in links if not (held[link.first] or held[link.second])]
+        thin = [link.every(_THINNED) for link in links]
         found = adjust(fixed, common=common, more=printed, report=report, gates=gates)
     made = _result(
         pieces, positions, views, found, mount, held, (before, after), refine=refine, calibrated=calibrate_mount
@@ -180,9 +190,20 @@ def overlap_points(scans: Sequence[Scan], poses: Sequence[Rigid], number: int, *
     if share == 0:
         return np.zeros((0, 3), np.float32)
     thin, _ = scan.thinned(max(20_000, int(most / share)))
-    points = thin.points.reshape(-1, 3)
-    points = points[np.isfinite(points[:, 0])]
-    return np.asarray(points[_covered(points, scans, poses, number)], np.float32)
+    points = thin.points
+    # Between cells that are all covered, or all not, the others are, too.
+    some = points[::_BESIDE, ::_BESIDE]
+    there = _covered(some.reshape(-1, 3), scans, poses, number).reshape(some.shape[:2]).astype(np.uint8)
+    square = np.ones((3, 3), np.uint8)
+    everywhere, somewhere = (
+        np.kron(change(there, square), np.ones((_BESIDE, _BESIDE), np.uint8))[: thin.shape[0], : thin.shape[1]] > 0
+        for change in (cv2.erode, cv2.dilate)
+    )
+    known = np.isfinite(points[..., 0])
+    covered = everywhere & known
+    unsure = known & somewhere & ~everywhere
+    covered[unsure] = _covered(points[unsure], scans, poses, number)
+    return np.asarray(points[covered], np.float32)
 
 
 def _covered(points: FloatArray, scans: Sequence[Scan], poses: Sequence[Rigid], number: int) -> BoolArray:
@@ -193,11 +214,22 @@ def _covered(points: FloatArray, scans: Sequence[Scan], poses: Sequence[Rigid], 
         if k == number or axis @ pose.rotation @ scan.mean_direction < -0.9:
             continue
         left = np.flatnonzero(~covered)
+        local = pose.inverse @ world[left]
         with np.errstate(invalid="ignore"):
-            cell = np.asarray(scan.geometry.cell_of(pose.inverse @ world[left]))
+            near = local @ scan.mean_direction >= _least_along(scan) * np.sqrt(dots(local, local))
+        left, local = left[near], local[near]
+        with np.errstate(invalid="ignore"):
+            cell = np.asarray(scan.geometry.cell_of(local))
             inside = (cell >= 0).all(axis=-1) & (cell <= np.array(scan.shape) - 1).all(axis=-1)
         covered[left[inside]] = True
     return covered
+
+
+def _least_along(scan: Scan) -> float:
+    """Return the cosine of the angle from a scan's mean direction beyond which it has no cells."""
+    rays = scan.geometry.rays[:: max(1, scan.shape[0] // 50), :: max(1, scan.shape[1] // 50)]
+    angle = float(np.arccos(np.clip((rays @ scan.mean_direction).min(), -1, 1)))
+    return float(np.cos(min(1.1 * angle + 0.05, np.pi)))
 
 
 def _views(

@@ -15,7 +15,7 @@ _RESIDUAL_REACH_CELLS = 8.0
 _FIT_CELLS = 20_000
 _TREE_NODES = 100_000
 _NEWTON_STEPS = 12
-_NODES_A_BIN, _MOST_BINS = 1.5, 1500
+_NODES_A_BIN, _MOST_BINS = 2.0, 1500
 _EXTRAPOLATED_CELLS = 16.0
 _SETTLED_CELLS = 1e-9
 MOST_FITTED_CELLS = 1_000_000
@@ -186,7 +186,12 @@ class RayTableInverse:
         # side of the sphere, from which all nodes are about equally far, takes a hundred times as long.
         widest = max(float(np.linalg.norm(np.diff(rays, axis=axis), axis=-1).max(initial=0.0)) for axis in (0, 1))
         self._reach = (_EXTRAPOLATED_CELLS + 2 * stride) * widest
+        # Most directions that are asked for lie outside a narrow table, and need not be sought in the tree.
         nodes = rays[np.ix_(rows, columns)]
+        self._middle = nodes.reshape(-1, 3).mean(axis=0)
+        self._middle /= max(float(np.linalg.norm(self._middle)), 1e-9)
+        widest_angle = np.arccos(np.clip((nodes @ self._middle).min(), -1, 1)) + 2 * self._reach
+        self._least_along = float(np.cos(min(widest_angle, np.pi)))
         spacing = np.sqrt(np.prod([_median_step(nodes, axis) for axis in (0, 1)]))
         self._side = int(np.clip(np.sqrt(4 * np.pi) / max(_NODES_A_BIN * spacing, 1e-9), 1, _MOST_BINS))
         self._beside = np.full(self._side**2, -1, np.int32)
@@ -200,7 +205,8 @@ class RayTableInverse:
         with np.errstate(divide="ignore", invalid="ignore"):
             d = d / np.sqrt(_dots(d, d))[:, None]
         result = np.full((len(d), 2), np.nan)
-        finite = np.flatnonzero(np.isfinite(d).all(axis=-1))
+        with np.errstate(invalid="ignore"):
+            finite = np.flatnonzero(d @ self._middle >= self._least_along)
         d = d[finite]
         nearest = self._beside[_bins(d, self._side)].astype(np.intp)
         beyond = np.flatnonzero(nearest < 0)
