@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.frames import Rigid
+from ladarreg_core.progress import Progress, Report
 from ladarreg_core.range_alignment.intensity_view import IntensityView, Seen, by_point, lengths, lookup, lookup_at
 from ladarreg_core.range_alignment.voxel_planes import dots
 
@@ -110,18 +111,23 @@ class Link:
         return replace(self, anchor=Anchor(local, cells, np.stack(along, axis=1)))
 
 
-def links_of(levels: Sequence[Sequence[IntensityView]], poses: Sequence[Rigid], *, seed: int = 0) -> list[Link]:
+def links_of(
+    levels: Sequence[Sequence[IntensityView]], poses: Sequence[Rigid], *, seed: int = 0, report: Report | None = None
+) -> list[Link]:
     """Return the links between all views that overlap at some poses, each pair in both directions.
 
     Args:
         levels: the views, smoothed less and less.
         poses: `world_from_scan` of each view.
         seed: of the choice of points.
+        report: receives the progress; may raise `Cancelled`.
     """
     found = []
     rng = np.random.default_rng(seed)
     views = levels[-1]
     for a, view in enumerate(views):
+        if report is not None:
+            report(Progress(a, len(views), "comparing the intensities"))
         stride = max(1, int(np.sqrt(view.scan.ranges.size / 200_000)))
         part = slice(None, None, stride)
         points = view.scan.points_at(part, part).reshape(-1, 3)

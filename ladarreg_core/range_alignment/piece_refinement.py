@@ -13,7 +13,7 @@ from ladarreg_core.acquisition.devices import PanTilt
 from ladarreg_core.acquisition.mosaic_piece import PlacedPiece
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.frames import Rigid, rotation_about
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.progress import Progress, Report, part_of
 from ladarreg_core.range_alignment.adjustment import (
     GATES,
     Adjustment,
@@ -92,14 +92,14 @@ def refine_pieces(
         refine: adjust the pieces; without it their angles are taken to be exact but for .01 deg.
         report: receives the progress; may raise `Cancelled`.
     """
-    views, light = _views(pieces, positions, exact=not refine, report=report)
+    views, light = _views(pieces, positions, exact=not refine, report=part_of(report, 0.0, 0.2))
     placed = [view.world_from_scan for view in views]
     enough = np.array([len(view.points) >= _LEAST_POINTS for view in views])
     common = _mount_moves() if calibrate_mount else None
     gates = _MOUNT_GATES if calibrate_mount else GATES
     if enough.sum() < 2:
         return kept(pieces, mount, enough, "the pieces do not overlap: each stays where the unit's angles say")
-    links = [link.anchored(light[0], placed) for link in links_of(light, placed)]
+    links = [link.anchored(light[0], placed) for link in links_of(light, placed, report=part_of(report, 0.2, 0.3))]
 
     worth = np.ones(len(pieces))
 
@@ -112,7 +112,8 @@ def refine_pieces(
 
     train = adjust(
         views, common=common, use_blocks=lambda block: ~_held(block),
-        more=lambda poses, stage: printed(poses, stage, np.arange(1, _HELD_OUT)), report=report, gates=gates,
+        more=lambda poses, stage: printed(poses, stage, np.arange(1, _HELD_OUT)), report=part_of(report, 0.3, 0.55),
+        gates=gates,
     )  # fmt: skip
     before, after = _held_out(views, placed, train.poses)
     if not (np.isfinite(before) and after <= before):
@@ -125,8 +126,8 @@ def refine_pieces(
     # With the planes that were held out, it goes on from there: they agree.
     links = [link.anchored(light[0], train.poses) for link in links]
     found = adjust(
-        views, common=common, more=lambda poses, _: printed(poses, len(light)), report=report, gates=gates[-2:],
-        start=train,
+        views, common=common, more=lambda poses, _: printed(poses, len(light)), report=part_of(report, 0.55, 0.7),
+        gates=gates[-2:], start=train,
     )  # fmt: skip
     spread = np.zeros((len(pieces), 2))
     fault = fault_of_run(found, views, common) if refine else None
@@ -135,27 +136,31 @@ def refine_pieces(
         return kept(pieces, mount, enough, f"nothing was refined: {fault.sentence}", before, after)
     if fault is not None and fault.kind != "mount":
         common = together(common, blow(fault.first, fault.kind))
-        found = adjust(views, common=common, more=printed, report=report, gates=gates[-3:], start=found)
+        again = part_of(report, 0.7, 0.73)
+        found = adjust(views, common=common, more=printed, report=again, gates=gates[-3:], start=found)
     if refine:
         loose = knocked_pieces(*_corrections(found, positions), enough)
         if loose.any() and not loose.all():
             # What was knocked is no longer held by the unit; what only gave way to it comes back.
             views = [_loosened(view) if free else view for view, free in zip(views, loose, strict=True)]
-            found = adjust(views, common=common, more=printed, report=report, gates=gates, start=found)
-        for _ in range(_SEARCHES):
-            aside, spread, likely = _searched(found, views, positions, links, light, report)
+            again = part_of(report, 0.73, 0.76)
+            found = adjust(views, common=common, more=printed, report=again, gates=gates, start=found)
+        for number in range(_SEARCHES):
+            begun = 0.76 + 0.2 * number / _SEARCHES
+            some = part_of(report, begun, begun + 0.1 / _SEARCHES)
+            aside, spread, likely = _searched(found, views, positions, links, light, some)
             if aside is None:
                 worth = likely
                 break
             found = adjust(
-                views, common=common, more=lambda poses, _: printed(poses, len(light)), report=report,
-                gates=gates[-2:], start=aside,
+                views, common=common, more=lambda poses, _: printed(poses, len(light)),
+                report=part_of(report, begun + 0.1 / _SEARCHES, begun + 0.2 / _SEARCHES), gates=gates[-2:], start=aside,
             )  # fmt: skip
         if worth.min() < 1:
             # The likelihood of all turns says less than the curvature at the best one promises.
             doubted = adjust(
-                views, common=common, more=lambda poses, _: printed(poses, len(light)), report=report,
-                gates=gates[-1:], start=found, steps=1,
+                views, common=common, more=lambda poses, _: printed(poses, len(light)),
+                report=part_of(report, 0.96, 0.97), gates=gates[-1:], start=found, steps=1,
             )  # fmt: skip
             found = replace(found, covariance=doubted.covariance)
     held = _weak(found, positions, enough)
@@ -167,7 +172,7 @@ def refine_pieces(
         fixed = [_fixed(view) if hold else view for view, hold in zip(views, held, strict=True)]
         links = [link for link in links if not (held[link.first] or held[link.second])]
         thin = [link.every(_THINNED) for link in links]
-        found = adjust(fixed, common=common, more=printed, report=report, gates=gates)
+        found = adjust(fixed, common=common, more=printed, report=part_of(report, 0.97, 1.0), gates=gates)
     made = _result(
         pieces, positions, views, found, mount, held, (before, after), refine=refine, calibrated=calibrate_mount
     )
@@ -238,17 +243,26 @@ def _views(
     scans = []
     most_cells = max(_MOST_CELLS // max(len(pieces), 1), _LEAST_CELLS)
     most_points = min(_POINTS_A_PIECE, _MOST_POINTS // max(len(pieces), 1))
-    for number, piece in enumerate(pieces):
+    steps = len(pieces) * (2 + len(BLUR_CELLS))
+
+    def told(done: int, label: str) -> None:
         if report is not None:
-            report(Progress(number, len(pieces), "reading the pieces"))
+            report(Progress(done, steps, label))
+
+    for number, piece in enumerate(pieces):
+        told(number, "reading the pieces")
         scans.append(_small(piece.load(), most_cells))
     poses = [piece.world_from_scanner for piece in pieces]
     floor = common_floor(scans)
-    views = [
-        RangeView(overlap_points(scans, poses, k, most=most_points), poses[k], _prior(positions[k], exact=exact))
-        for k in range(len(pieces))
-    ]
-    return views, [[IntensityView.of(scan, floor, blur) for scan in scans] for blur in BLUR_CELLS]
+    views = []
+    for k, at in enumerate(positions):
+        told(len(pieces) + k, "finding what pieces share")
+        views.append(RangeView(overlap_points(scans, poses, k, most=most_points), poses[k], _prior(at, exact=exact)))
+    light: list[list[IntensityView]] = []
+    for blur in BLUR_CELLS:
+        told(len(pieces) * (2 + len(light)), "preparing the intensities")
+        light.append([IntensityView.of(scan, floor, blur) for scan in scans])
+    return views, light
 
 
 def _small(scan: Scan, most_cells: int) -> Scan:
