@@ -19,6 +19,7 @@ _FLAGS = {
     "intensity": "--intensity",
     "match_tolerance_m": "--match-tolerance-m",
     "origin": "--origin X,Y,Z",
+    "poses": "--poses",
     "resume": "--resume",
     "scan_index": "--scan",
     "seconds": "--seconds",
@@ -40,6 +41,7 @@ _FIELDS = {
     "intensity": "'Use the brightness of the colours as the intensity'",
     "match_tolerance_m": "the setting 'Lengths of targets'",
     "origin": "'Scanner stood at'",
+    "poses": "'Poses in the files':",
     "resume": "'Resume'",
     "scan_index": "'Scan of the file'",
     "seconds": "'Accumulate over'",
@@ -48,7 +50,7 @@ _FIELDS = {
     "topic": "'Topic'",
     "trust_edited": "ladarreg export --trust-edited",
 }
-_SHOWN_ON_PAGE = {"columns", "scan_index", "temperature_unit"}
+_SHOWN_ON_PAGE = {"columns", "poses", "scan_index", "temperature_unit"}
 
 
 def as_flags(text: str) -> str:

@@ -35,6 +35,7 @@ def _mount(name: str, quick: bool, show: Show) -> list[Row]:
 ROWS: dict[str, Measure] = {
     **{name: partial(_mount, name) for name in acquisition_mount.ROWS},
     "mosaic": acquisition_mosaic.mosaic_rows,
+    "refinement": acquisition_mosaic.refinement_rows,
     "large": acquisition_mosaic.large_rows,
     "latency": acquisition_latency.latency_rows,
     "kills": acquisition_kills.kills_rows,

@@ -3,7 +3,10 @@
 A double wall is measured where two pieces overlap: the distance between the surfaces that both show in patches of the
 panorama's cells, each flat within one piece. Errors of pan and tilt are counted in their stated standard deviations.
 
-Run it as `python -m benchmarks.acquisition_mosaic [mosaic] [large] [--seeds N] [--cells M]`.
+Row `refinement` times 12 pieces of 360 x 256 cells, once by the law of their scanner and once as scans that have a ray
+of their own in each cell, as most files do, the mount given or estimated, too.
+
+Run it as `python -m benchmarks.acquisition_mosaic [mosaic] [refinement] [large] [--seeds N] [--cells M]`.
 """
 
 from __future__ import annotations
@@ -29,8 +32,9 @@ from ladarreg_core.acquisition.mosaic_piece import LoadedPiece, PlacedPiece
 from ladarreg_core.acquisition.panorama_grid import footprint_of, grid_around
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.frames import Rigid, rotation_about, rotvec_from_rotation
-from ladarreg_core.range_alignment.piece_refinement import Refinement, refine_pieces
-from ladarreg_core.scanner.grids import SphericalGrid
+from ladarreg_core.range_alignment.piece_refinement import refine_pieces
+from ladarreg_core.range_alignment.refined_pieces import Refinement
+from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid, TabulatedGrid
 from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
 from ladarreg_core.twins.recordings import simulate_mosaic
 
@@ -39,6 +43,8 @@ _PIECES = (7, 4)
 _OVERLAP = 0.08
 _SEEDS, _QUICK_SEEDS = 20, 2
 _PATCHES, _PATCH_CELLS = 3000, 16
+_SMALL_PIECE = AzimuthElevation(256, 360, float(np.radians(55 / 360)), float(np.radians(38.5 / 256)))
+_MOUNT_OFF = Rigid.from_rotvec(np.radians([0.2, -0.15, 0.1]), [0.008, -0.005, 0.01])
 _FLAT_M, _SAME_M = 0.006, 0.05
 
 
@@ -76,6 +82,55 @@ def mosaic(*, seeds: Sequence[int] = range(3), scene: str = "office") -> list[di
             "rms_in_sigmas": in_sigmas(found, truth, [piece.read for piece in made.pieces]),
             "walls_before_mm": double_walls(pieces), "walls_after_mm": double_walls(moved),
         })  # fmt: skip
+    return rows
+
+
+def refinement(*, seed: int = 0, scene: str = "office") -> list[dict[str, Any]]:
+    """Return how long it takes to refine 12 pieces of 360 x 256 cells, and how far apart reports of progress are."""
+    made = simulate_mosaic(scene, seed, geometry=_SMALL_PIECE)
+    read = [piece.read for piece in made.pieces]
+    truth = [piece.world_from_scanner for piece in made.pieces]
+    rows = []
+    for tables in (False, True):
+        for calibrate in (False, True):
+            mount = made.bench.frame_mount @ _MOUNT_OFF if calibrate else made.bench.frame_mount
+            # A grid of its own each time, since what finds the cells of its rays is kept with it.
+            scans = [
+                replace(piece.scan, geometry=TabulatedGrid(piece.scan.geometry.rays)) if tables else piece.scan
+                for piece in made.pieces
+            ]
+            pieces = [
+                PlacedPiece(
+                    (lambda scan=scan: scan), pan_tilt_pose(at.pan_rad, at.tilt_rad, unit_from_scanner=mount), scan.name
+                )
+                for scan, at in zip(scans, read, strict=True)
+            ]
+            told = [started := time.perf_counter()]
+            found = refine_pieces(
+                pieces, read, mount=mount, calibrate_mount=calibrate,
+                report=lambda _, told=told: told.append(time.perf_counter()),
+            )  # fmt: skip
+            told.append(time.perf_counter())
+            strong = [not piece.weak for piece in found.pieces]
+            rows.append({
+                "tables": tables, "calibrate_mount": calibrate, "seconds": told[-1] - started,
+                "longest_silence_s": float(np.diff(told).max()), "reports": len(told) - 2, "accepted": found.accepted,
+                "after_deg_median": errors([one.world_from_scanner for one in found.pieces], truth, strong)[1],
+            })  # fmt: skip
+    return rows
+
+
+def refinement_rows(quick: bool, show: Callable[[str], None]) -> list[Row]:
+    """Measure how long it takes to refine small pieces."""
+    found = refinement()
+    for one in found:
+        show(json.dumps(one))
+    rows = []
+    for one in found:
+        what = f"12 pieces of 360 x 256{', a ray each' * one['tables']}{', mount estimated' * one['calibrate_mount']}"
+        rows.append(Row(f"{what}: refined in", "<= 30 s", f"{one['seconds']:.1f} s", one["seconds"] <= 30))
+    silence = max(one["longest_silence_s"] for one in found)
+    rows.append(Row("longest time between two reports of progress", "<= 5 s", f"{silence:.1f} s", silence <= 5))
     return rows
 
 
@@ -287,7 +342,7 @@ def large_rows(quick: bool, show: Callable[[str], None]) -> list[Row]:
     ]
 
 
-ROWS = {"mosaic": mosaic_rows, "large": large_rows}
+ROWS = {"mosaic": mosaic_rows, "refinement": refinement_rows, "large": large_rows}
 """The rows of this module."""
 
 
@@ -305,6 +360,9 @@ def main() -> None:
         return
     if "mosaic" in asked:
         for row in mosaic(seeds=range(given.seeds)):
+            print(json.dumps(row), flush=True)
+    if "refinement" in asked:
+        for row in refinement():
             print(json.dumps(row), flush=True)
     if "large" in asked:
         for row in large(cells_millions=given.cells):

@@ -37,6 +37,10 @@ class DeviceError(LadarregError):
     """A scanner or pan/tilt unit that does not respond as its protocol specifies."""
 
 
+class DeviceGlitchError(DeviceError):
+    """A device answered wrongly or not in time; the same may be asked again, and may then succeed."""
+
+
 class ExportError(LadarregError):
     """A result that could not be written to its destination."""
 

@@ -19,7 +19,7 @@ from ladarreg_core.version import VERSION
 if TYPE_CHECKING:
     from ladarreg_core.acquisition.piece_list import PieceList
     from ladarreg_core.frames import Rigid
-    from ladarreg_core.range_alignment.piece_refinement import Refinement
+    from ladarreg_core.range_alignment.refined_pieces import Refinement
     from ladarreg_core.scan import Scan
 
 PANORAMA_IS = (
@@ -165,7 +165,7 @@ def _mosaic(
 
 def _state_refinement(fields: dict[str, Any], found: Refinement, *, calibrated: bool) -> None:
     """Add what a refinement found to the fields of a mosaic."""
-    from ladarreg_core.range_alignment.piece_refinement import PARAMETERS
+    from ladarreg_core.range_alignment.refined_pieces import PARAMETERS
 
     for each, one in zip(fields["each"], found.pieces, strict=True):
         each["refinement"] = {

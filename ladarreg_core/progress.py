@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from ladarreg_core.matches import Matches
 
 
+_WHOLE = 1000  # units of a whole that has parts
+
+
 @dataclass(frozen=True, slots=True)
 class Progress:
     """Progress of loading, of an export or of a job."""
@@ -45,6 +48,24 @@ Report = Callable[[Progress], None]
 """Callback for `Progress`; raises `Cancelled` to stop the work."""
 StepReport = Callable[[Step], None]
 """Callback for `Step`s; raises `Cancelled` to stop the work."""
+
+
+def part_of(report: Report | None, first: float, last: float) -> Report | None:
+    """Return what takes the progress of a part of some work, and reports it as from `first` to `last` of the whole.
+
+    Args:
+        report: receives the progress of the whole.
+        first: share of the whole that is done when the part begins.
+        last: when it ends.
+    """
+    if report is None:
+        return None
+
+    def told(progress: Progress) -> None:
+        share = progress.done / progress.total if progress.total else 0.0
+        report(Progress(round(_WHOLE * (first + (last - first) * min(share, 1.0))), _WHOLE, progress.label))
+
+    return told
 
 
 class StepLog:

@@ -6,7 +6,7 @@ import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import tyro
 
@@ -18,7 +18,9 @@ EXAMPLES = (
     "ladarreg register-scans hall.e57 office.e57 -o stations",
     "# all scans of one file, the second of them held in place:",
     "ladarreg register-scans survey.e57 -o stations --fixed 1",
-    "ladarreg register-scans a.npz b.npz c.npz -o stations --ignore-poses",
+    "# judge the poses in the files as they are, or search without them:",
+    "ladarreg register-scans survey.e57 -o stations --poses keep",
+    "ladarreg register-scans a.npz b.npz c.npz -o stations --poses search",
 )
 _Paths: TypeAlias = list[Path]
 
@@ -33,8 +35,11 @@ class Arguments:
     """Output folder; an existing one is refused, but see --force."""
     fixed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
     """Number of the scan that keeps its pose, from 0; the others are moved to it."""
+    poses: Literal["keep", "refine", "search"] = "refine"
+    """What the poses in the files are used for. keep: they are judged as they are; refine: only what is within a metre
+    of them is compared; search: for nothing. What they show by themselves is stated in any case."""
     ignore_poses: bool = False
-    """Search everywhere, even where the files state poses to begin with."""
+    """Earlier form of --poses search."""
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
     """Random seed."""
     force: bool = False
@@ -60,8 +65,8 @@ def run(arguments: Arguments) -> ExitCode:
     with progress_bar(quiet=arguments.quiet or arguments.json) as bar:
         stations = read_stations(arguments.scans, report=bar.progress)
         network = register_scans(
-            [one.scan for one in stations], fixed=arguments.fixed, use_poses=not arguments.ignore_poses,
-            seed=arguments.seed, report=bar.progress,
+            [one.scan for one in stations], fixed=arguments.fixed,
+            poses="search" if arguments.ignore_poses else arguments.poses, seed=arguments.seed, report=bar.progress,
         )  # fmt: skip
         fields = write_stations(arguments.out, network, stations, force=arguments.force, report=bar.progress)
     code = ExitCode.ACCEPTED if network.accepted else ExitCode.NOT_ACCEPTED

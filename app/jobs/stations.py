@@ -23,6 +23,7 @@ from .runner import JobContext
 
 if TYPE_CHECKING:
     from ladarreg_core.scan import Scan
+    from ladarreg_core.stations.registration import PosesUse
 
 STATIONS = "station-scans"
 """Name of the zip among the exports; ids of photographs have no hyphen."""
@@ -65,8 +66,8 @@ class StationJobs:
             raise OptionError("the stations have not been registered as they are now; register them first")
         return document, document.survey
 
-    def register(self, context: JobContext) -> str:
-        """Register the stations to each other; the scan that is shown is fixed."""
+    def register(self, context: JobContext, poses: PosesUse = "refine") -> str:
+        """Register the stations to each other; the scan that is shown is fixed, rough places are refined."""
         import ladarreg_core as lr
 
         document = self.require_stations()
@@ -74,16 +75,16 @@ class StationJobs:
         for number, (source, name) in enumerate(zip(sources, _names(sources), strict=True)):
             context.progress(Progress(number, len(sources), f"reading {source.name}"))
             scans.append(replace(self._scan(document, source), name=name))
-        network = lr.register_scans(
-            _with_rough_poses(document, scans), seed=document.settings.seed, report=context.progress
-        )
+        if poses == "refine":
+            scans = _with_rough_poses(document, scans)
+        network = lr.register_scans(scans, poses=poses, seed=document.settings.seed, report=context.progress)
         for source, scan in zip(sources[1:], scans[1:], strict=True):
             self._workspace.loader.station_points(source, scan)
         survey = Survey(scans=sources, fields=json.loads(network.to_json()))
         self._commit(context, f"Register {len(sources)} stations", document, survey)
-        out = [one.name for one in network.stations if one.state == "out"]
+        out = [one.name for one in network.stations if one.state in ("stated", "out")]
         if not out:
-            return f"All {len(sources)} stations are registered."
+            return f"All {len(sources)} stations are {'confirmed' if poses == 'keep' else 'registered'}."
         return f"{len(sources) - len(out)} of {len(sources)} stations are registered; {', '.join(out)} is not."
 
     def check_photos(self, context: JobContext) -> str:

@@ -21,8 +21,8 @@ class WithStations(Protocol):
 
 
 def register_stations(context: WithStations, client: Client, fields: Fields) -> Reply:
-    """Register the stations to each other."""
-    return {"job": context.stations.register(client.author)}
+    """Register the stations to each other; `poses` is what the poses in their files are used for."""
+    return {"job": context.stations.register(fields.get("poses", "refine"), client.author)}
 
 
 def check_at_stations(context: WithStations, client: Client, fields: Fields) -> Reply:

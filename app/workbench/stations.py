@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from ladarreg_core.errors import LadarregError
 from ladarreg_core.palette import STATIONS as COLOURS
 from ladarreg_core.project import station_edits
 from ladarreg_core.project.station_edits import is_stale, place_of, stated_station
+from ladarreg_core.validation import require_choice
 
 from ..argument_names import as_fields
 from ..jobs.inputs import Workspace
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from ladarreg_core.frames import Rigid
     from ladarreg_core.project.document import Document, PhotoCheck, Source, StationEntry
     from ladarreg_core.project.history import Author
+    from ladarreg_core.stations.registration import PosesUse
 
     from ..scene import StationShown
 
@@ -109,10 +111,17 @@ class Stations:
             found.append(StationShown(station.id, points[:: max(1, step)], place, COLOURS[number % len(COLOURS)]))
         return tuple(found)
 
-    def register(self, author: Author) -> str:
+    def register(self, poses: object, author: Author) -> str:
         """Start registering the stations and return the job's id; raises `LadarregError` if it cannot begin."""
+        from ladarreg_core.stations.registration import POSES_USES
+
         self._jobs.require_stations()
-        return self._start("register_stations", "Register stations", self._jobs.register, author)
+        require_choice(poses, POSES_USES, "'Poses in the files'")
+
+        def work(context: JobContext) -> str:
+            return self._jobs.register(context, cast("PosesUse", poses))
+
+        return self._start("register_stations", "Register stations", work, author)
 
     def check_photos(self, author: Author) -> str:
         """Start verifying the photographs at the other stations; raises as `register`."""

@@ -50,6 +50,9 @@ class Connected:
         Raises:
             OptionError: if they cannot run it.
         """
+        for device in (self.unit, self.line_scanner):
+            if device is not None:
+                device.link.log_to(folder.exchanges.add)
         return Run(
             plan, folder, unit=self.unit, line_scanner=self.line_scanner, frames=self.frames, camera=self.camera,
             report=report, clock=self.clock, read=self.read,
@@ -135,7 +138,7 @@ def identified(address: str) -> FoundDevice:
                 try:
                     device: FlirUnit | ScipScanner
                     if kind == "flir-ptu":
-                        device = FlirUnit.connect(ports, UnitPlan(address, baud=baud))
+                        device = FlirUnit.connect(ports, UnitPlan(address, baud=baud), patience_s=0.0)
                     else:
                         device = ScipScanner.connect(ports, ScannerPlan("scip2", address, baud=baud))
                 except DeviceError as error:

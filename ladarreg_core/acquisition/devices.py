@@ -66,6 +66,9 @@ class PanTiltUnit(Protocol):
     def set_speed(self, speed: PanTilt) -> None:
         """Set the speed of both axes, rad/s."""
 
+    def supply(self) -> dict[str, float]:
+        """Return what it states of its supply and its temperature, `volts` and `celsius`, as far as it does."""
+
     def require_present(self) -> None:
         """Raise `DeviceError` if its port is lost; without an exchange, so that it can be asked often."""
 
@@ -130,6 +133,10 @@ class LineScanner(Protocol):
 
     def clock(self) -> ClockReading:
         """Return how the scanner's clock relates to the host's."""
+
+    @property
+    def last_clock(self) -> ClockReading | None:
+        """How the clocks related when they were compared last; None if that does not hold any more."""
 
     def require_present(self) -> None:
         """Raise `DeviceError` if its port is lost; without an exchange, so that it can be asked often."""

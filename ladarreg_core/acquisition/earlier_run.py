@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
+from ladarreg_core.acquisition.exchange_log import EXCHANGES, EXCHANGES_BEFORE
 from ladarreg_core.acquisition.run_records import RECORDS, Record, read_records
 from ladarreg_core.errors import ExportError, FormatError, OptionError
 from ladarreg_core.formats.untrusted import shown_name
@@ -71,7 +72,7 @@ def _own_files(folder: Path) -> list[str]:
         checksums = _checksums(folder)
     except FormatError as error:
         raise OptionError(f"{error}; the run is not replaced") from None
-    whole = {RECORDS}
+    whole = {RECORDS, EXCHANGES, EXCHANGES_BEFORE}
     if listed is None:  # of earlier versions
         whole |= {PLAN, *(PANORAMA_OF_RUN if (folder / "panorama.json").is_file() else ())}
     found: list[str] = []

@@ -11,10 +11,11 @@ Source: the units' command reference.
 
 from __future__ import annotations
 
+import contextlib
 import re
 from dataclasses import dataclass
 
-from ladarreg_core.errors import DeviceError, OptionError
+from ladarreg_core.errors import DeviceGlitchError, OptionError
 
 STOP = b"\rH "
 """Ends a command that is half sent, and halts."""
@@ -23,12 +24,15 @@ _LONGEST_REPLY = 512
 _NOTICE = re.compile(r"!([PT])(?=[ \t]*(?:[*!\r\n]|$))")
 _NUMBER = re.compile(r"[-+]?[0-9]{1,10}(?:\.[0-9]{1,9})?")
 _WORD = re.compile(r"[A-Za-z][A-Za-z/().,:]*")
+_BANNER = re.compile(rb"(?m)^[^*!\r\n]*(?:controller|initiali[sz])", re.IGNORECASE)
+_ZEROS_FOUND = re.compile(rb"(?:![PT]){3,}[ \t]*\*")
+_SUPPLY = {"volts": r"([0-9.]+) ?V", "celsius": r"([-0-9.]+) ?deg ?C", "fahrenheit": r"([-0-9.]+) ?deg ?F"}
 _OF_A_HALT = re.compile(r"H[ \t]*\*?")
 _SPACE = " \t\r\n"
 _NAME = re.compile(r"[A-Z]{1,3}")
 
 
-class FlirError(DeviceError):
+class FlirError(DeviceGlitchError):
     """An answer of the unit that is an error, or that its protocol does not have."""
 
 
@@ -132,16 +136,38 @@ def limits_hit(unasked: bytes) -> tuple[str, ...]:
     return tuple({"P": "pan", "T": "tilt"}[axis] for axis in _NOTICE.findall(unasked.decode("ascii", "replace")))
 
 
+def has_restarted(received: bytes) -> bool:
+    """Return whether bytes have what a unit says after a restart: its banner, or that its axes found their zeros."""
+    return bool(_BANNER.search(received) or _ZEROS_FOUND.search(received))
+
+
+def supply_of(text: str) -> dict[str, float]:
+    """Return what an answer to `O` states, as far as it does: `volts` of the input, `celsius` of the case."""
+    found = {}
+    for name, pattern in _SUPPLY.items():
+        if match := re.search(pattern, text):
+            with contextlib.suppress(ValueError):
+                found[name] = float(match[1])
+    if "fahrenheit" in found:
+        found["celsius"] = round((found.pop("fahrenheit") - 32) / 1.8, 1)
+    return found
+
+
 def _first_answer(received: bytes, sent: bytes) -> tuple[int, str, tuple[str, ...]] | None:
     """Return the end of the first answer, its line without echo and notices, and the notices before it."""
     is_query = not any(chr(byte).isdigit() for byte in sent) and sent.strip() in _QUERIES
     notices: list[str] = []
     start = 0
+    echo = sent.decode("ascii", "replace").strip()
     for match in re.finditer(rb"[^\r\n]*[\r\n]", received):
         line = match.group().decode("ascii", "replace").strip(_SPACE)
-        echo = sent.decode("ascii", "replace").strip()
+        # What comes unasked may stand before the echo, too, and nothing separates them.
+        if echo and (before := re.match(rf"((?:![PT][ \t]*)+)(?={re.escape(echo)})", line)):
+            notices += [{"P": "pan", "T": "tilt"}[axis] for axis in re.findall("[PT]", before[1])]
+            line = line[before.end() :]
         if echo and line.startswith(echo):
-            line = line[len(echo) :].strip(_SPACE)
+            while line.startswith(echo):  # twice where what lies between echoes, too
+                line = line[len(echo) :].strip(_SPACE)
         elif _OF_A_HALT.fullmatch(line):
             line = ""
         start = match.end()
@@ -161,6 +187,7 @@ def _first_answer(received: bytes, sent: bytes) -> tuple[int, str, tuple[str, ..
 _AXIS_QUERIES = ("P", "O", "S", "D", "R", "N", "X", "U", "L", "A", "B", "NU", "XU", "NF", "XF")
 _QUERIES = frozenset(f"{axis}{letter}".encode() for axis in "PT" for letter in _AXIS_QUERIES) | {
     b"L",
+    b"O",
     b"V",
     b"VV",
     b"VM",

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
 import threading
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import TypeVar
 
 from ladarreg_core.acquisition.axis_readings import AxisReadings
 from ladarreg_core.acquisition.devices import Check, PanTilt, UnitIdentity
@@ -15,27 +18,43 @@ from ladarreg_core.acquisition.flir_protocol import (
     FlirError,
     FlirReply,
     command,
+    has_restarted,
     limits_hit,
     parse_reply,
     reply_length,
+    supply_of,
 )
 from ladarreg_core.acquisition.link import Link, NoAnswerError
 from ladarreg_core.acquisition.plan import UnitPlan
 from ladarreg_core.acquisition.ports import PortSource
 from ladarreg_core.errors import Cancelled, DeviceError, OptionError
 
+_LOG = logging.getLogger(__name__)
+_T = TypeVar("_T")
+HOMING_S = 35.0
+"""How long a unit that was switched on may take to find its zeros, during which it answers nothing."""
 _ANSWER_S = 1.0
 _CONNECT_S = 2.0
 _POLL_S = 0.03
-_STUCK_S = 1.5
+_STUCK_S, _STUCK_TRIPS = 1.5, 4
 _SPARE_S = 10.0
 _ARC_SECONDS = math.radians(1 / 3600)
 _REACHED_COUNTS = 1
 _STILL_READINGS = 2
 _QUIET_S, _QUIET_IN_DOUBT_S, _LONGEST_TALK_S = 0.1, 0.3, 1.0
-_TRIES = 3
+_QUIET_FIRST_S = 0.6  # how far away the unit is, is not known yet
+_QUIET_TRIPS, _FORGOTTEN = 1.5, 0.8
+_TRIES, _MOST_ASKED = 3, 4
+_RESTARTED = (
+    "the pan/tilt unit was reset or lost its power for a moment; it has found its zeros again and is set up as before: "
+    "check its power supply"
+)
 _MOST_TURNS_RAD = 4 * math.pi
 _AXES = (("P", "pan"), ("T", "tilt"))
+
+
+class FlirRestartedError(FlirError):
+    """The unit was reset or lost its power; it has found its zeros again, and is set up as before."""
 
 
 class FlirUnit:
@@ -44,22 +63,29 @@ class FlirUnit:
     Angles are positive to the left and upward; the plan's signs turn an axis that is mounted the other way round.
     """
 
-    def __init__(self, link: Link, signs: tuple[int, int]) -> None:
+    def __init__(self, link: Link, signs: tuple[int, int], *, patience_s: float = HOMING_S) -> None:
         self._link, self._signs, self._clock = link, signs, link.clock
         self._halts = self._halts_answered = 0
         self._halting, self._asking = threading.Lock(), threading.RLock()
         self._limits_hit: tuple[str, ...] = ()
-        self._in_doubt = False
+        self._in_doubt = self._setting_up = self._restarted = False
+        self._round_trip_s = 0.0
+        self._states_supply = True
         self._axes: list[AxisReadings] = []
         self._fastest_counts_s = 0.0
-        self._set_up()
+        self._set_up(patience_s)
         self._counts_at_limits: list[tuple[int, int]] = []
         self._step_rad: list[float] = []
         self.identity = self._identify()
 
     @staticmethod
-    def connect(ports: PortSource, plan: UnitPlan) -> FlirUnit:
+    def connect(ports: PortSource, plan: UnitPlan, *, patience_s: float = HOMING_S) -> FlirUnit:
         """Connect to a unit, halt it, ask what it is, and set the plan's speed.
+
+        Args:
+            ports: opens the port.
+            plan: of the unit.
+            patience_s: how long it may be silent, since it may just find its zeros.
 
         Raises:
             DeviceError: if the port cannot be opened, or what answers is no such unit.
@@ -68,7 +94,7 @@ class FlirUnit:
         port = ports.open(plan.port, plan.baud, stop=STOP, name="pan/tilt unit")
         link = Link(port, device="the pan/tilt unit", clock=ports.clock)
         try:
-            unit = FlirUnit(link, plan.signs)
+            unit = FlirUnit(link, plan.signs, patience_s=patience_s)
             if plan.speed_deg_s is not None:
                 speed = math.radians(plan.speed_deg_s)
                 unit.set_speed(PanTilt(speed, speed))
@@ -102,7 +128,7 @@ class FlirUnit:
         for axis in self._axes:
             axis.may_move()
         for (letter, _), counts in zip(_AXES, wanted, strict=True):
-            self._ask(command(f"{letter}P", counts))
+            self._told(command(f"{letter}P", counts))
 
     def move_to(self, target: PanTilt, *, check: Check) -> PanTilt:
         """Move, await the end of the movement, and return the position read back.
@@ -133,12 +159,27 @@ class FlirUnit:
             counts_s = max(1, round(abs(value) / step))
             self._fastest_counts_s = max(self._fastest_counts_s, counts_s)
             try:
-                self._ask(command(f"{letter}S", counts_s))
+                self._told(command(f"{letter}S", counts_s))
+            except FlirRestartedError:
+                raise
             except FlirError as error:
                 raise OptionError(
                     f"the pan/tilt unit does not {axis} at {math.degrees(value):.3g} deg/s; choose another ({error})"
                 ) from error
         self.identity = replace(self.identity, speed_rad_s=speed)
+
+    def supply(self) -> dict[str, float]:
+        """Return what the unit states of its supply and its temperature, `volts` and `celsius`, as far as it does."""
+        if not self._states_supply:
+            return {}
+        try:
+            found = supply_of(self._told(command("O")).text)
+        except FlirRestartedError:
+            raise
+        except FlirError:  # it does not have the query
+            found = {}
+        self._states_supply = bool(found)
+        return found
 
     def require_present(self) -> None:
         """Raise `DeviceError` if the port is lost; without an exchange."""
@@ -156,34 +197,48 @@ class FlirUnit:
         self.halt()
         self._link.close()
 
-    def _set_up(self) -> None:
-        """Halt, and have answers terse and without echo, moves begin at once and end at limits.
+    def _set_up(self, patience_s: float) -> bool:
+        """Halt, and have answers terse and without echo, moves begin at once and end at limits; return if it restarted.
 
-        A unit that was just switched on talks first, and one that was left in the middle of a command answers that.
+        A unit that was just switched on talks first, and answers nothing until it has found its zeros; one that was
+        left in the middle of a command answers that.
         """
-        for left in reversed(range(_TRIES)):
-            self._link.urgent(STOP)
-            self._settle()
-            try:
-                for name in ("FT", "ED", "CI", "I"):
-                    self._ask(command(name), deadline_s=_CONNECT_S)
-                break
-            except FlirError:
-                if not left:
-                    raise
-        if self._limits_are() == "off":
-            self._ask(command("LE"))
+        begun, halts, tries = self._clock.now(), self._halts, 0
+        self._setting_up, self._restarted = True, False
+        try:
+            while True:
+                tries += 1
+                self._link.urgent(STOP)
+                self._settle(_QUIET_S if self._round_trip_s else _QUIET_FIRST_S)
+                try:
+                    for name in ("FT", "ED", "CI", "I"):
+                        self._ask(command(name), deadline_s=_CONNECT_S)
+                    break
+                except (FlirError, NoAnswerError) as error:
+                    silent = isinstance(error, NoAnswerError)
+                    waits = (silent or self._restarted) and self._clock.now() - begun < patience_s
+                    if self._halts != halts or not (waits or (tries < _TRIES and not silent)):
+                        raise
+            if self._limits_are() == "off":
+                self._told(command("LE"))
+            restarted = self._restarted
+        finally:
+            self._setting_up = self._restarted = False
         self._limits_hit = ()  # a reset reports them, too
         for axis in self._axes:
             axis.forget()
+        if restarted:
+            self._link.remark("the unit has restarted, and found its zeros")
+        return restarted
 
-    def _set_up_again(self) -> None:
-        """Set up as before: a unit that lost its power has forgotten its speed, too."""
-        self._set_up()
+    def _set_up_again(self) -> bool:
+        """Set up as before: a unit that lost its power has forgotten its speed, too. Return whether it restarted."""
+        restarted = self._set_up(HOMING_S)
         self.set_speed(self.identity.speed_rad_s)
+        return restarted
 
     def _identify(self) -> UnitIdentity:
-        model = self._ask(command("V")).text
+        model = self._told(command("V")).text
         self._step_rad = [self._asked_twice(f"{letter}R") * _ARC_SECONDS for letter, _ in _AXES]
         if not all(1e-7 < step < 0.1 for step in self._step_rad):
             raise FlirError(
@@ -247,7 +302,7 @@ class FlirUnit:
             abs(a - b) * step / max(speed, 1e-4)
             for a, b, step, speed in zip(last, wanted, self._step_rad, _pair(self.identity.speed_rad_s), strict=True)
         )
-        still = 0
+        still, there = 0, False
         while True:
             check()
             if self._halts != halts:
@@ -255,13 +310,13 @@ class FlirUnit:
             now = self._positions()
             if now != last:
                 last, moved, still = now, self._clock.now(), 0
-            elif all(abs(a - b) <= _REACHED_COUNTS for a, b in zip(now, wanted, strict=True)):
+            elif there := all(abs(a - b) <= _REACHED_COUNTS for a, b in zip(now, wanted, strict=True)):
                 still += 1
                 if still >= _STILL_READINGS:
                     return now
             self._refuse_limits()
             now_s = self._clock.now()
-            if now_s - moved > _STUCK_S:
+            if not there and now_s - moved > _STUCK_S + _STUCK_TRIPS * self._round_trip_s:
                 raise DeviceError(
                     f"the pan/tilt unit stands still at {self._said(now)} on its way to {self._said(wanted)}; it is "
                     "halted: remove what blocks it, check its power, and resume"
@@ -282,21 +337,25 @@ class FlirUnit:
             )
 
     def _asked_twice(self, query: str, *, whole: bool = False) -> float:
-        """Return what a unit states about itself, the same when it is asked again: answers have no checksum."""
+        """Return what a unit states about itself, twice in a row the same: answers have no checksum."""
         sent = command(query)
-        first, again = (self._ask(sent) for _ in range(2))
-        values = [reply.counts(sent) if whole else reply.number(sent) for reply in (first, again)]
-        if values[0] != values[1]:
-            raise FlirError(
-                f"the pan/tilt unit answered {values[0]:g} to {query} and {values[1]:g} when it was asked again; check "
-                "the cable, and that no other program uses the port"
-            )
-        return values[0]
+        values: list[float] = []
+        for _ in range(_MOST_ASKED):
+            reply = self._told(sent)
+            values.append(reply.counts(sent) if whole else reply.number(sent))
+            if values[-1:] == values[-2:-1]:
+                return values[-1]
+        raise FlirError(
+            f"the pan/tilt unit answered {values[-2]:g} to {query} and {values[-1]:g} when it was asked again; check "
+            "the cable, and that no other program uses the port"
+        )
 
     def _limits_are(self) -> str:
         """Return whether the unit enforces limits: `on`, `off`, or `user` for those that its user has set."""
         try:
-            words = self._ask(command("L")).text.upper()
+            words = self._told(command("L")).text.upper()
+        except FlirRestartedError:
+            raise
         except FlirError:  # it does not have the query, and always enforces its limits
             return "on"
         return "off" if "OFF" in words or "DISABLE" in words else "user" if "USER" in words else "on"
@@ -305,12 +364,34 @@ class FlirUnit:
         return [axis.position(self._fastest_counts_s) for axis in self._axes]
 
     def _counts(self, query: str) -> int:
-        """Return what a query reads; it is asked again if no answer comes, as from a unit or computer that is busy."""
+        """Return what a query reads; a unit that is silent may find its zeros after a restart, which is waited for."""
         sent = command(query)
-        for _ in range(_TRIES - 1):
-            with contextlib.suppress(NoAnswerError):
-                return self._ask(sent).counts(sent)
-        return self._ask(sent).counts(sent)
+        try:
+            return self._retried(lambda: self._ask(sent).counts(sent))
+        except NoAnswerError:
+            if self._setting_up or self._halts != self._halts_answered:
+                raise
+            if self._set_up_again():
+                raise FlirRestartedError(_RESTARTED) from None
+            raise
+
+    def _told(self, sent: bytes) -> FlirReply:
+        """Return the reply to a command that does the same when it is sent again."""
+        return self._retried(lambda: self._ask(sent))
+
+    def _retried(self, ask: Callable[[], _T]) -> _T:
+        """Return what comes of asking, which is repeated if no answer comes or a damaged one."""
+        for left in reversed(range(_TRIES)):
+            try:
+                return ask()
+            except FlirRestartedError:
+                raise
+            except (FlirError, NoAnswerError) as error:
+                if not left:
+                    raise
+                _LOG.info("asked again: %s", error)
+                self._link.remark(f"asked again: {error}")
+        raise AssertionError("the last try returns or raises")
 
     def _angles(self, counts: list[int]) -> PanTilt:
         pan, tilt = (sign * n * step for sign, n, step in zip(self._signs, counts, self._step_rad, strict=True))
@@ -327,18 +408,28 @@ class FlirUnit:
                 self._halts_answered = self._halts
                 self._settle(_QUIET_IN_DOUBT_S if self._in_doubt else _QUIET_S)
             self._in_doubt = True
+            begun = self._clock.now()
             received = self._link.exchange(sent, complete=lambda data: reply_length(data, sent), deadline_s=deadline_s)
+            self._round_trip_s = max(_FORGOTTEN * self._round_trip_s, self._clock.now() - begun)
+            unasked = self._link.take_unasked()
+            self._restarted |= has_restarted(unasked + received)
+            if self._restarted and not self._setting_up:
+                self._set_up_again()
+                raise FlirRestartedError(_RESTARTED)  # where it was moving to is in doubt
             reply = parse_reply(received, sent)
             self._in_doubt = False
-            self._limits_hit += limits_hit(self._link.take_unasked()) + reply.limits_hit
+            self._limits_hit += limits_hit(unasked) + reply.limits_hit
             return reply
 
     def _settle(self, quiet_s: float = _QUIET_S) -> None:
-        """Let pass what the unit still sends, but for limits that it reports."""
+        """Let pass what the unit still sends, but for limits that it reports; longer if it is far away."""
         until, passed = self._clock.now() + _LONGEST_TALK_S, b""
+        quiet_s = min(max(quiet_s, _QUIET_TRIPS * self._round_trip_s), _LONGEST_TALK_S)
         with contextlib.suppress(DeviceError):  # it is quiet, or the port is lost, which the next command says
             while self._clock.now() < until:
                 passed += self._link.exchange(b"", complete=bool, deadline_s=quiet_s)
+        passed += self._link.take_unasked()
+        self._restarted |= has_restarted(passed)
         self._limits_hit += limits_hit(passed)
 
 

@@ -11,7 +11,7 @@ from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
 from ladarreg_core.acquisition.devices import Check
 from ladarreg_core.acquisition.ports import GuardEndedError
 from ladarreg_core.acquisition.serial_port import Port, PortLostError
-from ladarreg_core.errors import DeviceError
+from ladarreg_core.errors import DeviceError, DeviceGlitchError
 
 Complete = Callable[[bytes], bool | int]
 """Given the bytes so far: False while the reply is incomplete, else its length, or True if it is all of them."""
@@ -27,7 +27,7 @@ _LONGEST_DRAIN_S = 0.2
 _LONGEST_REPLY = 1 << 20
 
 
-class NoAnswerError(DeviceError):
+class NoAnswerError(DeviceGlitchError):
     """A device gave no complete answer in time; the port is still there, and what reads only may be asked again."""
 
 
@@ -43,6 +43,8 @@ class Exchange:
     """What came back before the exchange ended."""
     seconds: float
     """How long it took."""
+    remark: str = ""
+    """What a driver made of the exchanges before; nothing was sent or received then."""
 
     def __str__(self) -> str:
         sent = f"sent {_quoted(self.request)}" if self.request else "unasked"
@@ -62,18 +64,29 @@ class Link:
     def __init__(self, port: Port, *, device: str, clock: Clock = REAL_CLOCK) -> None:
         self.device, self.clock = device, clock
         self._port = port
-        self._connected: Callable[[], None] | None = None
+        self._connected: Callable[[], object] | None = None
         self._one = threading.RLock()
         self._buffer = bytearray()
         self._exchanges: deque[Exchange] = deque(maxlen=_REMEMBERED)
+        self._log: Callable[[str, Exchange], None] | None = None
         self._reconnecting = False
         self._told_of_guard = False
         self._closed = False
         self._unasked = b""
 
-    def when_connected(self, set_up: Callable[[], None]) -> None:
+    def when_connected(self, set_up: Callable[[], object]) -> None:
         """Call `set_up` after the port was lost and opened again, to set the device up as before."""
         self._connected = set_up
+
+    def log_to(self, log: Callable[[str, Exchange], None]) -> None:
+        """Give each exchange to `log` from now on, with the device's name; those that are remembered at once."""
+        for each in self.exchanges:
+            log(self.device, each)
+        self._log = log
+
+    def remark(self, text: str) -> None:
+        """Have the log say something."""
+        self._add(Exchange(self.clock.now(), b"", b"", 0.0, text))
 
     @property
     def address(self) -> str:
@@ -83,7 +96,7 @@ class Link:
     @property
     def exchanges(self) -> tuple[Exchange, ...]:
         """The latest exchanges, oldest first."""
-        return tuple(self._exchanges)
+        return tuple(self._exchanges.copy())
 
     def exchange(
         self, request: bytes, *, complete: Complete, deadline_s: float, check: Check | None = None, fresh: bool = True
@@ -143,7 +156,7 @@ class Link:
             DeviceError: if the port is lost.
         """
         self._port.write(data)
-        self._exchanges.append(Exchange(self.clock.now(), data, b"", 0.0))
+        self._add(Exchange(self.clock.now(), data, b"", 0.0))
 
     def take_unasked(self) -> bytes:
         """Return what came unasked since the last call, as far as an exchange has dropped it."""
@@ -153,7 +166,7 @@ class Link:
 
     def recent(self) -> str:
         """Return the latest exchanges in words, for messages."""
-        return "; ".join(str(each) for each in list(self._exchanges)[-_QUOTED:])
+        return "; ".join(str(each) for each in [each for each in self.exchanges if not each.remark][-_QUOTED:])
 
     def close(self) -> None:
         """Close the port, which stops the device; an exchange that is going on fails, and nothing reconnects."""
@@ -208,11 +221,16 @@ class Link:
         while (data := self._port.read(0)) and self.clock.now() < until:
             stale = (stale + data)[-_KEPT_BYTES:]
         if stale:
-            self._exchanges.append(Exchange(self.clock.now(), b"", stale, 0.0))
+            self._add(Exchange(self.clock.now(), b"", stale, 0.0))
             self._unasked = (self._unasked + stale)[-_KEPT_BYTES:]
 
     def _remember(self, begun: float, request: bytes, reply: bytes) -> None:
-        self._exchanges.append(Exchange(begun, request, reply, self.clock.now() - begun))
+        self._add(Exchange(begun, request, reply, self.clock.now() - begun))
+
+    def _add(self, exchange: Exchange) -> None:
+        self._exchanges.append(exchange)
+        if self._log is not None:
+            self._log(self.device, exchange)
 
     def _is_news_of_guard(self, error: PortLostError) -> bool:
         """Return whether the guard has ended since the last exchange: the devices were stopped, which is no glitch."""

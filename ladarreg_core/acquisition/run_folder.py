@@ -5,6 +5,7 @@
     pieces/NNN.npz  the lines of a stop or a pass, or a scan
     photos/NNN.*    a photograph a stop
     closure.*       the first stop measured again at the end, and whether it looked the same
+    exchanges.jsonl every exchange with the devices
     stray/NNN/      copies of files that came before the unit had arrived at the stop
 
 A piece counts once its record is there. A record whose piece is missing or changed does not count.
@@ -27,10 +28,19 @@ import numpy as np
 from ladarreg_core.acquisition.closure import Closure
 from ladarreg_core.acquisition.devices import PanTilt
 from ladarreg_core.acquisition.earlier_run import LOCK, PLAN, remove_set_aside, set_aside
+from ladarreg_core.acquisition.exchange_log import ExchangeLog
 from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.acquisition.piece_list import ListedPiece
 from ladarreg_core.acquisition.plan import Plan, plan_from_fields, write_plan
-from ladarreg_core.acquisition.run_records import CLOSURE, RECORDS, Record, in_degrees, read_closure, read_records
+from ladarreg_core.acquisition.run_records import (
+    CLOSURE,
+    RECORDS,
+    Health,
+    Record,
+    in_degrees,
+    read_closure,
+    read_records,
+)
 from ladarreg_core.acquisition.sweep_pieces import read_sweeps
 from ladarreg_core.atomic_write import AppendedFile, replaced_file, sync_folder, write_bytes
 from ladarreg_core.errors import ExportError, FormatError, OptionError
@@ -162,6 +172,8 @@ class RunWriter(RunFolder):
         super().__init__(path, plan)
         self._lock = lock
         self._log: AppendedFile | None = None
+        self.exchanges = ExchangeLog(path)
+        """Where exchanges with devices are logged."""
 
     @staticmethod
     def begin(path: str | Path, plan: Plan, *, resume: bool = False, force: bool = False) -> RunWriter:
@@ -210,7 +222,7 @@ class RunWriter(RunFolder):
 
     def keep(
         self, index: int, write: Callable[[Path], None], *, asked: PanTilt, read: PanTilt, time: str, passed: int = 0,
-        photo: Path | None = None, strays: Sequence[Path] = (),
+        photo: Path | None = None, strays: Sequence[Path] = (), health: Health | None = None,
     ) -> Record:  # fmt: skip
         """Keep a piece: its file whole on disk first, then its record.
 
@@ -223,6 +235,7 @@ class RunWriter(RunFolder):
             passed: number of the pass.
             photo: a photograph of the stop, in the folder `photos`.
             strays: files that came before it, in the folder `stray`.
+            health: what the devices state of themselves.
 
         Raises:
             ExportError: if it cannot be written; it does not count then.
@@ -234,7 +247,10 @@ class RunWriter(RunFolder):
         name = None if photo is None else photo.relative_to(self.path).as_posix()
         photo_sha256 = "" if photo is None else _sha256(photo)
         aside = {path.relative_to(self.path).as_posix(): _sha256(path) for path in strays}
-        record = Record(index, file, _sha256(self.path / file), asked, read, time, passed, name, photo_sha256, aside)
+        record = Record(
+            index, file, _sha256(self.path / file), asked, read, time, passed, name, photo_sha256, aside,
+            health or Health(),
+        )  # fmt: skip
         assert self._log is not None
         self._log.append(json.dumps(record.as_fields()).encode() + b"\n")
         self.records[index] = record
@@ -261,6 +277,7 @@ class RunWriter(RunFolder):
         """Close the folder for other programs to go on."""
         if self._log is not None:
             self._log.close()
+        self.exchanges.close()
         if self.complete:
             remove_set_aside(self.path)
         self._lock.release()

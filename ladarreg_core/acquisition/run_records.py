@@ -23,6 +23,17 @@ _MOST_PIECES = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
+class Health:
+    """What the devices stated of themselves when a piece was kept, as far as they do."""
+
+    unit: Mapping[str, float] = field(default_factory=dict)
+    """`volts` of the pan/tilt unit's supply, `celsius` of its case."""
+    clock: Mapping[str, float] = field(default_factory=dict)
+    """`scanner_s`, the scanner's clock without the jumps at which it wraps; `host_minus_scanner_s` by which the clock
+    of this computer differed when the two were compared last, and how far off that may be, `uncertainty_s`."""
+
+
+@dataclass(frozen=True, slots=True)
 class Record:
     """What `run.jsonl` says of a piece."""
 
@@ -43,6 +54,8 @@ class Record:
     """Of the photograph; empty in records of earlier versions."""
     strays: Mapping[str, str] = field(default_factory=dict)
     """SHA-256 of each file that came before the unit had arrived, by its name relative to the run's folder."""
+    health: Health = field(default_factory=Health)
+    """Written only: nothing is computed from it."""
 
     def as_fields(self) -> dict[str, Any]:
         """Return the record's JSON object."""
@@ -52,7 +65,8 @@ class Record:
         }  # fmt: skip
         if self.photo is not None:
             fields |= {"photo": self.photo, "photo_sha256": self.photo_sha256}
-        return {**fields, "strays": dict(self.strays)} if self.strays else fields
+        more = {"strays": self.strays, "unit": self.health.unit, "clock": self.health.clock}
+        return {**fields, **{name: dict(value) for name, value in more.items() if value}}
 
 
 def read_records(folder: Path) -> Iterator[Record | FormatError]:

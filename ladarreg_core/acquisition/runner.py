@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
 import shutil
 import threading
@@ -23,17 +24,19 @@ from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.acquisition.plan import Plan
 from ladarreg_core.acquisition.ports import GuardEndedError
 from ladarreg_core.acquisition.run_folder import PHOTOS, PIECES, STRAYS, RunWriter, ScanPiece, write_sweep
-from ladarreg_core.acquisition.run_records import Record
+from ladarreg_core.acquisition.run_records import Health, Record
 from ladarreg_core.acquisition.stops import Stop, forecast, require_possible, stops_of
-from ladarreg_core.errors import Cancelled, DeviceError, FormatError, OptionError
+from ladarreg_core.errors import Cancelled, DeviceError, DeviceGlitchError, FormatError, OptionError
 from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.npz import write_npz_xyz
 from ladarreg_core.scan import Scan
 
+_LOG = logging.getLogger(__name__)
 _T = TypeVar("_T")
 _NAP_S = 0.02
 _AVERAGED = 0.3  # weight of the latest piece in the time that a piece takes
 _MOST_REPEATS = 6  # of a piece; each of two devices tells of the same hang
+_MOST_GLITCHES = 3  # of a piece
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +70,7 @@ class Paused:
 
 @dataclass(frozen=True, slots=True)
 class Repeated:
-    """A piece is begun again by itself: the devices were stopped because this program hung for a moment."""
+    """A piece is begun again by itself: an answer was damaged or late, or this program hung for a moment."""
 
     index: int
     reason: str
@@ -162,7 +165,8 @@ class Run:
         In the end the first stop is measured again, which shows whether the unit has lost steps.
 
         A device that fails pauses the run until `resume` or `stop`. Devices that were stopped because this program hung
-        for a moment have not failed: their piece is begun again, a few times.
+        for a moment have not failed: their piece is begun again, a few times. So is that of a device whose answer was
+        damaged, late or missing, also when it was asked again, or that has restarted.
 
         Raises:
             ExportError: if a piece cannot be written; the devices are at rest then, as after every other end.
@@ -205,7 +209,7 @@ class Run:
 
     def _until_done(self, stop: Stop, work: Callable[[Stop], _T]) -> _T:
         """Return what comes of some work at a stop, which is begun again after each pause for a fault."""
-        repeats = 0
+        repeats = glitches = 0
         while True:
             if self._paused.is_set():
                 self._wait("paused", fault=False)
@@ -223,9 +227,15 @@ class Run:
                     repeats += 1
                     self._report(Repeated(stop.index, _HUNG))
                     continue
+                if isinstance(error, DeviceGlitchError) and glitches < _MOST_GLITCHES:
+                    glitches += 1
+                    again = f"the piece is measured again ({glitches} of {_MOST_GLITCHES})"
+                    _LOG.warning("piece %d: %s; %s", stop.index, error, again)
+                    self._report(Repeated(stop.index, f"{error}; {again}"))
+                    continue
                 self._paused.set()
                 self._wait(str(error), fault=True)
-                repeats = 0
+                repeats = glitches = 0
 
     def _wait(self, reason: str, *, fault: bool) -> None:
         self._report(Paused(reason, fault))
@@ -255,6 +265,18 @@ class Run:
             sweep = self._measure_lines(read)
         photo = self._photograph(stop)
         return self._keep(stop, read, lambda path: write_sweep(path, sweep), photo), sweep
+
+    def _health(self) -> Health:
+        """Return what the devices state of themselves beside the measurement."""
+        reading = None if self._lines is None else self._lines.last_clock
+        clock = {}
+        if reading is not None:
+            now = self._clock.now()
+            clock = {
+                "scanner_s": now - reading.host_minus_scanner_s, "host_minus_scanner_s": reading.host_minus_scanner_s,
+                "uncertainty_s": reading.uncertainty_s,
+            }  # fmt: skip
+        return Health(self._unit.supply(), clock)
 
     def _measure_lines(self, read: PanTilt) -> LineSweep:
         assert self._lines is not None
@@ -324,7 +346,15 @@ class Run:
         above = self.folder.path / STRAYS / f"{stop.index:03d}"
         strays = [path for name, source in self._sources.items() for path in source.keep_strays(above / name)]
         record = self.folder.keep(
-            stop.index, write, asked=stop.at, read=read, time=stamp, passed=stop.passed, photo=photo, strays=strays
+            stop.index,
+            write,
+            asked=stop.at,
+            read=read,
+            time=stamp,
+            passed=stop.passed,
+            photo=photo,
+            strays=strays,
+            health=self._health(),
         )
         if strays:
             self._report(StraysKept(stop.index, tuple(path.name for path in strays)))

@@ -50,6 +50,11 @@ class ScannerClock:
         self._reading: ClockReading | None = None
         self._host_s = 0.0
 
+    @property
+    def reading(self) -> ClockReading | None:
+        """How the clocks related when they were compared last; None if they have not been, or that does not hold."""
+        return self._reading
+
     def is_fresh(self, now_s: float, *, for_s: float) -> bool:
         """Return whether it was compared within a time, s."""
         return self._reading is not None and now_s - self._host_s <= for_s

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.acquisition.scip_status import is_passing, status_in_words
-from ladarreg_core.errors import DeviceError, OptionError
+from ladarreg_core.errors import DeviceGlitchError, OptionError
 
 STOP = b"\nQT\n"
 """Ends a command that is half sent, and switches the laser off."""
@@ -28,6 +28,7 @@ CLOCK_MS = 1 << 24
 MOST_LINES = 99
 """Largest number of lines of one request."""
 _BLOCK = 64
+_COUNTED = 13  # characters of a request for several lines before their number
 _CHARACTERS = 3
 _OFFSET = 0x30
 _MOST_STEPS = 9999
@@ -39,7 +40,7 @@ _SPEEDS = range(60, 12_001)  # turns a minute
 _LONGEST_REPLY = 1 << 17
 
 
-class ScipError(DeviceError):
+class ScipError(DeviceGlitchError):
     """A reply of the scanner that is an error, or that its protocol does not have."""
 
 
@@ -176,6 +177,22 @@ def reply_length(received: bytes) -> int:
     if end < 0:
         return len(received) if len(received) > _LONGEST_REPLY else 0
     return end + 2
+
+
+def without_local_echo(received: bytes, sent: bytes) -> bytes:
+    """Return a reply without the command that a converter or serial server sent back before the scanner's own echo."""
+    body = received.lstrip(b"\n")
+    return body[len(sent) :] if sent.strip() and body.startswith(sent + sent) else received
+
+
+def answers_another(received: bytes, sent: bytes) -> bool:
+    """Return whether a complete reply is one to an earlier command, which came late."""
+    echo, _, rest = received.strip(b"\n").partition(b"\n")
+    status = rest[:3]
+    whole = len(status) == 3 and checksum(status[:2]) == status[2] and rest[3:4] in (b"", b"\n")
+    # A request for lines that is acknowledged as another one, perhaps without end, is no late answer.
+    misread = echo[:_COUNTED] == sent[:_COUNTED] and len(echo) > _COUNTED and status[:2] == b"00"
+    return whole and echo != sent.strip(b"\n") and not misread
 
 
 def parse_status(received: bytes, sent: bytes, *, allowed: tuple[str, ...] = ("00",)) -> tuple[str, list[bytes]]:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Generator
+import logging
+from collections.abc import Callable, Generator
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
 from ladarreg_core.acquisition.devices import Check, ClockReading, LineScannerIdentity, ScanLine
-from ladarreg_core.acquisition.link import Link
+from ladarreg_core.acquisition.link import Link, NoAnswerError
 from ladarreg_core.acquisition.plan import ScannerPlan
 from ladarreg_core.acquisition.ports import PortSource
 from ladarreg_core.acquisition.scip_clock import ClockSample, LineTimes, ScannerClock
@@ -20,22 +23,29 @@ from ladarreg_core.acquisition.scip_protocol import (
     ScipError,
     ScipNotReadyError,
     ScipParameters,
+    answers_another,
     is_acknowledgement,
     parse_clock,
     parse_fields,
     parse_line,
     parse_status,
     reply_length,
+    without_local_echo,
 )
 from ladarreg_core.acquisition.scip_status import UNKNOWN_COMMAND
 from ladarreg_core.errors import DeviceError
 
+_LOG = logging.getLogger(__name__)
+_T = TypeVar("_T")
 _ANSWER_S = 1.5
 _FIRST_LINE_S = 3.0
 _READY_S = 10.0
 _ASK_AGAIN_S = 0.3
 _NAP_S = 0.02
 _QUIET_S = 0.15
+_QUIET_FIRST_S = 0.6  # how far away the scanner is, is not known yet
+_QUIET_TRIPS, _FORGOTTEN, _LONGEST_QUIET_S = 1.5, 0.8, 1.5
+_TRIES, _MOST_ASKED = 3, 4
 _CLOCK_READINGS = 8
 _COMPARED_FOR_S = 60.0
 _MM = 0.001
@@ -46,6 +56,7 @@ class ScipScanner:
 
     def __init__(self, link: Link) -> None:
         self._link, self._host_clock = link, link.clock
+        self._round_trip_s = self._asked_s = 0.0
         self._clock, self._tells_time = ScannerClock(), True
         self._set_up()
         self._parameters, self.identity = self._identify()
@@ -106,16 +117,20 @@ class ScipScanner:
         Raises:
             DeviceError: if the scanner does not answer as specified, or its clock jumped since it was last compared.
         """
-        parse_status(self._ask(b"TM0\n"), b"TM0\n", allowed=("00", "02"))
+        self._asked(b"TM0\n", partial(parse_status, allowed=("00", "02")))
         samples = []
         try:
             for _ in range(_CLOCK_READINGS):
-                begun = self._host_clock.now()
-                clock_ms = parse_clock(self._ask(b"TM1\n"), b"TM1\n")
-                samples.append(ClockSample(begun, self._host_clock.now(), clock_ms))
+                clock_ms = self._asked(b"TM1\n", parse_clock)
+                samples.append(ClockSample(self._asked_s, self._host_clock.now(), clock_ms))
         finally:
-            parse_status(self._ask(b"TM2\n"), b"TM2\n", allowed=("00", "03"))
+            self._asked(b"TM2\n", partial(parse_status, allowed=("00", "03")))
         return self._clock.compare(samples)
+
+    @property
+    def last_clock(self) -> ClockReading | None:
+        """How the clocks related when they were compared last."""
+        return self._clock.reading
 
     def require_present(self) -> None:
         """Raise `DeviceError` if the port is lost; without an exchange."""
@@ -139,7 +154,7 @@ class ScipScanner:
         request = LineRequest(*steps, count=count, with_intensity=self.identity.has_intensity, single=False)
         asked_s = self._host_clock.now()
         # The request itself switches the laser on, and its end off.
-        received = self._link.exchange(request.sent, complete=reply_length, deadline_s=_ANSWER_S, check=check)
+        received = self._ask(request.sent, check)
         if not is_acknowledgement(received, request):
             raise ScipError("the line scanner did not acknowledge the request for lines; check the cable")
         parse_status(received, request.sent)
@@ -184,15 +199,20 @@ class ScipScanner:
         self.laser_off()
         self._settle()
         self._clock.forget()
-        parse_status(self._ask(b"QT\n"), b"QT\n")
+        self._asked(b"QT\n", parse_status)
 
     def _settle(self) -> None:
-        """Let pass what the scanner still sends after it was told to stop."""
+        """Let pass what the scanner still sends after it was told to stop; for longer if it is far away."""
+        base = max(_QUIET_S, _QUIET_TRIPS * self._round_trip_s) if self._round_trip_s else _QUIET_FIRST_S
         with contextlib.suppress(DeviceError):
-            self._link.exchange(b"", complete=lambda data: False, deadline_s=_QUIET_S)
+            self._link.exchange(b"", complete=lambda data: False, deadline_s=min(base, _LONGEST_QUIET_S))
 
     def _identify(self) -> tuple[ScipParameters, LineScannerIdentity]:
         version, limits, again = (self._fields(sent) for sent in (b"VV\n", b"PP\n", b"PP\n"))
+        for _ in range(_MOST_ASKED - 2):
+            if limits == again:
+                break
+            limits, again = again, self._fields(b"PP\n")
         if limits != again:
             name = next(name for name in (*limits, *again) if limits.get(name) != again.get(name))
             raise ScipError(
@@ -230,17 +250,38 @@ class ScipScanner:
         until = self._host_clock.now() + _READY_S
         while True:
             try:
-                return parse_status(self._ask(sent), sent, allowed=allowed)[0]
+                return self._asked(sent, partial(parse_status, allowed=allowed))[0]
             except ScipNotReadyError:
                 if self._host_clock.now() > until:
                     raise
             self._host_clock.sleep(_ASK_AGAIN_S)
 
     def _fields(self, sent: bytes) -> dict[str, str]:
-        return dict(parse_fields(self._ask(sent), sent))
+        return dict(self._asked(sent, parse_fields))
 
-    def _ask(self, sent: bytes) -> bytes:
-        return self._link.exchange(sent, complete=reply_length, deadline_s=_ANSWER_S)
+    def _asked(self, sent: bytes, parse: Callable[[bytes, bytes], _T]) -> _T:
+        """Return what the answer to a command says that may be sent again, as it is if none comes or a damaged one."""
+        for left in reversed(range(_TRIES)):
+            try:
+                return parse(self._ask(sent), sent)
+            except ScipNotReadyError:
+                raise
+            except (ScipError, NoAnswerError) as error:
+                if not left:
+                    raise
+                _LOG.info("asked again: %s", error)
+                self._link.remark(f"asked again: {error}")
+                self._settle()
+        raise AssertionError("the last try returns or raises")
+
+    def _ask(self, sent: bytes, check: Check | None = None) -> bytes:
+        """Return the answer to a command; the echo tells it from late ones to earlier commands, which are dropped."""
+        begun = self._asked_s = self._host_clock.now()
+        received = self._link.exchange(sent, complete=reply_length, deadline_s=_ANSWER_S, check=check)
+        while answers_another(received, sent) and self._host_clock.now() - begun < _ANSWER_S:
+            received = self._link.receive(complete=reply_length, deadline_s=_ANSWER_S, check=check)
+        self._round_trip_s = max(_FORGOTTEN * self._round_trip_s, self._host_clock.now() - begun)
+        return without_local_echo(received, sent)
 
     def _wait(self, seconds: float, check: Check) -> None:
         until = self._host_clock.now() + seconds

@@ -59,8 +59,10 @@ def station_lines(fields: Mapping[str, Any]) -> list[tuple[str, str]]:
             text = {"fixed": "fixed", "out": "left out"}.get(one["state"])
             if text is None:
                 where = ", ".join(f"{float(row[3]):.3f}" for row in one["world_from_scanner"][:3])
-                mm, deg = max(one["sigma_mm"]), max(one["sigma_deg"])
-                text = f"at {where} m, sigma {mm:.2g} mm, {deg:.2g} deg"
+                known = {"kept": "as its file states", "stated": "as its file states, not verified"}.get(one["state"])
+                if known is None:
+                    known = f"sigma {max(one['sigma_mm']):.2g} mm, {max(one['sigma_deg']):.2g} deg"
+                text = f"at {where} m, {known}"
             lines.append(("station", f"{name}: {text}"))
         for pair in fields["pairs"]:
             both = f"{names[pair['second']]} to {names[pair['first']]}"

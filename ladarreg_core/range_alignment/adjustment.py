@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.frames import Rigid, rotation_from_rotvec, rotvec_from_rotation, skew
 from ladarreg_core.progress import Progress, Report
-from ladarreg_core.range_alignment.voxel_planes import LEAST_ACROSS, SharedPlanes, shared_planes
+from ladarreg_core.range_alignment.voxel_planes import LEAST_ACROSS, SharedPlanes, dots, plane_moments, shared_planes
 
 GATES: tuple[tuple[float, float], ...] = ((0.1, 6.0), (0.05, 4.0), (0.025, 2.5), (0.015, 2.0), (0.015, 2.0))
 """Distance (m) and angle (deg) within which two views' patches are one plane, in turn."""
@@ -28,6 +28,8 @@ _LEAST_SIGMA_M = 2e-4
 _STEPS_A_GATE = 3
 _LEAST_OF_PLANE = 24
 _TILE_M = 0.1
+_COARSE = ((0.05, 120_000), (0.025, 240_000))
+"""At gates from so wide on, m, about so many points of all views are enough: poses move by far more than these say."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +89,7 @@ def adjust(
     more: Callable[[Sequence[Rigid], int], tuple[FloatArray, FloatArray]] | None = None,
     gates: Sequence[tuple[float, float]] = GATES,
     start: Adjustment | None = None,
+    steps: int = _STEPS_A_GATE,
     report: Report | None = None,
 ) -> Adjustment:
     """Adjust the poses of all views by the planes that they share.
@@ -99,6 +102,7 @@ def adjust(
             poses and with the number of the gate.
         gates: as `GATES`.
         start: an earlier adjustment of the same views, to begin with its result; by the first of the common parameters.
+        steps: at each gate.
         report: receives the progress; may raise `Cancelled`.
 
     Source: planes eliminated as in bundle adjustment; Triggs et al. 2000, section 6.1.
@@ -109,25 +113,27 @@ def adjust(
     shared = np.zeros(extra)
     if start is not None and start.common is not None:
         shared[: len(start.common)] = start.common
-    owner = np.repeat(np.arange(count), [len(view.points) for view in views])
     prior = np.zeros((6 * count, 6 * count))
     for k, view in enumerate(views):
         prior[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = view.information
-    done, total = 0, len(gates) * _STEPS_A_GATE
+    done, total = 0, len(gates) * steps
     equations = _Equations.none(count)
     of_planes = equations.information
     jacobian = np.zeros((6 * count, extra))
     for stage, (apart, angle) in enumerate(gates):
-        world, rays = _in_world(views, poses)
+        cloud = _Cloud.of(views, every=_stride(views, apart))
+        owner = cloud.owner
+        world, rays = cloud.at(poses)
         found = shared_planes(world, rays, owner, farthest_apart_m=apart, largest_angle_rad=float(np.radians(angle)))
         if use_blocks is not None:
             found = found.select(use_blocks(found.block))
-        relief = _relief(found, world, owner, count)
-        for _ in range(_STEPS_A_GATE):
+        groups = _Groups.of(found, owner, count)
+        relief = _relief(found, groups, world)
+        for _ in range(steps):
             if report is not None:
                 report(Progress(done, total, "aligning the pieces"))
             done += 1
-            equations = _equations(found, world, rays, owner, count, relief)
+            equations = _equations(found, groups, world, rays, count, relief)
             of_planes = equations.information
             if more is not None:
                 added, slope = more(poses, stage)
@@ -141,7 +147,7 @@ def adjust(
             poses = [_moved(pose, one) for pose, one in zip(poses, turned, strict=True)]
             moved += step.reshape(count, 6)
             shared = np.asarray(shared + again, np.float64)
-            world, rays = _in_world(views, poses)
+            world, rays = cloud.at(poses)
     full = _system(equations, prior, jacobian, common)
     covariance = np.asarray(np.linalg.pinv(full, hermitian=True), np.float64)
     spread = np.hstack([np.eye(6 * count), jacobian])
@@ -170,32 +176,69 @@ def off_planes(
         owner: (N,) view of each point.
         within_views: fit a plane to each view alone instead: the noise that no pose can remove.
     """
-    world, _ = _in_world(views, poses)
-    from ladarreg_core.range_alignment.voxel_planes import plane_moments
-
+    world, _ = _Cloud.of(views).at(poses)
     group = found.plane * len(views) + owner[found.point] if within_views else found.plane
     names, group = np.unique(group, return_inverse=True)
     _, centre, normal, _ = plane_moments(world[found.point], group, len(names))
-    return np.asarray(((world[found.point] - centre[group]) * normal[group]).sum(-1))
+    return dots(world[found.point] - centre[group], normal[group])
 
 
 def planes_of(
     views: Sequence[RangeView], poses: Sequence[Rigid], *, apart_m: float, angle_rad: float
 ) -> tuple[SharedPlanes, IntArray]:
     """Return the planes that views at some poses share, and the view (N,) of each point."""
-    world, rays = _in_world(views, poses)
-    owner = np.repeat(np.arange(len(views)), [len(view.points) for view in views])
-    return shared_planes(world, rays, owner, farthest_apart_m=apart_m, largest_angle_rad=angle_rad), owner
+    cloud = _Cloud.of(views)
+    world, rays = cloud.at(poses)
+    found = shared_planes(world, rays, cloud.owner, farthest_apart_m=apart_m, largest_angle_rad=angle_rad)
+    return found, cloud.owner
 
 
-def _in_world(views: Sequence[RangeView], poses: Sequence[Rigid]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the points (N, 3) of all views in the world, and the unit rays along which they were measured."""
-    points, rays = [], []
-    for view, pose in zip(views, poses, strict=True):
-        local = np.asarray(view.points, np.float64)
-        points.append(pose @ local)
-        rays.append((local / np.linalg.norm(local, axis=-1, keepdims=True)) @ pose.rotation.T)
-    return np.concatenate(points), np.concatenate(rays)
+def _stride(views: Sequence[RangeView], apart_m: float) -> int:
+    """Return of how many points one is used at a gate."""
+    points = sum(len(view.points) for view in views)
+    enough = next((most for least_m, most in _COARSE if apart_m >= least_m), points)
+    return max(1, points // max(enough, 1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Cloud:
+    """The points of all views, each in its own frame."""
+
+    points: tuple[NDArray[np.float64], ...]
+    """(N, 3) m of each view."""
+    rays: tuple[NDArray[np.float64], ...]
+    """(N, 3) unit, along which they were measured."""
+    owner: IntArray
+    """(M,) view of each point of all."""
+
+    @staticmethod
+    def of(views: Sequence[RangeView], *, every: int = 1) -> _Cloud:
+        points = tuple(np.asarray(view.points[::every], np.float64) for view in views)
+        rays = tuple(each / np.sqrt(dots(each, each))[:, None] for each in points)
+        return _Cloud(points, rays, np.repeat(np.arange(len(views)), [len(each) for each in points]))
+
+    def at(self, poses: Sequence[Rigid]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the points (M, 3) in the world, and the unit rays along which they were measured."""
+        points = [pose @ each for pose, each in zip(poses, self.points, strict=True)]
+        rays = [each @ pose.rotation.T for pose, each in zip(poses, self.rays, strict=True)]
+        return np.concatenate(points), np.concatenate(rays)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Groups:
+    """The points of each plane that one view sees: a group."""
+
+    group: IntArray
+    """(M,) of each point on a plane."""
+    plane: IntArray
+    """(G,)"""
+    view: IntArray
+    """(G,)"""
+
+    @staticmethod
+    def of(found: SharedPlanes, owner: IntArray, views: int) -> _Groups:
+        names, group = np.unique(found.plane * views + owner[found.point], return_inverse=True)
+        return _Groups(group, names // views, names % views)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -213,9 +256,9 @@ class _Equations:
 
 def _equations(
     found: SharedPlanes,
+    groups: _Groups,
     world: FloatArray,
     rays: FloatArray,
-    owner: IntArray,
     views: int,
     relief: FloatArray,
 ) -> _Equations:
@@ -223,9 +266,9 @@ def _equations(
 
     Args:
         found: the planes.
+        groups: what each view sees of them.
         world: (N, 3) m, points of all views.
         rays: (N, 3) their directions.
-        owner: (N,) view of each point.
         views: V.
         relief: (G,) as `_relief` returns it.
     """
@@ -235,29 +278,29 @@ def _equations(
     normal, centre = found.normals, found.centres
     off = world[point] - centre[plane]
     u, v = _along(normal)
-    across = (rays[point] * normal[plane]).sum(-1)
+    facing = normal[plane]
+    across = dots(rays[point], facing)
     spread = np.sqrt(across**2 + LEAST_ACROSS**2)
     # Robust weights from what is left when each plane has fitted itself.
-    left = (off * normal[plane]).sum(-1)
-    left -= _own_fit(plane, found.count, left, off, u, v)
+    left = dots(off, facing)
+    left -= _own_fit(plane, found.count, left, dots(off, u[plane]), dots(off, v[plane]))
     scaled = left / spread
     sigma = max(_MAD * float(np.median(np.abs(scaled))), _LEAST_SIGMA_M)
     weight = np.minimum(1.0, _HUBER * sigma / np.maximum(np.abs(scaled), 1e-12)) / spread**2
     # The residual, its derivatives and the plane's own unknowns are linear in (q, 1), q from the plane's centre.
-    names, group = np.unique(plane * views + owner[point], return_inverse=True)
-    of_plane, of_view = names // views, names % views
-    S = _second_moments(off, weight, group, len(names))
+    of_plane, of_view, count = groups.plane, groups.view, len(groups.plane)
+    S = _second_moments(off, weight, groups.group, count)
     S /= (1 + S[:, 3, 3] * relief / sigma**2)[:, None, None]
-    A = np.zeros((len(names), 6, 4))
+    A = np.zeros((count, 6, 4))
     n, c = normal[of_plane], centre[of_plane]
     for axis in range(3):
         A[:, :3, axis] = np.cross(np.eye(3)[axis], n)
         A[:, 3:, 3] = n
     A[:, :3, 3] = np.cross(c, n)
-    B = np.zeros((len(names), 3, 4))
+    B = np.zeros((count, 3, 4))
     B[:, 0, 3] = 1
     B[:, 1, :3], B[:, 2, :3] = u[of_plane], v[of_plane]
-    nu = np.concatenate([n, np.zeros((len(names), 1))], axis=-1)
+    nu = np.concatenate([n, np.zeros((count, 1))], axis=-1)
     AS, BS = A @ S, B @ S
     H, C = AS @ A.transpose(0, 2, 1), AS @ B.transpose(0, 2, 1)
     g, h = (AS @ nu[..., None])[..., 0], (BS @ nu[..., None])[..., 0]
@@ -302,7 +345,7 @@ def _along(normal: FloatArray) -> tuple[NDArray[np.float64], NDArray[np.float64]
     return np.asarray(u), np.asarray(np.cross(normal, u))
 
 
-def _relief(found: SharedPlanes, world: FloatArray, owner: IntArray, views: int) -> NDArray[np.float64]:
+def _relief(found: SharedPlanes, groups: _Groups, world: FloatArray) -> NDArray[np.float64]:
     """Return the variance (G,), m^2, of how far each view's part of a plane is from the whole because it is not flat.
 
     Views see different parts, and however many points they have, none shows the plane better than its panels and
@@ -311,46 +354,52 @@ def _relief(found: SharedPlanes, world: FloatArray, owner: IntArray, views: int)
     if not found.count:
         return np.zeros(0)
     point, plane = found.point, found.plane
-    names, group = np.unique(plane * views + owner[point], return_inverse=True)
+    group, count = groups.group, len(groups.plane)
     u, v = _along(found.normals)
     off = world[point] - found.centres[plane]
-    value = (off * found.normals[plane]).sum(-1)
-    value = value - _own_fit(group, len(names), value, off, u[names // views], v[names // views])
-    tile = np.stack([group, *(np.floor((off * axis[plane]).sum(-1) / _TILE_M) for axis in (u, v))], axis=-1)
-    code = (tile[:, 0] * 4096 + tile[:, 1] + 2048) * 4096 + tile[:, 2] + 2048
-    _, first, tile_of, count = np.unique(code, return_index=True, return_inverse=True, return_counts=True)
-    mean = np.bincount(tile_of, value) / count
-    within = np.maximum(np.bincount(tile_of, value**2) - count * mean**2, 0)
+    value, along_u, along_v = (dots(off, axis[plane]) for axis in (found.normals, u, v))
+    value = value - _own_fit(group, count, value, along_u, along_v)
+    code = (group * 4096 + np.floor(along_u / _TILE_M).astype(np.int64) + 2048) * 4096
+    code += np.floor(along_v / _TILE_M).astype(np.int64) + 2048
+    _, first, tile_of, sizes = np.unique(code, return_index=True, return_inverse=True, return_counts=True)
+    mean = np.bincount(tile_of, value) / sizes
+    within = np.maximum(np.bincount(tile_of, value**2) - sizes * mean**2, 0)
     owner_of_tile = group[first]
-    tiles = np.bincount(owner_of_tile, minlength=len(names))
-    points = np.bincount(owner_of_tile, count, len(names))
-    noise = np.bincount(owner_of_tile, within, len(names)) / np.maximum(points - tiles, 1)
-    between = np.bincount(owner_of_tile, count * mean**2, len(names))
+    tiles = np.bincount(owner_of_tile, minlength=count)
+    points = np.bincount(owner_of_tile, sizes, count)
+    noise = np.bincount(owner_of_tile, within, count) / np.maximum(points - tiles, 1)
+    between = np.bincount(owner_of_tile, sizes * mean**2, count)
     relief = np.maximum(between - np.maximum(tiles - 3, 0) * noise, 0) / np.maximum(points, 1)
     return np.asarray(relief / np.maximum(tiles, 1))
 
 
 def _own_fit(
-    plane: IntArray, planes: int, value: FloatArray, off: FloatArray, u: FloatArray, v: FloatArray
+    plane: IntArray, planes: int, value: FloatArray, along_u: FloatArray, along_v: FloatArray
 ) -> NDArray[np.float64]:
-    own = np.stack([np.ones(len(plane)), (off * u[plane]).sum(-1), (off * v[plane]).sum(-1)], axis=-1)
+    """Return what a plane of its own, by an offset and two inclinations, explains of the value of each point."""
+    own = (np.ones(len(plane)), along_u, along_v)
     D, e = np.empty((planes, 3, 3)), np.empty((planes, 3))
     for i in range(3):
-        e[:, i] = np.bincount(plane, own[:, i] * value, planes)
-        for j in range(3):
-            D[:, i, j] = np.bincount(plane, own[:, i] * own[:, j], planes)
+        e[:, i] = np.bincount(plane, own[i] * value, planes)
+        for j in range(i, 3):
+            D[:, i, j] = D[:, j, i] = np.bincount(plane, own[i] * own[j], planes)
     D[:, range(3), range(3)] += 1e-12 * (1 + np.abs(D).max(axis=(1, 2)))[:, None]
-    fit = np.linalg.solve(D, e[..., None])[..., 0]
-    return np.asarray((own * fit[plane]).sum(-1))
+    fit = np.linalg.solve(D, e[..., None])[..., 0][plane]
+    return np.asarray(fit[:, 0] + fit[:, 1] * along_u + fit[:, 2] * along_v)
 
 
 def _second_moments(off: FloatArray, weight: FloatArray, group: IntArray, groups: int) -> NDArray[np.float64]:
     """Return the weighted sums (G, 4, 4) of (q, 1)(q, 1)^T."""
-    q = [off[:, 0], off[:, 1], off[:, 2], np.ones(len(off))]
+    x, y, z = np.ascontiguousarray(off.T)
+    q = (x, y, z, None)
     out = np.empty((groups, 4, 4))
     for i in range(4):
+        first = q[i]
+        weighted = weight if first is None else weight * first
         for j in range(i, 4):
-            out[:, i, j] = out[:, j, i] = np.bincount(group, weight * q[i] * q[j], groups)
+            second = q[j]
+            product = weighted if second is None else weighted * second
+            out[:, i, j] = out[:, j, i] = np.bincount(group, product, groups)
     return out
 
 

@@ -9,109 +9,64 @@ Source: direct alignment by Gauss and Newton, after Lucas and Kanade 1981.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.frames import Rigid
-from ladarreg_core.scan import Scan
+from ladarreg_core.progress import Progress, Report
+from ladarreg_core.range_alignment.intensity_view import IntensityView, Seen, by_point, lengths, lookup, lookup_at
+from ladarreg_core.range_alignment.voxel_planes import dots
 
 BLUR_CELLS = (6.0, 3.0, 1.5)
 """Smoothing of the intensities, in turn: from far off only what is coarse leads to the right place."""
 
-_BAND = 5.0
-_BORDER = 2.0
-"""How far smoothing reaches, in standard deviations."""
-_ONE_SIDED = 0.055
-"""Centre of what is smoothed, in standard deviations of the smoothing: as near a straight border, `_BORDER` from it."""
-_STEEPEST = 6.0  # relative change of the range over a cell, in steps: beyond it, a depth edge
-_MOST_PARALLAX_BLURS = 0.5
-_FARTHEST = 1e6
-_EDGE_CELLS = 5
-_EDGE_WINDOWS = (3, 7)  # an edge may be hidden in a gap of a few cells without returns
 _POINTS_A_LINK = 5_000
 _LEAST_POINTS = 200
+_STRAIGHT_RAD = 0.003  # off by half of its square
 _PROBED = 97  # of so many points one is looked up first
-_SAME_SURFACE = (0.03, 0.02)
 _HUBER = 1.5
-_MAD = 1.4826
-_LEAST_SIGMA = 0.01
-_LEAST_CONTRAST = 0.02
+MAD = 1.4826
+"""Standard deviations a median deviation."""
+LEAST_SIGMA = 0.01
+"""Least standard deviation that is believed of a difference of logarithms."""
+LEAST_CONTRAST = 0.02
+"""Standard deviation of the logarithm within a patch from which on it has texture."""
 _LEAST_CORRELATION = 0.6
-_FLOOR_SHARE = 0.25
 _PATCH_CELLS, _PATCH_BLURS = 24, 8.0
-_LEAST_OF_PATCH = 8
-_MISFIT_BLURS = 0.2
+LEAST_OF_PATCH = 8
+"""Samples of a patch."""
+MISFIT_BLURS = 0.2
 """How far the texture of a patch may seem shifted beside its noise, standard deviation in blurs: by interpolation, by
 the border of a scan, by gloss. However strong its edges, no patch is more exact than that."""
-_LINK_MISFIT_BLURS = 0.04
+LINK_MISFIT_BLURS = 0.04
 """The same, common to all patches of a link: many are parts of one long edge, or of one glossy wall."""
 _PATCH_HUBER = 2.5
 _CHI2_MEDIAN = 1.386  # of two degrees of freedom
-_SAMPLES_A_PATCH = 8
-_ALIKE = 3.0  # of them, those that a misfit shifts alike
-_MOST_SQUARE = 9.0
-_SHOWN_SIGMAS = 2.0
 _UNSEEN = 2.0
 """Variances are larger than patches say by this factor: each pair of views is compared in both directions, which is
 little more than once."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class IntensityView:
-    """One scan, prepared for the comparison of its intensities."""
+class Anchor:
+    """Where the second view of a link saw its points at some poses."""
 
-    scan: Scan
-    light: NDArray[np.float16]
-    """(H, W) smoothed logarithm of the intensity; NaN as near edges and the borders of holes as smoothing reaches.
-    In half precision, a thousandth of the values: many scans are held at several levels."""
-    by_cell: tuple[NDArray[np.float16], NDArray[np.float16]]
-    """Its derivatives by row and by column."""
-    gap: NDArray[np.float16]
-    """(H, W) largest step of the inverse range (1/m) at a depth edge as near as smoothing reaches. What lies beyond the
-    edge is in the smoothing, too, and for a scanner elsewhere it lies elsewhere: by this times the distance."""
-    blur_cells: float
-    """Standard deviation of the smoothing."""
+    local: FloatArray
+    """(N, 3) m, in its frame."""
+    cells: FloatArray
+    """(N, 2)"""
+    by_local: FloatArray
+    """(N, 2, 3) derivatives of the cells by the point."""
 
-    def most_gap(self, apart_m: float) -> float:
-        """Return the largest `gap` at which this may be compared with a scan from a centre so far away."""
-        step = float(np.mean(self.scan.geometry.step_rad))
-        return _MOST_PARALLAX_BLURS * self.blur_cells * step / max(apart_m, 1e-6)
-
-    @staticmethod
-    def of(scan: Scan, floor: float, blur_cells: float) -> IntensityView:
-        """Return a scan prepared for comparison.
-
-        Args:
-            scan: the scan.
-            floor: intensity that is added before the logarithm is taken, the same for all scans.
-            blur_cells: standard deviation of the smoothing.
-        """
-        there = scan.valid
-        size = (0, 0)
-        light = np.where(there, np.log(np.maximum(scan.intensity, 0) + floor), 0).astype(np.float32)
-        # Gloss moves with the scanner's centre, and is smooth: only what is finer is compared.
-        blurs = blur_cells, _BAND * blur_cells
-        shares = [np.asarray(cv2.GaussianBlur(there.astype(np.float32), size, cells), np.float32) for cells in blurs]
-        smooth, wide = (
-            cv2.GaussianBlur(light, size, cells) / np.maximum(share, 1e-6)
-            for cells, share in zip(blurs, shares, strict=True)
-        )
-        smooth -= wide
-        # Where returns are missing on one side, smoothing is one-sided, and on the other side in another scan.
-        gap = _gaps(scan)
-        smooth[_widened(gap, _EDGE_CELLS // 2) > 0] = np.nan
-        smooth[_one_sided(shares[1], _BAND * blur_cells) | ~there] = np.nan
-        gap = _widened(gap, int(np.ceil(_BORDER * _BAND * blur_cells)))
-        # At the border the smoothing is one-sided, and on the other side in the scan beside it.
-        margin = int(np.ceil(_BORDER * _BAND * blur_cells))
-        for border in (smooth[:margin], smooth[-margin:], smooth[:, :margin], smooth[:, -margin:]):
-            border[...] = np.nan
-        slopes = _slope(smooth, 0), _slope(smooth, 1)
-        return IntensityView(scan, smooth.astype(np.float16), slopes, gap.astype(np.float16), blur_cells)
+    def cells_at(self, local: FloatArray) -> FloatArray | None:
+        """Return the cells (N, 2) of the points after a small move; None if it was too far for a straight line."""
+        move = local - self.local
+        if not (dots(move, move) < _STRAIGHT_RAD**2 * dots(local, local)).all():
+            return None
+        return np.asarray(self.cells + np.einsum("nij,nj->ni", self.by_local, move))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,6 +85,8 @@ class Link:
     """(N,) number of the patch of the first's grid in which a point lies, of each level."""
     gap: tuple[FloatArray, ...]
     """(N,) the first's `IntensityView.gap` there, of each level."""
+    anchor: Anchor | None = None
+    """Where the second saw the points at some poses."""
 
     def every(self, stride: int) -> Link:
         """Return the link of every n-th point."""
@@ -137,21 +94,40 @@ class Link:
         light, slopes = (tuple(one[thin] for one in each) for each in (self.light, self.slopes))
         patch = tuple(one[thin] for one in self.patch)
         gap = tuple(one[thin] for one in self.gap)
-        return Link(self.first, self.second, self.points[thin], light, slopes, patch, gap)
+        anchor = None
+        if self.anchor is not None:
+            anchor = Anchor(self.anchor.local[thin], self.anchor.cells[thin], self.anchor.by_local[thin])
+        return Link(self.first, self.second, self.points[thin], light, slopes, patch, gap, anchor)
+
+    def anchored(self, views: Sequence[IntensityView], poses: Sequence[Rigid]) -> Link:
+        """Return the link with its cells of the second view found at some poses, from which small moves lead on.
+
+        Finding the cells of rays in a table takes as long as all the rest of a comparison.
+        """
+        scan = views[self.second].scan
+        local = poses[self.second].inverse @ (poses[self.first] @ self.points)
+        cells = np.asarray(scan.geometry.cell_of(local), np.float64)
+        along = [by_point(scan, local, np.broadcast_to(unit, cells.shape), cells) for unit in np.eye(2)]
+        return replace(self, anchor=Anchor(local, cells, np.stack(along, axis=1)))
 
 
-def links_of(levels: Sequence[Sequence[IntensityView]], poses: Sequence[Rigid], *, seed: int = 0) -> list[Link]:
+def links_of(
+    levels: Sequence[Sequence[IntensityView]], poses: Sequence[Rigid], *, seed: int = 0, report: Report | None = None
+) -> list[Link]:
     """Return the links between all views that overlap at some poses, each pair in both directions.
 
     Args:
         levels: the views, smoothed less and less.
         poses: `world_from_scan` of each view.
         seed: of the choice of points.
+        report: receives the progress; may raise `Cancelled`.
     """
     found = []
     rng = np.random.default_rng(seed)
     views = levels[-1]
     for a, view in enumerate(views):
+        if report is not None:
+            report(Progress(a, len(views), "comparing the intensities"))
         stride = max(1, int(np.sqrt(view.scan.ranges.size / 200_000)))
         part = slice(None, None, stride)
         points = view.scan.points_at(part, part).reshape(-1, 3)
@@ -163,12 +139,12 @@ def links_of(levels: Sequence[Sequence[IntensityView]], poses: Sequence[Rigid], 
         for b, other in enumerate(views):
             if a == b or axis @ poses[b].rotation @ other.scan.mean_direction < -0.9:
                 continue
-            there, most = poses[b].inverse, _most_gap(view, other, poses[a], poses[b])
+            there, most = poses[b].inverse, most_gap(view, other, poses[a], poses[b])
             few = there @ world[::_PROBED]
-            if not _lookup(other, few).good(few, most).any():
+            if not lookup(other, few).good(lengths(few), most).any():
                 continue
             local = there @ world
-            at = np.flatnonzero(_lookup(other, local).good(local, most) & (view.gap.ravel()[cells] <= most))
+            at = np.flatnonzero(lookup(other, local).good(lengths(local), most) & (view.gap.ravel()[cells] <= most))
             if len(at) < _LEAST_POINTS:
                 continue
             if len(at) > _POINTS_A_LINK:
@@ -182,13 +158,10 @@ def links_of(levels: Sequence[Sequence[IntensityView]], poses: Sequence[Rigid], 
 
 
 def _link(first: int, second: int, levels: Sequence[IntensityView], points: FloatArray, cells: IntArray) -> Link:
-    slopes = [
-        _by_point(
-            levels[0].scan, points, np.stack([slope.ravel()[cells] for slope in view.by_cell], axis=-1).astype(float)
-        )
-        for view in levels
-    ]
     row, column = np.divmod(cells, levels[0].light.shape[1])
+    at = np.stack([row, column], axis=-1).astype(np.float64)
+    by_cell = (np.stack([slope.ravel()[cells] for slope in view.by_cell], axis=-1) for view in levels)
+    slopes = [by_point(levels[0].scan, points, each.astype(np.float64), at) for each in by_cell]
     patch = []
     for view in levels:
         size = _patch_cells(view)
@@ -198,7 +171,8 @@ def _link(first: int, second: int, levels: Sequence[IntensityView], points: Floa
     return Link(first, second, points, tuple(light), tuple(slopes), tuple(patch), gap)
 
 
-def _most_gap(first: IntensityView, second: IntensityView, of_first: Rigid, of_second: Rigid) -> float:
+def most_gap(first: IntensityView, second: IntensityView, of_first: Rigid, of_second: Rigid) -> float:
+    """Return the largest `gap` at which two views may be compared."""
     apart = float(np.linalg.norm(of_first.translation - of_second.translation))
     return min(first.most_gap(apart), second.most_gap(apart))
 
@@ -212,7 +186,7 @@ def link_equations(
     Each patch that shows texture measures its shift in two directions. Noise has slopes, too, and on a surface that is
     nearly blank more of them than its texture: the slopes of one view are therefore the instruments for those of the
     other, whose noise is another one. What a patch is worth is known beforehand, by its texture, the noise and
-    `_MISFIT_BLURS`, and not by how well it fits: else a few that are wrong could argue away the one that is right.
+    `MISFIT_BLURS`, and not by how well it fits: else a few that are wrong could argue away the one that is right.
     Source: instrumental variables, Reiersol 1941; robust weights, Huber 1964.
 
     Args:
@@ -253,11 +227,11 @@ def _link_equation(
     """Return information (6, 6) and gradient (6,) of one link by its first view's move, and the chi^2 (P,) of its
     patches; None if it shows no texture.
     """
-    seen = _residuals(link, level, views, poses, keep, held_out)
-    if len(seen.residual) < _LEAST_OF_PATCH:
+    seen = residuals(link, level, views, poses, keep, held_out)
+    if len(seen.residual) < LEAST_OF_PATCH:
         return None
     view, centre = views[link.first], poses[link.first].translation
-    sigma = max(_MAD * float(np.median(np.abs(seen.residual))), _LEAST_SIGMA)
+    sigma = max(MAD * float(np.median(np.abs(seen.residual))), LEAST_SIGMA)
     _, patch, count = np.unique(seen.patch, return_inverse=True, return_counts=True)
 
     def summed(values: FloatArray) -> NDArray[np.float64]:
@@ -266,7 +240,7 @@ def _link_equation(
     # Two directions across the rays to each patch, a cell long.
     place = summed(seen.world) / count[:, None]
     ray = place - centre
-    far = np.linalg.norm(ray, axis=-1, keepdims=True)
+    far = lengths(ray)[:, None]
     ray /= far
     aside = np.cross(ray, np.where(np.abs(ray[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]]))
     aside /= np.linalg.norm(aside, axis=-1, keepdims=True)
@@ -275,7 +249,7 @@ def _link_equation(
     other, own = (np.einsum("nij,nj->ni", across[patch], slopes) for slopes in (seen.slopes, seen.instruments))
 
     alike, variance = likeness(seen.light, seen.light + seen.residual, patch, count)
-    textured = (count >= _LEAST_OF_PATCH) & (variance > _LEAST_CONTRAST**2) & (alike > _LEAST_CORRELATION)
+    textured = (count >= LEAST_OF_PATCH) & (variance > LEAST_CONTRAST**2) & (alike > _LEAST_CORRELATION)
     if not textured.any():
         return None
 
@@ -284,7 +258,7 @@ def _link_equation(
     response = summed(own[:, :, None] * other[:, None, :])
     noise = summed(own[:, :, None] * own[:, None, :]) * (sigma**2 * density)[:, None, None]
     moments = summed(own * seen.residual[:, None])
-    misfit = (_MISFIT_BLURS * view.blur_cells) ** 2
+    misfit = (MISFIT_BLURS * view.blur_cells) ** 2
     transposed = response.transpose(0, 2, 1)
     floor = 1e-9 * (1e-12 + np.trace(noise, axis1=1, axis2=2))[:, None, None] * np.eye(2)
     scatter = noise + misfit * response @ transposed + floor
@@ -302,7 +276,7 @@ def _link_equation(
     # The misfit that is common to the link is an unknown shift, and eliminated.
     of_shift = np.einsum("p,pji,pjk->ik", weight, response, weighing[..., :2])
     mixed = np.einsum("p,pji,pjk->ik", weight, turned, weighing[..., :2])
-    of_shift += np.eye(2) / (_LINK_MISFIT_BLURS * view.blur_cells) ** 2
+    of_shift += np.eye(2) / (LINK_MISFIT_BLURS * view.blur_cells) ** 2
     gain = np.linalg.solve(of_shift, mixed.T).T
     information -= gain @ mixed.T
     gradient -= gain @ np.einsum("p,pji,pj->i", weight, response, weighing[..., 2])
@@ -333,114 +307,14 @@ def _patch_cells(view: IntensityView) -> int:
     return max(_PATCH_CELLS, round(_PATCH_BLURS * view.blur_cells))
 
 
-def seen_points(link: Link, level: int, views: Sequence[IntensityView], poses: Sequence[Rigid]) -> BoolArray:
-    """Return which points (N,) of a link can be compared at some poses."""
-    local = poses[link.second].inverse @ (poses[link.first] @ link.points)
-    return _comparable(link, level, views, poses, local, _lookup(views[link.second], local))
-
-
-def _comparable(
-    link: Link, level: int, views: Sequence[IntensityView], poses: Sequence[Rigid], local: FloatArray, seen: _Seen
+def comparable(
+    link: Link, level: int, views: Sequence[IntensityView], poses: Sequence[Rigid], local: FloatArray, seen: Seen
 ) -> BoolArray:
+    """Return which points (N,) of a link, given in the frame of its second view, both views see."""
     a, b = link.first, link.second
-    most = _most_gap(views[a], views[b], poses[a], poses[b])
+    most = most_gap(views[a], views[b], poses[a], poses[b])
     own = np.isfinite(link.light[level]) & np.isfinite(link.slopes[level][:, 0]) & (link.gap[level] <= most)
-    return np.asarray(own & seen.good(local, most))
-
-
-def disagreement(
-    link: Link, level: int, views: Sequence[IntensityView], poses: Sequence[Rigid], sigma: float, among: BoolArray
-) -> float:
-    """Return how badly both views of a link agree where the first shows texture, at some poses, however far off.
-
-    It is a sum of squares in units of what noise and `_MISFIT_BLURS` explain, each limited, and of each patch no more
-    than a few: one long edge, which says little along itself, must not outweigh the end of another.
-
-    Args:
-        link: the link.
-        level: its level to compare.
-        views: the views, of that level.
-        poses: `world_from_scan` of each.
-        sigma: standard deviation of the noise of a difference.
-        among: (N,) the points to compare. Between poses whose disagreements are compared, they should be seen at all of
-            them: a pose is not better for what comes into view.
-    """
-    view, other = views[link.first], views[link.second]
-    local = poses[link.second].inverse @ (poses[link.first] @ link.points)
-    light, own = link.light[level], link.slopes[level]
-    cell = np.linalg.norm(link.points, axis=-1) * float(np.mean(view.scan.geometry.step_rad))
-    steep = np.linalg.norm(own, axis=-1) * cell
-    seen = _lookup(other, local)
-    use = _comparable(link, level, views, poses, local, seen) & among
-    if not use.any():
-        return 0.0
-    _, patch, count = np.unique(link.patch[level][use], return_inverse=True, return_counts=True)
-    light, steep = light[use], steep[use]
-    contrast = sums_of(np.square(light)[:, None], patch, len(count))[:, 0] / count
-    contrast -= np.square(sums_of(light[:, None], patch, len(count))[:, 0] / count)
-    textured = (contrast > max(_LEAST_CONTRAST, _SHOWN_SIGMAS * sigma) ** 2) & (count >= _LEAST_OF_PATCH)
-    steep_there = np.linalg.norm(seen.slopes[use], axis=-1)
-    residual = seen.light[use] - light
-    residual -= float(np.median(residual))
-    # Noise is each sample's own; a misfit is common to those of a patch, and some of it to all patches of a link.
-    common = _MISFIT_BLURS**2 + _LINK_MISFIT_BLURS**2 * float(textured.sum())
-    misfit = _ALIKE * common * view.blur_cells**2
-    squares = np.square(residual) / (sigma**2 + misfit * (np.square(steep) + np.square(steep_there)) / 2)
-    # What is seen no more counts as what fits.
-    excess = np.minimum(squares, _MOST_SQUARE) - 1
-    sums = sums_of(excess[:, None], patch, len(count))[:, 0]
-    return float((sums * np.minimum(1.0, _SAMPLES_A_PATCH / count))[textured].sum())
-
-
-def noise_of(link: Link, level: int, views: Sequence[IntensityView], poses: Sequence[Rigid]) -> float:
-    """Return the standard deviation of what differs between the views of a link."""
-    residual = _residuals(link, level, views, poses, None, 1).residual
-    return max(_MAD * float(np.median(np.abs(residual))), _LEAST_SIGMA) if len(residual) else _LEAST_SIGMA
-
-
-def common_floor(scans: Sequence[Scan]) -> float:
-    """Return what is added to the intensities of all scans before their logarithm is taken."""
-    middle = [float(np.median(scan.intensity[scan.valid])) for scan in scans]
-    return max(_FLOOR_SHARE * float(np.median(middle)), 1e-6)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
-    light: FloatArray
-    slopes: FloatArray
-    """(N, 2)"""
-    ranges: FloatArray
-    gap: FloatArray
-
-    def good(self, points: FloatArray, most_gap: float) -> BoolArray:
-        """Return which points (N, 3), in this view's frame, lie on the surface that it sees, with no larger gap."""
-        apart = np.abs(np.linalg.norm(points, axis=-1) - self.ranges)
-        with np.errstate(invalid="ignore"):
-            same = (apart < _SAME_SURFACE[0] + _SAME_SURFACE[1] * self.ranges) & (self.gap <= most_gap)
-        return np.asarray(same & np.isfinite(self.light) & np.isfinite(self.slopes).all(axis=-1))
-
-
-def _lookup(view: IntensityView, points: FloatArray) -> _Seen:
-    height, width = view.scan.shape
-    cell = np.asarray(view.scan.geometry.cell_of(points), np.float64)
-    with np.errstate(invalid="ignore"):
-        inside = (cell >= 0).all(axis=-1) & (cell[:, 0] <= height - 1) & (cell[:, 1] <= width - 1)
-    cell = np.where(inside[:, None], cell, 0)
-    top = np.minimum(cell[:, 0].astype(int), height - 2)
-    left = np.minimum(cell[:, 1].astype(int), width - 2)
-    down, right = cell[:, 0] - top, cell[:, 1] - left
-    flat = top * width + left
-
-    def between(field: FloatArray) -> FloatArray:
-        values = field.ravel()
-        upper = (1 - right) * values[flat] + right * values[flat + 1]
-        lower = (1 - right) * values[flat + width] + right * values[flat + width + 1]
-        return np.asarray(np.where(inside, (1 - down) * upper + down * lower, np.nan))
-
-    slopes = np.stack([between(view.by_cell[0]), between(view.by_cell[1])], axis=-1)
-    nearest = np.rint(cell[:, 0]).astype(int), np.rint(cell[:, 1]).astype(int)
-    ranges = np.where(inside, view.scan.ranges[nearest], np.nan)
-    return _Seen(between(view.light), slopes, ranges, view.gap[nearest])
+    return np.asarray(own & seen.good(lengths(local), most))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -459,23 +333,29 @@ class _Compared:
     """(M,)"""
 
 
-def _residuals(
+def residuals(
     link: Link, level: int, views: Sequence[IntensityView], poses: Sequence[Rigid], keep: IntArray | None, held_out: int
 ) -> _Compared:
+    """Return how far the views of a link differ at its points, those in some blocks of the room."""
     other = views[link.second]
     pose = poses[link.first]
     world = pose @ link.points
     there = poses[link.second].inverse
     local = there @ world
-    seen = _lookup(other, local)
-    use = _comparable(link, level, views, poses, local, seen)
+    cells = None if link.anchor is None else link.anchor.cells_at(local)
+    seen = lookup(other, local) if cells is None else lookup_at(other, cells)
+    use = comparable(link, level, views, poses, local, seen)
     if keep is not None:
         block = np.floor(world).astype(np.int64) @ np.array([1, 3, 2])
         use &= np.isin(block % held_out, keep)
     world, local = world[use], local[use]
     light = link.light[level][use]
     residual = seen.light[use] - light
-    by_world = _by_point(other.scan, local, seen.slopes[use]) @ there.rotation
+    if cells is not None and link.anchor is not None:
+        by_local = np.einsum("ni,nij->nj", seen.slopes[use], link.anchor.by_local[use])
+    else:
+        by_local = by_point(other.scan, local, seen.slopes[use], seen.cells[use])
+    by_world = by_local @ there.rotation
     own = link.slopes[level][use] @ pose.rotation.T
     return _Compared(
         residual - (float(np.median(residual)) if len(residual) else 0.0),
@@ -485,49 +365,3 @@ def _residuals(
         light,
         link.patch[level][use],
     )
-
-
-def _by_point(scan: Scan, local: FloatArray, slopes: FloatArray) -> NDArray[np.float64]:
-    """Return derivatives by the point (N, 3), in the scan's frame, of what has slopes (N, 2) by row and column."""
-    small = 1e-4 * np.linalg.norm(local, axis=-1)
-    out = np.empty((len(local), 3))
-    for axis in range(3):
-        beside = np.zeros((len(local), 3))
-        beside[:, axis] = small
-        cells = np.asarray(scan.geometry.cell_of(local + beside)) - scan.geometry.cell_of(local - beside)
-        out[:, axis] = (cells * slopes).sum(-1) / (2 * small)
-    return out
-
-
-def _slope(field: FloatArray, axis: int) -> NDArray[np.float16]:
-    out = np.full(field.shape, np.nan, np.float16)
-    if axis == 0:
-        out[1:-1] = (field[2:] - field[:-2]) / 2
-    else:
-        out[:, 1:-1] = (field[:, 2:] - field[:, :-2]) / 2
-    return out
-
-
-def _gaps(scan: Scan) -> NDArray[np.float32]:
-    """Return (H, W) the step of the inverse range (1/m) at depth edges and grazing surfaces, and zero elsewhere."""
-    ranges = np.asarray(scan.ranges, np.float32)
-    step = 2 * float(np.hypot(*scan.geometry.step_rad))
-    gap = np.zeros(scan.shape, np.float32)
-    for window in _EDGE_WINDOWS:
-        square = np.ones((window, window), np.uint8)
-        far = cv2.dilate(np.where(scan.valid, ranges, 0), square)
-        near = np.minimum(cv2.erode(np.where(scan.valid, ranges, _FARTHEST).astype(np.float32), square), _FARTHEST)
-        edge = far > near * (1 + _STEEPEST * step * (window - 1) / 2) + 0.02
-        gap[edge] = np.maximum(gap[edge], 1 / near[edge] - 1 / far[edge])
-    return gap
-
-
-def _widened(field: NDArray[np.float32], cells: int) -> NDArray[np.float32]:
-    """Return the largest value within so many cells, up or down and to the sides."""
-    return np.asarray(cv2.dilate(field, np.ones((2 * cells + 1, 2 * cells + 1), np.uint8)), np.float32)
-
-
-def _one_sided(share: FloatArray, cells: float) -> BoolArray:
-    """Return the cells (H, W) where smoothing has more to smooth on one side, by the share of cells with returns."""
-    slope = np.hypot(cv2.Sobel(share, cv2.CV_32F, 1, 0, ksize=1), cv2.Sobel(share, cv2.CV_32F, 0, 1, ksize=1)) / 2
-    return np.asarray(cells * slope > _ONE_SIDED * np.maximum(share, 1e-6))

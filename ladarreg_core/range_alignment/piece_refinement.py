@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,7 +13,7 @@ from ladarreg_core.acquisition.devices import PanTilt
 from ladarreg_core.acquisition.mosaic_piece import PlacedPiece
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.frames import Rigid, rotation_about
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.progress import Progress, Report, part_of
 from ladarreg_core.range_alignment.adjustment import (
     GATES,
     Adjustment,
@@ -25,24 +25,26 @@ from ladarreg_core.range_alignment.adjustment import (
     off_planes,
     planes_of,
 )
-from ladarreg_core.range_alignment.intensity_links import (
-    BLUR_CELLS,
-    IntensityView,
-    Link,
-    common_floor,
-    link_equations,
-    links_of,
-)
+from ladarreg_core.range_alignment.intensity_links import BLUR_CELLS, Link, link_equations, links_of
+from ladarreg_core.range_alignment.intensity_view import IntensityView, common_floor
 from ladarreg_core.range_alignment.light_search import search_turn, turned
-from ladarreg_core.range_alignment.piece_findings import WEAK_DEG, knocked_pieces, knocked_reason, weak_reasons
-from ladarreg_core.range_alignment.run_faults import RunFault, blow, fault_of_run, together
+from ladarreg_core.range_alignment.piece_findings import knocked_pieces
+from ladarreg_core.range_alignment.refined_pieces import (
+    PARAMETERS,
+    RefinedPiece,
+    Refinement,
+    State,
+    against_all,
+    calibrated_mount,
+    judged,
+    kept,
+)
+from ladarreg_core.range_alignment.run_faults import blow, fault_of_run, together
+from ladarreg_core.range_alignment.voxel_planes import dots
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grid_window import GridWindow
 from ladarreg_core.scanner.grids import TabulatedGrid
 from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
-
-PARAMETERS = ("x", "y", "z", "roll", "pitch", "yaw")
-"""Parameters of a mount, in this order."""
 
 _SIGMA_ANGLE_RAD = float(np.radians(0.3))
 _SIGMA_ROLL_RAD = float(np.radians(0.005))
@@ -56,74 +58,16 @@ _MOST_CELLS = 10_000_000
 _LEAST_CELLS = 40_000  # of a piece
 _LEAST_POINTS = 300
 _UNDETERMINED_RAD = float(np.radians(0.1))
-_UNDETERMINED_MOUNT = (0.005, float(np.radians(0.1)))
 _HELD_BY_RANGES_RAD = float(np.radians(0.015))
 _SEARCHED_LEVEL = 2
 _SEARCHES = 4
 _CLEARLY_BETTER = 4.0
 _LEAST_WORTH = 0.01
-_HELD_WELL = 2.0  # median standard deviations
 _HELD_OUT = 4
+_THINNED = 3
+_BESIDE = 4
 _WORSE = 1.02
 _MOUNT_GATES = ((0.25, 12.0), (0.2, 10.0), (0.12, 6.0), (0.06, 4.0), (0.04, 3.0), (0.04, 3.0))
-
-State = Literal["refined", "no overlap", "not determined", "kept"]
-"""`refined`; too little overlap, or surfaces that do not hold it: the unit's angles stay; `kept`: the refinement as a
-whole was no better and none of it is used."""
-
-
-@dataclass(frozen=True, slots=True)
-class RefinedPiece:
-    """One piece after the refinement."""
-
-    world_from_scanner: Rigid
-    """The pose to use."""
-    state: State
-    """Whether it was refined."""
-    turn_deg: tuple[float, float, float]
-    """Correction about the pan axis, about the tilt axis, and about the axis ahead, degrees."""
-    shift_scanner_mm: tuple[float, float, float]
-    """The shift beside it, in the scanner's own frame."""
-    sigma_deg: tuple[float, float]
-    """Standard deviations of its pan and tilt against the pieces that are held well: what turns all alike is the
-    unit's."""
-    points: int
-    """Points that it shares with other pieces."""
-    weak: tuple[str, ...] = ()
-    """`pan`, `tilt`: which of its angles are held only weakly."""
-    knocked: bool = False
-    """It does not lie where the unit carries the others."""
-
-
-@dataclass(frozen=True, slots=True)
-class Refinement:
-    """Pieces refined against each other, and how well they then agree."""
-
-    pieces: tuple[RefinedPiece, ...]
-    """One a piece."""
-    accepted: bool
-    """Surfaces that were not fitted to agree better than before."""
-    mount: Rigid
-    """`unit_from_scanner`: calibrated if that was asked and is `accepted`."""
-    mount_covariance: NDArray[np.float64] | None
-    """(6, 6) of `PARAMETERS`, m and rad, infinite on the diagonal where not determined; None: not calibrated."""
-    held_out_before_m: float
-    """RMS distance from planes that were not fitted to, before; NaN without any."""
-    held_out_after_m: float
-    """The same after."""
-    noise_m: float
-    """RMS distance from planes fitted to each piece alone: what no pose can remove."""
-    planes: int
-    """Planes that pieces share."""
-    reasons: tuple[str, ...] = field(default=())
-    """Sentences for the operator."""
-
-    @property
-    def mount_determined(self) -> tuple[bool, ...]:
-        """(6,) whether the overlaps show each parameter of the mount."""
-        if self.mount_covariance is None:
-            return (False,) * 6
-        return tuple(bool(value) for value in np.isfinite(np.diag(self.mount_covariance)))
 
 
 def refine_pieces(
@@ -148,23 +92,28 @@ def refine_pieces(
         refine: adjust the pieces; without it their angles are taken to be exact but for .01 deg.
         report: receives the progress; may raise `Cancelled`.
     """
-    views, light = _views(pieces, positions, exact=not refine, report=report)
+    views, light = _views(pieces, positions, exact=not refine, report=part_of(report, 0.0, 0.2))
     placed = [view.world_from_scan for view in views]
     enough = np.array([len(view.points) >= _LEAST_POINTS for view in views])
     common = _mount_moves() if calibrate_mount else None
     gates = _MOUNT_GATES if calibrate_mount else GATES
     if enough.sum() < 2:
-        return _kept(pieces, mount, enough, "the pieces do not overlap: each stays where the unit's angles say")
-    links = links_of(light, placed)
+        return kept(pieces, mount, enough, "the pieces do not overlap: each stays where the unit's angles say")
+    links = [link.anchored(light[0], placed) for link in links_of(light, placed, report=part_of(report, 0.2, 0.3))]
 
     worth = np.ones(len(pieces))
 
+    thin = [link.every(_THINNED) for link in links]
+
     def printed(poses: Sequence[Rigid], stage: int, keep: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
-        return link_equations(links, light[: stage + 1], poses, keep=keep, held_out=_HELD_OUT, worth=worth)
+        levels = light[: stage + 1]
+        used = links if len(levels) == len(light) else thin  # coarse levels only lead there
+        return link_equations(used, levels, poses, keep=keep, held_out=_HELD_OUT, worth=worth)
 
     train = adjust(
         views, common=common, use_blocks=lambda block: ~_held(block),
-        more=lambda poses, stage: printed(poses, stage, np.arange(1, _HELD_OUT)), report=report, gates=gates,
+        more=lambda poses, stage: printed(poses, stage, np.arange(1, _HELD_OUT)), report=part_of(report, 0.3, 0.55),
+        gates=gates,
     )  # fmt: skip
     before, after = _held_out(views, placed, train.poses)
     if not (np.isfinite(before) and after <= before):
@@ -173,52 +122,62 @@ def refine_pieces(
             if not np.isfinite(before)
             else f"surfaces left out would disagree by {1000 * after:.2f} mm instead of {1000 * before:.2f} mm"
         )
-        return _kept(pieces, mount, enough, f"nothing was refined: {why}", before, after)
-    found = adjust(views, common=common, more=printed, report=report, gates=gates)
+        return kept(pieces, mount, enough, f"nothing was refined: {why}", before, after)
+    # With the planes that were held out, it goes on from there: they agree.
+    links = [link.anchored(light[0], train.poses) for link in links]
+    found = adjust(
+        views, common=common, more=lambda poses, _: printed(poses, len(light)), report=part_of(report, 0.55, 0.7),
+        gates=gates[-2:], start=train,
+    )  # fmt: skip
     spread = np.zeros((len(pieces), 2))
     fault = fault_of_run(found, views, common) if refine else None
     notes = () if fault is None else (fault.sentence,)
     if fault is not None and fault.kind == "mount" and fault.is_large:
-        return _kept(pieces, mount, enough, f"nothing was refined: {fault.sentence}", before, after)
+        return kept(pieces, mount, enough, f"nothing was refined: {fault.sentence}", before, after)
     if fault is not None and fault.kind != "mount":
         common = together(common, blow(fault.first, fault.kind))
-        found = adjust(views, common=common, more=printed, report=report, gates=gates[-3:], start=found)
+        again = part_of(report, 0.7, 0.73)
+        found = adjust(views, common=common, more=printed, report=again, gates=gates[-3:], start=found)
     if refine:
         loose = knocked_pieces(*_corrections(found, positions), enough)
         if loose.any() and not loose.all():
             # What was knocked is no longer held by the unit; what only gave way to it comes back.
             views = [_loosened(view) if free else view for view, free in zip(views, loose, strict=True)]
-            found = adjust(views, common=common, more=printed, report=report, gates=gates, start=found)
-        for _ in range(_SEARCHES):
-            aside, spread, likely = _searched(found, views, positions, links, light, report)
+            again = part_of(report, 0.73, 0.76)
+            found = adjust(views, common=common, more=printed, report=again, gates=gates, start=found)
+        for number in range(_SEARCHES):
+            begun = 0.76 + 0.2 * number / _SEARCHES
+            some = part_of(report, begun, begun + 0.1 / _SEARCHES)
+            aside, spread, likely = _searched(found, views, positions, links, light, some)
             if aside is None:
                 worth = likely
                 break
             found = adjust(
-                views, common=common, more=lambda poses, _: printed(poses, len(light)), report=report,
-                gates=gates[-2:], start=aside,
+                views, common=common, more=lambda poses, _: printed(poses, len(light)),
+                report=part_of(report, begun + 0.1 / _SEARCHES, begun + 0.2 / _SEARCHES), gates=gates[-2:], start=aside,
             )  # fmt: skip
         if worth.min() < 1:
             # The likelihood of all turns says less than the curvature at the best one promises.
             doubted = adjust(
-                views, common=common, more=lambda poses, _: printed(poses, len(light)), report=report,
-                gates=gates[-1:], start=found,
+                views, common=common, more=lambda poses, _: printed(poses, len(light)),
+                report=part_of(report, 0.96, 0.97), gates=gates[-1:], start=found, steps=1,
             )  # fmt: skip
             found = replace(found, covariance=doubted.covariance)
     held = _weak(found, positions, enough)
     if refine and held.all():
         why = "nothing was refined: too little in the overlaps shows how the pieces lie; the unit's angles stay"
-        return _kept(pieces, mount, enough, why, before, after)
+        return kept(pieces, mount, enough, why, before, after)
     if refine and held.any():
         # What the surfaces do not hold is put back; the others are adjusted without it.
         fixed = [_fixed(view) if hold else view for view, hold in zip(views, held, strict=True)]
         links = [link for link in links if not (held[link.first] or held[link.second])]
-        found = adjust(fixed, common=common, more=printed, report=report, gates=gates)
+        thin = [link.every(_THINNED) for link in links]
+        found = adjust(fixed, common=common, more=printed, report=part_of(report, 0.97, 1.0), gates=gates)
     made = _result(
         pieces, positions, views, found, mount, held, (before, after), refine=refine, calibrated=calibrate_mount
     )
     made = replace(made, reasons=(*notes, *made.reasons))
-    return _judged(made, spread, fault) if refine else made
+    return judged(made, spread, fault) if refine else made
 
 
 def overlap_points(scans: Sequence[Scan], poses: Sequence[Rigid], number: int, *, most: int) -> NDArray[np.float32]:
@@ -236,9 +195,20 @@ def overlap_points(scans: Sequence[Scan], poses: Sequence[Rigid], number: int, *
     if share == 0:
         return np.zeros((0, 3), np.float32)
     thin, _ = scan.thinned(max(20_000, int(most / share)))
-    points = thin.points.reshape(-1, 3)
-    points = points[np.isfinite(points[:, 0])]
-    return np.asarray(points[_covered(points, scans, poses, number)], np.float32)
+    points = thin.points
+    # Between cells that are all covered, or all not, the others are, too.
+    some = points[::_BESIDE, ::_BESIDE]
+    there = _covered(some.reshape(-1, 3), scans, poses, number).reshape(some.shape[:2]).astype(np.uint8)
+    square = np.ones((3, 3), np.uint8)
+    everywhere, somewhere = (
+        np.kron(change(there, square), np.ones((_BESIDE, _BESIDE), np.uint8))[: thin.shape[0], : thin.shape[1]] > 0
+        for change in (cv2.erode, cv2.dilate)
+    )
+    known = np.isfinite(points[..., 0])
+    covered = everywhere & known
+    unsure = known & somewhere & ~everywhere
+    covered[unsure] = _covered(points[unsure], scans, poses, number)
+    return np.asarray(points[covered], np.float32)
 
 
 def _covered(points: FloatArray, scans: Sequence[Scan], poses: Sequence[Rigid], number: int) -> BoolArray:
@@ -249,11 +219,22 @@ def _covered(points: FloatArray, scans: Sequence[Scan], poses: Sequence[Rigid], 
         if k == number or axis @ pose.rotation @ scan.mean_direction < -0.9:
             continue
         left = np.flatnonzero(~covered)
+        local = pose.inverse @ world[left]
         with np.errstate(invalid="ignore"):
-            cell = np.asarray(scan.geometry.cell_of(pose.inverse @ world[left]))
+            near = local @ scan.mean_direction >= _least_along(scan) * np.sqrt(dots(local, local))
+        left, local = left[near], local[near]
+        with np.errstate(invalid="ignore"):
+            cell = np.asarray(scan.geometry.cell_of(local))
             inside = (cell >= 0).all(axis=-1) & (cell <= np.array(scan.shape) - 1).all(axis=-1)
         covered[left[inside]] = True
     return covered
+
+
+def _least_along(scan: Scan) -> float:
+    """Return the cosine of the angle from a scan's mean direction beyond which it has no cells."""
+    rays = scan.geometry.rays[:: max(1, scan.shape[0] // 50), :: max(1, scan.shape[1] // 50)]
+    angle = float(np.arccos(np.clip((rays @ scan.mean_direction).min(), -1, 1)))
+    return float(np.cos(min(1.1 * angle + 0.05, np.pi)))
 
 
 def _views(
@@ -262,17 +243,26 @@ def _views(
     scans = []
     most_cells = max(_MOST_CELLS // max(len(pieces), 1), _LEAST_CELLS)
     most_points = min(_POINTS_A_PIECE, _MOST_POINTS // max(len(pieces), 1))
-    for number, piece in enumerate(pieces):
+    steps = len(pieces) * (2 + len(BLUR_CELLS))
+
+    def told(done: int, label: str) -> None:
         if report is not None:
-            report(Progress(number, len(pieces), "reading the pieces"))
+            report(Progress(done, steps, label))
+
+    for number, piece in enumerate(pieces):
+        told(number, "reading the pieces")
         scans.append(_small(piece.load(), most_cells))
     poses = [piece.world_from_scanner for piece in pieces]
     floor = common_floor(scans)
-    views = [
-        RangeView(overlap_points(scans, poses, k, most=most_points), poses[k], _prior(positions[k], exact=exact))
-        for k in range(len(pieces))
-    ]
-    return views, [[IntensityView.of(scan, floor, blur) for scan in scans] for blur in BLUR_CELLS]
+    views = []
+    for k, at in enumerate(positions):
+        told(len(pieces) + k, "finding what pieces share")
+        views.append(RangeView(overlap_points(scans, poses, k, most=most_points), poses[k], _prior(at, exact=exact)))
+    light: list[list[IntensityView]] = []
+    for blur in BLUR_CELLS:
+        told(len(pieces) * (2 + len(light)), "preparing the intensities")
+        light.append([IntensityView.of(scan, floor, blur) for scan in scans])
+    return views, light
 
 
 def _small(scan: Scan, most_cells: int) -> Scan:
@@ -438,11 +428,11 @@ def _result(
 ) -> Refinement:
     new_mount, covariance, reasons = mount, None, []
     if calibrated and found.common is not None and found.common_covariance is not None:
-        new_mount, covariance = _new_mount(mount, found.common[:6], found.common_covariance[:6, :6])
+        new_mount, covariance = calibrated_mount(mount, found.common[:6], found.common_covariance[:6, :6])
         lost = [name for name, value in zip(PARAMETERS, np.diag(covariance), strict=True) if not np.isfinite(value)]
         if lost:
             reasons.append(f"not determined, kept as given: {', '.join(lost)} of the mount")
-    out, turns = [], _against_all(found.covariance)
+    out, turns = [], against_all(found.covariance)
     for k in range(len(pieces)):
         at = positions[k]
         by_unit = pan_tilt_pose(at.pan_rad, at.tilt_rad, unit_from_scanner=new_mount)
@@ -474,85 +464,4 @@ def _result(
     return Refinement(
         tuple(out), accepted=True, mount=new_mount, mount_covariance=covariance, held_out_before_m=checked[0],
         held_out_after_m=checked[1], noise_m=noise, planes=found.planes, reasons=tuple(reasons),
-    )  # fmt: skip
-
-
-def _judged(made: Refinement, spread_rad: FloatArray, fault: RunFault | None) -> Refinement:
-    """Return a refinement with what is to be said about its pieces."""
-    known = np.array([one.state == "refined" for one in made.pieces])
-    sigma = np.maximum([one.sigma_deg for one in made.pieces], np.degrees(spread_rad))
-    turns = np.array([one.turn_deg for one in made.pieces])
-    shifts = np.array([one.shift_scanner_mm for one in made.pieces])
-    first = fault.first if fault is not None and fault.kind != "mount" else len(known)
-    before = np.arange(len(known)) < first
-    knocked = knocked_pieces(turns, shifts, known & before)
-    weak = [
-        tuple(name for name, value in zip(("pan", "tilt"), of, strict=True) if there and value > WEAK_DEG)
-        for of, there in zip(sigma, known, strict=True)
-    ]
-    reasons = [*made.reasons, *weak_reasons(weak, sigma)]
-    if knocked.any():
-        reasons.append(knocked_reason(knocked, turns, shifts))
-    knocked |= known & ~before
-    pieces = tuple(
-        replace(one, sigma_deg=(float(of[0]), float(of[1])), weak=names, knocked=bool(off))
-        for one, of, names, off in zip(made.pieces, sigma, weak, knocked, strict=True)
-    )
-    return replace(made, pieces=pieces, reasons=tuple(reasons))
-
-
-def _against_all(covariance: FloatArray) -> NDArray[np.float64]:
-    """Return the covariance (V, 3, 3) of each view's turn less the mean turn of those that are held well.
-
-    One that is held by nothing would else make all the others uncertain.
-    """
-    views = len(covariance) // 6
-    turns = covariance.reshape(views, 6, views, 6)[:, :3, :, :3]
-    each = np.arange(views)
-    share = np.full(views, 1 / views)
-    for _ in range(2):
-        mixed = np.einsum("aibj,b->aij", turns, share)  # of one view with all
-        mean = np.einsum("aij,a->ij", mixed, share)
-        own = turns[each, :, each] - mixed - mixed.transpose(0, 2, 1) + mean
-        size = np.trace(own, axis1=1, axis2=2)
-        strong = size <= _HELD_WELL**2 * np.median(size)
-        share = strong / strong.sum()
-    return np.asarray(own)
-
-
-def _new_mount(mount: Rigid, moved: FloatArray, covariance: FloatArray) -> tuple[Rigid, NDArray[np.float64]]:
-    """Return the mount with what is determined of its correction, and its covariance."""
-    limit = np.repeat(_UNDETERMINED_MOUNT, 3)
-    known = np.sqrt(np.diag(covariance)) < limit
-    # What is not determined is set back to zero, and the rest follows as its correlation says.
-    step = np.array(moved, np.float64)
-    if not known.all() and known.any():
-        lost = ~known
-        gain = covariance[np.ix_(known, lost)] @ np.linalg.pinv(covariance[np.ix_(lost, lost)])
-        step[known] -= gain @ step[lost]
-    step[~known] = 0
-    out = np.array(covariance, np.float64)
-    out[~known] = 0
-    out[:, ~known] = 0
-    out[~known, ~known] = np.inf
-    return mount @ Rigid.from_rotvec(step[3:], step[:3]), out
-
-
-def _kept(
-    pieces: Sequence[PlacedPiece],
-    mount: Rigid,
-    enough: BoolArray,
-    why: str,
-    before: float = float("nan"),
-    after: float = float("nan"),
-) -> Refinement:
-    nothing = (0.0, 0.0, 0.0)
-    nan = float("nan")
-    return Refinement(
-        tuple(
-            RefinedPiece(one.world_from_scanner, "kept" if there else "no overlap", nothing, nothing, (nan, nan), 0)
-            for one, there in zip(pieces, enough, strict=True)
-        ),
-        accepted=False, mount=mount, mount_covariance=None, held_out_before_m=before, held_out_after_m=after,
-        noise_m=nan, planes=0, reasons=(why,),
     )  # fmt: skip

@@ -15,6 +15,7 @@ _RESIDUAL_REACH_CELLS = 8.0
 _FIT_CELLS = 20_000
 _TREE_NODES = 100_000
 _NEWTON_STEPS = 12
+_NODES_A_BIN, _MOST_BINS = 2.0, 1500
 _EXTRAPOLATED_CELLS = 16.0
 _SETTLED_CELLS = 1e-9
 MOST_FITTED_CELLS = 1_000_000
@@ -143,34 +144,34 @@ def interpolate_rays(rays: FloatArray, cells: FloatArray, *, beyond: float = 0.5
     Returns:
         rays (..., 3), not normalised; NaN further outside.
     """
-    return _bilinear(rays, cells, beyond)[0]
+    corners, a, b, inside = _around(rays, cells[..., 0], cells[..., 1], beyond)
+    p00, p01, p10, p11 = corners
+    a, b = a[..., None], b[..., None]
+    value = (1 - a) * ((1 - b) * p00 + b * p01) + a * ((1 - b) * p10 + b * p11)
+    value[~inside] = np.nan
+    return np.asarray(value)
 
 
-def _bilinear(
-    rays: FloatArray, cells: FloatArray, beyond: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the interpolated rays and their derivatives by row and by column."""
+def _around(
+    rays: FloatArray, r: FloatArray, c: FloatArray, beyond: float
+) -> tuple[tuple[FloatArray, FloatArray, FloatArray, FloatArray], FloatArray, FloatArray, BoolArray]:
+    """Return the rays of the four cells around fractional rows and columns, in rows, how far on from the first of them
+    that is, down and to the right, and what is within or near the table.
+    """
     height, width = rays.shape[:2]
-    r, c = cells[..., 0], cells[..., 1]
     with np.errstate(invalid="ignore"):
         inside = (r >= -beyond) & (r <= height - 1 + beyond) & (c >= -beyond) & (c <= width - 1 + beyond)
     r, c = np.where(inside, r, 0.0), np.where(inside, c, 0.0)
     i = np.clip(np.floor(r).astype(np.intp), 0, max(height - 2, 0))
     j = np.clip(np.floor(c).astype(np.intp), 0, max(width - 2, 0))
-    a, b = (r - i)[..., None], (c - j)[..., None]
-    i1, j1 = np.minimum(i + 1, height - 1), np.minimum(j + 1, width - 1)
-    p00, p01, p10, p11 = rays[i, j], rays[i, j1], rays[i1, j], rays[i1, j1]
-    value = (1 - a) * ((1 - b) * p00 + b * p01) + a * ((1 - b) * p10 + b * p11)
-    by_row = (1 - b) * (p10 - p00) + b * (p11 - p01)
-    by_column = (1 - a) * (p01 - p00) + a * (p11 - p10)
-    outside = ~inside
-    for array in (value, by_row, by_column):
-        array[outside] = np.nan
-    return value, by_row, by_column
+    flat, first = rays.reshape(-1, 3), i * width + j
+    right, down = min(1, width - 1), width * min(1, height - 1)
+    corners = flat[first], flat[first + right], flat[first + down], flat[first + down + right]
+    return corners, r - i, c - j, np.asarray(inside)
 
 
 class RayTableInverse:
-    """Inverse of a ray table: the nearest ray from a tree, then Newton's method on the table."""
+    """Inverse of a ray table: a ray beside from a map, or the nearest one from a tree, then Newton's method."""
 
     def __init__(self, rays: FloatArray) -> None:
         from scipy.spatial import cKDTree
@@ -185,6 +186,16 @@ class RayTableInverse:
         # side of the sphere, from which all nodes are about equally far, takes a hundred times as long.
         widest = max(float(np.linalg.norm(np.diff(rays, axis=axis), axis=-1).max(initial=0.0)) for axis in (0, 1))
         self._reach = (_EXTRAPOLATED_CELLS + 2 * stride) * widest
+        # Most directions that are asked for lie outside a narrow table, and need not be sought in the tree.
+        nodes = rays[np.ix_(rows, columns)]
+        self._middle = nodes.reshape(-1, 3).mean(axis=0)
+        self._middle /= max(float(np.linalg.norm(self._middle)), 1e-9)
+        widest_angle = np.arccos(np.clip((nodes @ self._middle).min(), -1, 1)) + 2 * self._reach
+        self._least_along = float(np.cos(min(widest_angle, np.pi)))
+        spacing = np.sqrt(np.prod([_median_step(nodes, axis) for axis in (0, 1)]))
+        self._side = int(np.clip(np.sqrt(4 * np.pi) / max(_NODES_A_BIN * spacing, 1e-9), 1, _MOST_BINS))
+        self._beside = np.full(self._side**2, -1, np.int32)
+        self._beside[_bins(nodes.reshape(-1, 3), self._side)] = np.arange(len(self._cells), dtype=np.int32)
 
     def cell_of(self, directions: ArrayLike) -> NDArray[np.float64]:
         """Return the fractional cells (..., 2) of directions (..., 3); NaN more than 16 cells outside the table."""
@@ -192,29 +203,27 @@ class RayTableInverse:
         shape = d.shape[:-1]
         d = d.reshape(-1, 3)
         with np.errstate(divide="ignore", invalid="ignore"):
-            d = d / np.linalg.norm(d, axis=-1, keepdims=True)
+            d = d / np.sqrt(_dots(d, d))[:, None]
         result = np.full((len(d), 2), np.nan)
-        finite = np.flatnonzero(np.isfinite(d).all(axis=-1))
+        with np.errstate(invalid="ignore"):
+            finite = np.flatnonzero(d @ self._middle >= self._least_along)
         d = d[finite]
-        distance, nearest = self._tree.query(d, distance_upper_bound=self._reach)
-        near = np.isfinite(distance)
+        nearest = self._beside[_bins(d, self._side)].astype(np.intp)
+        beyond = np.flatnonzero(nearest < 0)
+        if len(beyond):
+            distance, found = self._tree.query(d[beyond], distance_upper_bound=self._reach)
+            nearest[beyond] = np.where(np.isfinite(distance), found, -1)
+        near = nearest >= 0
         finite, d, cells = finite[near], d[near], self._cells[nearest[near]]
         # Two tangent vectors of each direction: at the cell sought the table's ray has no component along them.
         helper = np.where(np.abs(d[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
         e1 = np.cross(helper, d)
-        e1 /= np.linalg.norm(e1, axis=-1, keepdims=True)
+        e1 /= np.sqrt(_dots(e1, e1))[:, None]
         e2 = np.cross(d, e1)
         moved = np.full(len(d), np.inf)
         active = np.arange(len(d))
         for _ in range(_NEWTON_STEPS):
-            value, *gradient = _bilinear(self._rays, cells[active], _EXTRAPOLATED_CELLS)
-            along = (e1[active], e2[active])
-            off1, off2 = ((value * e).sum(-1) for e in along)
-            (r1, c1), (r2, c2) = ([(by * e).sum(-1) for by in gradient] for e in along)  # by row and by column
-            det = r1 * c2 - c1 * r2
-            with np.errstate(divide="ignore", invalid="ignore"):
-                step = np.stack([(c2 * off1 - c1 * off2) / det, (r1 * off2 - r2 * off1) / det], axis=-1)
-            step = np.clip(step, -64, 64)
+            step = _newton_step(self._rays, cells[active], e1[active], e2[active])
             cells[active] -= step
             moved[active] = np.abs(step).max(axis=-1)
             active = active[moved[active] >= _SETTLED_CELLS]  # NaN, outside the table, stays so
@@ -222,8 +231,51 @@ class RayTableInverse:
                 break
         # With jitter in the table the iteration may oscillate within a cell, which is then still the right one.
         # The opposite direction has no component along the tangents, either.
-        facing = (_bilinear(self._rays, cells, _EXTRAPOLATED_CELLS)[0] * d).sum(-1) > 0
+        (ray, *_), _, _, inside = _around(self._rays, cells[:, 0], cells[:, 1], _EXTRAPOLATED_CELLS)
         with np.errstate(invalid="ignore"):
-            cells[~((moved < 1.0) & facing)] = np.nan
+            cells[~((moved < 1.0) & inside & (_dots(ray, d) > 0))] = np.nan
         result[finite] = cells
         return result.reshape(*shape, 2)
+
+
+def _median_step(rays: FloatArray, axis: int) -> float:
+    steps = np.linalg.norm(np.diff(rays, axis=axis), axis=-1)
+    return float(np.median(steps)) if steps.size else 1.0
+
+
+def _bins(rays: FloatArray, side: int) -> NDArray[np.intp]:
+    """Return the bin (N,) of each unit ray (N, 3) on the octahedron, unfolded to a square of so many bins a side.
+
+    Source: octahedral maps, Praun and Hoppe 2003; bins are alike in size to a factor of about two, without poles.
+    """
+    x, y, z = np.asarray(rays, np.float64).T
+    total = np.abs(x) + np.abs(y) + np.abs(z)
+    u, v = x / total, y / total
+    below = z < 0
+    u, v = (
+        np.where(below, np.copysign(1 - np.abs(v), u), u), np.where(below, np.copysign(1 - np.abs(u), v), v)
+    )  # fmt: skip
+    row, column = (np.minimum(((one + 1) * (side / 2)).astype(np.intp), side - 1) for one in (u, v))
+    return np.asarray(row * side + column)
+
+
+def _newton_step(rays: FloatArray, cells: FloatArray, e1: FloatArray, e2: FloatArray) -> NDArray[np.float64]:
+    """Return by how much cells (N, 2) are to be reduced for their rays to have no component along two vectors."""
+    corners, a, b, inside = _around(rays, cells[:, 0], cells[:, 1], _EXTRAPOLATED_CELLS)
+    off, by_row, by_column = [], [], []
+    for along in (e1, e2):
+        p00, p01, p10, p11 = (_dots(corner, along) for corner in corners)
+        left, right = p10 - p00, p11 - p01
+        off.append(p00 + a * left + b * (p01 - p00) + a * b * (right - left))
+        by_row.append(left + b * (right - left))
+        by_column.append(p01 - p00 + a * (right - left))
+    (r1, r2), (c1, c2) = by_row, by_column
+    with np.errstate(divide="ignore", invalid="ignore"):
+        det = r1 * c2 - c1 * r2
+        step = np.stack([(c2 * off[0] - c1 * off[1]) / det, (r1 * off[1] - r2 * off[0]) / det], axis=-1)
+    step[~inside] = np.nan
+    return np.clip(step, -64, 64)
+
+
+def _dots(a: FloatArray, b: FloatArray) -> NDArray[np.float64]:
+    return np.asarray(np.einsum("ij,ij->i", a, b))

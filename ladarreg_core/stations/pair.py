@@ -15,7 +15,7 @@ from ladarreg_core.range_alignment.adjustment import RangeView, adjust, off_plan
 from ladarreg_core.scan import Scan
 from ladarreg_core.stations.evidence import Print, Seen, compared_print, seen
 from ladarreg_core.stations.icp import Target, aligned
-from ladarreg_core.stations.results import PairEvidence, PairVerdict, StationPair
+from ladarreg_core.stations.results import PairEvidence, PairVerdict, StatedPose, StationPair
 from ladarreg_core.stations.search import (
     Hypothesis,
     View,
@@ -33,6 +33,7 @@ _GATES = ((0.06, 4.0), (0.02, 2.0))
 _HELD_OUT = 4
 _FIXED = 1e10
 _HOPELESS = 4  # times worse than the limit: not worth a refinement
+_NEAR_M = 1.0  # what lies farther from a rough pose is no refinement of it
 _NOISE_SHARE = 0.8  # of the spacing of the surfels, as the tolerance of what is seen
 
 
@@ -89,8 +90,8 @@ def register_pair(
         first: the scan whose frame is used.
         second: the scan that is placed in it.
         indices: of both, for the result.
-        rough: `first_from_second` as it is known from elsewhere, to half a metre and some degrees; alternatives are
-            then sought near it only. None: searched for everywhere.
+        rough: `first_from_second` as it is known from elsewhere, to half a metre and some degrees; only what is
+            within a metre of it is then compared, and returned as a guess. None: searched for everywhere.
         options: the thresholds.
         seed: of the samples.
     """
@@ -139,6 +140,45 @@ def register_pair(
     )
 
 
+def check_pair(
+    first: Prepared,
+    second: Prepared,
+    pose: Rigid,
+    *,
+    indices: tuple[int, int] = (0, 1),
+    options: PairOptions | None = None,
+) -> StationPair:
+    """Return the verdict on two scans where they are stated to stand, without moving them.
+
+    Args:
+        first: the scan whose frame is used.
+        second: the scan that stands in it.
+        pose: `first_from_second`, kept to the last digit.
+        indices: of both, for the result.
+        options: the thresholds.
+    """
+    o = options or PairOptions()
+    looked = seen(first.view, second.view, pose, tolerance_m=_tolerance(first, second))
+    views = [
+        RangeView(first.view.surfels.returns, Rigid.identity(), _FIXED * np.eye(6)),
+        RangeView(second.view.surfels.returns, pose, np.zeros((6, 6))),
+    ]
+    count, ratio = _held_out(views, pose)
+    printed = compared_print(first.view.surfels, second.view.surfels, pose)
+    evidence = PairEvidence(
+        looked.agreeing, looked.contradicted, 0, count, ratio, 0.0, 1.0, printed.correlation, printed.by_chance
+    )
+    verdict, reasons = _verdict(evidence, printed, None, pose, (), o)
+    unknown = np.full((6, 6), np.inf)
+    return StationPair(*indices, verdict, reasons, pose, unknown, evidence, "poses in the files, kept")
+
+
+def stated_pose(first: Prepared, second: Prepared, pose: Rigid) -> StatedPose:
+    """Return what a stated pose `first_from_second` shows of itself."""
+    looked = seen(first.view, second.view, pose, tolerance_m=_tolerance(first, second))
+    return StatedPose(pose, looked.agreeing, looked.contradicted)
+
+
 def about_centre(covariance: FloatArray, pose: Rigid) -> NDArray[np.float64]:
     """Return the covariance of (w, c), the scanner's centre, by that of (w, t) about the origin."""
     J = np.eye(6)
@@ -163,8 +203,12 @@ def _ranked(first: Prepared, second: Prepared, rough: Rigid | None, seed: int) -
     found = []
     for one in starts:
         pose = aligned(first.target, surfels.points[index], surfels.normals[index], one.first_from_second)
+        if rough is not None and np.linalg.norm(pose.translation - rough.translation) > _NEAR_M:
+            continue
         looked = seen(first.view, second.view, pose, tolerance_m=tolerance)
         found.append((Hypothesis(pose, _rank(looked)), looked))
+    if rough is not None and not found:  # the guess is then where it was stated to be
+        return [(rough, seen(first.view, second.view, rough, tolerance_m=tolerance))]
     found.sort(key=lambda one: -one[0].score)
     kept = apart([one for one, _ in found], keep=len(found))
     return [(one.first_from_second, looked) for one, looked in found if any(one is other for other in kept)]
@@ -225,13 +269,13 @@ def _against_sight(evidence: PairEvidence, o: PairOptions) -> list[str]:
     against = []
     if not evidence.overlap >= o.least_overlap:
         against.append(
-            f"Only {evidence.overlap:.0%} of the surfaces were measured from both stations; {o.least_overlap:.0%} "
+            f"Only {evidence.overlap:.1%} of the surfaces were measured from both stations; {o.least_overlap:.1%} "
             "are needed. Put a station in between."
         )
     if not evidence.contradicted <= o.most_contradicted:
         against.append(
-            f"{evidence.contradicted:.0%} of what one station shows stands where the other one saw through; "
-            f"{o.most_contradicted:.0%} is the limit. The scans show different places, or much was moved."
+            f"{evidence.contradicted:.1%} of what one station shows stands where the other one saw through; "
+            f"{o.most_contradicted:.1%} is the limit. The scans show different places, or much was moved."
         )
     return against
 

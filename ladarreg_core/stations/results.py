@@ -14,7 +14,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 
 PairVerdict = Literal["verified", "ambiguous", "refused"]
-StationState = Literal["fixed", "registered", "out"]
+StationState = Literal["fixed", "registered", "kept", "stated", "out"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +42,26 @@ class PairEvidence:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class StatedPose:
+    """What the poses in the files show, before anything is moved."""
+
+    first_from_second: Rigid
+    """The pose of a pair's second scan in the frame of its first."""
+    overlap: float
+    """As of `PairEvidence`, at this pose."""
+    contradicted: float
+    """As of `PairEvidence`, at this pose."""
+
+    def away_m(self, found: Rigid) -> float:
+        """Return how far the second scanner stands from there by another pose."""
+        return float(np.linalg.norm(found.translation - self.first_from_second.translation))
+
+    def away_rad(self, found: Rigid) -> float:
+        """Return by which angle it is turned."""
+        return found.angle_to(self.first_from_second)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class StationPair:
     """Two stations registered to each other, and the verdict on it."""
 
@@ -61,11 +81,13 @@ class StationPair:
     evidence: PairEvidence
     """The figures."""
     start: str
-    """Where the pose was found from: `search` or `poses in the files`."""
+    """Where the pose was found from: `search` or `poses in the files`; `poses in the files, kept`: it is theirs."""
     not_determined: tuple[str, ...] = ()
     """What the surfaces do not hold, in words."""
     runner_up: Rigid | None = None
     """The best other placement."""
+    stated: StatedPose | None = None
+    """What the poses in the files show, whatever they were used for; None without poses, or if they are the same."""
 
     @property
     def verified(self) -> bool:
@@ -91,7 +113,18 @@ class StationPair:
             "covariance": _numbers(self.covariance) if self.verified else None,
             "sigma_mm": _number(self.sigma_mm), "sigma_deg": _number(self.sigma_deg), "start": self.start,
             "evidence": {name: _number(value) for name, value in asdict(self.evidence).items()},
-            "not_determined": list(self.not_determined),
+            "not_determined": list(self.not_determined), "stated": self._stated_fields(),
+        }  # fmt: skip
+
+    def _stated_fields(self) -> dict[str, Any] | None:
+        stated = self.stated
+        if stated is None:
+            return None
+        pose = self.first_from_second
+        return {
+            "first_from_second": stated.first_from_second.matrix.tolist(), "overlap": stated.overlap,
+            "contradicted": stated.contradicted,
+            "away_mm": 1000 * stated.away_m(pose), "away_deg": float(np.degrees(stated.away_rad(pose))),
         }  # fmt: skip
 
 
@@ -116,20 +149,28 @@ class PlacedStation:
     name: str
     """Its display name."""
     state: StationState
-    """`fixed`, `registered`, or `out`: no verified pair leads to it."""
+    """`fixed`; `registered`; `kept`: the pose of its file, confirmed by verified pairs; without a verified pair that
+    leads to it: `stated`, where its file and those of its component put it, or `out`."""
     world_from_scanner: Rigid | None
     """Its pose; None if it is out."""
     covariance: NDArray[np.float64]
     """(6, 6) of (w, c) against the fixed station, as `StationPair.covariance`, in the world; zero for the fixed
-    one, NaN if it is out."""
+    one, NaN if it is not `registered`."""
+    component: int = 0
+    """Stations that verified pairs connect have the same number; the fixed one has 0."""
+    component_from_scanner: Rigid | None = None
+    """Its pose in the frame of the first station of its component, if the component has several; None for that of the
+    fixed station."""
 
     def as_fields(self) -> dict[str, Any]:
         """Return what `stations.json` states of the station."""
-        pose, known = self.world_from_scanner, np.isfinite(self.covariance).all()
+        pose, within, known = self.world_from_scanner, self.component_from_scanner, np.isfinite(self.covariance).all()
         sigma = np.sqrt(np.maximum(np.diag(self.covariance), 0)) if known else None
         return {
             "index": self.index, "name": self.name, "state": self.state,
             "world_from_scanner": None if pose is None else pose.matrix.tolist(),
+            "component": self.component,
+            "component_from_scanner": None if within is None else within.matrix.tolist(),
             "covariance": _numbers(self.covariance) if known else None,
             "sigma_mm": None if sigma is None else [_number(1000 * float(v)) for v in sigma[3:]],
             "sigma_deg": None if sigma is None else [_number(float(np.degrees(v))) for v in sigma[:3]],
@@ -155,11 +196,11 @@ class StationNetwork:
 
     @property
     def accepted(self) -> bool:
-        """Whether every scan was registered."""
-        return all(one.state != "out" for one in self.stations)
+        """Whether verified pairs lead to every scan."""
+        return all(one.state in ("fixed", "registered", "kept") for one in self.stations)
 
     def placed(self, scans: Sequence[Scan]) -> list[Scan]:
-        """Return the registered scans with their poses; those that stayed out are left out."""
+        """Return the scans that have a pose with it; those that stayed out are left out."""
         return [
             replace(scans[one.index], world_from_scanner=one.world_from_scanner)
             for one in self.stations

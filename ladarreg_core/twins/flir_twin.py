@@ -123,7 +123,7 @@ class FlirTwin:
         self._axes = {name: _Axis(*limits) for name, limits in _LIMITS.items()}
         self._outbox = Outbox(baud)
         self._received = ""
-        self._free_s = 0.0
+        self._free_s = self._deaf_until_s = 0.0
         self._verbose = self._echo = True
         self._immediate = True
         self._limits: Literal["off", "factory", "user"] = "factory"
@@ -154,17 +154,20 @@ class FlirTwin:
         """Lose steps: from now on it is elsewhere than it says."""
         self._slips.append((now_s, np.array([pan_rad, tilt_rad])))
 
-    def switch_on(self, now_s: float) -> None:
-        """Have lost its power and got it back: it has forgotten its modes, finds its zero again, and talks."""
+    def switch_on(self, now_s: float, *, homing_s: float = 0.0) -> None:
+        """Have lost its power and got it back: modes reset, axes homed, for so long without an answer, banner sent."""
         self._verbose = self._echo = self._immediate = True
         self._limits = "factory"
         for name, axis in self._axes.items():
             self._axes[name] = _Axis(axis.low, axis.high)
-        self._outbox.send(_BANNER, now_s)
+        self._received, self._deaf_until_s = "", now_s + homing_s
+        begun, found = _BANNER.split(b"Initializing...\r\n")
+        self._outbox.send(begun + b"Initializing...\r\n", now_s)
+        self._outbox.send(found, now_s + homing_s)
 
     def feed(self, data: bytes, now_s: float) -> None:
         """Receive bytes from the host."""
-        for byte in data:
+        for byte in data if now_s >= self._deaf_until_s else b"":
             if chr(byte) in " \r\n":
                 if self._received:
                     self._obey(self._received, now_s)
@@ -218,6 +221,8 @@ class FlirTwin:
             return "*", max([now_s, *(axis.moves[-1].ends_s for axis in self._axes.values() if axis.moves)])
         if name == "V":
             return "* Pan-Tilt Controller v2.13.0(D46C), (C)1991-2010 FLIR Systems", now_s
+        if name == "O":
+            return "* Input 30 VDC @ 86 degF", now_s
         if name == "L":
             said = {"off": "DISABLED", "factory": "ENABLED (factory limits)", "user": "ENABLED (user limits)"}
             return f"* {'Limit bounds are ' if self._verbose else ''}{said[self._limits]}", now_s

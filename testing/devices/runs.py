@@ -47,6 +47,8 @@ class Devices:
             if on_event is not None:
                 on_event(event)
 
+        for device in (self.unit, self.scanner):
+            device.link.log_to(folder.exchanges.add)
         return Run(folder.plan, folder, unit=self.unit, line_scanner=self.scanner, report=report, clock=self.clock)
 
     def are_at_rest(self) -> bool:

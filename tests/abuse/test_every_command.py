@@ -71,7 +71,7 @@ PLAN = {
     "pan_deg": [-10, 10, 1], "tilt_deg": [0, 0, 0], "mount": {"xyz_m": [0, 0, 0], "rpy_deg": [90, 0, 0]},
 }  # fmt: skip
 SOUND: dict[str, list[dict[str, Any]]] = {
-    "register_stations": [{}],
+    "register_stations": [{}, {"poses": "keep"}],
     "check_at_stations": [{}],
     "export_stations": [{}],
     "place_station": [

@@ -10,6 +10,7 @@ import { element, setChildren, setText } from "../ui/dom.js";
 import { notice } from "../ui/notices.js";
 
 const FIELDS = [["x", "x, m"], ["y", "y, m"], ["z", "z, m"], ["yaw_deg", "turn, °"]];
+const POSES = [["refine", "Refine poses"], ["keep", "Keep poses"], ["search", "Search anew"]];
 const SIGNS = { verified: "ok", ambiguous: "warn", refused: "bad", contradicted: "bad", undecidable: "warn" };
 
 /** Controls that give a station a rough place: numbers, from the scan that is shown. */
@@ -68,7 +69,17 @@ export const mountStations = () => {
     if (path) request("open_served", { path, what: "station" });
   });
   const add = button({ label: "Add scans", kind: "small", icon: "plus", act: () => file.click() });
-  const register = button({ label: "Register", kind: "primary small", act: () => request("register_stations") });
+  const poses = element("select", {
+    class: "select small",
+    "aria-label": "Poses in the files",
+    title: "What the poses that the files state are used for; what they show by themselves is said in any case",
+  });
+  fill(poses, POSES, "refine");
+  const register = button({
+    label: "Register",
+    kind: "primary small",
+    act: () => request("register_stations", { poses: poses.value }),
+  });
   const check = button({
     label: "Check photographs",
     kind: "small",
@@ -93,7 +104,7 @@ export const mountStations = () => {
       "div",
       { class: "part-head" },
       element("h2", {}, "Stations"),
-      element("div", { class: "end edits" }, served, add, register, check, save, file),
+      element("div", { class: "end edits" }, served, add, poses, register, check, save, file),
     ),
     element("div", { class: "part-body" }, list, said),
   );
@@ -136,7 +147,7 @@ export const mountStations = () => {
       { class: "station" },
       mark,
       element("span", { class: "station-name", title: name }, name),
-      element("span", { class: `station-state ${station.state === "out" ? "warn" : "dim"}` }, stateText(station)),
+      element("span", { class: `station-state ${["out", "stated"].includes(station.state) ? "warn" : "dim"}` }, stateText(station)),
       element("span", { class: "figures dim station-where" }, station.id === null ? "" : placeText(station)),
       station.id === null
         ? element("span", {})
@@ -169,6 +180,7 @@ export const mountStations = () => {
     const scan = store.get("scan");
     add.disabled = served.disabled = !scan || store.readOnly;
     register.disabled = all.length < 2 || busy || store.readOnly;
+    poses.disabled = register.disabled;
     register.classList.toggle("primary", !isRegistered());
     check.disabled = save.disabled = !isRegistered() || busy || store.readOnly;
     const scans = (store.get("served")?.files ?? []).filter(({ kind }) => kind === "scan");

@@ -30,6 +30,8 @@ export const sigmaText = ({ sigma_mm, sigma_deg }) =>
 export const stateText = (station) => {
   if (station.id === null) return "shown";
   if (station.state === "fixed") return "fixed";
+  if (station.state === "kept") return "as its file states";
+  if (station.state === "stated") return "as its file states, not verified";
   if (station.state === "registered") return sigmaText(station) || "registered";
   if (station.rough) return "rough place";
   return station.state === "out" ? "not registered" : "waiting";

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +109,26 @@ def test_the_scans_are_written_with_their_poses(
     assert main(["register-scans", *files[:2], "-o", str(out), "--quiet"]) == 2
     assert main(["register-scans", *files[:2], "-o", str(out), "--force", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["accepted"] is True
+
+
+@pytest.mark.slow
+def test_exact_poses_are_kept(files: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    stated = []
+    for name, pose in zip(files[:2], POSES, strict=True):
+        scan = replace(lr.read_scan(name), world_from_scanner=pose)
+        stated.append(str(tmp_path / Path(name).name))
+        write_npz_xyz(Path(stated[-1]), scan)
+    out = tmp_path / "out"
+    assert main(["register-scans", *stated, "-o", str(out), "--poses", "keep", "--quiet"]) == 0
+    shown = capsys.readouterr().out
+    assert "as its file states" in shown
+    assert "At the poses in the files" in shown
+    for name, pose in zip(("hall.npz", "office.npz"), POSES, strict=True):
+        kept = lr.read_scan(out / name).world_from_scanner
+        assert kept is not None
+        assert np.array_equal(kept.matrix, pose.matrix)
+    assert main(["register-scans", *files[:2], "-o", str(tmp_path / "no"), "--poses", "keep", "--quiet"]) == 2
+    assert "states no pose that could be kept; leave it out, or use --poses refine" in capsys.readouterr().err
 
 
 def test_one_scan_is_not_enough(files: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -57,8 +57,8 @@ def add(bench: WorkbenchDriver, path: Path) -> None:
     bench.workbench.files.open(path, path.name, "station", None, bench.client)
 
 
-def job(bench: WorkbenchDriver, name: str) -> Any:
-    bench.do(name)
+def job(bench: WorkbenchDriver, name: str, **fields: Any) -> Any:
+    bench.do(name, **fields)
     bench.workbench.runner.wait(240)
     done = bench.workbench.runner.job
     assert done is not None
@@ -144,9 +144,13 @@ def test_rough_places_and_refusals(bench: WorkbenchDriver, files: tuple[list[Pat
     assert "add scans of other stations" in bench.refused("register_stations")
     bench.do("undo")
     assert station(bench)["state"] == "registered"
-    # A wrong rough place misleads nobody: the search goes on elsewhere.
+    # A wrong rough place misleads nobody: nothing is accepted near it, and a search need not begin there.
     bench.do("place_station", station=name, place={"x": 6, "y": -6, "z": 0, "yaw_deg": 170})
     job(bench, "register_stations")
+    assert station(bench)["state"] == "out"
+    assert "'Poses in the files': search looks everywhere" in bench.slice("stations")["pairs"][0]["reasons"][-1]
+    assert "must be one of keep, refine, search" in bench.refused("register_stations", poses="exact")
+    job(bench, "register_stations", poses="search")
     assert abs(station(bench)["place"]["x"] - BETWEEN.translation[0]) < 0.002
 
 

@@ -16,7 +16,7 @@ from ladarreg_core.acquisition.devices import PanTilt
 from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.acquisition.plan import Axis
 from ladarreg_core.acquisition.run_folder import RunFolder, RunWriter
-from ladarreg_core.acquisition.runner import Compared, Ended, Paused, PieceKept, Resumed, RunEvent
+from ladarreg_core.acquisition.runner import Compared, Ended, Paused, PieceKept, Repeated, Resumed, RunEvent
 from ladarreg_core.errors import ExportError, OptionError
 from ladarreg_core.twins.devices import TwinDevices
 from testing.devices.runs import Devices, pieces_of, same
@@ -82,7 +82,7 @@ def test_a_fault_pauses_and_a_resumed_run_is_the_same_bit_for_bit(
         run.resume()
 
     def break_it(event: RunEvent) -> None:
-        if isinstance(event, PieceKept) and event.done == 3:
+        if (isinstance(event, PieceKept) and event.done == 3) or isinstance(event, Repeated):
             devices.twins.fail("scip2", "wrong checksum")
         if isinstance(event, Paused):
             clock.when(devices.are_at_rest, go_on)
@@ -94,6 +94,7 @@ def test_a_fault_pauses_and_a_resumed_run_is_the_same_bit_for_bit(
     (pause,) = [event for event in events if isinstance(event, Paused)]
     assert pause.fault
     assert "checksum is wrong" in pause.reason
+    assert sum(isinstance(event, Repeated) for event in events) == 3
     assert len(rested) == sum(isinstance(event, Resumed) for event in events) == 1
     assert same(pieces_of(tmp_path / "whole"), pieces_of(tmp_path / "run"))
 

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from ladarreg_core.acquisition.devices import PanTilt
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.frames import Rigid
+from ladarreg_core.progress import Progress
 from ladarreg_core.range_alignment.adjustment import off_planes, planes_of
-from ladarreg_core.range_alignment.piece_refinement import Refinement, _views, refine_pieces
-from ladarreg_core.scanner.grids import AzimuthElevation
+from ladarreg_core.range_alignment.piece_refinement import _views, refine_pieces
+from ladarreg_core.range_alignment.refined_pieces import Refinement
+from ladarreg_core.scanner.grids import AzimuthElevation, TabulatedGrid
 from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
+from ladarreg_core.scanner.ray_table import RayTableInverse
 from testing.scenes.mosaic_pieces import MOUNT, mosaic, piece_scan, placed
 
 FINE = AzimuthElevation(160, 220, np.radians(0.25), np.radians(0.25))
@@ -22,10 +27,45 @@ POSITIONS = [PanTilt(*np.radians([pan, tilt])) for tilt in TILTS for pan in PANS
 OFF_RAD = float(np.radians(0.1))
 
 
+TOLD: list[Progress] = []
+
+
 @pytest.fixture(scope="module")
 def refined() -> tuple[Refinement, list[Rigid], list[Rigid]]:
     pieces, truth = mosaic(PANS, TILTS, geometry=FINE, sigma_m=0.002, off_rad=OFF_RAD)
-    return refine_pieces(pieces, POSITIONS, mount=MOUNT), [one.world_from_scanner for one in pieces], truth
+    found = refine_pieces(pieces, POSITIONS, mount=MOUNT, report=TOLD.append)
+    return found, [one.world_from_scanner for one in pieces], truth
+
+
+@pytest.mark.slow
+def test_the_progress_is_that_of_the_whole(refined: tuple[Refinement, list[Rigid], list[Rigid]]) -> None:
+    shares = [one.done / one.total for one in TOLD]
+    assert all(before <= after for before, after in pairwise(shares))
+    assert shares[0] == 0
+    assert max(np.diff([*shares, 1.0])) < 0.25
+    assert {"reading the pieces", "finding what pieces share", "aligning the pieces"} <= {one.label for one in TOLD}
+
+
+@pytest.mark.slow
+def test_cells_of_rays_in_tables_are_rarely_sought(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It takes as long as all the rest; scans in which each cell has a ray of its own were refined for minutes."""
+    pieces, truth = mosaic(PANS, TILTS, geometry=FINE, sigma_m=0.002, off_rad=OFF_RAD)
+    sought: list[int] = []
+    seek = RayTableInverse.cell_of
+
+    def cell_of(inverse: RayTableInverse, directions: ArrayLike) -> FloatArray:
+        sought.append(np.asarray(directions).size // 3)
+        return seek(inverse, directions)
+
+    monkeypatch.setattr(RayTableInverse, "cell_of", cell_of)
+    scans = [replace(scan, geometry=TabulatedGrid(scan.geometry.rays)) for scan in (piece.load() for piece in pieces)]
+    tables = [replace(piece, load=lambda scan=scan: scan) for piece, scan in zip(pieces, scans, strict=True)]
+    found = refine_pieces(tables, POSITIONS, mount=MOUNT)
+    assert found.accepted
+    assert max(errors_deg([one.world_from_scanner for one in found.pieces], truth)) < 0.015
+    links = len(PANS) * len(TILTS) * (len(PANS) * len(TILTS) - 1)
+    assert len(sought) < 10 * links, "of each at every step they were more than a hundred times as many"
+    assert sum(sought) < 40 * len(tables) * FINE.rows * FINE.columns
 
 
 def errors_deg(poses: list[Rigid], truth: list[Rigid]) -> list[float]:

@@ -8,7 +8,8 @@ import pytest
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.range_alignment.adjustment import RangeView, adjust
-from ladarreg_core.range_alignment.intensity_links import BLUR_CELLS, IntensityView, links_of
+from ladarreg_core.range_alignment.intensity_links import BLUR_CELLS, links_of
+from ladarreg_core.range_alignment.intensity_view import IntensityView
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 

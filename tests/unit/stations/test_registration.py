@@ -92,7 +92,7 @@ def test_another_room_stays_out(office: list[Scan], boxes: Scan) -> None:
 
 
 @pytest.mark.slow
-def test_poses_in_the_files_are_where_it_begins_and_wrong_ones_are_overcome(office: list[Scan]) -> None:
+def test_poses_in_the_files_are_refined_and_wrong_ones_are_not_left_by_themselves(office: list[Scan]) -> None:
     world = Rigid.from_rotvec([0, 0, 1.0], [4000.0, -300.0, 20.0])
     rough = Rigid.from_rotvec([0, 0, 0.03], [0.15, -0.1, 0.02])
     placed = [
@@ -102,10 +102,80 @@ def test_poses_in_the_files_are_where_it_begins_and_wrong_ones_are_overcome(offi
     network = lr.register_scans(placed)
     assert network.pairs[0].start == "poses in the files"
     assert off(network, 1, world @ FIRST.inverse @ SECOND)[0] < 1.0
+    stated = network.pairs[0].as_fields()["stated"]
+    assert 150 < stated["away_mm"] < 220
+    assert stated["contradicted"] > 0.015
     wrong = [placed[0], replace(office[1], world_from_scanner=world @ Rigid.from_rotvec([0, 0, 2.0], [3.0, 9.0, 0.0]))]
     network = lr.register_scans(wrong)
+    assert not network.accepted
+    pair = network.pairs[0]
+    guess, said = pair.first_from_second, wrong[0].world_from_scanner.inverse @ wrong[1].world_from_scanner  # type: ignore[union-attr, operator]
+    assert np.linalg.norm(guess.translation - said.translation) <= 1.0
+    assert "`poses='search'` looks everywhere" in pair.reasons[-1]
+    network = lr.register_scans(wrong, poses="search")
     assert network.pairs[0].start == "search"
     assert off(network, 1, world @ FIRST.inverse @ SECOND)[0] < 1.0
+    assert network.pairs[0].stated is not None
+    assert network.pairs[0].as_fields()["stated"]["away_mm"] > 5000
+
+
+@pytest.mark.slow
+def test_exact_poses_are_kept_and_what_they_show_is_stated(office: list[Scan], boxes: Scan) -> None:
+    world = Rigid.from_rotvec([0, 0, 1.0], [4000.0, -300.0, 20.0])
+    exact = world @ FIRST.inverse @ SECOND
+    elsewhere = world @ Rigid.from_rotvec([0, 0, 0.3], [40.0, 0.0, 0.0])
+    scans = [replace(scan, world_from_scanner=pose) for scan, pose in zip(office, (world, exact), strict=True)]
+    network = lr.register_scans(scans, poses="keep")
+    assert network.accepted, network.pairs[0].reasons
+    assert [one.state for one in network.stations] == ["fixed", "kept"]
+    assert network.stations[1].world_from_scanner is exact
+    stated = network.pairs[0].as_fields()["stated"]
+    assert stated["away_mm"] == 0
+    assert stated["contradicted"] < 0.015
+    assert stated["overlap"] > 0.25
+    # A station that shares nothing keeps its place, too, which nothing verifies: to refine it is no reason to lose it.
+    for use in ("keep", "refine"):
+        network = lr.register_scans([*scans, replace(boxes, world_from_scanner=elsewhere)], poses=use)  # type: ignore[arg-type]
+        assert not network.accepted
+        assert network.stations[2].state == "stated"
+        assert network.stations[2].world_from_scanner is elsewhere
+        assert any("not verified" in reason for reason in network.reasons)
+    # Neither keeps a wrong one as right.
+    wrong = replace(office[1], world_from_scanner=exact @ Rigid.from_rotvec([0, 0, 0.05], [0.3, 0.0, 0.0]))
+    network = lr.register_scans([scans[0], wrong], poses="keep")
+    assert not network.accepted
+    assert network.stations[1].state == "stated"
+    assert "1.5% is the limit" in " ".join(network.pairs[0].reasons)
+    json.loads(network.to_json())
+
+
+@pytest.mark.slow
+def test_a_second_component_is_kept(office: list[Scan], boxes: Scan) -> None:
+    network = lr.register_scans([boxes, *office])
+    assert [one.state for one in network.stations] == ["fixed", "out", "out"]
+    assert [one.component for one in network.stations] == [0, 1, 1]
+    within = [one.component_from_scanner for one in network.stations]
+    assert within[0] is None
+    assert within[1] is not None
+    assert within[2] is not None
+    between = within[1].inverse @ within[2]
+    assert between.distance_to(FIRST.inverse @ SECOND) < 0.001
+    # Where the files say how the components lie, the second one is adjusted, and stands there.
+    world = Rigid.from_rotvec([0, 0, 1.0], [4000.0, -300.0, 20.0])
+    far = world @ Rigid.from_rotvec([0, 0, 0.3], [40.0, 0.0, 0.0])
+    rough = FIRST.inverse @ SECOND @ Rigid.from_rotvec([0, 0, 0.02], [0.1, 0.0, 0.0])
+    placed = [
+        replace(scan, world_from_scanner=pose)
+        for scan, pose in zip([boxes, *office], (world, far, far @ rough), strict=True)
+    ]
+    network = lr.register_scans(placed)
+    assert [one.state for one in network.stations] == ["fixed", "stated", "stated"]
+    poses = [one.world_from_scanner for one in network.stations]
+    assert poses[1] is not None
+    assert poses[2] is not None
+    assert poses[1].distance_to(far) < 1e-9
+    assert (poses[1].inverse @ poses[2]).distance_to(FIRST.inverse @ SECOND) < 0.001
+    assert len(network.placed(placed)) == 3
 
 
 def test_it_can_be_stopped(office: list[Scan]) -> None:
@@ -122,6 +192,8 @@ def test_it_can_be_stopped(office: list[Scan]) -> None:
         lambda scans: lr.register_scans(scans[:1]),
         lambda scans: lr.register_scans(scans, fixed=2),
         lambda scans: lr.register_scans([scans[0], "office.npz"]),
+        lambda scans: lr.register_scans(scans, poses="exact"),
+        lambda scans: lr.register_scans(scans, poses="keep"),  # they state none
     ],
 )
 def test_wrong_arguments_are_refused(office: list[Scan], wrong: Callable[[list[Scan]], object]) -> None:
