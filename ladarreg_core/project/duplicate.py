@@ -26,6 +26,8 @@ def duplicate_project(folder: ProjectFolder, history: History, target: Path, *, 
     Raises:
         ExportError: if it cannot be written; nothing is left behind.
     """
+    if folder.unreadable:
+        raise ExportError("the project cannot be duplicated: stored matches cannot be read; check the disk")
     renamed = msgspec.structs.replace(history.document, name=name)
     copied = history.committed(renamed, label=f"Duplicate of {history.document.name}", author="", when=when)
     try:

@@ -92,6 +92,7 @@ class ProjectFolder:
         self._kept: dict[str, StoredArrays] = {}
         self._synced: set[str] = set()  # files of sources that are known to be on disk
         self._missing: dict[str, StoredArrays] = {}
+        self._unreadable: set[str] = set()  # of these; what cannot be read now may be intact
         self._unknown: Unknown = {}
         self._damaged: set[Path] = set()
         self._remarks: list[str] = [self._lock.remark] if self._lock.remark else []
@@ -123,6 +124,11 @@ class ProjectFolder:
     def remarks(self) -> tuple[str, ...]:
         """Problems found when the project was read, and how they were handled, in sentences."""
         return tuple(self._remarks)
+
+    @property
+    def unreadable(self) -> bool:
+        """Whether stored matches could not be read, and may be intact."""
+        return bool(self._unreadable)
 
     @property
     def behind(self) -> bool:
@@ -163,14 +169,13 @@ class ProjectFolder:
         """
         if not self.begun:
             raise FormatError(f"there is no project in {self.path}: it has neither {_PROJECT} nor {_HISTORY}")
+        snapshot = self._snapshot()
         appended = self._bytes(_HISTORY)
         records = read_records(appended or b"")
         try:
-            found = replay(records.found, self._snapshot(), self._arrays)
+            found = replay(records.found, snapshot, self._arrays)
         except NewerVersionError:
             raise
-        except OSError as error:  # what cannot be read at the moment is not lost, and must not be set aside
-            raise FormatError(f"{error.filename or self.path} cannot be read: {error.strerror or error}") from None
         except FormatError:
             raise FormatError(
                 f"the project {self.path} cannot be read: {_PROJECT} and {_HISTORY} are both damaged or missing;"
@@ -416,8 +421,8 @@ class ProjectFolder:
     def _report_arrays(self, history: History) -> None:
         for arrays in self._missing.values():
             path = self._array_path(arrays.name)
-            if path.exists():
-                with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError):
+                if arrays.name not in self._unreadable and path.exists():
                     _set_aside(path, keep=False)
         here = self._missing.keys() & arrays_of(history.document).keys()
         if here:
@@ -436,7 +441,11 @@ class ProjectFolder:
             raise FormatError(f"{name[:20]!r} is not a valid name of stored matches; the project is damaged")
         try:
             found = StoredArrays(self._array_path(name).read_bytes())
-        except (FileNotFoundError, NotADirectoryError):
+        except FileNotFoundError:
+            found = StoredArrays(b"")
+        except OSError as error:
+            log.warning("%s cannot be read: %s", self._array_path(name), error)
+            self._unreadable.add(name)
             found = StoredArrays(b"")
         if found.name == name:
             self._kept[name] = found

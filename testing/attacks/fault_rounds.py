@@ -6,6 +6,7 @@ import errno
 import hashlib
 import multiprocessing
 import os
+import random
 import socket
 import tempfile
 import threading
@@ -47,8 +48,9 @@ class Round:
 
 
 def ready() -> None:
-    """Load what all rounds need once; they are forked from there."""
-    _PROCESSES.set_forkserver_preload([__name__, "ladarreg.cli", "ladarreg.session.session"])
+    """Load what all rounds need once, before the first of them; they are forked from there."""
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # a process with threads cannot be forked
+    _PROCESSES.set_forkserver_preload(["testing.attacks.fault_preload"])
 
 
 def counted(case: str) -> Round:
@@ -84,7 +86,7 @@ def faulted(case: str, kind: str, number: int, *, lasting: bool = False) -> Roun
 
 
 def limited(case: str, extra_bytes: int) -> Round:
-    """Limit the address space to what the process has before the work, and so many bytes more."""
+    """Limit the address space to what the process has before the work, and so many bytes more, from 1."""
     found = Round(case, f"memory {extra_bytes >> 10} kB")
     with _rooms(CASES[case]) as (room, beside):
         child = _Child(CASES[case], room, beside, extra_bytes=extra_bytes)
@@ -93,8 +95,14 @@ def limited(case: str, extra_bytes: int) -> Round:
     return found
 
 
-def powerless(case: str) -> Iterator[Round]:
-    """Cut the power before every call, and after the work; yield a round for each different state that may be left."""
+def powerless(case: str, *, most: int | None = None, seed: int = 0) -> Iterator[Round]:
+    """Cut the power before every call, and after the work; yield a round for each different state that may be left.
+
+    Args:
+        case: name of the case.
+        most: draw so many of the states, beside those after the work; None: all.
+        seed: of the draw.
+    """
     seen: set[bytes] = set()
     states: list[tuple[str, int, bool, State]] = []
     with _rooms(CASES[case]) as (room, beside):
@@ -125,7 +133,9 @@ def powerless(case: str) -> Iterator[Round]:
             yield Round(case, "nothing", said, [f"it failed: {said}"])
             return
         note("after the end", done=True)
-    for what, confirmed, done, state in states:
+    during, after = ([state for state in states if state[2] is done] for done in (False, True))
+    drawn = during if most is None else random.Random(seed).sample(during, min(most, len(during)))
+    for what, confirmed, done, state in (*drawn, *after):
         with tempfile.TemporaryDirectory(prefix="power-") as name:
             put(state, Path(name) / "room")
             found = Round(case, what)
@@ -188,11 +198,13 @@ class _Child:
 
 
 def _work(connection: socket.socket, case: str, room: Path, beside: Path, extra_bytes: int) -> None:
+    import faulthandler
     import resource
 
     from ladarreg.cli import _explain
 
     sentence = ""
+    faulthandler.dump_traceback_later(_LONGEST_S / 4, exit=True)
     hand_over_calls(connection)
     if extra_bytes:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])

@@ -1,0 +1,41 @@
+"""Every call of a save, an export and a run that may fail, every moment the power may go, and memory that ends."""
+
+from __future__ import annotations
+
+from benchmarks.abuse.log import Log
+from testing.attacks import fault_rounds
+from testing.attacks.fault_cases import CASES
+from testing.attacks.fault_rounds import Round
+from testing.attacks.system_calls import KINDS, can_watch
+
+SECTION = "faults"
+_LEAST_MEMORY, _GROWTH = 4096, 1.25
+"""The first limit, bytes beyond what is in use, and the ratio of one to the one before: fifty reach 230 MB."""
+
+
+def run(log: Log, limits: int, every: int) -> None:
+    """Try every n-th call and state of each case (1: all), and this many limits of memory."""
+    if not can_watch():
+        return
+    fault_rounds.ready()
+    for case in CASES:
+        if not log.of(SECTION, case=case, kind="calls"):
+            calls = fault_rounds.counted(case).calls
+            _note(log, case, "calls", [
+                fault_rounds.faulted(case, kind, number)
+                for kind in KINDS for number in range(len(case) % every, calls[kind], every)
+            ])  # fmt: skip
+        if not log.of(SECTION, case=case, kind="power"):
+            states = (
+                [*fault_rounds.powerless(case)] if every == 1 else [*fault_rounds.powerless(case, most=50 // every)]
+            )
+            _note(log, case, "power", states)
+        if not log.of(SECTION, case=case, kind="memory"):
+            sizes = [int(_LEAST_MEMORY * _GROWTH**k) for k in range(limits)]
+            _note(log, case, "memory", [fault_rounds.limited(case, size) for size in sizes])
+
+
+def _note(log: Log, case: str, kind: str, found: list[Round]) -> None:
+    wrong = [f"{one.what}: {'; '.join(one.wrong)}" for one in found if one.wrong]
+    ended = sum(bool(one.said) for one in found)
+    log.add(SECTION, case=case, kind=kind, rounds=len(found), ended=ended, wrong=len(wrong), first=wrong[:20])
