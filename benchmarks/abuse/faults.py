@@ -9,6 +9,8 @@ from testing.attacks.fault_rounds import Round
 from testing.attacks.system_calls import KINDS, can_watch
 
 SECTION = "faults"
+_MOST_STATES = 100
+"""States that power loss leaves, of a case of which a share is tried."""
 _LEAST_MEMORY, _GROWTH = 4096, 1.25
 """The first limit, bytes beyond what is in use, and the ratio of one to the one before: fifty reach 230 MB."""
 

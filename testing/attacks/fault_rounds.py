@@ -7,6 +7,7 @@ import hashlib
 import multiprocessing
 import os
 import random
+import shutil
 import socket
 import tempfile
 import threading
@@ -27,6 +28,7 @@ ERRORS = {
 """The errors of calls that fail, by their kinds."""
 _PROCESSES = multiprocessing.get_context("forkserver")
 _LONGEST_S = 120.0
+_prepared: dict[str, tempfile.TemporaryDirectory[str]] = {}
 _LONGEST_SENTENCE, _SHORTEST_SENTENCE = 700, 20
 
 
@@ -145,11 +147,14 @@ def powerless(case: str, *, most: int | None = None, seed: int = 0) -> Iterator[
 
 @contextmanager
 def _rooms(case: Case) -> Iterator[tuple[Path, Path]]:
+    if case.name not in _prepared:
+        before = tempfile.TemporaryDirectory(prefix="faults-before-")  # until this process ends
+        case.prepare(Path(before.name, "room"), Path(before.name, "beside"))
+        _prepared[case.name] = before
     with tempfile.TemporaryDirectory(prefix="faults-") as name:
-        place = Path(os.path.realpath(name))
-        room, beside = place / "room", place / "beside"
-        case.prepare(room, beside)
-        yield room, beside
+        place = Path(os.path.realpath(name), "place")
+        shutil.copytree(_prepared[case.name].name, place)
+        yield place / "room", place / "beside"
 
 
 def _is_about(call: Call, room: Path) -> bool:
