@@ -28,10 +28,8 @@ def run(log: Log, limits: int, every: int) -> None:
                 for kind in KINDS for number in range(len(case) % every, calls[kind], every)
             ])  # fmt: skip
         if not log.of(SECTION, case=case, kind="power"):
-            states = (
-                [*fault_rounds.powerless(case)] if every == 1 else [*fault_rounds.powerless(case, most=50 // every)]
-            )
-            _note(log, case, "power", states)
+            most = None if every == 1 else _MOST_STATES // every
+            _note(log, case, "power", [*fault_rounds.powerless(case, most=most)])
         if not log.of(SECTION, case=case, kind="memory"):
             sizes = [int(_LEAST_MEMORY * _GROWTH**k) for k in range(limits)]
             _note(log, case, "memory", [fault_rounds.limited(case, size) for size in sizes])

@@ -138,6 +138,25 @@ def _damage(rows: list[Row]) -> str:
     return _section("Damaged projects", _table(head, body), _all(found, "losses"))
 
 
+def _faults(rows: list[Row]) -> str:
+    found = rows_of(rows, "faults")
+    if not found:
+        return ""
+    names = {"calls": "a call fails", "power": "power is lost", "memory": "memory ends"}
+    body = []
+    for case in dict.fromkeys(row["case"] for row in found):
+        for kind, what in names.items():
+            own = [row for row in found if (row["case"], row["kind"]) == (case, kind)]
+            if own:
+                body.append((case, what, _sum(own, "rounds"), _sum(own, "ended"), _sum(own, "wrong")))
+    body += [
+        ("all", what, *(_sum(rows_of(found, "faults", {"kind": kind}), name) for name in ("rounds", "ended", "wrong")))
+        for kind, what in names.items()
+    ]
+    head = ("work", "and", "rounds", "ended with a sentence", "neither old nor new, or no clear sentence")
+    return _section("Calls that fail", _table(head, body), _all(found, "first"))
+
+
 def _floods(rows: list[Row]) -> str:
     found = rows_of(rows, "floods")
     if not found:
@@ -201,5 +220,5 @@ def _all(rows: list[Row], name: str) -> list[str]:
 
 
 _TABLES: tuple[Callable[[list[Row]], str], ...] = (
-    _readers, _protocol, _kills, _signals, _disks, _damage, _floods, _clients,
+    _readers, _protocol, _kills, _signals, _disks, _damage, _faults, _floods, _clients,
 )  # fmt: skip
