@@ -56,6 +56,9 @@ class Case:
     fault: Callable[[Path, int, bool], str]
     """Says what is wrong with a folder of which so many things were confirmed, and the whole work if true; may recover
     what an interruption left, as the next program does."""
+    starts_threads: bool = False
+    """Whether memory is limited only once it has told something for the first time: Python waits for ever for a thread
+    that finds no memory when it begins."""
 
 
 # -- a project
@@ -71,6 +74,7 @@ def _save(room: Path, beside: Path, tell: Tell) -> None:
         if not folder.begun:
             folder.begin(history)
         session = Session(folder, history)
+        tell(6 if session.document.photos else 0)
         picture = folder.inputs / "photo.png"
         if not session.document.photos:
             shutil.copyfile(beside / "photo.png", picture)  # as an upload
@@ -431,8 +435,8 @@ def _composed_fault(room: Path, confirmed: int, done: bool) -> str:
 CASES: dict[str, Case] = {
     case.name: case
     for case in (
-        Case("save", _project_before, _save, _project_fault),
-        Case("first save", _photo_only, _save, _new_project_fault),
+        Case("save", _project_before, _save, _project_fault, starts_threads=True),
+        Case("first save", _photo_only, _save, _new_project_fault, starts_threads=True),
         Case("copy", _project_before, _duplicate, _duplicate_fault),
         Case("export", _export_before, _export, _export_fault),
         Case("first export", lambda room, beside: room.mkdir(parents=True), _new_export, _new_export_fault),

@@ -211,12 +211,22 @@ def _work(connection: socket.socket, case: str, room: Path, beside: Path, extra_
     sentence = ""
     faulthandler.dump_traceback_later(_LONGEST_S / 4, exit=True)
     hand_over_calls(connection)
-    if extra_bytes:
-        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-        size = pages * resource.getpagesize() + extra_bytes
-        resource.setrlimit(resource.RLIMIT_AS, (size, size))
+    left = [extra_bytes] if extra_bytes else []
+
+    def limit() -> None:
+        if left:
+            pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+            size = pages * resource.getpagesize() + left.pop()
+            resource.setrlimit(resource.RLIMIT_AS, (size, size))
+
+    def tell(done: int) -> None:
+        _send(connection, f"saved {done}")
+        limit()
+
+    if not CASES[case].starts_threads:
+        limit()
     try:
-        CASES[case].work(room, beside, lambda done: _send(connection, f"saved {done}"))
+        CASES[case].work(room, beside, tell)
     except BaseException as error:
         try:
             sentence, _ = _explain(error)

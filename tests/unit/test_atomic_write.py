@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import stat
 from collections.abc import Callable, Iterator
@@ -46,12 +47,8 @@ def part(text: str) -> Callable[[Path], None]:
 
 
 def results(text: str) -> list[tuple[str, Callable[[Path], None]]]:
-    document = (
-        '{"version": 1, "kind": "export", "software": {"name": "ladarreg", "version": "1"}, "files": ["a/'
-        + text
-        + '"]}'
-    )
-    return [("export.json", part(document)), (f"a/{text}", part(text))]
+    fields = {"version": 1, "kind": "export", "software": {"name": "ladarreg"}, "files": [f"a/{text}"]}
+    return [("export.json", part(json.dumps(fields))), (f"a/{text}", part(text))]
 
 
 @POSIX
