@@ -157,6 +157,26 @@ def _faults(rows: list[Row]) -> str:
     return _section("Calls that fail", _table(head, body), _all(found, "first"))
 
 
+def _hostile(rows: list[Row]) -> str:
+    found = rows_of(rows, "hostile")
+    if not found:
+        return ""
+    head = ("hostile files", "heard by a listener", "confined and traced", "connections", "files of others opened")
+    body = [(row["files"], row["heard"], row["confined"], row["connects"], row["foreign"]) for row in found]
+    return _section("Hostile files", _table(head, body), _all(found, "faults"))
+
+
+def _forced(rows: list[Row]) -> str:
+    found = rows_of(rows, "forced")
+    if not found:
+        return ""
+    names = ("runs", "refused", "replaced", "others", "count")
+    body = [(row["command"], *(row[name] for name in names)) for row in found]
+    body.append(("all", *(_sum(found, name) for name in names)))
+    head = ("command with --force", "runs", "refused", "replaced its own", "ended otherwise", "files of others lost")
+    return _section("--force beside files of somebody else", _table(head, body), _all(found, "lost"))
+
+
 def _floods(rows: list[Row]) -> str:
     found = rows_of(rows, "floods")
     if not found:
@@ -220,5 +240,5 @@ def _all(rows: list[Row], name: str) -> list[str]:
 
 
 _TABLES: tuple[Callable[[list[Row]], str], ...] = (
-    _readers, _protocol, _kills, _signals, _disks, _damage, _faults, _floods, _clients,
+    _readers, _protocol, _kills, _signals, _disks, _damage, _faults, _hostile, _forced, _floods, _clients,
 )  # fmt: skip

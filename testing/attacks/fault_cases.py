@@ -311,7 +311,8 @@ class _Shots(FolderSource):
         return super().next_file(folder, check=check)
 
 
-def _plan(beside: Path, first_deg: float) -> Plan:
+def a_plan(beside: Path, first_deg: float) -> Plan:
+    """Return the plan of a run that begins at an angle and watches folders."""
     return Plan(
         UnitPlan("none"), ScannerPlan("folder", folder=str(beside / "scans"), timeout_s=60), "mosaic",
         Axis(first_deg, first_deg + 20, 10), Axis(0, 0, 0), mount=FRAME_MOUNT, settle_s=0.0,
@@ -320,7 +321,7 @@ def _plan(beside: Path, first_deg: float) -> Plan:
 
 
 def _acquire(room: Path, beside: Path, tell: Tell, first_deg: float, *, force: bool) -> None:
-    plan, clock, unit = _plan(beside, first_deg), SimulatedClock(), _Unit(beside)
+    plan, clock, unit = a_plan(beside, first_deg), SimulatedClock(), _Unit(beside)
     watched = {
         name: _Shots(beside / name, is_readable=lambda path: None, timeout_s=60.0, device=name, clock=clock)
         for name in ("scans", "photos")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import hashlib
 import multiprocessing
@@ -215,6 +216,7 @@ def _work(connection: socket.socket, case: str, room: Path, beside: Path, extra_
 
     def limit() -> None:
         if left:
+            ctypes.CDLL(None).malloc_trim(0)  # what was in use before is none that the work may have
             pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
             size = pages * resource.getpagesize() + left.pop()
             resource.setrlimit(resource.RLIMIT_AS, (size, size))
