@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import TypeVar
 
 from testing.attacks.system_calls import Call
 
+T = TypeVar("T")
+_MOST_LOOKS = 50
 State = dict[str, bytes | None]
 """Contents of files by their names relative to the folder; None: it is a folder."""
 
@@ -37,6 +40,9 @@ class PowerLoss:
 
     def see(self, call: Call) -> None:
         """Take note of a call that will be carried out."""
+        _again(lambda: self._see(call))
+
+    def _see(self, call: Call) -> None:
         self._look()
         if call.kind != "fsync" or call.descriptor is None:
             return
@@ -51,8 +57,11 @@ class PowerLoss:
             with open(opened, "rb") as file:
                 self._contents[number] = file.read()
 
-    def states(self) -> Iterator[tuple[str, State]]:
-        """Yield what a failure at this moment may leave, each with what it is called."""
+    def states(self) -> list[tuple[str, State]]:
+        """Return what a failure at this moment may leave, each with what it is called."""
+        return _again(lambda: list(self._states()))
+
+    def _states(self) -> Iterator[tuple[str, State]]:
         self._look()
         root = self._numbers[os.stat(self._folder).st_ino]
         synced: State = {}
@@ -105,6 +114,14 @@ class PowerLoss:
 
     def _listing(self, folder: Path) -> dict[str, int]:
         return {name: self._numbers[os.lstat(folder / name).st_ino] for name in os.listdir(folder)}
+
+
+def _again(look: Callable[[], T]) -> T:
+    """Look at the folder once more if another thread of the process has removed a file meanwhile."""
+    for _ in range(_MOST_LOOKS):
+        with suppress(FileNotFoundError, KeyError):
+            return look()
+    return look()
 
 
 def put(state: State, folder: Path) -> None:
