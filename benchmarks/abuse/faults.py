@@ -21,21 +21,24 @@ def run(log: Log, limits: int, every: int) -> None:
         return
     fault_rounds.ready()
     for case in CASES:
-        if not log.of(SECTION, case=case, kind="calls"):
-            calls = fault_rounds.counted(case).calls
-            _note(log, case, "calls", [
-                fault_rounds.faulted(case, kind, number)
-                for kind in KINDS for number in range(len(case) % every, calls[kind], every)
-            ])  # fmt: skip
         if not log.of(SECTION, case=case, kind="power"):
             most = None if every == 1 else _MOST_STATES // every
-            _note(log, case, "power", [*fault_rounds.powerless(case, most=most)])
+            _note(log, case, "power", "", [*fault_rounds.powerless(case, most=most)])
+    for case in CASES:
         if not log.of(SECTION, case=case, kind="memory"):
             sizes = [int(_LEAST_MEMORY * _GROWTH**k) for k in range(limits)]
-            _note(log, case, "memory", [fault_rounds.limited(case, size) for size in sizes])
+            _note(log, case, "memory", "", [fault_rounds.limited(case, size) for size in sizes])
+    for call in KINDS:
+        for case in CASES:
+            if not log.of(SECTION, case=case, kind="calls", call=call):
+                numbers = range(len(case) % every, fault_rounds.counted(case).calls[call], every)
+                _note(log, case, "calls", call, [fault_rounds.faulted(case, call, number) for number in numbers])
 
 
-def _note(log: Log, case: str, kind: str, found: list[Round]) -> None:
+def _note(log: Log, case: str, kind: str, call: str, found: list[Round]) -> None:
     wrong = [f"{one.what}: {'; '.join(one.wrong)}" for one in found if one.wrong]
-    ended = sum(bool(one.said) for one in found)
-    log.add(SECTION, case=case, kind=kind, rounds=len(found), ended=ended, wrong=len(wrong), first=wrong[:20])
+    ended, crashed = sum(bool(one.said) for one in found), sum(one.crashed for one in found)
+    log.add(
+        SECTION, case=case, kind=kind, call=call, rounds=len(found), ended=ended, crashed=crashed, wrong=len(wrong),
+        first=wrong[:20],
+    )  # fmt: skip

@@ -142,18 +142,26 @@ def _faults(rows: list[Row]) -> str:
     found = rows_of(rows, "faults")
     if not found:
         return ""
+    counts = ("rounds", "ended", "crashed", "wrong")
     names = {"calls": "a call fails", "power": "power is lost", "memory": "memory ends"}
     body = []
     for case in dict.fromkeys(row["case"] for row in found):
         for kind, what in names.items():
             own = [row for row in found if (row["case"], row["kind"]) == (case, kind)]
             if own:
-                body.append((case, what, _sum(own, "rounds"), _sum(own, "ended"), _sum(own, "wrong")))
+                body.append((case, what, *(_sum(own, name) for name in counts)))
     body += [
-        ("all", what, *(_sum(rows_of(found, "faults", {"kind": kind}), name) for name in ("rounds", "ended", "wrong")))
+        ("all", what, *(_sum(rows_of(found, "faults", {"kind": kind}), name) for name in counts))
         for kind, what in names.items()
     ]
-    head = ("work", "and", "rounds", "ended with a sentence", "neither old nor new, or no clear sentence")
+    head = (
+        "work",
+        "and",
+        "rounds",
+        "ended early",
+        "of them by a crash of NumPy",
+        "neither old nor new, or no clear sentence",
+    )
     return _section("Calls that fail", _table(head, body), _all(found, "first"))
 
 
