@@ -248,7 +248,7 @@ def _only_contains(folder: Path, name: str, files: Collection[str]) -> bool:
     Raises:
         OSError: if a folder cannot be listed.
     """
-    if os.path.islink(folder / name):
+    if os.path.islink(folder / name) or not (folder / name).is_dir():
         return False
     found = False
     for parent, folders, names in os.walk(folder / name, onerror=raise_error):

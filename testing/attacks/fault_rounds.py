@@ -224,7 +224,7 @@ def _work(connection: socket.socket, case: str, room: Path, beside: Path, extra_
     from ladarreg.cli import _explain
 
     sentence = ""
-    faulthandler.dump_traceback_later(_LONGEST_S / 4, exit=True)
+    faulthandler.dump_traceback_later(_LONGEST_S, exit=True)
     hand_over_calls(connection)
     ballast: list[bytearray] = []
 
