@@ -380,8 +380,8 @@ def _run_anew_fault(room: Path, confirmed: int, done: bool) -> str:
     if wrong := _fault_of_run(folder, confirmed, done=done):
         return wrong
     earlier = [*folder.glob(".earlier-run-*")]
-    if done or found.complete:  # then the earlier one is removed
-        return "the earlier run is still there" if done and earlier else ""
+    if found.complete:  # then the earlier one is removed; what cannot be removed goes after the next run
+        return ""
     for old in earlier:
         if wrong := _fault_of_run(old, _STOPS, done=True):
             return f"the earlier run: {wrong}"
