@@ -20,6 +20,7 @@ from ladarreg_core.errors import LadarregError
 from ladarreg_core.formats import describe
 from ladarreg_core.formats.isolated import IsolatedReaders, confinement
 from ladarreg_core.formats.isolated.confinement import _NUMBERS, filter_of
+from ladarreg_core.formats.isolated.worker import _readable
 from testing.attacks.hostile_files import Listener, traced_reading, write_hostile
 from testing.files.seed_files import write_seeds
 from tests.formats import misbehaving
@@ -101,6 +102,14 @@ def test_system_calls_show_no_connection_and_no_foreign_file(tmp_path: Path, lis
     assert (found.foreign, found.others, found.confined) == ((), (), len(files) + len(sound))
     assert {str(file) for file in sound} <= {*found.opened}
     assert listener.heard == 0
+
+
+def test_a_companion_that_is_a_link_is_not_readable(tmp_path: Path) -> None:
+    (tmp_path / "secret").write_bytes(b"of somebody else")
+    (tmp_path / "images.bin").write_bytes(b"")
+    (tmp_path / "images.txt").symlink_to(tmp_path / "secret")
+    request = {"args": [tmp_path / "cameras.txt"], "kwargs": {}, "folder": str(tmp_path)}
+    assert [path.name for path in _readable(request)] == ["cameras.txt", "images.bin"]
 
 
 # The filter, on both kinds of processors
