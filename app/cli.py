@@ -5,12 +5,13 @@ Only the module of the chosen command is imported, and none for `--help`: tyro a
 
 from __future__ import annotations
 
+import errno
 import gc
 import importlib
 import io
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NoReturn
 
 from .exit_codes import ExitCode
@@ -38,6 +39,11 @@ COMMANDS = {
 _EXAMPLES = ("ladarreg demo", "ladarreg register room.e57 photo.jpg -o results", "ladarreg serve room.e57 photo.jpg")
 _LOOKING = ("info", "check", "devices")
 _OBJECTS_BEFORE_COLLECTION = 50_000
+_MOST_CAUSES = 20
+_NO_MEMORY = (
+    "failed to map segment", "cannot allocate memory",  # a library that is loaded late
+    "can't start new thread", "bad_alloc", "insufficient memory",  # the last two: OpenCV
+)  # fmt: skip
 _INTERRUPTED = "interrupted; no incomplete files are left"
 _EXIT_CODES = "Exit codes: 0 accepted, or done; 1 failure; 2 bad input; 3 not accepted; 130 interrupted."
 
@@ -154,25 +160,34 @@ def _explain(error: BaseException) -> tuple[str, ExitCode]:
         return str(error), ExitCode.BAD_INPUT
     if isinstance(error, BrokenPipeError):
         raise error
+    if any(map(_lacks_memory, _causes(error))):
+        return "not enough memory; use a smaller scan or photo, or a machine with more", ExitCode.FAILED
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         return f"{where}{error.strerror or error}; check the path, its permissions and the space", ExitCode.BAD_INPUT
     if isinstance(error, UnicodeEncodeError) and not _is_text(error.object):
         return "the name of a file or folder is not UTF-8, perhaps Latin-1; rename it", ExitCode.BAD_INPUT
-    if isinstance(error, MemoryError):
-        return "not enough memory; use a smaller scan or photo, or a machine with more", ExitCode.FAILED
-    if _stems_from_interrupt(error):
+    if any(isinstance(cause, KeyboardInterrupt) for cause in _causes(error)):
         return _INTERRUPTED, ExitCode.INTERRUPTED
     what = f"internal error ({type(error).__name__}: {error})"
     report = "run again with --debug and report the traceback with the command"
     return f"{what}: a fault of this program, not of your files; {report}", ExitCode.FAILED
 
 
-def _stems_from_interrupt(error: BaseException | None) -> bool:
-    """Return whether an error was raised from a KeyboardInterrupt, as Python 3.11 does for one in `__set_name__`."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
+    """Yield an error and those that it stems from, as Python 3.11 raises others from interrupts in `__set_name__`."""
+    for _ in range(_MOST_CAUSES):
+        if error is None:
+            return
+        yield error
         error = error.__cause__ or error.__context__
-    return error is not None
+
+
+def _lacks_memory(error: BaseException) -> bool:
+    """Return whether an error says in one of the ways of Python and its libraries that there is no memory left."""
+    if isinstance(error, OSError):
+        return error.errno == errno.ENOMEM
+    return isinstance(error, MemoryError) or any(words in str(error).lower() for words in _NO_MEMORY)
 
 
 def _no_command(word: str) -> str:

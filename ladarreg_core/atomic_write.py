@@ -1,4 +1,7 @@
-"""Durable writing of files: data are on disk when a call returns, and failed appends leave no partial data."""
+"""Durable writing of files: data are on disk when a call returns, and failed appends leave no partial data.
+
+A file is on disk once both it and the folder with its name are synchronised; a synchronisation that fails is a failure.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,12 @@ import errno
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import NoReturn
 
 from ladarreg_core.errors import ExportError
+
+_NO_SUCH_CALL = frozenset({errno.EINVAL, errno.ENOSYS, getattr(errno, "ENOTSUP", errno.EINVAL)})
+"""Errors of file systems that cannot synchronise folders, such as some on a network."""
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:
@@ -40,6 +47,8 @@ def write_chunks(path: str | Path, chunks: Iterable[bytes | memoryview]) -> None
 def replaced_file(path: str | Path) -> Iterator[Path]:
     """Give a temporary path beside a file, which replaces the file in one step unless an exception is raised.
 
+    The new content is on disk before it gets the file's name, and so is the name when the block ends.
+
     Raises:
         ExportError: if the file cannot be replaced.
     """
@@ -47,6 +56,7 @@ def replaced_file(path: str | Path) -> Iterator[Path]:
     new = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         yield new
+        sync_file(new)
         os.replace(new, target)
         sync_folder(target.parent)
     except OSError as error:
@@ -151,11 +161,87 @@ def cannot_write(path: str | Path, error: OSError) -> ExportError:
     return ExportError(f"cannot write {path}: {reason}; give a writable folder with enough free space")
 
 
-def sync_folder(folder: Path) -> None:
-    """Synchronise a folder's entries to disk where the system supports it."""
-    with contextlib.suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+def sync_file(path: str | Path) -> None:
+    """Synchronise a file's content to disk.
+
+    Raises:
+        OSError: if that fails.
+    """
+    # Windows synchronises only what is open for writing; elsewhere a file that may only be read is synchronised, too.
+    descriptor = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def sync_folder(folder: str | Path) -> None:
+    """Synchronise a folder's entries to disk where the system supports it.
+
+    Raises:
+        OSError: if that fails: a name that was given or taken may be lost then.
+    """
+    if os.name == "nt":  # folders cannot be opened there
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in _NO_SUCH_CALL:
+            raise
+    finally:
+        os.close(descriptor)
+
+
+def sync_tree(folder: str | Path) -> None:
+    """Synchronise a folder to disk with all files and folders in and below it, but not its own name.
+
+    Raises:
+        OSError: if that fails.
+    """
+    for path in files_below(folder):
+        if not path.is_symlink():
+            sync_file(path)
+    for parent, _, _ in os.walk(folder, topdown=False, onerror=raise_error):
+        sync_folder(parent)
+
+
+def files_below(folder: str | Path) -> Iterator[Path]:
+    """Yield the files in and below a folder; links to folders are not followed.
+
+    Raises:
+        OSError: if a folder cannot be listed: it is not an empty one.
+    """
+    for parent, _, names in os.walk(folder, onerror=raise_error):
+        yield from (Path(parent, name) for name in names)
+
+
+def make_folder(path: str | Path) -> None:
+    """Create a folder with its missing parents, durably; one that exists stays.
+
+    Raises:
+        OSError: if that fails.
+    """
+    wanted = Path(os.path.abspath(path))
+    missing = [parent for parent in (wanted, *wanted.parents) if not os.path.lexists(parent)]
+    wanted.mkdir(parents=True, exist_ok=True)
+    for made in missing:
+        sync_folder(made.parent)
+
+
+def move_file(old: str | Path, new: str | Path) -> None:
+    """Give a file another name in one step, durably, replacing any file of that name.
+
+    Raises:
+        OSError: if that fails.
+    """
+    sync_file(old)
+    os.replace(old, new)
+    # First where it is now: a crash between the two may leave it in both, never in none.
+    for folder in dict.fromkeys((Path(new).parent, Path(old).parent)):
+        sync_folder(folder)
+
+
+def raise_error(error: OSError) -> NoReturn:
+    """Raise an error; the `onerror` of `os.walk`, which passes over a folder that cannot be listed otherwise."""
+    raise error

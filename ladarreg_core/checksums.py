@@ -2,6 +2,8 @@
 
 Source: RFC 8785, JSON Canonicalization Scheme: no white space, names in the order of their UTF-16 code units, numbers
 as ECMAScript writes a double.
+
+A report, which is HTML, has the SHA-256 of its bytes in its last line.
 """
 
 from __future__ import annotations
@@ -9,7 +11,9 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Literal
 
 CHECKSUM_FIELD = "sha256"
@@ -18,6 +22,8 @@ ChecksumState = Literal["intact", "edited", "no checksum"]
 """`no checksum`: as written by older versions of the program."""
 _EXACT = 2**53  # integers beyond are doubles in other programs, which read the same file
 _MOST_DIGITS = 21
+_SEAL = b"<!-- ladarreg report, SHA-256 of all above %s -->\n"
+_BLOCK = 1 << 20
 
 
 def canonical(value: Any) -> bytes:
@@ -110,3 +116,26 @@ def _number(value: float) -> str:
         more = f".{digits[1:]}" if count > 1 else ""
         text = f"{digits[0]}{more}e{point - 1:+d}"
     return text if value > 0 else f"-{text}"
+
+
+def sealed_page(page: bytes) -> bytes:
+    """Return an HTML page with the checksum of what precedes it in its last line, a comment."""
+    return page + b"\n" + _SEAL % hashlib.sha256(page).hexdigest().encode("ascii")
+
+
+def is_sealed_page(path: Path) -> bool:
+    """Return whether a file is a page of `sealed_page`, unchanged.
+
+    Raises:
+        OSError: if it cannot be read.
+    """
+    length = len(_SEAL % bytes(64))
+    with open(path, "rb") as file:
+        size = os.fstat(file.fileno()).st_size - length - 1
+        if size < 0:
+            return False
+        digest = hashlib.sha256()
+        while size and (block := file.read(min(size, _BLOCK))):
+            digest.update(block)
+            size -= len(block)
+        return file.read() == b"\n" + _SEAL % digest.hexdigest().encode("ascii")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ladarreg_core.atomic_write import files_below
 from ladarreg_core.checksums import checksum_state
 from ladarreg_core.errors import FormatError, LadarregError
 from ladarreg_core.manifest import DOCUMENTS, MANIFEST_FILE, read_manifest
@@ -55,7 +56,7 @@ def check_integrity(path: str | Path) -> Integrity:
         from ladarreg_core.project.damage import project_damage
 
         damaged, notes = project_damage(place)
-        return Integrity("project", sum(one.is_file() for one in place.rglob("*")), tuple(damaged), tuple(notes))
+        return Integrity("project", sum(1 for _ in files_below(place)), tuple(damaged), tuple(notes))
     if kind is None and not (place / MANIFEST_FILE).is_file():
         raise FormatError(f"{place} is no project, result, run or export of ladarreg; give the folder of one")
     return _of_results(place, kind or "result")

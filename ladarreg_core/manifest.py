@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ladarreg_core.atomic_write import replaced_file, write_bytes
+from ladarreg_core.atomic_write import files_below, replaced_file, write_bytes
 from ladarreg_core.checksums import CHECKSUM_FIELD, checksum_state, sealed
 from ladarreg_core.errors import FormatError
 
@@ -88,11 +88,7 @@ def write_manifest(folder: Path) -> None:
         ExportError: if it cannot be written.
         OSError: if a file cannot be read.
     """
-    found = [
-        ListedFile.of(path, path.relative_to(folder).as_posix())
-        for parent, _, names in os.walk(folder)
-        for path in (Path(parent, name) for name in names)
-    ]
+    found = [ListedFile.of(path, path.relative_to(folder).as_posix()) for path in files_below(folder)]
     write_bytes(folder / MANIFEST_FILE, manifest_bytes(one for one in found if one.name != MANIFEST_FILE))
 
 

@@ -292,22 +292,22 @@ def write_panorama(
 
 
 def add_to_run(run_folder: str | Path, panorama: Panorama) -> None:
-    """Write `scan.npz`, `panorama.json` and `provenance.png` beside a run's pieces, each whole before it gets its name.
+    """Write `scan.npz`, `panorama.json` and `provenance.png` beside a run's pieces, all or none.
 
     Raises:
-        ExportError: if they cannot be written.
+        ExportError: if they cannot be written, would replace files of somebody else, or another program is at the run.
     """
-    from ladarreg_core.atomic_write import replaced_file
+    from ladarreg_core.acquisition.earlier_run import add_panorama
     from ladarreg_core.export.json import write_document
-    from ladarreg_core.manifest import update_manifest
 
-    home = Path(run_folder)
-    with replaced_file(home / "scan.npz") as path:
-        _write_scan(path, panorama)
-    with replaced_file(home / "provenance.png") as path:
-        _write_provenance(path, panorama)
-    write_document(home / "panorama.json", panorama.fields)
-    update_manifest(home, ("scan.npz", "provenance.png", "panorama.json"))
+    add_panorama(
+        Path(run_folder),
+        {
+            "scan.npz": lambda path: _write_scan(path, panorama),
+            "provenance.png": lambda path: _write_provenance(path, panorama),
+            "panorama.json": lambda path: write_document(path, panorama.fields),
+        },
+    )
 
 
 def _write_scan(path: Path, panorama: Panorama) -> None:

@@ -40,7 +40,7 @@ class Arguments(ScanArguments):
     trust_edited: bool = False
     """Go on with results that were changed after they were written: given, not verified."""
     force: bool = False
-    """Replace FILE if it exists."""
+    """Replace FILE if it is a report that ladarreg wrote, unchanged."""
     quiet: bool = False
     """Print no progress."""
     debug: bool = False
@@ -143,12 +143,15 @@ def _photo(document: Document, name: str | None) -> PhotoEntry:
 
 
 def _target(arguments: Arguments, own: Path) -> Path:
-    """Return the file to write; the program's own file may be replaced, any other with --force only.
+    """Return the file to write; a report as the program wrote it may be replaced, by -o with --force only.
 
     Raises:
-        OptionError: if it cannot be written or must not be replaced.
+        OptionError: if it cannot be written.
+        ExportError: if it is not a report as the program wrote it.
     """
     from ladarreg_core.errors import OptionError
+    from ladarreg_core.export.replacement import require_own_report
+    from ladarreg_core.manifest import MANIFEST_FILE
 
     out = own if arguments.out is None else arguments.out
     if not out.parent.is_dir():
@@ -159,4 +162,6 @@ def _target(arguments: Arguments, own: Path) -> Path:
         raise OptionError(f"{out} does not end in .html; give an HTML file with -o")
     if out.exists() and arguments.out is not None and not arguments.force:
         raise OptionError(f"{out} exists; give another file, or replace it with --force")
+    if arguments.out is not None or (out.parent / MANIFEST_FILE).is_file():  # reports of earlier versions have no seal
+        require_own_report(out)
     return out

@@ -23,6 +23,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.types import Receive, Scope, Send
 
+from ladarreg_core.atomic_write import move_file
 from ladarreg_core.errors import LadarregError, OptionError
 
 from ..argument_names import as_fields
@@ -110,7 +111,7 @@ class Uploads:
         path = part.with_suffix(safe_suffix(name))
         try:
             await self._stream(request, part, most)
-            await self._in_thread(part.replace, path)
+            await self._in_thread(move_file, part, path)  # on disk before it is confirmed
         except BaseException:
             _remove(part, path)
             raise

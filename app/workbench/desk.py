@@ -11,10 +11,11 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from ladarreg_core.atomic_write import files_below
 from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.project.duplicate import duplicate_project
 from ladarreg_core.project.folder import ProjectFolder, is_project
@@ -407,5 +408,6 @@ def _close(workbench: Workbench) -> None:
     folder = workbench.session.folder.path
     is_unused = workbench.is_scratch and workbench.is_empty and workbench.session.history.at == 0
     workbench.close()
-    if is_unused and not any(path.is_file() for path in (folder / "inputs").rglob("*")):
-        shutil.rmtree(folder, ignore_errors=True)
+    with suppress(OSError):  # what cannot be listed may have files
+        if is_unused and not any(files_below(folder / "inputs")):
+            shutil.rmtree(folder, ignore_errors=True)

@@ -85,7 +85,9 @@ class RecentProjects:
         try:
             summary = read_summary(path)
         except LadarregError as error:
-            missing = not is_project(path)
+            missing = False
+            with suppress(LadarregError):
+                missing = not is_project(path)
             said = "its folder is missing: it was moved or deleted, or its disk is not there" if missing else str(error)
             return found | {"missing": missing, "state": said}
         return found | {"name": summary.name, "state": summary.describe(), "edited": summary.edited}

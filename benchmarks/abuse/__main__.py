@@ -17,14 +17,28 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
-from benchmarks.abuse import clients, disks, floods, kills, protocol, readers
+from benchmarks.abuse import clients, disks, faults, floods, hostile, kills, protocol, readers
 from benchmarks.abuse.log import Log, machine
 from benchmarks.abuse.report import summary
 
-SECTIONS = ("readers", "protocol", "kills", "signals", "disks", "damage", "floods", "clients")
+SECTIONS = (
+    "readers",
+    "protocol",
+    "kills",
+    "signals",
+    "disks",
+    "damage",
+    "faults",
+    "hostile",
+    "forced",
+    "floods",
+    "clients",
+)
 _WHOLE = {"mutations": 2000, "messages": 20_000, "kills": 200, "pairs": 40, "disks": 20, "flips": 2000,
+          "limits": 50, "every": 1, "hostile": 500, "forced": 25,
           "flood_seconds": 15.0, "clients_hours": 8.0}  # fmt: skip
 _QUICK = {"mutations": 200, "messages": 2000, "kills": 10, "pairs": 6, "disks": 8, "flips": 100,
+          "limits": 5, "every": 20, "hostile": 50, "forced": 3,
           "flood_seconds": 6.0, "clients_hours": 0.5}  # fmt: skip
 
 
@@ -48,6 +62,9 @@ def main() -> None:
         "signals": lambda: kills.run_signals(log, size["pairs"]),
         "disks": lambda: disks.run(log, size["disks"]),
         "damage": lambda: disks.run_damage(log, size["flips"]),
+        "faults": lambda: faults.run(log, size["limits"], size["every"]),
+        "hostile": lambda: hostile.run(log, size["hostile"]),
+        "forced": lambda: hostile.run_forced(log, size["forced"]),
         "floods": lambda: floods.run(log, size["flood_seconds"]),
         "clients": lambda: clients.run(log, size["clients_hours"], arguments.pace),
     }
@@ -76,6 +93,10 @@ def _parsed() -> argparse.Namespace:
     parser.add_argument("--pairs", type=int, help="pairs of stop signals")
     parser.add_argument("--disks", type=int, help="full disks")
     parser.add_argument("--flips", type=int, help="projects with one flipped bit")
+    parser.add_argument("--limits", type=int, help="limits of memory for each kind of work")
+    parser.add_argument("--every", type=int, metavar="N", help="fail only every N-th call (1: all)")
+    parser.add_argument("--hostile", type=int, help="hostile files of all formats")
+    parser.add_argument("--forced", type=int, help="runs of each command with --force")
     parser.add_argument("--flood-seconds", type=float, help="duration of each flood")
     parser.add_argument("--clients-hours", type=float, help="hours of work of ten clients, at pace 1")
     parser.add_argument("--pace", type=float, default=1.0, help="speed of the clients relative to people")

@@ -138,6 +138,53 @@ def _damage(rows: list[Row]) -> str:
     return _section("Damaged projects", _table(head, body), _all(found, "losses"))
 
 
+def _faults(rows: list[Row]) -> str:
+    found = rows_of(rows, "faults")
+    if not found:
+        return ""
+    counts = ("rounds", "ended", "crashed", "wrong")
+    names = {"calls": "a call fails", "power": "power is lost", "memory": "memory ends"}
+    body = []
+    for case in dict.fromkeys(row["case"] for row in found):
+        for kind, what in names.items():
+            own = [row for row in found if (row["case"], row["kind"]) == (case, kind)]
+            if own:
+                body.append((case, what, *(_sum(own, name) for name in counts)))
+    body += [
+        ("all", what, *(_sum(rows_of(found, "faults", {"kind": kind}), name) for name in counts))
+        for kind, what in names.items()
+    ]
+    head = (
+        "work",
+        "and",
+        "rounds",
+        "ended early",
+        "of them by a crash of NumPy",
+        "neither old nor new, or no clear sentence",
+    )
+    return _section("Calls that fail", _table(head, body), _all(found, "first"))
+
+
+def _hostile(rows: list[Row]) -> str:
+    found = rows_of(rows, "hostile")
+    if not found:
+        return ""
+    head = ("hostile files", "heard by a listener", "confined and traced", "connections", "files of others opened")
+    body = [(row["files"], row["heard"], row["confined"], row["connects"], row["foreign"]) for row in found]
+    return _section("Hostile files", _table(head, body), _all(found, "faults"))
+
+
+def _forced(rows: list[Row]) -> str:
+    found = rows_of(rows, "forced")
+    if not found:
+        return ""
+    names = ("runs", "refused", "replaced", "others", "count")
+    body = [(row["command"], *(row[name] for name in names)) for row in found]
+    body.append(("all", *(_sum(found, name) for name in names)))
+    head = ("command with --force", "runs", "refused", "replaced its own", "ended otherwise", "files of others lost")
+    return _section("--force beside files of somebody else", _table(head, body), _all(found, "lost"))
+
+
 def _floods(rows: list[Row]) -> str:
     found = rows_of(rows, "floods")
     if not found:
@@ -201,5 +248,5 @@ def _all(rows: list[Row], name: str) -> list[str]:
 
 
 _TABLES: tuple[Callable[[list[Row]], str], ...] = (
-    _readers, _protocol, _kills, _signals, _disks, _damage, _floods, _clients,
+    _readers, _protocol, _kills, _signals, _disks, _damage, _faults, _hostile, _forced, _floods, _clients,
 )  # fmt: skip

@@ -1,4 +1,6 @@
-"""The run that a new one replaces: set aside in its folder, and removed once the new one is complete.
+"""What changes in the folder of a run as one: a run that is begun, and the panorama that is composed of it.
+
+The run that a new one replaces is set aside in its folder, and removed once the new one is complete.
 
 Only what the records of the run and the manifest of its folder list is touched, and only as it was written: any other
 file in the folder is somebody's, and the run is not replaced then.
@@ -9,15 +11,18 @@ from __future__ import annotations
 import hashlib
 import os
 import secrets
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
 from ladarreg_core.acquisition.exchange_log import EXCHANGES, EXCHANGES_BEFORE
 from ladarreg_core.acquisition.run_records import RECORDS, Record, read_records
+from ladarreg_core.atomic_write import make_folder, raise_error, sync_folder, write_bytes
 from ladarreg_core.errors import ExportError, FormatError, OptionError
+from ladarreg_core.folder_lock import FolderLock
 from ladarreg_core.formats.untrusted import shown_name
-from ladarreg_core.manifest import MANIFEST_FILE, read_manifest, remove_listed, write_manifest
+from ladarreg_core.manifest import MANIFEST_FILE, ListedFile, manifest_bytes, read_manifest, remove_listed
+from ladarreg_core.moved_together import MOVES_FILE, Move, finish_moves, is_unfinished, replace_together
 
 PLAN, LOCK = "plan.json", ".lock"
 PANORAMA_OF_RUN = ("scan.npz", "panorama.json", "provenance.png")
@@ -26,31 +31,67 @@ _ASIDE = ".earlier-run-"
 _OTHER_FOLDER = "so the run is not replaced; give another folder, or move it away first"
 
 
-def set_aside(folder: Path) -> None:
-    """Move an earlier run, all of it, into a hidden folder below its own; to be called with the folder locked.
+def begin_anew(folder: Path, write_plan: Callable[[Path], None]) -> None:
+    """Begin a run in its folder; one that is there moves into a hidden folder below it, all of it, in the same step.
+
+    To be called with the folder locked.
+
+    Args:
+        folder: the folder.
+        write_plan: writes the plan of the new run to a path.
 
     Raises:
-        OptionError: if the folder has a file that the run does not list, or that was changed since.
-        ExportError: if a file cannot be moved; all are where they were then.
+        OptionError: if the folder has a file that the earlier run does not list, or that was changed since.
+        ExportError: if a file cannot be written or moved; the earlier run is as it was then, or set aside as a whole.
     """
-    names = _own_files(folder)
     aside = folder / f"{_ASIDE}{secrets.token_hex(4)}"
-    moved: list[str] = []
+    names = _own_files(folder) if (folder / PLAN).is_file() else []
+    kept = [name for name in names if name != MANIFEST_FILE]  # it does not list the records
+
+    def set_aside() -> list[Move]:
+        if kept:
+            make_folder(aside)
+            listed = [ListedFile.of(folder / name, name) for name in kept]
+            write_bytes(aside / MANIFEST_FILE, manifest_bytes(listed))
+            sync_folder(aside)
+        return [(name, f"{aside.name}/{name}") for name in kept]
+
     try:
-        for name in names:
-            (aside / name).parent.mkdir(parents=True, exist_ok=True)
-            os.rename(folder / name, aside / name)
-            moved.append(name)
-        with suppress(FileNotFoundError):
-            (aside / MANIFEST_FILE).unlink()  # it does not list the records
-        write_manifest(aside)
-    except OSError as error:
-        for name in reversed(moved):
-            with suppress(OSError):
-                os.rename(aside / name, folder / name)
-        raise ExportError(
-            f"the run in {shown_name(folder)} cannot be set aside: {error.strerror}; give another folder"
-        ) from None
+        replace_together(folder, {PLAN: write_plan}, aside=set_aside)
+    except ExportError as error:
+        raise ExportError(f"no run can be begun in {shown_name(folder)}: {error}") from None
+    finally:
+        with suppress(OSError, FormatError):
+            if aside.is_dir() and os.listdir(aside) == [MANIFEST_FILE] and not (folder / MOVES_FILE).exists():
+                remove_listed(aside)  # nothing was moved
+
+
+def add_panorama(folder: Path, files: Mapping[str, Callable[[Path], None]]) -> None:
+    """Write what was composed beside the pieces of a run, which no program has open, all or none.
+
+    Raises:
+        ExportError: as `replace_together`, or if another program has the run open.
+    """
+    settle(folder)
+    lock = FolderLock(folder, LOCK, what="run")
+    try:
+        replace_together(folder, files)
+    finally:
+        lock.release()
+        with suppress(OSError):
+            (folder / LOCK).unlink()
+
+
+def settle(folder: Path) -> None:
+    """Finish what a program that was interrupted was moving in the folder of a run, before it is read.
+
+    Raises:
+        FormatError: if that cannot be done.
+    """
+    try:
+        finish_moves(folder, lock=LOCK, what="run")
+    except ExportError as error:
+        raise FormatError(str(error)) from None
 
 
 def remove_set_aside(folder: Path) -> None:
@@ -65,7 +106,8 @@ def _own_files(folder: Path) -> list[str]:
     """Return the names of the files of a run, those that say what it is last.
 
     Raises:
-        OptionError: as `set_aside`.
+        OptionError: as `begin_anew`.
+        OSError: if a folder cannot be listed, or a file not be read.
     """
     try:
         listed = read_manifest(folder)
@@ -76,8 +118,9 @@ def _own_files(folder: Path) -> list[str]:
     if listed is None:  # of earlier versions
         whole |= {PLAN, *(PANORAMA_OF_RUN if (folder / "panorama.json").is_file() else ())}
     found: list[str] = []
-    for parent, folders, files in os.walk(folder):
-        folders[:] = [name for name in folders if not (Path(parent) == folder and name.startswith(_ASIDE))]
+    for parent, folders, files in os.walk(folder, onerror=raise_error):
+        if Path(parent) == folder:
+            folders[:] = [name for name in folders if not name.startswith(_ASIDE) and not is_unfinished(name)]
         links = [name for name in folders if Path(parent, name).is_symlink()]
         for path in (Path(parent, name) for name in (*files, *links)):
             name = path.relative_to(folder).as_posix()

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
+import os
 import shutil
+import stat
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
 from ladarreg_core.acquisition.devices import Arrival, Check
@@ -40,6 +44,9 @@ class FolderSource:
     while and can be read. A file that was taken for an earlier stop and is written anew under its old name counts as
     new, unless it only gets longer.
 
+    Symbolic links in the folder are not followed: whoever may write there must not have files read that only the
+    operator may read.
+
     Args:
         folder: the watched folder.
         is_readable: raises a `LadarregError` for a file that cannot be read as what is expected.
@@ -72,6 +79,7 @@ class FolderSource:
             self._trigger = opened_trigger(trigger, self._folder, timeout_s=timeout_s, device=device, clock=clock)
         self._stop: Arrival | None = None
         self._listed: dict[str, _State] = {}
+        self._links: set[str] = set()
         self._known = self._files()
         """Files that need no more looking at: there from the beginning, taken, or kept aside."""
         self._before = _Before(self._known)
@@ -146,7 +154,7 @@ class FolderSource:
         for name in strays:
             folder.mkdir(parents=True, exist_ok=True)
             try:
-                shutil.copyfile(self._folder / name, folder / name)
+                _copy(self._folder, name, folder / name)
             except FileNotFoundError:
                 continue
             kept.append(folder / name)
@@ -170,7 +178,19 @@ class FolderSource:
         digest = None if before is None else self._taken_as(before)
         if before is None or digest is None or state.size < before.size:
             return False
-        return _digest(self._folder / name, before.size) == digest
+        return self._digest(name, before.size) == digest
+
+    def _digest(self, name: str, size: int) -> str:
+        """Return the SHA-256 of the first bytes of a file; empty if it is gone."""
+        digest = hashlib.sha256()
+        try:
+            with _opened(self._folder, name) as file:
+                while size and (block := file.read(min(size, _BLOCK))):
+                    digest.update(block)
+                    size -= len(block)
+        except FileNotFoundError:
+            return ""
+        return digest.hexdigest()
 
     def _taken_as(self, state: _State) -> str | None:
         """Return the SHA-256 of a file that was taken for an earlier stop as it was then; None if it was not."""
@@ -194,7 +214,7 @@ class FolderSource:
             copy = folder / path.relative_to(self._folder)
             copy.parent.mkdir(parents=True, exist_ok=True)
             try:
-                shutil.copyfile(path, copy)
+                _copy(self._folder, path.relative_to(self._folder).as_posix(), copy)
             except FileNotFoundError:
                 return None
         if [_state_of(path) for path in files.all] != before:
@@ -207,7 +227,7 @@ class FolderSource:
             if state is not None:
                 self._known[name] = state
                 if path in files.measured:
-                    self._taken[name] = state, _digest(path, state.size)
+                    self._taken[name] = state, self._digest(name, state.size)
         if self._trigger is not None:
             self._trigger.taken()
 
@@ -216,6 +236,8 @@ class FolderSource:
         came = [f"{name} came but cannot be read: {why}" for name, why in unreadable.items() if name in new]
         growing = [name for name in new if name not in unreadable]
         came += [f"{', '.join(growing[:_MOST_NAMED])} came but is not complete"] if growing else []
+        linked = sorted(self._links)[:_MOST_NAMED]
+        came += [f"{', '.join(linked)} is a symbolic link, which is not followed"] if linked else []
         old = [name for name, state in self._listed.items() if self._before.was_changed(name, state)]
         came += (
             [f"{', '.join(old[:_MOST_NAMED])} was there before the unit arrived, so it does not count"] if old else []
@@ -228,9 +250,13 @@ class FolderSource:
     def _files(self) -> dict[str, _State]:
         """Return the files of the folder that are not empty, those under temporary names included."""
         try:
-            found = {}
+            found: dict[str, _State] = {}
             for path in self._folder.iterdir():
-                if path.name != self._ignored and path.is_file() and (state := _state_of(path)) and state.size:
+                if path.name == self._ignored:
+                    continue
+                if path.is_symlink():
+                    self._links.add(path.name)
+                elif path.is_file() and (state := _state_of(path)) and state.size:
                     found[path.name] = state
         except OSError as error:  # a drive that is gone
             if not self._folder.is_dir():
@@ -299,17 +325,49 @@ def _is_finished(name: str) -> bool:
 
 def _state_of(path: Path) -> _State | None:
     try:
-        status = path.stat()
+        status = path.lstat()
     except OSError:
+        return None
+    if not stat.S_ISREG(status.st_mode):
         return None
     return _State(status.st_ino, status.st_size, status.st_mtime_ns)
 
 
-def _digest(path: Path, size: int) -> str:
-    """Return the SHA-256 of the first bytes of a file."""
-    digest = hashlib.sha256()
-    with open(path, "rb") as file:
-        while size and (block := file.read(min(size, _BLOCK))):
-            digest.update(block)
-            size -= len(block)
-    return digest.hexdigest()
+def _copy(folder: Path, name: str, target: Path) -> None:
+    """Copy a file of a folder, durably.
+
+    Raises:
+        FileNotFoundError: if it is gone, or a symbolic link is in its place.
+        OSError: if it cannot be copied.
+    """
+    with _opened(folder, name) as source, open(target, "wb") as copy:
+        shutil.copyfileobj(source, copy, _BLOCK)
+        copy.flush()
+        os.fsync(copy.fileno())
+
+
+def _opened(folder: Path, name: str) -> BinaryIO:
+    """Open a file in or below a folder for reading, following no symbolic link on the way.
+
+    Raises:
+        FileNotFoundError: if it is gone, or a symbolic link is in its place.
+    """
+    parts = name.split("/")
+    gone = FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), name)
+    if os.open not in os.supports_dir_fd or not hasattr(os, "O_NOFOLLOW"):
+        if any(folder.joinpath(*parts[: k + 1]).is_symlink() for k in range(len(parts))):
+            raise gone
+        return open(folder / name, "rb")
+    at = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        for part in parts[:-1]:
+            below = os.open(part, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=at)
+            os.close(at)
+            at = below
+        return os.fdopen(os.open(parts[-1], os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=at), "rb")
+    except OSError as error:
+        if error.errno in (errno.ELOOP, errno.ENOTDIR):  # a link was put in its place
+            raise gone from None
+        raise
+    finally:
+        os.close(at)

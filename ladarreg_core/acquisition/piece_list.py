@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ladarreg_core.acquisition.devices import PanTilt
+from ladarreg_core.acquisition.earlier_run import settle
 from ladarreg_core.acquisition.mount_fields import mount_from_fields
 from ladarreg_core.acquisition.plan import Mode
 from ladarreg_core.acquisition.run_records import RECORDS, position_of, read_closure, read_records
@@ -105,6 +106,7 @@ def read_piece_list(path: str | Path) -> PieceList:
 
 
 def _of_run(folder: Path) -> PieceList:
+    settle(folder)
     if not is_run_folder(folder):
         raise FormatError(
             f"the folder {shown_name(folder)} contains no {RECORDS}; give the folder of a run of "

@@ -17,7 +17,6 @@ import contextlib
 import hashlib
 import io
 import json
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +26,7 @@ import numpy as np
 
 from ladarreg_core.acquisition.closure import Closure
 from ladarreg_core.acquisition.devices import PanTilt
-from ladarreg_core.acquisition.earlier_run import LOCK, PLAN, remove_set_aside, set_aside
+from ladarreg_core.acquisition.earlier_run import LOCK, PLAN, begin_anew, remove_set_aside, settle
 from ladarreg_core.acquisition.exchange_log import ExchangeLog
 from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.acquisition.piece_list import ListedPiece
@@ -42,13 +41,21 @@ from ladarreg_core.acquisition.run_records import (
     read_records,
 )
 from ladarreg_core.acquisition.sweep_pieces import read_sweeps
-from ladarreg_core.atomic_write import AppendedFile, replaced_file, sync_folder, write_bytes
+from ladarreg_core.atomic_write import (
+    AppendedFile,
+    cannot_write,
+    make_folder,
+    replaced_file,
+    sync_file,
+    sync_folder,
+    write_bytes,
+)
 from ladarreg_core.errors import ExportError, FormatError, OptionError
 from ladarreg_core.folder_lock import FolderLock
 from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.json_file import read_json_object, write_json
 from ladarreg_core.formats.untrusted import shown_name
-from ladarreg_core.manifest import MANIFEST_FILE, ListedFile, manifest_bytes, update_manifest
+from ladarreg_core.moved_together import replace_together
 from ladarreg_core.scan import Scan
 
 PIECES, PHOTOS, STRAYS = "pieces", "photos", "stray"
@@ -89,6 +96,7 @@ class RunFolder:
             FormatError: if it is none.
         """
         folder = Path(path)
+        settle(folder)
         if not (folder / PLAN).is_file():
             raise FormatError(f"{shown_name(folder)}: there is no {PLAN}; give the folder of a run")
         run = RunFolder(folder, _plan_of(folder / PLAN))
@@ -150,6 +158,7 @@ def summary(path: str | Path) -> RunSummary:
     from ladarreg_core.acquisition.stops import stops_of
 
     folder = Path(path)
+    settle(folder)
     if not (folder / PLAN).is_file():
         raise FormatError(f"{shown_name(folder)}: there is no {PLAN}; give the folder of a run")
     plan = _plan_of(folder / PLAN)
@@ -187,6 +196,7 @@ class RunWriter(RunFolder):
             ExportError: if the folder cannot be written, or another program runs in it.
         """
         folder = Path(path)
+        settle(folder)
         there = (folder / PLAN).is_file()
         if resume and not there:
             raise OptionError(f"{shown_name(folder)} has no run to resume; leave out `resume`")
@@ -196,7 +206,7 @@ class RunWriter(RunFolder):
             )  # fmt: skip
             raise OptionError(f"{shown_name(folder)} {what}")
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            make_folder(folder)
         except OSError as error:
             raise ExportError(
                 f"{shown_name(folder)} cannot be created: {error.strerror}; give another folder"
@@ -206,17 +216,16 @@ class RunWriter(RunFolder):
             if resume:
                 _require_same(_plan_of(folder / PLAN), plan, folder)
             else:
-                if there:
-                    set_aside(folder)
-                write_plan(folder / PLAN, plan)
-                write_bytes(folder / MANIFEST_FILE, manifest_bytes([ListedFile.of(folder / PLAN, PLAN)]))
-            (folder / PIECES).mkdir(exist_ok=True)
+                begin_anew(folder, lambda path: write_plan(path, plan))
+            make_folder(folder / PIECES)
             run = RunWriter(folder, plan, lock)
             run.faults += [lock.remark] if lock.remark else []
             run._read_records()
             run._open_log()
-        except BaseException:
+        except BaseException as error:
             lock.release()
+            if isinstance(error, OSError):
+                raise cannot_write(folder, error) from None
             raise
         return run
 
@@ -243,14 +252,15 @@ class RunWriter(RunFolder):
         file = f"{PIECES}/{index:03d}.npz"
         with replaced_file(self.path / file) as new:
             write(new)
-            _sync(new)
         name = None if photo is None else photo.relative_to(self.path).as_posix()
-        photo_sha256 = "" if photo is None else _sha256(photo)
-        aside = {path.relative_to(self.path).as_posix(): _sha256(path) for path in strays}
-        record = Record(
-            index, file, _sha256(self.path / file), asked, read, time, passed, name, photo_sha256, aside,
-            health or Health(),
-        )  # fmt: skip
+        try:
+            self._sync([*([] if photo is None else [photo]), *strays])
+            photo_sha256 = "" if photo is None else _sha256(photo)
+            aside = {path.relative_to(self.path).as_posix(): _sha256(path) for path in strays}
+            sha256 = _sha256(self.path / file)
+        except OSError as error:
+            raise cannot_write(self.path, error) from None
+        record = Record(index, file, sha256, asked, read, time, passed, name, photo_sha256, aside, health or Health())
         assert self._log is not None
         self._log.append(json.dumps(record.as_fields()).encode() + b"\n")
         self.records[index] = record
@@ -266,11 +276,7 @@ class RunWriter(RunFolder):
         Raises:
             ExportError: if it cannot be written.
         """
-        with replaced_file(self.path / _CLOSING) as new:
-            write(new)
-        with replaced_file(self.path / CLOSURE) as new:
-            write_json(new, closure.as_fields())
-        update_manifest(self.path, (_CLOSING, CLOSURE))
+        replace_together(self.path, {_CLOSING: write, CLOSURE: lambda path: write_json(path, closure.as_fields())})
         self.closed = closure.closed
 
     def close(self) -> None:
@@ -283,6 +289,14 @@ class RunWriter(RunFolder):
         self._lock.release()
         with contextlib.suppress(OSError):
             (self.path / LOCK).unlink()
+
+    def _sync(self, files: Sequence[Path]) -> None:
+        """Bring files in the folder to disk, with the names that lead to them."""
+        for file in files:
+            sync_file(file)
+        depth = len(self.path.parts)
+        for parent in {parent for file in files for parent in file.parents if len(parent.parts) >= depth}:
+            sync_folder(parent)
 
     def _open_log(self) -> None:
         """Open the list of records, without the rest of one that was being written."""
@@ -345,11 +359,3 @@ def _is_whole(folder: Path, record: Record) -> bool:
 def _sha256(path: Path) -> str:
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _sync(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDWR)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ladarreg_core.atomic_write import cannot_write, sync_folder
+from ladarreg_core.atomic_write import cannot_write, make_folder, sync_tree
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.glb import write_model_glb
 from ladarreg_core.export.images import (
@@ -185,11 +185,11 @@ def write_folder(
     target = _resolve_parent(folder)
     made = _missing_parents(target)
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(target.parent)
         with staging_folder(target, more_names=more_names) as new:
             _write_all(new, files(), report, together=together)
             write_manifest(new)
-            _sync(new)
+            sync_tree(new)  # before it replaces another
             _require_free(target, force, inputs, apart_from, more_names)  # it may have been created meanwhile
             put_in_place(
                 new,
@@ -271,15 +271,6 @@ def _resolve_parent(folder: str | Path) -> Path:
     if path.name in ("", ".."):
         return Path(os.path.realpath(path))
     return Path(os.path.realpath(path.parent), path.name)
-
-
-def _sync(folder: Path) -> None:
-    """Synchronise all files of a folder to disk before the folder replaces another."""
-    for parent, _, names in os.walk(folder, topdown=False):
-        for name in names:
-            with open(os.path.join(parent, name), "rb+") as file:
-                os.fsync(file.fileno())
-        sync_folder(Path(parent))
 
 
 def _write_all(folder: Path, jobs: Sequence[FileJob], report: Report | None, *, together: bool) -> None:

@@ -17,6 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ladarreg_core.atomic_write import raise_error
+from ladarreg_core.checksums import is_sealed_page
 from ladarreg_core.errors import ExportError, FormatError
 from ladarreg_core.manifest import MANIFEST_FILE, ListedFile, read_manifest, remove_listed
 
@@ -153,6 +155,33 @@ def require_replaceable(
     raise ExportError(f"the folder {called} {state}; give another folder, or allow it to be replaced by `force=True`")
 
 
+def require_own_report(path: Path) -> None:
+    """Refuse to replace a file that is not a report as it was written.
+
+    Args:
+        path: a file; one that does not exist is nobody's.
+
+    Raises:
+        ExportError: if it is another file, or was changed since, by its own checksum and the manifest beside it.
+    """
+    if not os.path.lexists(path):
+        return
+    called = display_path(path)
+    try:
+        if not path.is_symlink() and path.is_file():
+            listed = (read_manifest(path.parent) or {}).get(path.name)
+            if is_sealed_page(path) or (listed is not None and not listed.fault(path.parent)):
+                return
+    except FormatError as error:
+        raise ExportError(f"{called} is not replaced: {error}") from None
+    except OSError as error:
+        reason = (error.strerror or type(error).__name__).lower()
+        raise ExportError(f"{called} exists and cannot be read: {reason}; give another file") from None
+    raise ExportError(
+        f"{called} is not a report as ladarreg wrote it, so it is not replaced; give another file, or move it away"
+    )
+
+
 def require_apart(target: Path, *, inputs: Sequence[str | Path] = (), projects: Sequence[str | Path] = ()) -> None:
     """Refuse to replace a folder that is, contains or lies in a project or an input.
 
@@ -214,11 +243,15 @@ def remove_results(folder: Path, *, more_names: Collection[str] = ()) -> None:
 
 
 def _only_contains(folder: Path, name: str, files: Collection[str]) -> bool:
-    """Return whether all files below a folder's subfolder, which is no link, are among those listed."""
-    if os.path.islink(folder / name):
+    """Return whether all files below a folder's subfolder, which is no link, are among those listed.
+
+    Raises:
+        OSError: if a folder cannot be listed.
+    """
+    if os.path.islink(folder / name) or not (folder / name).is_dir():
         return False
     found = False
-    for parent, folders, names in os.walk(folder / name):
+    for parent, folders, names in os.walk(folder / name, onerror=raise_error):
         if any(os.path.islink(os.path.join(parent, inner)) for inner in folders):
             return False
         for file in names:

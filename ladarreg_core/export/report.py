@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ladarreg_core.atomic_write import write_bytes
+from ladarreg_core.checksums import sealed_page
 from ladarreg_core.export.html import Content, Html, definitions, figure, joined, section, table, tag
 from ladarreg_core.export.json import CAMERA_FROM_SCANNER_IS
 from ladarreg_core.export.match_crops import WorstMatch, crop_legend, match_crops, worst_matches
@@ -46,12 +47,13 @@ def write_report(
     *,
     texture: RegisteredTexture | None = None,
 ) -> None:
-    """Write the report; the arguments are those of `report_html`.
+    """Write the report with its checksum, see `sealed_page`; the arguments are those of `report_html`.
 
     Raises:
         ExportError: if the file cannot be written.
     """
-    write_bytes(path, report_html(registration, scan, photo, document, texture=texture).encode("utf-8"))
+    page = report_html(registration, scan, photo, document, texture=texture)
+    write_bytes(path, sealed_page(page.encode("utf-8")))
 
 
 def report_html(

@@ -65,7 +65,11 @@ def put_in_place(new: Path, target: Path, verify: Callable[[Path], None]) -> Non
     """
     if not os.path.lexists(target):
         os.rename(new, target)
-        sync_folder(target.parent)
+        try:
+            sync_folder(target.parent)
+        except OSError:
+            os.rename(target, new)
+            raise
         return
     try:
         held = _lock(target)
@@ -78,12 +82,13 @@ def put_in_place(new: Path, target: Path, verify: Callable[[Path], None]) -> Non
         if _exchange(new, target):
             try:
                 verify(new)
+                # What is in the staging folder is removed next: it might be all that the disk has.
+                sync_folder(target.parent)
             except BaseException:
                 _exchange(new, target)
                 raise
         else:
             _set_aside_and_rename(new, target, verify)
-        sync_folder(target.parent)
     finally:
         _unlock(held)
 
@@ -128,6 +133,11 @@ def _set_aside_and_rename(new: Path, target: Path, verify: Callable[[Path], None
         os.rename(target, aside)
         verify(aside)
         os.rename(new, target)
+        sync_folder(target.parent)
+    except OSError:
+        if os.path.lexists(aside) and not os.path.lexists(new):
+            os.rename(target, new)  # see above
+        raise
     finally:  # an interruption may occur right after either rename
         if os.path.lexists(aside):
             os.rename(aside, new if os.path.lexists(target) else target)

@@ -7,7 +7,7 @@ import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ladarreg_core.atomic_write import cannot_write, sync_folder
+from ladarreg_core.atomic_write import cannot_write, move_file
 from ladarreg_core.export.folder import FileJob
 from ladarreg_core.export.staging import clear_leftovers, staging_folder
 from ladarreg_core.manifest import MANIFEST_FILE, ListedFile, manifest_bytes
@@ -47,7 +47,6 @@ def write_zip(path: str | Path, files: Callable[[], Sequence[FileJob]], *, repor
                 file.writestr(MANIFEST_FILE, manifest_bytes(listed))
             if report is not None:
                 report(Progress(len(jobs), len(jobs), "written"))
-            os.replace(packed, target)
-            sync_folder(target.parent)
+            move_file(packed, target)
     except OSError as error:
         raise cannot_write(target, error) from None

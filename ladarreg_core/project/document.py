@@ -5,6 +5,7 @@ Everything in it is plain and small except the arrays of a pose's matches, which
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import PurePath
 from typing import Any, Literal, get_args
 
@@ -312,6 +313,17 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
     def clouds(self) -> int:
         """Number of clouds that the scan consists of; 0 without a scan."""
         return 0 if self.scan is None else len(self.scan.paths)
+
+    @property
+    def sources(self) -> Iterator[Source]:
+        """The files that it is of: scans, photographs and cameras, of all stations."""
+        if self.scan is not None:
+            yield self.scan
+        yield from (station.source for station in self.stations)
+        for photo in (*self.photos, *(photo for station in self.stations for photo in station.photos)):
+            yield photo.source
+            if photo.camera.file is not None:
+                yield photo.camera.file
 
     def photo(self, photo_id: str) -> PhotoEntry | None:
         """Return a photograph by its id; None if there is none."""

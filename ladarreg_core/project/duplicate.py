@@ -7,6 +7,7 @@ from pathlib import Path
 
 import msgspec
 
+from ladarreg_core.atomic_write import make_folder, sync_folder, sync_tree
 from ladarreg_core.errors import ExportError
 from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import History
@@ -25,14 +26,20 @@ def duplicate_project(folder: ProjectFolder, history: History, target: Path, *, 
     Raises:
         ExportError: if it cannot be written; nothing is left behind.
     """
+    if folder.unreadable:
+        raise ExportError("the project cannot be duplicated: stored matches cannot be read; check the disk")
     renamed = msgspec.structs.replace(history.document, name=name)
     copied = history.committed(renamed, label=f"Duplicate of {history.document.name}", author="", when=when)
     try:
-        target.mkdir(parents=True)
+        make_folder(target.parent)
+        target.mkdir()
+        sync_folder(target.parent)
     except OSError as error:
         raise ExportError(f"{target} cannot be created: {error.strerror or error}") from None
     try:
-        shutil.copytree(folder.inputs, target / folder.inputs.name, ignore=shutil.ignore_patterns("*.part"))
+        copied_inputs = target / folder.inputs.name
+        shutil.copytree(folder.inputs, copied_inputs, ignore=shutil.ignore_patterns("*.part"))
+        sync_tree(copied_inputs)
         kept = ProjectFolder(target)
         try:
             kept.begin(copied)

@@ -26,7 +26,15 @@ from typing import Any
 
 import msgspec
 
-from ladarreg_core.atomic_write import AppendedFile, cannot_write, sync_folder, write_bytes
+from ladarreg_core.atomic_write import (
+    AppendedFile,
+    cannot_write,
+    make_folder,
+    sync_file,
+    sync_folder,
+    sync_tree,
+    write_bytes,
+)
 from ladarreg_core.errors import ExportError, FormatError, LadarregError, NewerVersionError
 from ladarreg_core.folder_lock import READ_ONLY, FolderLock
 from ladarreg_core.project.checksum import verify_checksum, with_checksum
@@ -48,8 +56,17 @@ _LONG_HISTORY_BYTES = 64 << 20
 
 
 def is_project(path: str | Path) -> bool:
-    """Return whether a folder contains a project, intact or damaged."""
-    return any(os.path.isfile(Path(path) / name) for name in (_PROJECT, _HISTORY))
+    """Return whether a folder contains a project, intact or damaged.
+
+    Raises:
+        FormatError: if that cannot be seen: a project that the disk does not show must not be begun anew.
+    """
+    try:
+        return any((Path(path) / name).is_file() for name in (_PROJECT, _HISTORY))
+    except OSError as error:
+        raise FormatError(
+            f"{path} cannot be read: {(error.strerror or type(error).__name__).lower()}; check the disk"
+        ) from None
 
 
 class ProjectFolder:
@@ -67,13 +84,15 @@ class ProjectFolder:
         self.path = Path(os.path.abspath(path))
         try:
             for name in ("", _ARRAYS, _INPUTS, _EXPORTS):
-                (self.path / name).mkdir(parents=True, exist_ok=True)
+                make_folder(self.path / name)
         except OSError as error:
             if error.errno not in READ_ONLY or not is_project(self.path):
                 raise cannot_write(self.path, error) from None
         self._lock = FolderLock(self.path, _LOCK, what="project")
         self._kept: dict[str, StoredArrays] = {}
+        self._synced: set[str] = set()  # files of sources that are known to be on disk
         self._missing: dict[str, StoredArrays] = {}
+        self._unreadable: set[str] = set()  # of these; what cannot be read now may be intact
         self._unknown: Unknown = {}
         self._damaged: set[Path] = set()
         self._remarks: list[str] = [self._lock.remark] if self._lock.remark else []
@@ -105,6 +124,11 @@ class ProjectFolder:
     def remarks(self) -> tuple[str, ...]:
         """Problems found when the project was read, and how they were handled, in sentences."""
         return tuple(self._remarks)
+
+    @property
+    def unreadable(self) -> bool:
+        """Whether stored matches could not be read, and may be intact."""
+        return bool(self._unreadable)
 
     @property
     def behind(self) -> bool:
@@ -161,6 +185,7 @@ class ProjectFolder:
         if len(appended or b"") > _LONG_HISTORY_BYTES or len(history.entries) > _MOST_ENTRIES:
             history = history.shortened(_MOST_ENTRIES // 2)
         self._history, self._seq = history, found.seq
+        self._synced.update(path for source in history.document.sources for path in source.paths)
         self._unknown = found.unknown | self._unknown
         is_complete = history is found.history and not (found.lost or found.recovered)
         intact = records.intact_bytes if is_complete else None
@@ -233,7 +258,7 @@ class ProjectFolder:
                 document, seq = self._history.document, self._seq
             data = self._project_bytes(document, seq)
             if data != self._written:
-                self._save_arrays(document)
+                self._save_named(document)
                 self._replace(self.path / _PROJECT, data)
                 self._written = data
 
@@ -253,7 +278,7 @@ class ProjectFolder:
             self._write_history(self._history)
             return
         for _, document in self._queue:
-            self._save_arrays(document)
+            self._save_named(document)
         self._journal.append(b"".join(line for line, _ in self._queue))
         self._queue = []
 
@@ -263,7 +288,7 @@ class ProjectFolder:
         lines = []
         before: Document | None = None
         for entry in history.entries:
-            self._save_arrays(entry.document)
+            self._save_named(entry.document)
             if before is None:
                 whole = encoded_with(entry.document, self._unknown) if self._unknown else encode(entry.document)
                 what: dict[str, Any] = {"document": msgspec.Raw(whole)}
@@ -282,11 +307,34 @@ class ProjectFolder:
         self._journal = AppendedFile(self.path / _HISTORY, intact_bytes=len(data))
         self._rewrite, self._queue = False, []
 
-    def _save_arrays(self, document: Document) -> None:
+    def _save_named(self, document: Document) -> None:
+        """Bring all that a document names to disk, before the document itself.
+
+        Raises:
+            ExportError: if that fails.
+        """
+        for path in (path for source in document.sources for path in source.paths):
+            if path not in self._synced and not os.path.isabs(path):
+                self._sync_source(self.path / path)
+            self._synced.add(path)
         for name, arrays in arrays_of(document).items():
             if name not in self._kept and not arrays.lost:
                 self._replace(self.path / _ARRAYS / f"{name}.npz", arrays.data)
                 self._kept[name] = arrays
+
+    def _sync_source(self, file: Path) -> None:
+        """Synchronise a file in the folder, with the names that lead to it; one that is missing is nobody's loss."""
+        try:
+            if not file.is_file():
+                return
+            if file.parent == self.inputs or not file.is_relative_to(self.inputs):
+                sync_file(file)
+            else:  # a descriptor has a folder of its own, with the files that it names
+                sync_tree(file.parent)
+            for parent in file.parents[: len(file.relative_to(self.path).parts)]:
+                sync_folder(parent)
+        except OSError as error:
+            raise cannot_write(file, error) from None
 
     def _replace(self, target: Path, data: bytes) -> None:
         """Replace a file atomically: write a temporary file and rename it."""
@@ -373,8 +421,8 @@ class ProjectFolder:
     def _report_arrays(self, history: History) -> None:
         for arrays in self._missing.values():
             path = self._array_path(arrays.name)
-            if path.exists():
-                with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError):
+                if arrays.name not in self._unreadable and path.exists():
                     _set_aside(path, keep=False)
         here = self._missing.keys() & arrays_of(history.document).keys()
         if here:
@@ -391,11 +439,17 @@ class ProjectFolder:
             return known
         if not name.isalnum():
             raise FormatError(f"{name[:20]!r} is not a valid name of stored matches; the project is damaged")
-        with contextlib.suppress(OSError):
+        try:
             found = StoredArrays(self._array_path(name).read_bytes())
-            if found.name == name:
-                self._kept[name] = found
-                return found
+        except FileNotFoundError:
+            found = StoredArrays(b"")
+        except OSError as error:
+            log.warning("%s cannot be read: %s", self._array_path(name), error)
+            self._unreadable.add(name)
+            found = StoredArrays(b"")
+        if found.name == name:
+            self._kept[name] = found
+            return found
         log.warning("the stored matches %s are missing or damaged", name)
         self._missing[name] = StoredArrays(b"", lost=name)
         return self._missing[name]

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from msgspec.structs import replace as changed
 
+from ladarreg_core.atomic_write import make_folder, sync_folder
 from ladarreg_core.errors import ExportError, LadarregError
 from ladarreg_core.project.document import Document, PhotoEntry, Source
 from ladarreg_core.project.folder import ProjectFolder
@@ -66,11 +67,12 @@ def _new_folder(place: Path, name: str) -> Path:
     Raises:
         OSError: if that fails.
     """
-    place.mkdir(parents=True, exist_ok=True)
+    make_folder(place)
     for number in range(1, _MOST_OF_ONE_NAME):
         target = place / (name if number == 1 else f"{name}-{number}")
         with contextlib.suppress(FileExistsError):
             target.mkdir()
+            sync_folder(place)
             return target
     raise FileExistsError(f"{name} and {_MOST_OF_ONE_NAME - 2:,} numbered folders exist")
 

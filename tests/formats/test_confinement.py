@@ -5,10 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import platform
-import re
 import shutil
 import socket
-import subprocess
 import sys
 import threading
 from collections.abc import Iterator
@@ -22,8 +20,8 @@ from ladarreg_core.errors import LadarregError
 from ladarreg_core.formats import describe
 from ladarreg_core.formats.isolated import IsolatedReaders, confinement
 from ladarreg_core.formats.isolated.confinement import _NUMBERS, filter_of
-from testing.attacks.bombs import e57_with_xml
-from testing.attacks.mutations import mutated
+from ladarreg_core.formats.isolated.worker import _readable
+from testing.attacks.hostile_files import Listener, traced_reading, write_hostile
 from testing.files.seed_files import write_seeds
 from tests.formats import misbehaving
 
@@ -38,34 +36,6 @@ def readers() -> Iterator[IsolatedReaders]:
     found = IsolatedReaders()
     yield found
     found.close()
-
-
-class Listener:
-    """Counts the connections and datagrams that reach a port of this machine."""
-
-    def __init__(self) -> None:
-        self.heard = 0
-        self._stream = socket.create_server(("127.0.0.1", 0))
-        self.port = self._stream.getsockname()[1]
-        self._datagrams = socket.socket(type=socket.SOCK_DGRAM)
-        self._datagrams.bind(("127.0.0.1", self.port))
-        for listen in (self._accept, self._receive):
-            threading.Thread(target=listen, daemon=True).start()
-
-    def _accept(self) -> None:
-        with suppress(OSError):
-            while True:
-                self._stream.accept()[0].close()
-                self.heard += 1
-
-    def _receive(self) -> None:
-        with suppress(OSError):
-            while self._datagrams.recv(100):
-                self.heard += 1
-
-    def close(self) -> None:
-        self._stream.close()
-        self._datagrams.close()
 
 
 @pytest.fixture
@@ -102,33 +72,12 @@ def said_of(path: Path, readers: IsolatedReaders | None = None) -> Any:
         return type(error), str(error)
 
 
-def hostile(path: Path, number: int, address: bytes) -> None:
-    """Change a file so that a careless reader asks an address."""
-    types = (b'<!DOCTYPE a SYSTEM "%sa.dtd">' % address, b'<!DOCTYPE a [<!ENTITY %% b SYSTEM "%sb">%%b;]>' % address)
-    schema = b' xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" xsi:schemaLocation="%s %sx.xsd"'
-    root, content = b'<e57Root type="Structure"', path.read_bytes()
-    if content.startswith(b"ASTM-E57"):
-        changes = (root + schema % (address, address), types[0] + root, types[1] + root)
-        e57_with_xml(path, lambda xml: xml.replace(root, changes[number % 3]))
-    elif number % 2:
-        spot = content.find(b"<", 8) if b"<" in content else len(content) // 2
-        path.write_bytes(content[:spot] + types[number // 2 % 2] + address + content[spot:])
-    else:
-        path.write_bytes(mutated(content, seed=f"{number}"))
-
-
 @pytest.mark.slow
 def test_nobody_hears_of_fifty_hostile_files(readers: IsolatedReaders, tmp_path: Path, listener: Listener) -> None:
-    seeds = write_seeds(tmp_path)
-    ours = [seed for seed in seeds if seed.format == "E57"]
-    for number in range(50):
-        seed = ours[number % len(ours)] if number < 9 else seeds[number % len(seeds)]
-        content = seed.damaged.read_bytes()
-        hostile(seed.damaged, number, f"http://127.0.0.1:{listener.port}/".encode())
+    for file in write_hostile(tmp_path, 50, listener.address):
         for describing in (lambda path: readers.run(describe, path), describe):  # the second is not confined
             with suppress(LadarregError):
-                describing(seed.file)
-        seed.damaged.write_bytes(content)
+                describing(file)
     assert listener.heard == 0
     with suppress(OSError):  # the listener listens
         socket.create_connection(("127.0.0.1", listener.port)).close()
@@ -139,62 +88,28 @@ def test_nobody_hears_of_fifty_hostile_files(readers: IsolatedReaders, tmp_path:
     pytest.fail("the listener is deaf")
 
 
-READ = """
-import sys
-from contextlib import suppress
-from pathlib import Path
-from ladarreg_core.errors import LadarregError
-from ladarreg_core.formats import describe
-from ladarreg_core.formats.isolated import IsolatedReaders
-readers = IsolatedReaders()
-for path in map(Path, sys.argv[1:]):
-    with suppress(LadarregError):
-        readers.run(describe, path)
-readers.close()
-"""
-
-
 @CONFINED
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("strace") is None, reason="strace is not installed")
-def test_system_calls_show_no_connection_and_no_foreign_file(tmp_path: Path, checkout: Path) -> None:
-    (tmp_path / "seeds").mkdir()
-    files = [seed.file for seed in write_seeds(tmp_path / "seeds")][::3]
-    calls = "prctl,open,openat,openat2,connect,socket,execve,clone,fork,vfork"
-    done = subprocess.run(
-        ["strace", "-f", "-y", "-e", f"trace={calls}", "-o", tmp_path / "log", sys.executable, "-c", READ, *files],
-        cwd=checkout, capture_output=True, text=True,
-    )  # fmt: skip
-    if "not permitted" in done.stderr:
+def test_system_calls_show_no_connection_and_no_foreign_file(tmp_path: Path, listener: Listener) -> None:
+    """A drawn share of `benchmarks.abuse.hostile`, and files that are not hostile."""
+    (tmp_path / "in").mkdir()
+    files = write_hostile(tmp_path / "in", 12, listener.address)
+    sound = list((tmp_path / "in" / "seeds").rglob("*.e57"))[:3]
+    found = traced_reading([*files, *sound], tmp_path / "in", tmp_path / "log")
+    if found is None:
         pytest.skip("tracing is not permitted here")
-    assert done.returncode == 0, done.stderr
-    confined: set[str] = set()
-    opened: list[str] = []
-    for line in (tmp_path / "log").read_text(errors="replace").splitlines():
-        process, _, call = line.partition(" ")
-        call = call.strip()
-        if call.startswith("prctl(PR_SET_SECCOMP") and call.endswith("= 0"):
-            confined.add(process)
-        elif process in confined and not re.search(r"= -1 |\+\+\+|---|resumed|CLONE_THREAD|PR_SET_NAME", call):
-            assert call.startswith("open"), call
-            opened.append(call.partition('"')[2].partition('"')[0])
-    assert len(confined) == len(files)
-    code = (
-        sys.prefix,
-        sys.base_prefix,
-        str(checkout),
-        "/proc/",
-        "/sys/",
-        "/dev/",
-        "/lib",
-        "/usr/lib",
-        "/etc/ld.so.cache",
-    )
-    foreign = [
-        path for path in opened if path.startswith("/") and not path.startswith((*code, str(tmp_path / "seeds")))
-    ]
-    assert foreign == []
-    assert {str(file) for file in files if file.suffix == ".e57"} <= set(opened)
+    assert (found.foreign, found.others, found.confined) == ((), (), len(files) + len(sound))
+    assert {str(file) for file in sound} <= {*found.opened}
+    assert listener.heard == 0
+
+
+def test_a_companion_that_is_a_link_is_not_readable(tmp_path: Path) -> None:
+    (tmp_path / "secret").write_bytes(b"of somebody else")
+    (tmp_path / "images.bin").write_bytes(b"")
+    (tmp_path / "images.txt").symlink_to(tmp_path / "secret")
+    request = {"args": [tmp_path / "cameras.txt"], "kwargs": {}, "folder": str(tmp_path)}
+    assert [path.name for path in _readable(request)] == ["cameras.txt", "images.bin"]
 
 
 # The filter, on both kinds of processors

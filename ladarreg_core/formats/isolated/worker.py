@@ -195,7 +195,8 @@ def _readable(request: dict[str, Any]) -> Iterator[Path]:
                 yield path.parent
                 continue
             with suppress(OSError):
-                yield from (other for other in path.parent.iterdir() if other.name.lower().endswith(ending))
+                others = [other for other in path.parent.iterdir() if other.name.lower().endswith(ending)]
+                yield from (other for other in others if not other.is_symlink())  # it may lead anywhere
 
 
 def _paths(values: Any) -> Iterator[Path]:

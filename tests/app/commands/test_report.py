@@ -102,8 +102,20 @@ def test_a_file_is_replaced_only_if_that_is_wanted(moved: Path, capsys: pytest.C
     out.write_text("mine")
     assert "exists" in complaint(capsys, str(moved), *inputs, "-o", str(out))
     assert out.read_text() == "mine"
+    for foreign in (b"mine", b"<!DOCTYPE html>" + b"x" * 5000):
+        out.write_bytes(foreign)
+        assert "not a report as ladarreg wrote it" in complaint(capsys, str(moved), *inputs, "-o", str(out), "--force")
+        assert out.read_bytes() == foreign
+    out.unlink()
+    assert main(["report", str(moved), *inputs, "-o", str(out), "--quiet"]) == ExitCode.ACCEPTED
+    written = out.read_bytes()
+    assert written.startswith(b"<!DOCTYPE html>")
     assert main(["report", str(moved), *inputs, "-o", str(out), "--force", "--quiet"]) == ExitCode.ACCEPTED
-    assert out.read_bytes().startswith(b"<!DOCTYPE html>")
+    assert out.read_bytes() == written
+    out.write_bytes(written.replace(b"</title>", b" with a remark of mine</title>", 1))
+    assert "not a report as ladarreg wrote it" in complaint(capsys, str(moved), *inputs, "-o", str(out), "--force")
+    (moved / "link.html").symlink_to(out)
+    assert "not a report" in complaint(capsys, str(moved), *inputs, "-o", str(moved / "link.html"), "--force")
     shutil.copy(sample_folder() / "scan.npz", moved)
     assert "does not end in .html" in complaint(capsys, str(moved), *inputs, "-o", str(moved / "scan.npz"), "--force")
     assert "does not exist" in complaint(capsys, str(moved), *inputs, "-o", str(moved / "no" / "a.html"))

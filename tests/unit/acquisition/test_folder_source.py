@@ -253,3 +253,47 @@ def test_a_trigger_that_is_none_is_refused(fields: object, said: str) -> None:
 def test_triggers_of_plans_are_kept() -> None:
     for fields in ({"command": ["a", "{stop}"]}, {"file": "b.json"}, {"port": "COM5", "line": "dtr", "pulse_s": 0.5}):
         assert TriggerPlan.from_fields(fields).as_fields() == fields
+
+
+LINKS = pytest.mark.skipif(os.name == "nt", reason="links need a privilege there")
+
+
+@LINKS
+def test_links_are_not_followed(room: Room, tmp_path: Path) -> None:
+    (tmp_path / "secret").write_bytes(b"secret" + WHOLE)
+    (room.watched / "before.ptx").symlink_to(tmp_path / "secret")
+    room.source.arrived(AT)
+    (room.watched / "a.ptx").symlink_to(tmp_path / "secret")
+    (room.watched / "folder").symlink_to(tmp_path)
+    room.later(3, "real.ptx", b"real" + WHOLE)
+    assert room.next().read_bytes() == b"real" + WHOLE
+    room.source.arrived(AT)
+    assert room.source.keep_strays(room.kept / "stray") == []
+    with pytest.raises(DeviceError, match=r"a\.ptx, before\.ptx, folder is a symbolic link, which is not followed"):
+        room.next()
+    assert [path.name for path in room.kept.iterdir()] == ["real.ptx"]
+
+
+@LINKS
+@pytest.mark.parametrize("when", ["read", "stray"])
+def test_a_file_that_is_exchanged_for_a_link_is_not_copied(
+    room: Room, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, when: str
+) -> None:
+    (tmp_path / "secret").write_bytes(b"secret" + WHOLE)
+
+    def exchange(path: Path) -> None:
+        path.unlink()
+        path.symlink_to(tmp_path / "secret")
+
+    if when == "read":
+        monkeypatch.setattr(room.source, "_is_readable", exchange)
+        room.source.arrived(AT)
+        room.later(1, "a.ptx")
+        with pytest.raises(DeviceError):
+            room.next()
+    else:
+        room.write("a.ptx")
+        room.source.arrived(AT)
+        exchange(room.watched / "a.ptx")
+        assert room.source.keep_strays(room.kept) == []
+    assert not any(path.is_file() for path in room.kept.rglob("*"))
