@@ -21,7 +21,7 @@ from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.image_file import read_image
 from ladarreg_core.formats.matches_file import read_matches
 from ladarreg_core.formats.npz import read_npz, write_npz_counts, write_npz_xyz
-from ladarreg_core.formats.opencv_yaml import parse_yaml
+from ladarreg_core.formats.yaml_file import parse_yaml
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from testing.attacks import bombs
