@@ -54,6 +54,13 @@ def sniff_calibration(head: bytes, file: Path) -> bool:
     return start.startswith(b"%YAML") or any(word in head for word in words) or _FLAT.search(head) is not None
 
 
+def is_calibration(fields: Mapping[str, Any]) -> bool:
+    """Return whether the fields of a JSON file state the intrinsics of a camera, or name a camera matrix."""
+    known = CameraFields(fields)
+    named = any("cameramatrix" in str(key).lower().replace("_", "") for key in fields)  # also of other cameras
+    return named or "K" in fields or any(_has_intrinsics(known, side) for side in ("", *_SIDES))
+
+
 def read_calibration(path: Path) -> tuple[FileCamera, ...]:
     """Return the cameras of a calibration; stereo pairs have two (`M1` and `M2`).
 

@@ -68,7 +68,7 @@ _SPELLINGS = {
     "camodocal": f"model_type: PINHOLE\ncamera_name: c\n{_SIZE}distortion_parameters:\n{_indented(_TERMS)}"
     f"projection_parameters:\n{_indented(_FLAT)}",
     "ORB-SLAM": 'Camera.type: "PinHole"\n' + _indented(_FLAT + _TERMS + "width: 640\nheight: 480\n", "Camera."),
-    "ORB-SLAM3": "Camera.type: PinHole\nCamera.width: 640\nCamera.height: 480\n" + _indented(_FLAT + _TERMS, "Camera1."),
+    "ORB-SLAM3": "Camera.width: 640\nCamera.height: 480\n" + _indented(_FLAT + _TERMS, "Camera1."),
     "matrix and single terms": _SIZE + f"camera_matrix: {_K}\n" + _TERMS,
     "four numbers": _SIZE + f"intrinsics: [500, 501, 320, 240]\ndistortion_coeffs: {list(_LENS)}\n",
     "matrix by columns": _SIZE + f"intrinsic_matrix: {[_K[k] for k in (0, 3, 6, 1, 4, 7, 2, 5, 8)]}\n" + _TERMS,
