@@ -89,7 +89,6 @@ def read_float_bin(
             values[:, :3],
             values[:, 3],
             name=file.stem,
-            coordinates="scanner",
             origin=origin,
             ring=values[:, 4].astype(np.int64) if columns == 5 else None,
             most_cells=most_cells,

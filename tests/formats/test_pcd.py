@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ladarreg_core.errors import FormatError, LadarregError, ShapeError
+from ladarreg_core.errors import FormatError, LadarregError, ShapeError, UnderspecifiedError
 from ladarreg_core.formats.pcd import lzf_decompress, read_pcd
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.scan import Scan
@@ -127,7 +127,9 @@ def test_viewpoint_is_the_pose_and_millimetres_are_suspected(tmp_path: Path, mak
     points, intensity = cloud_of(wall)
     half = np.sqrt(0.5)
     data = make.pcd(points * 1000, intensity, viewpoint=f"1 2 3 {half} 0 0 {half}")
-    scan = read_pcd(write(tmp_path / "a.pcd", data))
+    with pytest.raises(UnderspecifiedError, match="millimetres"):  # zero is kilometres away
+        read_pcd(write(tmp_path / "a.pcd", data))
+    scan = read_pcd(write(tmp_path / "a.pcd", data), origin=(0, 0, 0))
     assert scan.world_from_scanner is not None
     expected = Rigid.from_rotvec([0, 0, np.pi / 2], (1, 2, 3)).matrix
     np.testing.assert_allclose(scan.world_from_scanner.matrix, expected, atol=1e-12)
