@@ -42,6 +42,7 @@ _SURELY_REGULAR, _CLEARLY_LESS = 1.6, 0.6
 _LEAST_DROP = 0.03
 _AROUND = 0.012  # distance of the places beside a centre of lines, of the cloud's size
 _SHARPENED = 6
+_COARSE_TURNS = 5
 _MOST_HIDDEN = 0.5
 _HIDDEN = 0.12
 _HIDDEN_IF_SHARP = 0.3
@@ -153,6 +154,8 @@ def _estimate(picked: FloatArray, known: Sequence[FloatArray]) -> OriginEstimate
     by_lines = [place for place in places if cloud.is_centre_of_lines(place)]
     if by_lines:
         return answer(max(by_lines, key=cloud.regularity))
+    if len(picked) < _LEAST_POOL:  # densities and what is hidden are chance
+        return OriginEstimate(None, from_zero, from_zero)
     best, hidden, misfit = cloud.best_origin()
     if np.linalg.norm(best) < _FARTHEST * cloud.size and hidden < _HIDDEN_IF_SHARP and cloud.is_centre_of_lines(best):
         return answer(best)
@@ -197,7 +200,7 @@ class _Cloud:
         normals, flat, radius = _planes(tree, pool, centres, _NEIGHBOURS)
         with np.errstate(divide="ignore"):
             log_density = np.log((_NEIGHBOURS - 1) / (np.pi * radius**2))
-        good = flat & (radius > 0) & (len(pool) >= _LEAST_POOL)  # of fewer, too few neighbourhoods are independent
+        good = flat & (radius > 0)
         witnesses = pool[_sample(len(pool), _WITNESSES)]
         own = cKDTree(witnesses)
         witness_normals, witness_flat, reach = _planes(own, witnesses, witnesses, 9)
@@ -284,21 +287,21 @@ class _Cloud:
         for origin in distinct[:_SHARPENED]:
             if (sharp := self._sharpened(origin)) is not None:
                 found.append((self.hidden_from(sharp), self.misfit(sharp), sharp))
-                if found[-1][0] < _HIDDEN and self.sharpness(sharp) > _SURELY_SHARP:
+                if found[-1][0] < _HIDDEN_IF_SHARP and self.sharpness(sharp) > _SURELY_SHARP:
                     break
         # A sharp set of elevations is far stronger evidence than the densities, which are those of points in lines.
         hidden, misfit, origin = min(found, key=lambda each: each[0] + each[1] - 0.5 * self.sharpness(each[2]))
         return origin, hidden, misfit
 
-    def sharpness(self, origin: FloatArray) -> float:
+    def sharpness(self, origin: FloatArray, *, coarsely: bool = False) -> float:
         """Return how concentrated the elevations are on single values: 0 for none, 2.08 for rings.
 
         It is the information that fine bins have beyond bins of eight of them, at the best of several sizes. Wide bins
         count alike: a floor at the height of the origin, all of it at one elevation, is one of many.
         """
-        offset = self.ordered - origin
+        offset = self.ordered[:: 3 if coarsely else 1] - origin
         elevation = np.arctan2(offset[:, 2], np.hypot(offset[:, 0], offset[:, 1])) + np.pi / 2
-        return max(_concentration(elevation, np.radians(size)) for size in _BINS_DEG)
+        return max(_concentration(elevation, np.radians(size)) for size in _BINS_DEG[: 1 if coarsely else None])
 
     def regularity(self, origin: FloatArray) -> float:
         """Return the sharpness, or the same of the exact lines of a grid: spherical, perspective, or of two mirrors."""
@@ -332,11 +335,14 @@ class _Cloud:
     def _sharpened(self, start: FloatArray) -> FloatArray | None:
         """Return the origin near a start from which the elevations are sharpest; None if they are not."""
         generator = np.random.default_rng(_SEED)
-        origin, sharpest = start, self.sharpness(start)
+        origin, sharpest = start, self.sharpness(start, coarsely=True)
         reach = min(0.3, 0.1 * self.size)
         for turn in range(11):
+            coarsely = turn < _COARSE_TURNS
+            if turn == _COARSE_TURNS:
+                sharpest = self.sharpness(origin)
             for candidate in origin + reach * generator.normal(size=(300 if turn < 2 else 50, 3)):
-                value = self.sharpness(candidate)
+                value = self.sharpness(candidate, coarsely=coarsely)
                 if value > sharpest:
                     origin, sharpest = candidate, value
             reach *= 0.55
