@@ -32,7 +32,7 @@ _RAYS = {
 }
 _SCATTERED = ("300 points", "60 points", "airborne")
 KINDS = (*_RAYS, *_SCATTERED)
-_FROM_SIZE, _LEAST_M = 0.05, 0.1
+_FROM_SIZE, _LEAST_M = 0.1, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class OriginCase:
     """(3,), m; None: from nowhere."""
 
     def verdict(self, found: OriginEstimate) -> str:
-        """Return `right`, `asked` or `wrong`: a place is right within a twentieth of the size of the cloud."""
+        """Return `right`, `asked` or `wrong`: a place is right within a tenth of the size of the cloud."""
         if found.position is None:
             return "asked"
         if self.origin is None:
