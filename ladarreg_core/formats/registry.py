@@ -109,7 +109,7 @@ def _json_kind(head: bytes, file: Path) -> FileKind | None:
         return "pose"
     if "matches" in fields:
         return "matches"
-    if "kind" in fields and "fx" not in fields:
+    if ("kind" in fields and "fx" not in fields) or "depth" in fields:
         return "scan"
     if is_nerfstudio(fields) or "transform_matrix" in fields:
         return "camera"
