@@ -193,8 +193,10 @@ def _size(width: Any, height: Any, size: Any) -> tuple[int, int] | None:
         pair = numbers_of([float(word) for word in text] if text else size, "the image size")
         if len(pair) == 2:
             width, height = pair
-    if width is None or height is None:
+    if width is None and height is None:
         return None
+    if width is None or height is None:  # a file that lost one of them is damaged
+        raise FormatError("the image size is missing; add image_width and image_height")
     sides = {"image_width": width, "image_height": height}
     return whole_number(sides, "image_width"), whole_number(sides, "image_height")
 
