@@ -126,7 +126,7 @@ class Scan:
         light, notes = _light_of(intensity, paint, (len(p),))
         beams = None if ring is None else read_only(ring, np.int64, (len(p),), "the rings of the points")
         located = locate_cloud(
-            p, light, paint, coordinates="any", origin=origin, ring=beams, world_from_scanner=world_from_scanner,
+            p, light, paint, origin=origin, ring=beams, world_from_scanner=world_from_scanner,
             what="the cloud",
         )  # fmt: skip
         cloud = located.cloud

@@ -20,8 +20,6 @@ TemperatureUnit = Literal["K", "C", "none"]
 _FREEZING_K = 273.15
 _STEPS_K = (0.01, 0.1, 1.0)
 _POSSIBLE_K = (150.0, 3000.0)
-_POSSIBLE_C = (-80.0, 700.0)
-_LEAST_SPAN_C = 0.5
 _SCALE_K, _GRAY_PER_UNIT = 0.5, 60.0
 _PLAUSIBLE_K = (220.0, 620.0)  # the range of uncooled cameras
 _MOST_SPREAD_K = 60.0
@@ -90,13 +88,19 @@ def kelvin_of(values: NDArray[Any], unit: TemperatureUnit | None = None) -> NDAr
         return None
     step = CENTIKELVIN_K if values.dtype.kind == "u" else 1.0
     low, high = _PLAUSIBLE_K
-    if not low <= float(values.min()) * step <= float(values.max()) * step <= high:  # false if any value is not finite
+    kelvin = _filled(values.astype(np.float64)) * step
+    if not low <= float(kelvin.min()) <= float(kelvin.max()) <= high:  # false if none is finite
         return None
-    kelvin = values.astype(np.float64) * step
     quarter, three_quarters = np.percentile(kelvin, (25, 75))
     if three_quarters - quarter > _MOST_SPREAD_K:
         return None
     return kelvin.astype(np.float32)
+
+
+def _filled(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return numbers with the median in place of NaN and infinity, which stand for pixels without a measurement."""
+    known = np.isfinite(numbers)
+    return numbers if known.all() or not known.any() else np.where(known, numbers, np.median(numbers[known]))
 
 
 def _in_unit(values: NDArray[Any], unit: TemperatureUnit) -> NDArray[np.float32]:
@@ -105,14 +109,14 @@ def _in_unit(values: NDArray[Any], unit: TemperatureUnit) -> NDArray[np.float32]
             "the picture has 8 bits or colours, which are no temperatures; export the temperatures as TIFF, "
             "or give none as their unit"
         )
-    numbers = values.astype(np.float64)
+    numbers = _filled(values.astype(np.float64))
     if unit == "C":
         kelvins = [numbers + _FREEZING_K] if values.dtype.kind == "f" else []
     else:
         kelvins = [numbers] if values.dtype.kind == "f" else [numbers * step for step in _STEPS_K]
     low, high = _POSSIBLE_K
     for kelvin in kelvins:
-        if low <= float(kelvin.min()) <= float(kelvin.max()) <= high:  # false if any value is not finite
+        if low <= float(kelvin.min()) <= float(kelvin.max()) <= high:  # false if none is finite
             return kelvin.astype(np.float32)
     shown = f"{float(numbers.min()):.5g} to {float(numbers.max()):.5g}"
     kind = "whole numbers" if values.dtype.kind in "iu" else "numbers"
@@ -122,13 +126,13 @@ def _in_unit(values: NDArray[Any], unit: TemperatureUnit) -> NDArray[np.float32]
     )
 
 
-def may_be_celsius(values: NDArray[Any]) -> bool:
-    """Return whether an image may hold temperatures in deg C: gray, of floating point, in a plausible range.
+def needs_unit(values: NDArray[Any]) -> bool:
+    """Return whether only its unit says if a decoded image is of temperatures: gray, of 16 bits or floating point.
 
-    Pictures from -1 to 1, and gray levels in whole numbers, are none.
+    Cameras write deg C, kelvin, tenths and hundredths of both, with empty pixels as NaN, and gray levels look alike.
+    Floating point from -1 to 1 is a picture.
     """
-    if values.ndim != 2 or not values.size or values.dtype.kind != "f":
+    if values.ndim != 2 or not values.size or values.dtype.kind not in "uif" or values.dtype.itemsize < 2:
         return False
-    low, high = float(values.min()), float(values.max())
-    possible = _POSSIBLE_C[0] <= low <= high <= _POSSIBLE_C[1] and high - low > _LEAST_SPAN_C and max(-low, high) > 1
-    return possible and not bool((values == np.rint(values)).all())
+    known = values[np.isfinite(values)]
+    return bool(known.size) and (values.dtype.kind != "f" or float(np.abs(known).max()) > 1)

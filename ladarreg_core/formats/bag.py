@@ -27,7 +27,6 @@ from ladarreg_core.formats.scan_request import IntensitySource
 from ladarreg_core.formats.untrusted import PathLike, inside_folder, one_line, reading, require_cells
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner.cloud import Coordinates
 
 _ROS1_MAGIC, _MCAP_MAGIC, _SQLITE_MAGIC = b"#ROSBAG V", b"\x89MCAP0\r\n", b"SQLite format 3\0"
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -118,14 +117,13 @@ def read_bag(
                 f"{read.messages} messages over {(read.last - read.first) / 1e9:.3g} s were accumulated: the scanner "
                 "is taken to have stood still"
             )
-        coordinates: Coordinates = "local" if read.frame.strip("/").lower() in _FIXED_FRAMES else "scanner"
         scan = scan_of_fields(
             {name: np.concatenate(parts) for name, parts in read.columns.items()},
             read.shape,
             name=file.stem,
             intensity=intensity,
             origin=origin,
-            coordinates=coordinates,
+            zero_is_stated=read.frame.strip("/").lower() not in _FIXED_FRAMES,
             most_cells=most_cells_of(budget, read.points, read.bytes_per_point),
             notes=notes,
         )

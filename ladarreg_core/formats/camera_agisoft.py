@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import CameraError, FormatError
+from ladarreg_core.formats.camera_fields import notes_on_unused
 from ladarreg_core.formats.camera_in_file import (
     FileCamera,
     equirectangular_camera,
@@ -32,6 +33,7 @@ from ladarreg_core.formats.xml_file import read_xml
 
 _LARGEST_BYTES = 16_000_000
 _TERMS = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
+_NOT_TERMS = ("projection", "width", "height", "resolution", "date", "covariance", "params")
 _FISHEYES = ("fisheye", "equidistant_fisheye", "equisolid_fisheye")
 
 
@@ -87,7 +89,8 @@ def _camera_of(node: Element, name: str, pictures: tuple[str, ...], sensor: Elem
         kind = node.get("type") or node.findtext("projection") or (sensor.get("type") if sensor is not None else None)
         width, height = _size(node, sensor)
         camera, notes = _camera_and_notes((kind or "frame").strip(), _values(node), width, height)
-        return FileCamera(camera=camera, name=name, pictures=pictures, notes=notes)
+        others = {child.tag: _number_or_text(child) for child in node if child.tag not in (*_TERMS, *_NOT_TERMS)}
+        return FileCamera(camera=camera, name=name, pictures=pictures, notes=(*notes, *notes_on_unused(others)))
 
 
 def _size(node: Element, sensor: Element | None) -> tuple[int, int]:
@@ -124,6 +127,14 @@ def _values(node: Element) -> dict[str, float]:
         if not math.isfinite(values[name]):
             raise FormatError(f"<{name}> is {one_line(text, 30)}; it must be finite")
     return values
+
+
+def _number_or_text(node: Element) -> float | str:
+    text = (node.text or "").strip()
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def _camera_and_notes(

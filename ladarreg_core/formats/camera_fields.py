@@ -1,19 +1,36 @@
-"""Fields of calibrations in YAML, JSON or OpenCV's XML: one mapping of names to values."""
+"""Fields of calibrations in YAML, JSON or OpenCV's XML: one mapping of names to values, none of which is lost."""
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ladarreg_core.errors import FormatError
+from ladarreg_core.errors import CameraError, FormatError
+from ladarreg_core.formats.camera_in_file import READ_MODELS
 from ladarreg_core.formats.json_file import begins_with_brace, read_json_object
-from ladarreg_core.formats.opencv_yaml import parse_yaml
+from ladarreg_core.formats.untrusted import one_line
 from ladarreg_core.formats.xml_file import read_xml
+from ladarreg_core.formats.yaml_file import parse_yaml
 
 LARGEST_BYTES = 1_000_000
 """Size limit of a calibration."""
+_GROUPS = frozenset(
+    ("camera", "calibration", "intrinsic", "intrinsics", "intrinsicparameters", "cameraparameters", "distortion",
+     "distortionparameters", "projectionparameters", "mirrorparameters", "resolution", "imagesize", "size")
+)  # fmt: skip
+_DEEPEST_GROUP = 3
+_HARMLESS = frozenset(
+    ("aabbscale", "avgreprojectionerror", "boardheight", "boardwidth", "calibrationtime", "cameraname",
+     "camoverlaps", "comment", "comments", "date", "description", "extrinsicparameters", "flags", "framecount",
+     "framerate", "gridpoints", "header", "imagepoints", "meta", "name", "nframes", "nrofframes",
+     "orientationoverride", "p", "perviewreprojectionerrors", "plyfilepath", "projectionmatrix", "r",
+     "rectificationmatrix", "reprojectionerror", "rms", "rostopic", "sha256", "squaresize", "version")
+)  # fmt: skip
+_LENS_TERM = re.compile(r"(camera\d?)?([kpsb]\d|tau[xy]|xi|alpha|skew|gamma\d?)")
+_MOST_NAMED = 8
 
 
 def read_fields(path: Path) -> dict[str, Any]:
@@ -68,11 +85,94 @@ def _word(word: str) -> int | float | str:
         return word
 
 
-def plain_names(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields by their names in lower case without separators: `Camera_Matrix` and `cameraMatrix` agree."""
-    return {"".join(c for c in str(key).lower() if c.isalnum()): value for key, value in fields.items()}
+class CameraFields:
+    """The fields of a calibration by plain names (`Camera_Matrix` and `cameraMatrix` agree), and which were used.
+
+    Groups (`distortion_parameters`, `camera`, ...) are opened: their fields stand beside the others.
+    """
+
+    def __init__(self, fields: Mapping[str, Any]) -> None:
+        self._by_name: dict[str, tuple[str, Any]] = {}
+        self._twice: set[str] = set()
+        self._used: set[str] = set()
+        self._notes: list[str] = []
+        self._add(fields, 0)
+
+    def _add(self, fields: Mapping[str, Any], depth: int) -> None:
+        for key, value in fields.items():
+            plain = "".join(c for c in str(key).lower() if c.isalnum())
+            if plain in _GROUPS and isinstance(value, Mapping) and "data" not in value and depth < _DEEPEST_GROUP:
+                self._add(value, depth + 1)
+            elif value is not None and self._by_name.setdefault(plain, (str(key), value))[1] != value:
+                self._twice.add(plain)
+
+    def peek(self, names: Sequence[str]) -> Any:
+        """Return the first of several fields that is there, without using it; None if there is none."""
+        return next((self._by_name[name][1] for name in names if name in self._by_name), None)
+
+    def take(self, names: Sequence[str]) -> Any:
+        """Return the first of several fields that is there, which counts as used; None if there is none.
+
+        Raises:
+            FormatError: if it is stated twice, with two values.
+        """
+        name = next((name for name in names if name in self._by_name), None)
+        if name is None:
+            return None
+        if name in self._twice:
+            raise FormatError(
+                f"it states {one_line(self._by_name[name][0], 40)!r} twice, differently; keep one of them"
+            )
+        self._used.add(name)
+        return self._by_name[name][1]
+
+    def called(self, names: Sequence[str]) -> str | None:
+        """Return the file's own spelling of the first of several fields that is there."""
+        return next((self._by_name[name][0] for name in names if name in self._by_name), None)
+
+    def note(self, remark: str) -> None:
+        """Add a remark on the file."""
+        self._notes.append(remark)
+
+    def notes_on_the_rest(self) -> tuple[str, ...]:
+        """Return the remarks, and one that names the fields that were not used.
+
+        Raises:
+            CameraError: if one of them changes the lens.
+        """
+        rest = {name: entry for name, entry in self._by_name.items() if name not in self._used}
+        return (*self._notes, *notes_on_unused(dict(rest.values())))
 
 
-def first_of(by_name: Mapping[str, Any], names: Sequence[str]) -> Any:
-    """Return the first of several fields that is there; None if there is none."""
-    return next((by_name[name] for name in names if by_name.get(name) is not None), None)
+def notes_on_unused(fields: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return a note that names the fields of a camera file that nothing was made of; none if none matters.
+
+    Raises:
+        CameraError: if one of them is a term of a lens: a camera without it would be a wrong one.
+    """
+    said = []
+    for key, value in fields.items():
+        plain = "".join(c for c in str(key).lower() if c.isalnum())
+        if _is_nothing(value) or plain in _HARMLESS:
+            continue
+        if _LENS_TERM.fullmatch(plain) and isinstance(value, int | float):
+            raise CameraError(
+                f"its field {one_line(key, 40)!r} ({value:g}) is a term of the lens that is not read; calibrate with "
+                f"{READ_MODELS}, or export undistorted photographs"
+            )
+        said.append(one_line(key, 30))
+    if not said:
+        return ()
+    more = f" and {len(said) - _MOST_NAMED} more" if len(said) > _MOST_NAMED else ""
+    return (f"fields of the camera file that were not used: {', '.join(said[:_MOST_NAMED])}{more}",)
+
+
+def _is_nothing(value: Any) -> bool:
+    """Return whether a value says nothing: zero, empty, or a group of such."""
+    if isinstance(value, Mapping):
+        return all(map(_is_nothing, value.values()))
+    return value is None or value in (0, "", "false", "False") or value == [] or value == [0] * len(_list(value))
+
+
+def _list(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else []

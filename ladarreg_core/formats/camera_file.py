@@ -18,14 +18,13 @@ from ladarreg_core.formats.camera_colmap import (
     sniff_colmap_binary,
     sniff_colmap_text,
 )
-from ladarreg_core.formats.camera_fields import LARGEST_BYTES
-from ladarreg_core.formats.camera_in_file import FileCamera, lens_of, numbers_of, refuse_model
+from ladarreg_core.formats.camera_fields import LARGEST_BYTES, notes_on_unused
+from ladarreg_core.formats.camera_in_file import FileCamera, numbers_of, picture_size
 from ladarreg_core.formats.camera_kalibr import read_kalibr, sniff_kalibr
 from ladarreg_core.formats.camera_nerfstudio import is_nerfstudio, read_nerfstudio
 from ladarreg_core.formats.image_file import image_size
 from ladarreg_core.formats.json_file import (
     begins_with_brace,
-    number,
     parsed_once,
     read_json_object,
     whole_number,
@@ -36,7 +35,6 @@ from ladarreg_core.frames import Rigid
 
 _HEAD_BYTES = 4096
 _MOST_LISTED = 12
-_FLAT_TERMS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # OpenCV's order
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,14 +136,19 @@ def read_noted_camera(
         UnderspecifiedError: if it is not clear which of its cameras is meant.
         OptionError: if there is no camera of that name.
     """
-    cameras = read_cameras(path)
+    sizes = _sizes_of(picture_file)
+    token = picture_size.set(sizes[0] if sizes else None)
+    try:
+        cameras = read_cameras(path)
+    finally:
+        picture_size.reset(token)
     with reading(path):
         if name is not None:
             chosen, why = _named(cameras, name), "as chosen"
         elif len(cameras) == 1:
             chosen, why = cameras[0], ""
         else:
-            chosen, why = _of_picture(cameras, picture, picture_file)
+            chosen, why = _of_picture(cameras, picture, sizes)
     if picture and any(_is_same_picture(other, picture) for other in chosen.poses or ()):
         posed: tuple[str, ...] = (
             "the camera file states this photograph's pose; if its world is the scan's, give it as the initial pose",
@@ -182,9 +185,10 @@ def read_stated_pose(path: PathLike, picture: str) -> Rigid | None:
         )
 
 
-def _of_picture(cameras: tuple[FileCamera, ...], picture: str, picture_file: PathLike | None) -> tuple[FileCamera, str]:
+def _of_picture(
+    cameras: tuple[FileCamera, ...], picture: str, sizes: Sequence[tuple[int, int]]
+) -> tuple[FileCamera, str]:
     """Return the camera that a photograph's name or size decides on, and a phrase that says how."""
-    sizes = _sizes_of(picture_file)
     ways: tuple[tuple[Callable[[FileCamera], bool], str], ...] = (
         (lambda each: _took(each, picture), "which took a picture of that name"),
         (lambda each: _is_in_name(each.name, picture), "named in the photograph's name"),
@@ -288,43 +292,22 @@ def pinhole_from_fields(fields: Mapping[str, Any]) -> Camera:
 
 
 def _cameras_of_fields(fields: Mapping[str, Any]) -> tuple[FileCamera, ...]:
-    if "fx" in fields or "fy" in fields or fields.get("model") == "equirectangular":
-        return (FileCamera(camera=_camera_from_own_fields(fields)),)
-    if isinstance(fields.get("camera"), Mapping):
-        return _cameras_of_fields(fields["camera"])
+    if fields.get("model") == "equirectangular":
+        return (_panorama_of(fields),)
+    nested = fields.get("camera")
+    if isinstance(nested, Mapping) and nested.get("model") == "equirectangular":
+        return (_panorama_of(nested),)
     return cameras_of_calibration(fields)
 
 
-def _camera_from_own_fields(fields: Mapping[str, Any]) -> CameraModel:
-    model = fields.get("model", "pinhole")
-    terms = _flat_terms(fields) or fields.get("distortion", [])
-    if not isinstance(terms, list):
-        raise FormatError(f"the field 'distortion' is {one_line(repr(terms), 60)}; it must be a list of numbers")
-    values: dict[str, Any] = {"model": model, **{name: whole_number(fields, name) for name in ("width", "height")}}
-    if model == "equirectangular":
-        window = fields.get("window")
-        values["window"] = None if window is None else tuple(numbers_of(window, "the window"))
-    else:
-        values["model"] = lens_of(model) if isinstance(model, str) else refuse_model(model)
-        values |= {name: number(fields, name) for name in ("fx", "fy", "cx", "cy")}
-        values["distortion"] = tuple(numbers_of(terms, "the distortion"))
-    return camera_from_model_fields(values)
-
-
-def _flat_terms(fields: Mapping[str, Any]) -> list[float]:
-    """Return the distortion that fields of its own state (`k1`, `p1`, ...), in OpenCV's order; empty: none."""
-    given = [name for name in _FLAT_TERMS if name in fields]
-    if not given:
-        return []
-    if "distortion" in fields:
-        raise FormatError(f"it states its distortion twice, as 'distortion' and as {given[0]!r}; keep one of them")
-    if fields.get("model", "pinhole") != "pinhole":
-        raise FormatError(
-            f"the field {given[0]!r} is for a pinhole camera; give this model's terms as a list, 'distortion'"
-        )
-    last = max(_FLAT_TERMS.index(name) for name in given) + 1
-    count = next(each for each in (4, 5, 8) if each >= last)
-    return [number(fields, name, 0.0) for name in _FLAT_TERMS[:count]]
+def _panorama_of(fields: Mapping[str, Any]) -> FileCamera:
+    values: dict[str, Any] = {name: whole_number(fields, name) for name in ("width", "height")}
+    window = fields.get("window")
+    values["window"] = None if window is None else tuple(numbers_of(window, "the window"))
+    unused = {name: value for name, value in fields.items() if name not in (*values, "model")}
+    return FileCamera(
+        camera=camera_from_model_fields({"model": "equirectangular", **values}), notes=notes_on_unused(unused)
+    )
 
 
 def describe_camera(camera: CameraModel) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any, Literal, NoReturn
 
@@ -15,13 +16,17 @@ from ladarreg_core.frames import Rigid
 
 Lens = Literal["pinhole", "fisheye"]
 READ_MODELS = "pinhole (0, 4, 5, 8 or 12 OpenCV terms), fisheye (OpenCV's 4 terms) and equirectangular"
+_TERM_COUNTS = (0, 4, 5, 8, 12)
+picture_size: ContextVar[tuple[int, int] | None] = ContextVar("picture_size", default=None)
+"""Width and height of the photograph whose camera is read, for files that state no size; None: unknown."""
 _LENS_OF: Mapping[str, Lens] = {
     **dict.fromkeys(
         ("", "none", "pinhole", "perspective", "plumbbob", "rationalpolynomial", "radtan", "radialtangential", "opencv",
-         "brown", "brownconrady", "standard", "thinprism"),
+         "brown", "brownconrady", "standard", "thinprism", "pinholefull", "rectified"),
         "pinhole",
     ),
-    **dict.fromkeys(("fisheye", "equidistant", "equi", "kannalabrandt", "kannalabrandt4", "opencvfisheye"), "fisheye"),
+    **dict.fromkeys(("fisheye", "equidistant", "equi", "kannalabrandt", "kannalabrandt4", "kannalabrandt8",
+                     "opencvfisheye"), "fisheye"),
 }  # fmt: skip
 
 
@@ -83,6 +88,10 @@ def lens_camera(lens: Lens, width: int, height: int, matrix: Sequence[float], te
     for longer, shorter in ((14, 12), (12, 8)):
         if len(kept) == longer and not any(kept[shorter:]):
             kept = kept[:shorter]
+    if len(kept) not in _TERM_COUNTS and len(kept) < 14:  # some programs write six zeros
+        needed = max((at for at, term in enumerate(kept, 1) if term), default=0)
+        fitting = [count for count in _TERM_COUNTS if needed <= count <= len(kept)]
+        kept = kept[: fitting[0]] if fitting else kept
     if len(kept) == 14:
         raise CameraError(
             "the distortion has 14 terms with a tilted sensor, which is not read; calibrate with at most 12 terms"

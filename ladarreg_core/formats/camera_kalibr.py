@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ladarreg_core.errors import CameraError, FormatError
-from ladarreg_core.formats.camera_fields import read_fields
+from ladarreg_core.formats.camera_fields import notes_on_unused, read_fields
 from ladarreg_core.formats.camera_in_file import (
     FileCamera,
     lens_camera,
@@ -28,6 +28,7 @@ from ladarreg_core.formats.json_file import whole_number
 from ladarreg_core.frames import Rigid
 
 _FIRST = re.compile(rb"(^|\n)\s*cam0\s*:")
+_USED = ("camera_model", "intrinsics", "distortion_model", "distortion_coeffs", "resolution", "T_cn_cnm1")
 _NAME = re.compile(r"cam(\d{1,3})")
 
 
@@ -79,5 +80,6 @@ def _camera_of(name: str, entry: Mapping[str, Any], camera_from_first: Rigid | N
     return FileCamera(
         camera=lens_camera(lens, whole_number(sides, "width"), whole_number(sides, "height"), intrinsics, terms),
         name=name,
+        notes=notes_on_unused({key: value for key, value in entry.items() if key not in _USED}),
         camera_from_first=camera_from_first,
     )

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from ladarreg_core.camera import CameraModel, EquirectangularCamera
 from ladarreg_core.camera.equirectangular import FULL_WINDOW
 from ladarreg_core.errors import CameraError, FormatError, LadarregError
+from ladarreg_core.formats.camera_fields import notes_on_unused
 from ladarreg_core.formats.camera_in_file import (
     FileCamera,
     equirectangular_camera,
@@ -36,6 +38,7 @@ _MOST_FRAMES = 50_000
 _MOST_KINDS = 2_000
 _INTRINSICS = ("camera_model", "w", "h", "fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2",
                "camera_angle_x", "camera_angle_y", "is_fisheye")  # fmt: skip
+_USED = (*_INTRINSICS, "frames", "applied_transform", "applied_scale", "file_path", "transform_matrix")
 _PINHOLES = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
 _OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -61,6 +64,8 @@ def read_nerfstudio(path: Path) -> tuple[FileCamera, ...]:
         raise FormatError(f"'frames' is not a list of at most {_MOST_FRAMES:,} frames; export it again")
     shared = {name: fields[name] for name in _INTRINSICS if fields.get(name) is not None}
     undone = _undone(fields)
+    first = frames[0] if frames and isinstance(frames[0], Mapping) else {}
+    unused = notes_on_unused({name: value for name, value in {**first, **fields}.items() if name not in _USED})
     kinds: dict[str, tuple[dict[str, Any], dict[str, Rigid | None]]] = {}
     for frame in frames:
         if not isinstance(frame, Mapping):
@@ -72,7 +77,8 @@ def read_nerfstudio(path: Path) -> tuple[FileCamera, ...]:
         entry[1][str(frame.get("file_path") or f"frame {len(entry[1])}")] = _pose_of(frame, undone)
     if not kinds:
         kinds["all"] = (shared, {})
-    return tuple(_camera_of(k, *entry, several=len(kinds) > 1) for k, entry in enumerate(kinds.values()))
+    found = (_camera_of(k, *entry, several=len(kinds) > 1) for k, entry in enumerate(kinds.values()))
+    return tuple(replace(each, notes=each.notes + unused) for each in found)
 
 
 def _camera_of(

@@ -30,7 +30,7 @@ def refitted(
 
     Args:
         project: the other model.
-        lens: `pinhole` (8 terms) or `fisheye` (4 terms).
+        lens: `pinhole` (up to 12 terms) or `fisheye` (4 terms).
         width: pixels.
         height: pixels.
         matrix: approximate fx, fy, cx, cy.
@@ -43,7 +43,7 @@ def refitted(
     if len(rays) < 50:
         raise CameraError(f"its distortion maps almost no ray into the picture of {width} x {height} pixels; check it")
     least = np.inf
-    for count in (5, 8) if lens == "pinhole" else (4,):  # the rational terms only where they are needed
+    for count in (5, 8, 12) if lens == "pinhole" else (4,):  # more terms only where they are needed
         fitted, terms, fit_error = _fit(rays, uv, lens, np.array(matrix, dtype=np.float64), count)
         least = min(least, fit_error)
         if fit_error < LARGEST_ERROR_PX and (fitted[:2] > 0).all():
@@ -91,7 +91,7 @@ def _fit(
     def errors(x: NDArray[np.float64], step: int) -> NDArray[np.float64]:
         fx, fy, cx, cy = x[:4] * guess[0] + guess
         with np.errstate(all="ignore"):
-            a, b = model(rays[::step], np.concatenate([x[4:], np.zeros(8 - count)]))
+            a, b = model(rays[::step], np.concatenate([x[4:], np.zeros(12 - count)]))
             error = np.stack([a * fx + cx - uv[::step, 0], b * fy + cy - uv[::step, 1]])
         return np.asarray(np.nan_to_num(error, nan=1e6, posinf=1e6, neginf=-1e6), dtype=np.float64)
 
@@ -105,10 +105,11 @@ def _fit(
 
 def _pinhole(rays: NDArray[np.float64], k: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     x, y = rays[:, 0] / rays[:, 2], rays[:, 1] / rays[:, 2]
-    k1, k2, p1, p2, k3, k4, k5, k6 = k
+    k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = k
     s = x * x + y * y
     radial = (1 + s * (k1 + s * (k2 + s * k3))) / (1 + s * (k4 + s * (k5 + s * k6)))
-    return x * radial + 2 * p1 * x * y + p2 * (s + 2 * x * x), y * radial + p1 * (s + 2 * y * y) + 2 * p2 * x * y
+    xd = x * radial + 2 * p1 * x * y + p2 * (s + 2 * x * x) + s * (s1 + s * s2)
+    return xd, y * radial + p1 * (s + 2 * y * y) + 2 * p2 * x * y + s * (s3 + s * s4)
 
 
 def _fisheye(rays: NDArray[np.float64], k: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -15,14 +15,12 @@ from ladarreg_core.formats.untrusted import unit_notes
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.accumulation import OneCloud
-from ladarreg_core.scanner.cloud import Coordinates, locate_cloud
+from ladarreg_core.scanner.cloud import locate_cloud
 from ladarreg_core.scanner.gridding import LARGEST_GRID
 
 _POINT_BYTES = 340  # measured peak of gridding, per point with its cell, beyond what the file's own data take
 _HELD_BYTES = 120  # the same per point alone
 _CELL_BYTES = 300  # the same per cell of a grid that is mostly empty
-_FAR_M = 1000.0
-_SAMPLES = 10_000
 _kept: ContextVar[list[OneCloud] | None] = ContextVar("kept", default=None)
 
 
@@ -53,21 +51,15 @@ def most_cells_of(budget: ReadBudget, points: int, bytes_per_point: float) -> in
     return budget.cells_that_fit(_CELL_BYTES, besides_bytes=points * (bytes_per_point + _HELD_BYTES))
 
 
-def coordinates_of(points: NDArray[np.floating]) -> Coordinates:
-    """Return which coordinates points (N, 3) probably have, in files that may have any: maps have large numbers."""
-    known = points[:: max(1, len(points) // _SAMPLES)]
-    known = known[np.isfinite(known).all(axis=1)]
-    return "any" if len(known) and np.abs(np.median(known, axis=0)).max() > _FAR_M else "local"
-
-
 def scan_of_cloud(
     points: NDArray[np.floating],
     intensity: FloatArray,
     color: ByteArray | None = None,
     *,
     name: str,
-    coordinates: Coordinates,
     origin: ArrayLike | None = None,
+    stated: Sequence[tuple[str, ArrayLike]] = (),
+    zero_is_stated: bool = False,
     ring: NDArray[np.integer] | None = None,
     world_from_scanner: Rigid | None = None,
     most_cells: int = LARGEST_GRID,
@@ -80,10 +72,9 @@ def scan_of_cloud(
         intensity: (N,) float32.
         color: (N, 3) uint8 RGB.
         name: of the scan.
-        coordinates: those that the format usually has. `scanner`: zero is the scanner unless the points clearly say
-            otherwise. `local`: the same, and said where the points do not say. `any`: refused where the points do not
-            say where the scanner stood.
-        origin: where the scanner stood in the coordinates of the points, (3,) m, if the file or the operator says.
+        origin: where the scanner stood in the coordinates of the points, (3,) m, if the operator says.
+        stated: what the file may have meant as that place, with the words for it; see `locate_cloud`.
+        zero_is_stated: whether the file says that the points are in the scanner's frame.
         ring: (N,) whole numbers, the beam of each point.
         world_from_scanner: pose of the coordinates of the points in the world.
         most_cells: size to which finer clouds are thinned.
@@ -95,10 +86,10 @@ def scan_of_cloud(
 
     Raises:
         ShapeError: if there are fewer than 12 returns, or all are in one row or column.
-        UnderspecifiedError: if `coordinates` is `any` and it is neither given nor clear where the scanner stood.
+        UnderspecifiedError: if it is neither given nor clear where the scanner stood.
     """
     located = locate_cloud(
-        points, intensity, color, coordinates=coordinates, origin=origin, ring=ring,
+        points, intensity, color, origin=origin, stated=stated, zero_is_stated=zero_is_stated, ring=ring,
         world_from_scanner=world_from_scanner, most_cells=most_cells,
     )  # fmt: skip
     cloud = located.cloud

@@ -21,6 +21,8 @@ from ladarreg_core.formats.scan_request import IntensitySource
 from ladarreg_core.formats.untrusted import LARGEST_GRID_CELLS, PathLike, one_line, reading, unit_notes
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import LUMA_NOTE, NO_INTENSITY_NOTE, Scan, luma
+from ladarreg_core.scanner.cloud import moved_pose, where_it_stood
+from ladarreg_core.scanner.grid_order import is_scan_grid
 from ladarreg_core.scanner.gridding import LARGEST_GRID
 from ladarreg_core.scanner.ray_table import MOST_FITTED_CELLS
 
@@ -42,6 +44,8 @@ _CELL_BYTES = 300
 _GRID_CELL_BYTES = 32
 _FIT_CELL_BYTES = 170
 _CHUNK_POINT_BYTES = 330
+_DECIDING_CELLS = 1_000_000
+_SAMPLED_POINTS = 600_000
 
 
 def read_e57(
@@ -58,8 +62,8 @@ def read_e57(
     Args:
         path: the file.
         scan_index: index of the scan, from 0.
-        origin: where the scanner stood in the scan's coordinates, (3,) m, for a scan without a grid; None: at their
-            zero point, unless the pattern of the points says otherwise.
+        origin: where the scanner stood in the scan's coordinates, (3,) m, for a scan without a grid, or one whose
+            points are in the world; None: as the pattern of the points says.
         intensity: `luma` takes the luminance of the colours.
         memory_bytes: memory that the read may use, bytes; None: see `budget`.
         report: receives the progress, in points.
@@ -88,13 +92,13 @@ def read_e57(
         records = _Records(opened, scan, scan_index, report, intensity)
         if has_indices:
             grid = _assembled(records, budget)
-            if grid is not None and any(origin or ()):
-                raise OptionError(
-                    f"origin is {origin}, but scan {scan.name!r} has a grid, which is centred on its scanner; "
-                    "leave it out"
-                )
             if grid is not None:
-                return _gridded(file.stem, _notes(info, scan, intensity), scan, *grid)
+                where, said = _centre_of(grid[0], records, origin)
+                if where.any():
+                    records.origin = where
+                    grid = _assembled(records, budget)
+                    assert grid is not None, "its indices were of use before"
+                return _gridded(file.stem, [*_notes(info, scan, intensity), *said], scan, *grid, where)
         budget.require(held + scan.points * _OWN_CELL_BYTES, f"its {scan.points:,} points")
         columns = records.all_columns()
         most_cells = budget.cells_that_fit(_CELL_BYTES, besides_bytes=held)
@@ -149,6 +153,7 @@ class _Records:
         intensity: IntensitySource,
     ) -> None:
         self.scan = scan
+        self.origin = np.zeros(3)  # where the scanner stood in the coordinates of the points, m
         self._file, self._scan_index, self._report = file, scan_index, report
         position = _CARTESIAN if scan.field_names >= set(_CARTESIAN) else _SPHERICAL
         wanted = (*position, "intensity", *_COLORS, *_INDICES, *_STATES)
@@ -191,6 +196,52 @@ class _Records:
     def _say(self, done: int) -> None:
         if self._report is not None:
             self._report(Progress(done, self.scan.points, f"reading {self.scan.name}"))
+
+
+def _centre_of(
+    grid: GridAssembly, records: _Records, origin: tuple[float, float, float] | None
+) -> tuple[NDArray[np.float64], list[str]]:
+    """Return where the scanner stood in the coordinates of a grid's points, (3,), and notes: some are of the world.
+
+    Raises:
+        OptionError: if an origin is given to a grid that is centred on its scanner.
+        ShapeError: if the coordinates are a map's in single precision.
+        UnderspecifiedError: if the points are not seen from zero, and it is not clear from where.
+    """
+    if not grid.has_returns:
+        raise _no_returns(records.scan)
+    stride = max(1, int(np.sqrt(grid.rays.shape[0] * grid.rays.shape[1] / _DECIDING_CELLS)))
+    rays = grid.rays[::stride, ::stride].astype(np.float64)
+    rays[~rays.any(axis=-1)] = np.nan
+    is_central = is_scan_grid(rays)
+    if is_central:
+        if origin is not None and any(origin):
+            raise OptionError(
+                f"origin is {origin}, but scan {records.scan.name!r} has a grid, which is centred on its scanner; "
+                "leave it out"
+            )
+        return np.zeros(3), []
+    parts = []
+    stride = max(1, records.scan.points // _SAMPLED_POINTS)
+    position = [name for name in records.names if name in (*_CARTESIAN, *_SPHERICAL, *_STATES)]
+    for _, part in records.chunks(position):
+        planes, state = _positions(part)
+        points = np.stack([np.asarray(plane, dtype=np.float64) for plane in planes], axis=-1)
+        parts.append((points if state is None else points[state == 0])[::stride])
+    points = np.concatenate(parts)
+    if not len(points):
+        return np.zeros(3), []
+    return where_it_stood(
+        points, origin=origin, stated=_stated(records.scan), zero_is_stated=bool(_stated(records.scan))
+    )
+
+
+def _stated(scan: E57ScanInfo) -> list[tuple[str, FloatArray]]:
+    """Return where the scanner stood if the points are in the world already, beside their pose."""
+    pose = scan.world_from_scanner
+    if pose is None or np.array_equal(pose.matrix, np.eye(4)):  # which is what is written where nothing is known
+        return []
+    return [("the pose of the scan", pose.translation)]
 
 
 def _grid_bytes(points: int) -> int:
@@ -260,6 +311,9 @@ def _filled(records: _Records, first: tuple[int, int], shape: tuple[int, int], t
         if not len(cells[0]):
             continue
         points, state = _positions(part)
+        if records.origin.any():
+            x, y, z = (np.asarray(axis, dtype=np.float64) - at for axis, at in zip(points, records.origin, strict=True))
+            points = (x, y, z)
         color = _color_planes(part, scan.color_largest) if with_color else None
         intensity = _strength(part, color, len(cells[0]))
         grid.add(cells[0], cells[1], points, state=state, intensity=intensity, color=color)
@@ -272,18 +326,20 @@ def _filled(records: _Records, first: tuple[int, int], shape: tuple[int, int], t
     return grid if whole else grid.cropped(rows, columns)
 
 
-def _gridded(name: str, notes: list[str], scan: E57ScanInfo, grid: GridAssembly, thin: int) -> Scan:
+def _gridded(
+    name: str, notes: list[str], scan: E57ScanInfo, grid: GridAssembly, thin: int, where: NDArray[np.float64]
+) -> Scan:
     if thin > 1:
         notes.append(f"the grid was thinned to one row and one column in {thin}")
-    if not grid.has_returns:
-        raise _no_returns(scan)
     geometry, ranges, intensity, color = grid.finish()
     return Scan(
         geometry,
         ranges,
         intensity,
         color=color,
-        world_from_scanner=scan.world_from_scanner,
+        world_from_scanner=moved_pose(scan.world_from_scanner, where, _stated(scan))
+        if where.any()
+        else (scan.world_from_scanner),
         name=name,
         notes=(*notes, *unit_notes(ranges)),
     )
@@ -321,7 +377,8 @@ def _from_cloud(
         paint,
         name=name,
         origin=origin,
-        coordinates="scanner",
+        stated=_stated(scan),
+        zero_is_stated=bool(_stated(scan)),
         world_from_scanner=scan.world_from_scanner,
         most_cells=min(most_cells, LARGEST_GRID),
         notes=notes,

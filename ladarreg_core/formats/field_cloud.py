@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,13 @@ from ladarreg_core.formats.cloud import scan_of_cloud
 from ladarreg_core.formats.intensity import chosen_intensity, intensity_name, require_intensity
 from ladarreg_core.formats.scan_request import IntensitySource
 from ladarreg_core.formats.untrusted import as_float32, one_line, unit_notes
-from ladarreg_core.frames import Rigid
+from ladarreg_core.frames import Rigid, describe_position
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner.cloud import Coordinates
+from ladarreg_core.scanner.cloud import moved_pose
 from ladarreg_core.scanner.grid_order import is_scan_grid, order_of, unit_rays
 from ladarreg_core.scanner.grids import TabulatedGrid
 
+_VIEWPOINT = "VIEWPOINT was read as the scanner's pose in the world; the points stay in the scanner's frame"
 RING_NAMES = ("ring", "channel", "laser_id", "laserid", "beam", "line")
 """Names of the field that is the beam of each point, in lower case."""
 PACKED_COLOR_NAMES = ("rgb", "rgba")
@@ -34,7 +36,7 @@ def scan_of_fields(
     intensity: IntensitySource,
     most_cells: int,
     origin: tuple[float, float, float] | None = None,
-    coordinates: Coordinates = "scanner",
+    zero_is_stated: bool = False,
     pose: Rigid | None = None,
     notes: Sequence[str] = (),
 ) -> Scan:
@@ -48,7 +50,7 @@ def scan_of_fields(
         intensity: `luma` takes the luminance of the colours.
         most_cells: size to which finer clouds are thinned.
         origin: where the scanner stood in the coordinates of the points, (3,) m.
-        coordinates: those that the points usually have; see `scan_of_cloud`.
+        zero_is_stated: whether the file says that the points are in the scanner's frame.
         pose: of the coordinates of the points in the world.
         notes: remarks on the file so far.
 
@@ -66,16 +68,20 @@ def scan_of_fields(
     strength, said = chosen_intensity(intensity, None if found is None else columns[found], color, points.shape[:-1])
     ring = next((columns[names[field]] for field in RING_NAMES if field in names), None)
     remarks = [*notes, *said]
-    if pose is not None:
-        remarks.append("VIEWPOINT was read as the scanner's pose in the world; the points stay in the scanner's frame")
-    if min(shape) > 1 and not any(origin or ()):  # a moved origin makes another grid
-        rays = unit_rays(points.reshape(*shape, 3))
-        if not np.isfinite(rays[..., 0]).any():
-            raise ShapeError("the scan has no returns: every point is missing or zero; it needs measured points")
-        if is_scan_grid(rays):
+    stated = [] if pose is None else [("VIEWPOINT", np.asarray(pose.translation, dtype=np.float64))]
+    if min(shape) > 1 and (origin is None or not any(origin)):
+        grid = _organised(points, shape, stated)
+        if grid is not None:
+            points, where, said_where = grid
+            rays = unit_rays(points.reshape(*shape, 3))
             order = order_of(rays)
+            remarks += said_where
             if order:
                 remarks.append("the grid was reordered so that row 0 is the top and column 0 the left")
+            if where.any():
+                pose = moved_pose(pose, where, stated)
+            elif pose is not None:
+                remarks.append(_VIEWPOINT)
             with np.errstate(over="ignore", invalid="ignore"):
                 ranges = as_float32(np.linalg.norm(points, axis=-1)).reshape(shape)
             grids = [order.apply(grid) for grid in (rays, ranges, strength.reshape(shape))]
@@ -89,18 +95,44 @@ def scan_of_fields(
                 notes=(*remarks, *unit_notes(ranges)),
             )
         remarks.append(f"the header says {shape[1]} x {shape[0]}, but the points are not in this order")
-    return scan_of_cloud(
+    scan = scan_of_cloud(
         points,
         strength,
         color,
         name=name,
         origin=origin,
-        coordinates=coordinates,
+        stated=stated,
+        zero_is_stated=zero_is_stated,
         ring=_whole_rings(ring),
         world_from_scanner=pose,
         most_cells=most_cells,
         notes=remarks,
     )
+    if (
+        pose is None
+        or scan.world_from_scanner is None
+        or not np.array_equal(scan.world_from_scanner.matrix, pose.matrix)
+    ):
+        return scan
+    return replace(scan, notes=(*scan.notes, _VIEWPOINT))
+
+
+def _organised(
+    points: NDArray[np.float64], shape: tuple[int, int], stated: Sequence[tuple[str, NDArray[np.float64]]]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], list[str]] | None:
+    """Return the points from the scanner, where it stood, and notes, if the order of an organised cloud is a grid."""
+    grid = points.reshape(*shape, 3)
+    rays = unit_rays(grid)
+    if not np.isfinite(rays[..., 0]).any():
+        raise ShapeError("the scan has no returns: every point is missing or zero; it needs measured points")
+    if is_scan_grid(rays):
+        return points, np.zeros(3), []
+    for words, place in stated:
+        moved = np.where(grid.any(axis=-1, keepdims=True), grid - place, np.nan)
+        if place.any() and is_scan_grid(unit_rays(moved)):
+            said = f"the points are in the world; the scanner stood at {describe_position(place)}, as {words} says"
+            return np.asarray(moved.reshape(-1, 3), dtype=np.float64), place, [said]
+    return None
 
 
 def _unpack_rgb(packed: NDArray[Any]) -> ByteArray | None:

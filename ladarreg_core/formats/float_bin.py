@@ -1,7 +1,8 @@
-"""Reader of headerless .bin clouds of float32 x, y, z, intensity, as of KITTI; refused wherever that is not certain.
+"""Reader of headerless .bin clouds of float32 x, y, z, intensity, as of KITTI, with a ring behind them in nuScenes.
 
-A file without a header is recognised by what its numbers mean: four columns, of which three are coordinates within the
-reach of a scanner and the fourth is never negative. Columns counted wrongly mix coordinates into the intensity.
+A file without a header is recognised by what its numbers mean: three coordinates within the reach of a scanner, an
+intensity that is never negative and, in a fifth column, whole numbers. Columns counted wrongly mix coordinates into the
+intensity. What is not certain is refused.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ _LARGEST_INTENSITY = 65_535.0
 _TINY = 1e-9  # integers read as floating point are smaller
 _CHUNK = 500_000
 _BYTES_PER_POINT = 40
+_FOUR, _FIVE = "x, y, z, intensity", "x, y, z, intensity, ring"
 
 
 def sniff_float_bin(head: bytes, file: Path) -> bool:
@@ -46,7 +48,7 @@ def read_float_bin(
     memory_bytes: int | None = None,
     report: Report | None = None,
 ) -> Scan:
-    """Read a cloud of float32 x, y, z (m), intensity, without a header.
+    """Read a cloud of float32 x, y, z (m), intensity and perhaps ring, without a header.
 
     Args:
         path: the file.
@@ -59,20 +61,21 @@ def read_float_bin(
         The scan in the scanner's frame, whose axes are the file's.
 
     Raises:
-        FormatError: if the numbers are not plausible as four columns, or are as five, too.
+        FormatError: if the numbers are not plausible as four or five columns, or are as both.
         ShapeError: if there are too few returns.
     """
     with reading(path) as file:
         budget = ReadBudget.of(file.stat().st_size, memory_bytes)
-        count = budget.file_bytes // 16
+        columns = _columns_of(file, budget.file_bytes)
+        row_bytes = 4 * columns
+        count = budget.file_bytes // row_bytes
         most_cells = most_cells_of(budget, count, _BYTES_PER_POINT)
-        _require_four_columns(file, budget.file_bytes)
-        values = np.empty((count, 4), np.float32)
+        values = np.empty((count, columns), np.float32)
         with open(file, "rb") as stream:
             for start in range(0, count, _CHUNK):
                 if report is not None:
                     report(Progress(start, count, "reading the cloud"))
-                part = np.frombuffer(stream.read(16 * _CHUNK), "<f4").reshape(-1, 4)
+                part = np.frombuffer(stream.read(row_bytes * _CHUNK), "<f4").reshape(-1, columns)
                 values[start : start + len(part)] = part
         if report is not None:
             report(Progress(count, count, "reading the cloud"))
@@ -81,34 +84,33 @@ def read_float_bin(
                 "its numbers are not x, y, z (m, within 500 m) and an intensity in float32 throughout; it is damaged "
                 "or another kind of file: export the cloud as PCD, PLY or LAS"
             )
+        what = _FOUR if columns == 4 else _FIVE
         return scan_of_cloud(
             values[:, :3],
             values[:, 3],
             name=file.stem,
-            coordinates="scanner",
             origin=origin,
+            ring=values[:, 4].astype(np.int64) if columns == 5 else None,
             most_cells=most_cells,
-            notes=["the file has no header: it was read as float32 x, y, z, intensity, as its numbers suggest"],
+            notes=[f"the file has no header: it was read as float32 {what}, as its numbers suggest"],
         )
 
 
-def _require_four_columns(file: Path, size: int) -> None:
-    """Refuse a file whose first numbers are not four columns, or could be five."""
+def _columns_of(file: Path, size: int) -> int:
+    """Return how many columns the first numbers of a file are: 4 or 5.
+
+    Raises:
+        FormatError: if they are neither, or could be both.
+    """
     with open(file, "rb") as stream:
         head = stream.read(16 * _CHUNK)
-    four = size % 16 == 0 and _plausible(_table(head, 4))
-    five = size % 20 == 0 and _plausible(_table(head, 5))
-    if four and not five:
-        return
-    if five:
-        also = "four or five columns" if four else "five columns (x, y, z, intensity, ring)"
-        raise FormatError(
-            f"its numbers could be {also} of float32, and only four (x, y, z, intensity) are read from a file without "
-            "a header: export the cloud as PCD, PLY or LAS"
-        )
+    found = [columns for columns in (4, 5) if size % (4 * columns) == 0 and _plausible(_table(head, columns))]
+    if len(found) == 1:
+        return found[0]
+    what = f"could be both {_FOUR} and {_FIVE}" if found else f"are neither {_FOUR} nor {_FIVE}"
     raise FormatError(
-        "its numbers are not four columns (x, y, z, intensity) of float32, the only cloud that is read without a "
-        "header: export it as PCD, PLY or LAS"
+        f"its numbers {what} in float32, which is all that is read without a header: export the cloud as PCD, PLY or "
+        "LAS"
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -16,6 +17,8 @@ from ladarreg_core.formats.untrusted import PathLike, one_line, shown_name
 
 LARGEST_BYTES = 8_000_000
 """Size limit; cameras, poses, matches, descriptors and results are smaller."""
+_LOOKED_AT = 512
+_NOT_TEXT = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
 _WHAT = "\0"  # placeholder in a reason for the expected content
 _parsed: ContextVar[dict[Path, dict[str, Any] | str] | None] = ContextVar("parsed", default=None)
 
@@ -39,7 +42,13 @@ def parsed_once() -> Iterator[None]:
 def begins_with_brace(file: Path) -> bool:
     """Return whether a text file begins like a JSON object."""
     with open(file, "rb") as stream:
-        return stream.read(64).lstrip(b"\xef\xbb\xbf \r\n\t").startswith(b"{")
+        return looks_like_json(stream.read(_LOOKED_AT))
+
+
+def looks_like_json(head: bytes) -> bool:
+    """Return whether the first bytes of a file are a brace and text: one float32 in 256 begins with that byte, too."""
+    start = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \r\n\t")
+    return start.startswith(b"{") and not _NOT_TEXT.search(head[:_LOOKED_AT])
 
 
 def read_json_object(path: Path, what: str) -> dict[str, Any]:

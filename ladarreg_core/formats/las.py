@@ -77,7 +77,6 @@ def read_las(
             strength,
             color,
             name=file.stem,
-            coordinates="any",
             origin=origin,
             most_cells=budget.cells_that_fit(_CELL_BYTES, besides_bytes=held),
             notes=[*notes, *said],

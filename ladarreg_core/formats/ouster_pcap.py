@@ -239,7 +239,7 @@ def _are_valid(records: NDArray[np.uint8], sensor: OusterSensor) -> NDArray[np.b
 
 
 def _assembled(sensor: OusterSensor, frame: _Open, number: int, missing: int) -> OusterFrame:
-    """Return the frame with its rows shifted so that a column has one azimuth, cut to the columns that are sent."""
+    """Return the frame with its rows shifted so that a column has one azimuth, cut to what the window covers."""
     profile, rows = sensor.profile, sensor.rows
     head = _LEGACY_COLUMN_HEADER if profile.is_legacy else _COLUMN_HEADER
     raw = {name: np.zeros((rows, sensor.columns), np.uint32) for name in profile.fields}
@@ -253,8 +253,7 @@ def _assembled(sensor: OusterSensor, frame: _Open, number: int, missing: int) ->
             words = np.ascontiguousarray(pixels[..., place.offset : place.offset + width]).view(place.dtype)[..., 0]
             numbers = words.astype(np.uint32) & (place.mask or 0xFFFFFFFF)
             raw[name][:, columns[use]] = (numbers * np.uint32(place.unit)).T
-    sent = sensor.sent_columns
-    source = (sent[None, :] - sensor.shifts[:, None]) % sensor.columns  # measured column of each cell
+    source = (sensor.seen_columns[None, :] - sensor.shifts[:, None]) % sensor.columns  # measured column of each cell
     values = {name: np.take_along_axis(grid, source, 1) for name, grid in raw.items()}
     return OusterFrame(sensor, values, 2 * np.pi * (1 - source / sensor.columns), missing, number)
 

@@ -138,6 +138,16 @@ class OusterSensor:
         count = (last - first) % self.columns + 1
         return (first + np.arange(count)) % self.columns
 
+    @property
+    def seen_columns(self) -> IntArray:
+        """The columns that the window covers in some row after the rows are shifted; more than are sent."""
+        half = self.columns // 2
+        shifts = (self.shifts + half) % self.columns - half
+        first, count = self.window[0] + int(shifts.min()), len(self.sent_columns) + int(np.ptp(shifts))
+        if count >= self.columns:
+            return self.sent_columns if len(self.sent_columns) == self.columns else np.arange(self.columns)
+        return (first + np.arange(count)) % self.columns
+
 
 def is_ouster_metadata(fields: Mapping[str, Any]) -> bool:
     """Return whether the fields of a JSON file are those of an Ouster sensor's metadata."""

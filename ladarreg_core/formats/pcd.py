@@ -145,8 +145,25 @@ def _read_header(stream: io.BufferedReader) -> _Header:
         raise FormatError(
             f"the PCD data are {one_line(encoding, 40)!r}; ascii, binary and binary_compressed are supported"
         )
+    if 0 in counts and encoding == "binary":
+        counts = _counts_by_size(stream, width * height, sizes, counts)
     dtype = _record_type(fields, sizes, types, counts)
     return _Header(dtype, width, height, _viewpoint(entries.get("VIEWPOINT")), encoding, stream.tell())
+
+
+def _counts_by_size(stream: io.BufferedReader, points: int, sizes: list[int], counts: list[int]) -> list[int]:
+    """Return the counts, where a 0 is none or, as old converters wrote it, one: the size of the body says which."""
+    begin = stream.tell()
+    body = stream.seek(0, io.SEEK_END) - begin
+    stream.seek(begin)
+    for meant in (counts, [max(count, 1) for count in counts]):
+        record = sum(size * count for size, count in zip(sizes, meant, strict=True))
+        if 0 <= body - points * record < max(record, 1):
+            return meant
+    raise FormatError(
+        f"the PCD header has a COUNT of 0, and its {points:,} points fit {body:,} bytes neither with nor without that "
+        "field; correct the header"
+    )
 
 
 def _whole(entries: dict[str, list[str]], key: str, count: int) -> list[int]:
@@ -166,8 +183,8 @@ def _record_type(fields: list[str], sizes: list[int], types: list[str], counts: 
             raise FormatError(
                 f"the field {one_line(field, 30)!r} is of TYPE {letter[:3]} SIZE {size}; PCD has no such type"
             )
-        if not 1 <= count <= _LARGEST_FIELD:
-            raise FormatError(f"the field {one_line(field, 30)!r} has COUNT {count}; it must be 1 to {_LARGEST_FIELD}")
+        if count > _LARGEST_FIELD:
+            raise FormatError(f"the field {one_line(field, 30)!r} has COUNT {count}; it must be 0 to {_LARGEST_FIELD}")
         names.append(field if field not in names and field != "_" else f"_{len(names)}")
         code = f"<{letter.lower()}{size}"
         formats.append(code if count == 1 else (code, (count,)))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.budget import ReadBudget
-from ladarreg_core.formats.cloud import coordinates_of, most_cells_of, scan_of_cloud
+from ladarreg_core.formats.cloud import most_cells_of, scan_of_cloud
 from ladarreg_core.formats.intensity import (
     as_points,
     chosen_intensity,
@@ -140,8 +140,8 @@ def read_ply(
             value,
             color,
             name=file.stem,
-            coordinates="scanner" if header.is_ours else coordinates_of(points),
             origin=origin,
+            zero_is_stated=header.is_ours,
             most_cells=most_cells,
             notes=(*(notes if faces else ()), *said),
         )

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import FloatArray
-from ladarreg_core.errors import FormatError, OptionError, ShapeError
+from ladarreg_core.errors import FormatError, OptionError, ShapeError, UnderspecifiedError
 from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.cloud import scan_of_cloud
 from ladarreg_core.formats.intensity import chosen_intensity, colors_as_bytes, require_intensity
@@ -23,9 +23,10 @@ from ladarreg_core.formats.number_rows import numbers_of, row_parts
 from ladarreg_core.formats.scan_request import IntensitySource
 from ladarreg_core.formats.untrusted import PathLike, as_float32, one_line, reading, require_cells, unit_notes
 from ladarreg_core.formats.world_pose import world_pose
-from ladarreg_core.frames import Rigid
+from ladarreg_core.frames import Rigid, describe_position
 from ladarreg_core.progress import Report
 from ladarreg_core.scan import Scan
+from ladarreg_core.scanner.cloud import moved_pose, where_it_stood
 from ladarreg_core.scanner.grid_order import is_scan_grid, order_of, unit_rays
 from ladarreg_core.scanner.grids import TabulatedGrid
 
@@ -39,6 +40,7 @@ _CELL_BYTES = 300
 """Measured peak memory of a read, bytes per cell."""
 _WIDTHS = {3: "x y z", 4: "x y z intensity", 6: "x y z r g b", 7: "x y z intensity r g b"}
 _SAME_POSE = 1e-3
+_POSE = "the registration"
 _DECIDING_CELLS = 1_000_000
 _SAMPLED_COLUMNS = 200
 _LEAST_STEPS = 12
@@ -284,6 +286,8 @@ def _to_scan(
     if block.has_color:
         color = colors_as_bytes([table[:, k] for k in range(block.width - 3, block.width)]).reshape(*shape, 3)
     del table
+    points, pose, more_said = _around_scanner(points, pose, origin)
+    said += more_said
     rays = unit_rays(points)
     value, more = chosen_intensity(source, strength, color, shape)
     if not _is_grid(rays):
@@ -293,14 +297,13 @@ def _to_scan(
             value.ravel(),
             None if color is None else color.reshape(-1, 3),
             name=name,
-            coordinates="scanner",
-            origin=origin if origin is not None or pose is None else (0.0, 0.0, 0.0),
+            origin=None if more_said else origin,
+            zero_is_stated=pose is not None,
+            stated=[] if pose is None else [(_POSE, pose.translation)],
             world_from_scanner=pose,
             most_cells=budget.most_cells,
             notes=(*notes, *said, header, *more),
         )
-    if origin is not None:
-        raise OptionError("origin is given, but the points are a scanner's grid, centred on it; leave it out")
     with np.errstate(over="ignore", invalid="ignore"):
         ranges = as_float32(np.linalg.norm(points, axis=-1))
     order = order_of(rays)
@@ -333,6 +336,39 @@ def _in_scanner_frame(points: FloatArray, block: PtxBlock) -> tuple[FloatArray, 
         said = f"the points are in world coordinates; the scanner stood at {x:.3f}, {y:.3f}, {z:.3f} m, as stated"
         return moved, by_lines, (said,)
     return points, by_matrix, ()
+
+
+def _around_scanner(
+    points: FloatArray, pose: Rigid | None, origin: tuple[float, float, float] | None
+) -> tuple[FloatArray, Rigid | None, tuple[str, ...]]:
+    """Return points (C, R, 3) from where the scanner stood, its pose, and notes, if the points are a grid from there.
+
+    Programs write points of the world with an identity as the registration, or with the pose beside them.
+
+    Raises:
+        OptionError: if an origin is given to a grid that is centred on its scanner.
+    """
+    if _is_grid(unit_rays(points)):
+        if origin is not None and any(origin):
+            raise OptionError("origin is given, but the points are a scanner's grid, centred on it; leave it out")
+        return points, pose, ()
+    stated = [] if pose is None else [(_POSE, pose.translation)]
+    known = points.reshape(-1, 3)
+    known = known[np.isfinite(known).all(axis=1)]
+    if origin is None and not any(_is_grid(unit_rays(points - place)) for _, place in stated):
+        try:
+            where, said = where_it_stood(known, stated=stated, zero_is_stated=pose is not None)
+        except UnderspecifiedError:  # asked for where the cloud is gridded
+            return points, pose, ()
+    else:
+        given = origin if origin is not None else stated[0][1]
+        where, said = where_it_stood(known, origin=given)
+        if origin is None:
+            said = [f"the points are in the world; the scanner stood at {describe_position(where)}, as {_POSE} says"]
+    moved = points - where
+    if not where.any() or not _is_grid(unit_rays(moved)):
+        return points, pose, ()
+    return moved, moved_pose(pose, where, stated), tuple(said)
 
 
 def _unevenness(points: FloatArray) -> float:

@@ -17,6 +17,7 @@ from ladarreg_core.errors import FormatError, LadarregError, OptionError
 from ladarreg_core.formats.accumulated import read_accumulated
 from ladarreg_core.formats.bag import read_bag, sniff_bag
 from ladarreg_core.formats.begun_read import BegunRead
+from ladarreg_core.formats.camera_calibration import is_calibration
 from ladarreg_core.formats.camera_file import CAMERA_FORMATS, CameraFormat
 from ladarreg_core.formats.camera_nerfstudio import is_nerfstudio
 from ladarreg_core.formats.descriptor import KINDS as DESCRIPTOR_KINDS
@@ -38,7 +39,7 @@ from ladarreg_core.formats.file_info import (
 )
 from ladarreg_core.formats.float_bin import read_float_bin, sniff_float_bin
 from ladarreg_core.formats.image_file import image_format
-from ladarreg_core.formats.json_file import parsed_once, read_json_object
+from ladarreg_core.formats.json_file import looks_like_json, parsed_once, read_json_object
 from ladarreg_core.formats.las import read_las
 from ladarreg_core.formats.las_header import sniff_las
 from ladarreg_core.formats.npz import read_npz, sniff_npz
@@ -96,8 +97,7 @@ class FileFormat:
 
 def _json_kind(head: bytes, file: Path) -> FileKind | None:
     """Return the kind of a JSON file by its fields; None where it is not JSON."""
-    start = head.removeprefix(b"\xef\xbb\xbf").lstrip()
-    if not start.startswith(b"{"):
+    if not looks_like_json(head):
         return None
     try:
         fields = read_json_object(file, "a JSON file")
@@ -109,16 +109,11 @@ def _json_kind(head: bytes, file: Path) -> FileKind | None:
         return "pose"
     if "matches" in fields:
         return "matches"
-    if "kind" in fields and "fx" not in fields:
+    if ("kind" in fields and "fx" not in fields) or "depth" in fields:
         return "scan"
     if is_nerfstudio(fields) or "transform_matrix" in fields:
         return "camera"
-    if (
-        "fx" in fields
-        or fields.get("model") == "equirectangular"
-        or any("cameramatrix" in key.lower().replace("_", "") for key in fields)
-        or "K" in fields
-    ):
+    if "fx" in fields or fields.get("model") == "equirectangular" or is_calibration(fields):
         return "camera"
     return "scan"  # the descriptor's reader says what is missing
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ladarreg_core.errors import FormatError, OptionError, UnderspecifiedError
 from ladarreg_core.formats.budget import ReadBudget
-from ladarreg_core.formats.cloud import coordinates_of, most_cells_of, scan_of_cloud
+from ladarreg_core.formats.cloud import most_cells_of, scan_of_cloud
 from ladarreg_core.formats.intensity import (
     COLOR_NAMES,
     INTENSITY_NAMES,
@@ -226,7 +226,6 @@ def read_text_cloud(
             value,
             color,
             name=file.stem,
-            coordinates=coordinates_of(points),
             origin=origin,
             most_cells=most_cells,
             notes=said,

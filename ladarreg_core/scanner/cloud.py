@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,10 +13,13 @@ from ladarreg_core.errors import ShapeError, UnderspecifiedError
 from ladarreg_core.formatting import format_percent
 from ladarreg_core.frames import Rigid, describe_position
 from ladarreg_core.scanner.gridding import LARGEST_GRID, LEAST_POINTS, GriddedCloud, grid_points
-from ladarreg_core.scanner.origin import estimate_origin
+from ladarreg_core.scanner.origin import FARTHEST_ZERO_M, estimate_origin
 
-Coordinates = Literal["scanner", "local", "any"]
 _LEAST_KEPT = 0.9
+_MOST_HIDDEN = 0.9
+_SAME_PLACE_M = 0.5
+_SAMPLES = 10_000
+_COARSEST_M = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,8 +41,9 @@ def locate_cloud(
     intensity: FloatArray,
     color: ByteArray | None = None,
     *,
-    coordinates: Coordinates,
     origin: ArrayLike | None = None,
+    stated: Sequence[tuple[str, ArrayLike]] = (),
+    zero_is_stated: bool = False,
     ring: NDArray[np.integer] | None = None,
     world_from_scanner: Rigid | None = None,
     most_cells: int = LARGEST_GRID,
@@ -51,10 +55,10 @@ def locate_cloud(
         points: (N, 3) float64, m; float32 only where the coordinates are small.
         intensity: (N,) float32.
         color: (N, 3) uint8 RGB.
-        coordinates: those that the points usually have. `scanner`: zero is the scanner unless the points clearly say
-            otherwise. `local`: the same, and said where the points do not say. `any`: refused where the points do not
-            say where the scanner stood.
-        origin: where the scanner stood in the coordinates of the points, (3,) m, if known.
+        origin: where the scanner stood in the coordinates of the points, (3,) m, if it is given; else it is found by
+            the pattern of the points (`estimate_origin`).
+        stated: what the file may have meant as that place, (3,) m, each with the words for it (`its VIEWPOINT`).
+        zero_is_stated: whether the file says that the points are in the scanner's frame.
         ring: (N,) whole numbers, the beam of each point.
         world_from_scanner: pose of the coordinates of the points in the world.
         most_cells: size to which finer clouds are thinned.
@@ -62,16 +66,15 @@ def locate_cloud(
 
     Raises:
         ShapeError: if there are fewer than 12 returns, or all are in one row or column.
-        UnderspecifiedError: if `coordinates` is `any` and it is neither given nor clear where the scanner stood.
+        UnderspecifiedError: if it is neither given nor clear where the scanner stood.
     """
     if len(points) < LEAST_POINTS:
         raise ShapeError(f"the cloud has {len(points)} points; a scan needs at least {LEAST_POINTS}")
-    where, remarks = _located(points, coordinates, origin, what)
+    where, remarks = where_it_stood(points, origin=origin, stated=stated, zero_is_stated=zero_is_stated, what=what)
     moved = np.asarray(points, dtype=np.float64)
     if where.any():
         moved = moved - where
-        step = Rigid(np.eye(3), where)
-        world_from_scanner = step if world_from_scanner is None else world_from_scanner @ step
+        world_from_scanner = moved_pose(world_from_scanner, where, stated)
     cloud = grid_points(moved, intensity, color, ring=ring, most_cells=most_cells)
     remarks.append(cloud.describe())
     kept = cloud.points_kept + (cloud.points_merged if cloud.accumulated else 0)
@@ -85,41 +88,88 @@ def locate_cloud(
     return LocatedCloud(cloud, world_from_scanner, where, tuple(remarks))
 
 
-def _located(
-    points: NDArray[np.floating], coordinates: Coordinates, origin: ArrayLike | None, what: str
+def moved_pose(pose: Rigid | None, where: NDArray[np.float64], stated: Sequence[tuple[str, ArrayLike]] = ()) -> Rigid:
+    """Return the scanner's pose in the world, where it stood at a place (3,) in the coordinates of the points.
+
+    Where that is the place of the stated pose, the points were in the world already, and the pose is not applied again.
+    """
+    step = Rigid(np.eye(3), where)
+    in_world = any(np.linalg.norm(where - np.asarray(place)) < _SAME_PLACE_M for _, place in stated)
+    return step if pose is None or in_world else pose @ step
+
+
+def where_it_stood(
+    points: NDArray[np.floating],
+    *,
+    origin: ArrayLike | None = None,
+    stated: Sequence[tuple[str, ArrayLike]] = (),
+    zero_is_stated: bool = False,
+    what: str = "the file",
 ) -> tuple[NDArray[np.float64], list[str]]:
-    """Return where the scanner stood, (3,) in the coordinates of the points, and a note on how that is known."""
+    """Return where the scanner stood, (3,) in the coordinates of the points, and a note on how that is known.
+
+    Arguments and errors as `locate_cloud`.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        returns = int(np.count_nonzero(np.isfinite(points).all(axis=1) & points.any(axis=1)))
+    if returns < LEAST_POINTS:
+        raise ShapeError(f"the cloud has {returns} returns; a scan needs at least {LEAST_POINTS}")
     own = "the file's coordinates" if what == "the file" else "the coordinates of the points"
+    _require_fine_steps(points, what)
     if origin is not None:
         where = read_only(origin, np.float64, (3,), "the origin")
         if not np.isfinite(where).all():
             raise ShapeError("the origin contains NaN or infinity; it needs three coordinates in metres")
         return where, [f"the scanner stood at {describe_position(where)} in {own}, as given"]
-    estimate = estimate_origin(points)
+    places = [(words, np.asarray(place, dtype=np.float64)) for words, place in stated]
+    estimate = estimate_origin(points, stated=[place for _, place in places])
     if estimate.position is None:
-        if coordinates == "any":
-            raise UnderspecifiedError(
-                f"{what} does not say where the scanner stood, and the pattern of the points does not show it: give "
-                f"`origin` as x, y, z in {own} (0, 0, 0 if they are the scanner's own); a cloud of several scans is to "
-                "be exported scan by scan"
-            )
-        if coordinates == "local":
+        if zero_is_stated and estimate.hidden_from_centre < _MOST_HIDDEN:
             return np.zeros(3), [
-                f"where the scanner stood is not in {what}, and the points do not show it: the zero point of the "
-                "coordinates was taken; if that is wrong, give it by `origin`"
+                f"the zero point of {own} is the scanner's position, as the file says; the points do not show it"
             ]
-        return np.zeros(3), []
+        far = np.nanmedian(np.abs(points[:: max(1, len(points) // _SAMPLES)]), axis=0).max() > FARTHEST_ZERO_M
+        millimetres = "; coordinates in millimetres are to be converted to metres" if far else ""
+        raise UnderspecifiedError(
+            f"{what} does not say where the scanner stood, and the pattern of the points does not show it: give "
+            f"`origin` as x, y, z in {own} (0, 0, 0 if they are the scanner's own); a cloud of several scans is to "
+            f"be exported scan by scan{millimetres}"
+        )
     where = np.array(estimate.position)
-    if estimate.may_be_centre and coordinates != "any":
-        return np.zeros(3), [
-            f"the zero point of {own} was taken for the scanner's position; the pattern of the points would also agree "
-            f"with {describe_position(where)}: if the scanner stood elsewhere, give it by `origin`"
-        ]
-    if where.any():
+    if not where.any():
+        if not estimate.by_visibility_alone or zero_is_stated:
+            return where, []
         return where, [
-            f"the scanner's position {describe_position(where)} in {own} was estimated from the pattern of the points; "
-            "if it is known, give it by `origin`"
+            f"the zero point of {own} was taken for the scanner's position, since little is hidden from it; the "
+            "pattern of the points says no more: if the scanner stood elsewhere, give it by `origin`"
         ]
-    if coordinates == "any":
-        return where, [f"the scanner stood at the zero point of {own}, as the pattern of the points says"]
-    return where, []
+    if (words := next((words for words, place in places if np.array_equal(place, where)), None)) is not None:
+        return where, [
+            f"the points are not in the scanner's frame: the scanner stood at {describe_position(where)} in {own}, as "
+            f"{words} says and the pattern of the points confirms"
+        ]
+    return where, [
+        f"the scanner's position {describe_position(where)} in {own} was estimated from the pattern of the points; "
+        "if it is known, give it by `origin`"
+    ]
+
+
+def _require_fine_steps(points: NDArray[np.floating], what: str) -> None:
+    """Refuse coordinates of a map that were rounded to single precision: nothing brings the shape back.
+
+    Raises:
+        ShapeError: naming the step.
+    """
+    known = points[:: max(1, len(points) // _SAMPLES)]
+    with np.errstate(over="ignore", invalid="ignore"):
+        known = known[np.isfinite(known).all(axis=1)]
+        single = known.astype(np.float32)
+    if not len(known) or not (single == known).all():
+        return
+    largest = float(np.median(np.abs(known), axis=0).max())
+    step = float(np.spacing(np.float32(largest)))
+    if step > _COARSEST_M:
+        raise ShapeError(
+            f"{what} has coordinates of a map, about {largest:,.0f} m, in single precision, in which neighbours are "
+            f"{step:g} m apart: the shape of what was scanned is lost; export it in double precision, or less an offset"
+        )

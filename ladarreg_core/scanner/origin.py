@@ -17,6 +17,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 
@@ -25,23 +26,35 @@ _POOL = 150_000  # points among which neighbours are searched
 _PATCHES = 2_500
 _WITNESSES = 20_000  # points that may hide each other
 _NEIGHBOURS = 40
-_LEAST_POINTS = 200
+_LEAST_POINTS = 12
 _LEAST_PATCHES = 60
+_LEAST_POOL = 4_000
 _FLAT = 0.1
 _TAU = 0.5
 _ELEVATIONS = 6_000
-_FINE_RAD = np.radians(0.25)
-_SHARP = 0.7
+_BINS_DEG = (0.25, 0.12, 0.06, 0.03, 0.015)  # lidars have lines .1 to 2 degrees apart
+_LEAST_IN_BIN, _LEAST_BINS = 24, 3
+_COINCIDENT_RAD = 2e-6
+_LEAST_LINES, _LEAST_IN_LINE, _LEAST_IN_ROW = 4, 4, 9  # a lattice has eight places at one distance
+_SHARP = 0.9
 _SURELY_SHARP = 1.2
+_SURELY_REGULAR, _CLEARLY_LESS = 1.6, 0.6
+_LEAST_DROP = 0.03
+_AROUND = 0.012  # distance of the places beside a centre of lines, of the cloud's size
 _SHARPENED = 6
+_COARSE_TURNS = 5
+_MOST_HIDDEN = 0.5
 _HIDDEN = 0.12
 _HIDDEN_IF_SHARP = 0.3
 _AS_GOOD = 0.05
-_CLEARLY_WORSE = 0.15
+_AS_HIDDEN = 0.06
+_CLEAR = ((0.15, 0.12), (0.3, 0.03))  # misfit and hidden share of a searched place that is taken without lines
 _LEAST_GAIN = 0.8
 _LEAST_DIFFERENCE = 0.06
 _FARTHEST = 12  # in units of the cloud's size: a field of view of ten degrees
 _FARTHEST_CENTRE = 30
+FARTHEST_ZERO_M = 1_000.0
+"""Distance of the points beyond which zero is that of a map, and never taken for the scanner, m."""
 _MOST_KNOWN = 64
 _known: dict[bytes, OriginEstimate] = {}
 _known_lock = threading.Lock()
@@ -57,30 +70,42 @@ class OriginEstimate:
     """Share of the points that lie behind surfaces, seen from `position`; from the centre if it is None."""
     hidden_from_centre: float
     """The same from (0, 0, 0)."""
-    may_be_centre: bool = False
-    """Whether (0, 0, 0) is not clearly contradicted: the densities of uneven patterns are a weak hint."""
+    by_visibility_alone: bool = False
+    """Whether only what is hidden speaks for it: uneven patterns say little else."""
 
 
-def estimate_origin(points: FloatArray) -> OriginEstimate:
+def estimate_origin(points: FloatArray, *, stated: Sequence[ArrayLike] = ()) -> OriginEstimate:
     """Estimate where the scanner stood, in a few seconds whatever the number of points.
+
+    Candidates are zero (nearer than a kilometre), the stated places and one that is searched for. In this order, the
+    first that is clear is the answer:
+
+    1. a known place from which the directions form the lines of a scanner, and from its neighbourhood less so;
+    2. the searched place, if that is true of it;
+    3. a known place that explains the densities as well as the searched one, and from which little is hidden;
+    4. the searched place, if it explains the densities well and nearly nothing is hidden from it;
+    5. a known place from which far less is hidden than from elsewhere in the cloud.
 
     Args:
         points: (N, 3) float64, m, in any coordinates with axis Z up; points that are not finite are ignored.
+        stated: places (3,), m, where the file may say that the scanner stood.
 
     Returns:
-        The origin; (0, 0, 0) itself where nothing contradicts it. None where the points do not determine it: fewer than
-        200, no flat surfaces, thinned to equal distances, or taken from several places. The answers on the last clouds
-        are kept: clouds to which further ones are added are read again.
+        The origin; a known place is returned exactly. None where the points do not determine it: too few of them, no
+        flat surfaces, thinned to equal distances, or taken from several places. The answers on the last clouds are
+        kept: clouds to which further ones are added are read again.
     """
     picked = points[_sample(len(points), 4 * _POOL)]
     with np.errstate(over="ignore", invalid="ignore"):
         picked = picked[np.isfinite(picked).all(axis=1) & (np.abs(picked) < 1e9).all(axis=1)]
+    picked = picked[picked.any(axis=1)]  # (0, 0, 0) is no return
     if len(picked) < _LEAST_POINTS:
-        return OriginEstimate((0.0, 0.0, 0.0), 0.0, 0.0)
-    key = hashlib.blake2b(picked.tobytes(), digest_size=16).digest()
+        return OriginEstimate(None, 0.0, 0.0)
+    known = [np.zeros(3), *(np.asarray(place, dtype=np.float64) for place in stated)]
+    key = hashlib.blake2b(picked.tobytes() + np.stack(known).tobytes(), digest_size=16).digest()
     found = _known.get(key)
     if found is None:
-        found = _estimate(picked)
+        found = _estimate(picked, known)
         with _known_lock:
             _known[key] = found
             if len(_known) > _MOST_KNOWN:
@@ -92,7 +117,7 @@ def kept_answers() -> list[list[Any]]:
     """Return the answers that are kept, as plain values that `keep_answers` takes in another process."""
     with _known_lock:
         return [
-            [key.hex(), found.position, found.hidden_share, found.hidden_from_centre, found.may_be_centre]
+            [key.hex(), found.position, found.hidden_share, found.hidden_from_centre, found.by_visibility_alone]
             for key, found in _known.items()
         ]
 
@@ -103,39 +128,51 @@ def keep_answers(rows: Iterable[Sequence[Any]]) -> None:
     Raises:
         ValueError, TypeError: if they are not what `kept_answers` returns.
     """
-    for key, position, hidden_share, hidden_from_centre, may_be_centre in rows:
+    for key, position, hidden_share, hidden_from_centre, alone in rows:
         place = None
         if position is not None:
             x, y, z = map(float, position)
             place = (x, y, z)
-        found = OriginEstimate(place, float(hidden_share), float(hidden_from_centre), bool(may_be_centre))
+        found = OriginEstimate(place, float(hidden_share), float(hidden_from_centre), bool(alone))
         with _known_lock:
             _known[bytes.fromhex(key)] = found
 
 
-def _estimate(picked: FloatArray) -> OriginEstimate:
-    """Return where the scanner stood that met the points (N, 3), at least 200 and all finite."""
+def _estimate(picked: FloatArray, known: Sequence[FloatArray]) -> OriginEstimate:
+    """Return where the scanner stood that met the points (N, 3), all finite; `known` begins with zero."""
     middle = np.median(picked, axis=0)
     cloud = _Cloud.of(picked - middle)
-    centre = OriginEstimate((0.0, 0.0, 0.0), 1.0, 1.0)
-    near = float(np.abs(middle).max()) < _FARTHEST_CENTRE * cloud.size
-    if near:
-        hidden_from_centre = cloud.hidden_from(-middle)
-        centre = OriginEstimate((0.0, 0.0, 0.0), hidden_from_centre, hidden_from_centre)
-        if cloud.sharpness(-middle) > _SHARP and hidden_from_centre < _HIDDEN_IF_SHARP:
-            return centre
+    zero_is_near = float(np.linalg.norm(middle)) < min(_FARTHEST_CENTRE * cloud.size, FARTHEST_ZERO_M)
+    places = [place - middle for place in known[0 if zero_is_near else 1 :]]
+    places = [place for place in places if np.linalg.norm(place) < _FARTHEST_CENTRE * cloud.size]
+    from_zero = cloud.hidden_from(-middle) if zero_is_near else 1.0
+
+    def answer(place: FloatArray, *, alone: bool = False) -> OriginEstimate:
+        x, y, z = next((each for each in known if np.allclose(each - middle, place, rtol=0, atol=0)), place + middle)
+        return OriginEstimate((float(x), float(y), float(z)), cloud.hidden_from(place), from_zero, alone)
+
+    by_lines = [place for place in places if cloud.is_centre_of_lines(place)]
+    if by_lines:
+        return answer(max(by_lines, key=cloud.regularity))
+    if len(picked) < _LEAST_POOL:  # densities and what is hidden are chance
+        return OriginEstimate(None, from_zero, from_zero)
     best, hidden, misfit = cloud.best_origin()
+    if np.linalg.norm(best) < _FARTHEST * cloud.size and hidden < _HIDDEN_IF_SHARP and cloud.is_centre_of_lines(best):
+        return answer(best)
     flat = cloud.misfit_without_origin()
-    sharp = cloud.sharpness(best) > _SHARP
-    as_good = centre.hidden_share <= hidden + 0.03 and cloud.misfit(-middle) < misfit + _AS_GOOD
-    if near and not sharp and as_good:
-        return centre
-    gain = misfit < min(_LEAST_GAIN * flat, flat - _LEAST_DIFFERENCE) and hidden < _HIDDEN
-    if not (gain or (sharp and hidden < _HIDDEN_IF_SHARP)) or np.linalg.norm(best) > _FARTHEST * cloud.size:
-        return OriginEstimate(None, centre.hidden_share, centre.hidden_share)
-    x, y, z = (best + middle).tolist()
-    alike = near and not sharp and cloud.misfit(-middle) < misfit + _CLEARLY_WORSE
-    return OriginEstimate((x, y, z), hidden, centre.hidden_share, alike and centre.hidden_share < _HIDDEN_IF_SHARP)
+    gained = min(_LEAST_GAIN * flat, flat - _LEAST_DIFFERENCE)
+    seen = [(cloud.misfit(place), cloud.hidden_from(place), place) for place in places]
+    for fit, behind, place in sorted(seen, key=lambda each: each[0] + each[1]):
+        if fit < min(misfit + _AS_GOOD, gained) and behind < min(hidden + _AS_HIDDEN, _HIDDEN_IF_SHARP):
+            return answer(place)
+    is_clear = any(misfit < fit and hidden < behind for fit, behind in _CLEAR)
+    if is_clear and misfit < gained and np.linalg.norm(best) < _FARTHEST * cloud.size:
+        return answer(best)
+    usual = cloud.usually_hidden()
+    for _, behind, place in sorted(seen, key=lambda each: each[1]):
+        if behind < min(_HIDDEN_IF_SHARP, 0.5 * usual):
+            return answer(place, alone=True)
+    return OriginEstimate(None, from_zero, from_zero)
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,39 +287,68 @@ class _Cloud:
         for origin in distinct[:_SHARPENED]:
             if (sharp := self._sharpened(origin)) is not None:
                 found.append((self.hidden_from(sharp), self.misfit(sharp), sharp))
-                if found[-1][0] < _HIDDEN and self.sharpness(sharp) > _SURELY_SHARP:
+                if found[-1][0] < _HIDDEN_IF_SHARP and self.sharpness(sharp) > _SURELY_SHARP:
                     break
         # A sharp set of elevations is far stronger evidence than the densities, which are those of points in lines.
         hidden, misfit, origin = min(found, key=lambda each: each[0] + each[1] - 0.5 * self.sharpness(each[2]))
         return origin, hidden, misfit
 
-    def sharpness(self, origin: FloatArray) -> float:
+    def sharpness(self, origin: FloatArray, *, coarsely: bool = False) -> float:
         """Return how concentrated the elevations are on single values: 0 for none, 2.08 for rings.
 
-        It is the information that bins of a quarter of a degree have beyond bins of two degrees: this does not reward
-        origins from which everything is at the same elevation.
+        It is the information that fine bins have beyond bins of eight of them, at the best of several sizes. Wide bins
+        count alike: a floor at the height of the origin, all of it at one elevation, is one of many.
         """
-        offset = self.ordered - origin
+        offset = self.ordered[:: 3 if coarsely else 1] - origin
         elevation = np.arctan2(offset[:, 2], np.hypot(offset[:, 0], offset[:, 1])) + np.pi / 2
-        fine = np.bincount((elevation / _FINE_RAD).astype(np.intp), minlength=8 * 91).astype(np.float64)
-        coarse = fine[: len(fine) // 8 * 8].reshape(-1, 8).sum(1)
-        fine, coarse = (counts[counts > 0] / len(offset) for counts in (fine, coarse))
-        return float(np.log(8) + (fine * np.log(fine)).sum() - (coarse * np.log(coarse)).sum())
+        return max(_concentration(elevation, np.radians(size)) for size in _BINS_DEG[: 1 if coarsely else None])
+
+    def regularity(self, origin: FloatArray) -> float:
+        """Return the sharpness, or the same of the exact lines of a grid: spherical, perspective, or of two mirrors."""
+        x, y, z = (self.ordered - origin).T
+        rows = _share_in_lines(np.arctan2(z, np.hypot(x, y)), _LEAST_IN_ROW)
+        pairs = (
+            (np.arctan2(y, x), np.arctan2(z, x)),
+            (np.arctan2(x, z), np.arctan2(y, z)),  # a camera's axes: z forward
+            (np.arctan2(z, x), np.arctan2(y, np.hypot(x, z))),
+        )
+        exact = max(rows, *(min(_share_in_lines(each, _LEAST_IN_LINE) for each in pair) for pair in pairs))
+        return max(self.sharpness(origin), float(np.log(8)) * exact)
+
+    def is_centre_of_lines(self, origin: FloatArray) -> bool:
+        """Return whether the directions from a place are those of a scanner, and less so from around it."""
+        regular = self.regularity(origin)
+        if regular < _SHARP:
+            return False
+        reach = _AROUND * self.size
+        around = [origin + sign * reach * axis for axis in np.eye(3) for sign in (-1, 1)]
+        beside = max(map(self.regularity, around))
+        if regular > _SURELY_REGULAR and beside < _CLEARLY_LESS * regular:
+            return True
+        return beside < regular - _LEAST_DROP and self.hidden_from(origin) < _MOST_HIDDEN
+
+    def usually_hidden(self) -> float:
+        """Return the median share that is hidden from places in the cloud."""
+        low, high = np.percentile(self.witnesses, [10, 90], axis=0)
+        return float(np.median([self.hidden_from(place) for place in _lattice(low, high, 4, 4, 2)]))
 
     def _sharpened(self, start: FloatArray) -> FloatArray | None:
         """Return the origin near a start from which the elevations are sharpest; None if they are not."""
         generator = np.random.default_rng(_SEED)
-        origin, sharpest = start, self.sharpness(start)
+        origin, sharpest = start, self.sharpness(start, coarsely=True)
         reach = min(0.3, 0.1 * self.size)
         for turn in range(11):
+            coarsely = turn < _COARSE_TURNS
+            if turn == _COARSE_TURNS:
+                sharpest = self.sharpness(origin)
             for candidate in origin + reach * generator.normal(size=(300 if turn < 2 else 50, 3)):
-                value = self.sharpness(candidate)
+                value = self.sharpness(candidate, coarsely=coarsely)
                 if value > sharpest:
                     origin, sharpest = candidate, value
             reach *= 0.55
             if turn == 3 and sharpest < 0.4 * _SHARP:
                 return None
-        return origin if sharpest > _SHARP else None
+        return origin if sharpest > 0.8 * _SHARP else None
 
     def _starts(self) -> FloatArray:
         """Return candidates (K, 3): a grid over the cloud, and a coarse one beyond it for narrow fields of view."""
@@ -321,6 +387,31 @@ class _Cloud:
             slack = 2 * (self.spacing[front] + np.minimum(self.spacing, self.spacing[front]))
             hidden |= (cells[at] == cell) & (behind > slack) & (depth > slack)
         return float(hidden.mean())
+
+
+def _concentration(angle: FloatArray, size: float) -> float:
+    """Return the information of bins of a size beyond bins of eight of them, freed of what chance gives."""
+    wide = int(2 * np.pi / size / 8) + 2
+    counts = np.bincount((angle / size).astype(np.intp), minlength=8 * wide)[: 8 * wide].reshape(wide, 8)
+    counts = counts[counts.sum(axis=1) >= _LEAST_IN_BIN].astype(np.float64)
+    if len(counts) < _LEAST_BINS:
+        return 0.0
+    total = counts.sum(axis=1)
+    share = counts / total[:, None]
+    entropy = -(share * np.log(np.where(share > 0, share, 1))).sum(axis=1)
+    gain = np.log(8) - entropy - ((share > 0).sum(axis=1) - 1) / (2 * total)
+    weight = np.minimum(total, np.median(total))
+    return float((gain * weight).sum() / weight.sum())
+
+
+def _share_in_lines(angle: FloatArray, least: int) -> float:
+    """Return the share of angles of which `least` coincide to rounding, where they do on many values."""
+    apart = np.diff(np.sort(angle)) > _COINCIDENT_RAD
+    sizes = np.diff(np.flatnonzero(np.concatenate([[True], apart, [True]])))
+    sizes = sizes[sizes >= least]
+    if len(sizes) < _LEAST_LINES or sizes.max() > 0.5 * len(angle):
+        return 0.0
+    return float(sizes.sum() / len(angle))
 
 
 def _medians(values: FloatArray) -> FloatArray:

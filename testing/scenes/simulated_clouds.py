@@ -44,6 +44,12 @@ def spinning(rings: int = 32, columns: int = 1800) -> Array:
     return _rays(*np.meshgrid(azimuth, np.radians(np.linspace(-25, 15, rings)), indexing="ij"))
 
 
+def of_elevations(elevations_deg: ArrayLike, columns: int) -> Array:
+    """Return the rays (N, 3) of a spinning scanner with rings at any elevations, column by column."""
+    azimuth = np.linspace(0, 2 * np.pi, columns, endpoint=False)
+    return _rays(*np.meshgrid(azimuth, np.radians(elevations_deg), indexing="ij"))
+
+
 def rosette(count: int, *, field_deg: float = 70.0, seed: int = 0) -> Array:
     """Return the rays (N, 3) around X of a scanner with two counter-rotating prisms, in the order of time."""
     generator = np.random.default_rng(seed)

@@ -95,8 +95,8 @@ def test_what_moved_is_said_and_what_looks_elsewhere_too(tmp_path: Path) -> None
     points = points[np.random.default_rng(2).random(len(points)) < 0.9]
     moved = written(tmp_path / "moved.pcd", points[points[:, 1] < 0.3 * points[:, 0]])
     behind = written(tmp_path / "behind.pcd", strewn(4000, 3) * [-1, 1, 1])
-    assert "something moved" in " ".join(lr.read_scan(first, more=[moved]).notes)
-    assert "could not be checked" in " ".join(lr.read_scan(first, more=[behind]).notes)
+    assert "something moved" in " ".join(lr.read_scan(first, more=[moved], origin=(0, 0, 0)).notes)
+    assert "could not be checked" in " ".join(lr.read_scan(first, more=[behind], origin=(0, 0, 0)).notes)
 
 
 def test_other_poses_and_other_options_are_refused(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from ladarreg_core.formats.budget import ReadBudget
 from ladarreg_core.formats.image_file import read_image
 from ladarreg_core.formats.matches_file import read_matches
 from ladarreg_core.formats.npz import read_npz, write_npz_counts, write_npz_xyz
-from ladarreg_core.formats.opencv_yaml import parse_yaml
+from ladarreg_core.formats.yaml_file import parse_yaml
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from testing.attacks import bombs
@@ -77,8 +77,8 @@ def test_photographs_use_the_memory_they_estimate(tmp_path: Path) -> None:
     image.save(tmp_path / "progressive.jpg", progressive=True, subsampling=0)
     image.convert("L").save(tmp_path / "gray.png")
     image.convert("RGBA").save(tmp_path / "alpha.png")
-    Image.fromarray(pixels[..., 0].astype(np.uint16) * 100).save(tmp_path / "deep.png")
-    Image.fromarray(pixels[..., 0].astype(np.float32)).save(tmp_path / "float.tif")
+    Image.fromarray(pixels[..., 0].astype(np.uint16) + 29_000).save(tmp_path / "deep.png")  # centikelvin
+    Image.fromarray(pixels[..., 0].astype(np.float32) / 255).save(tmp_path / "float.tif")
     files = sorted(tmp_path.iterdir())
     for path, cost in zip(files, bombs.costs_of([("photo", path) for path in files]), strict=True):
         with pytest.raises(FormatError, match="the image of 2,000 x 1,500 pixels would need") as caught:

@@ -43,14 +43,28 @@ def test_a_kitti_cloud_is_read(tmp_path: Path) -> None:
     assert describe(file).kind == "scan"
 
 
-def test_five_columns_and_other_contents_are_refused(tmp_path: Path) -> None:
-    ring = np.tile(np.arange(16), len(POINTS) // 16 + 1)[: len(POINTS)]
-    five = tmp_path / "five.bin"
-    rows = np.column_stack([POINTS, INTENSITY, ring])[: len(POINTS) // 4 * 4 - 3].astype("<f4")
-    five.write_bytes(rows.tobytes())
-    with pytest.raises(FormatError, match=r"five columns.*export the cloud as PCD"):
-        read_scan(five)
+def test_a_first_byte_of_a_brace_is_no_json(tmp_path: Path) -> None:
+    points = POINTS.copy()
+    points[0, 0] = np.frombuffer(b"\x7b\x14\x46\x42", "<f4")[0]
+    file = cloud(tmp_path / "000001.bin", points=points)
+    assert file.read_bytes().startswith(b"{")
+    assert recognise(file).name == "KITTI bin"
+    assert describe(file).kind == "scan"
 
+
+def test_a_fifth_column_of_whole_numbers_is_the_ring(tmp_path: Path) -> None:
+    ring = np.tile(np.arange(16), len(POINTS) // 16 + 1)[: len(POINTS)]
+    file = cloud(tmp_path / "five.bin", ring)
+    scan = read_scan(file)
+    assert int(scan.valid.sum()) > 0.99 * len(POINTS)
+    assert cKDTree(POINTS).query(scan.points[scan.valid])[0].max() < 1e-4
+    assert any("ring" in note and "no header" in note for note in scan.notes)
+    times = cloud(tmp_path / "times.bin", np.linspace(0, 0.1, len(POINTS)))
+    with pytest.raises(FormatError):
+        read_scan(times)
+
+
+def test_other_contents_are_refused(tmp_path: Path) -> None:
     doubles = tmp_path / "doubles.bin"
     doubles.write_bytes(np.column_stack([POINTS, INTENSITY]).astype("<f8").tobytes())
     integers = tmp_path / "integers.bin"
@@ -76,5 +90,5 @@ def test_a_cloud_that_breaks_off_or_turns_into_something_else_is_refused(tmp_pat
     broken = np.frombuffer(data, "<f4").copy()
     broken[-2] = np.nan
     file.write_bytes(broken.tobytes())
-    with pytest.raises(FormatError, match=r"throughout|not four columns"):
+    with pytest.raises(FormatError, match=r"throughout|are neither"):
         read_scan(file)

@@ -59,13 +59,20 @@ def _frames(payload: bytes, ident: int, *, vlan: bool, most: int) -> list[bytes]
 
 
 def write_recording(
-    path: Path, profile: str, *, pcapng: bool = False, vlan: bool = False, most: int = 1 << 16, lost: int | None = None
+    path: Path,
+    profile: str,
+    *,
+    pcapng: bool = False,
+    vlan: bool = False,
+    most: int = 1 << 16,
+    lost: int | None = None,
+    window: tuple[int, int] = (0, _COLUMNS - 1),
 ) -> Path:
     """A recording that starts within a frame, with two complete frames after it, and its JSON."""
     starts = [(4, 16), (5, 0), (5, 16), (6, 0), (6, 16)]
     packets = []
     for ident, (number, first) in enumerate(starts):
-        if ident != lost:
+        if ident != lost and window[0] <= first <= window[1]:
             packets += _frames(_payload(profile, number, first), ident, vlan=vlan, most=most)
     if pcapng:
 
@@ -81,7 +88,7 @@ def write_recording(
     path.write_bytes(data)
     layout = {
         "columns_per_frame": _COLUMNS, "columns_per_packet": _PER_PACKET, "pixels_per_column": 4,
-        "pixel_shift_by_row": _SHIFTS, "column_window": [0, _COLUMNS - 1], "udp_profile_lidar": profile,
+        "pixel_shift_by_row": _SHIFTS, "column_window": list(window), "udp_profile_lidar": profile,
     }  # fmt: skip
     path.with_suffix(".json").write_text(json.dumps({**_METADATA, "data_format": layout}), encoding="utf-8")
     return path
@@ -114,6 +121,18 @@ def test_points_follow_the_makers_formula(tmp_path: Path, profile: str, way: dic
         assert scan.world_from_scanner @ scan.points[cell].astype(float) == pytest.approx(wanted, abs=1e-6)
         assert scan.intensity[cell] == 10 * row + 1
     assert np.linalg.norm(scan.rays, axis=-1) == pytest.approx(np.ones(scan.shape))
+
+
+def test_a_window_keeps_its_edges(tmp_path: Path) -> None:
+    whole = read_scan(write_recording(tmp_path / "a.pcap", "LEGACY"))
+    scan = read_scan(write_recording(tmp_path / "b.pcap", "LEGACY", window=(0, 15)))
+    assert scan.valid.sum() == 4 * 16 - 1
+    assert scan.shape == (4, 20), "the shifts of -2 to 2 columns reach over both ends"
+    found, expected = scan.points[scan.valid], whole.points[whole.valid]
+    nearest = np.linalg.norm(found[:, None] - expected[None], axis=-1).min(axis=1)
+    assert nearest.max() < 1e-6
+    nearly = read_scan(write_recording(tmp_path / "c.pcap", "LEGACY", window=(0, 30)))  # no room for the edges
+    assert nearly.shape == (4, _COLUMNS)
 
 
 def test_frames_are_counted_among_the_complete_ones(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ladarreg_core.errors import FormatError, LadarregError, ShapeError
+from ladarreg_core.errors import FormatError, LadarregError, ShapeError, UnderspecifiedError
 from ladarreg_core.formats.pcd import lzf_decompress, read_pcd
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.scan import Scan
@@ -127,7 +127,9 @@ def test_viewpoint_is_the_pose_and_millimetres_are_suspected(tmp_path: Path, mak
     points, intensity = cloud_of(wall)
     half = np.sqrt(0.5)
     data = make.pcd(points * 1000, intensity, viewpoint=f"1 2 3 {half} 0 0 {half}")
-    scan = read_pcd(write(tmp_path / "a.pcd", data))
+    with pytest.raises(UnderspecifiedError, match="millimetres"):  # zero is kilometres away
+        read_pcd(write(tmp_path / "a.pcd", data))
+    scan = read_pcd(write(tmp_path / "a.pcd", data), origin=(0, 0, 0))
     assert scan.world_from_scanner is not None
     expected = Rigid.from_rotvec([0, 0, np.pi / 2], (1, 2, 3)).matrix
     np.testing.assert_allclose(scan.world_from_scanner.matrix, expected, atol=1e-12)
@@ -168,6 +170,29 @@ def bad_headers(make: Any, wall: Scan) -> dict[str, bytes]:
         "0 returns": make.pcd(points * 0, intensity),
         "COUNT": good.replace(b"COUNT 1 1 1 3", b"COUNT 1 1 1 0"),
     }
+
+
+@pytest.mark.parametrize(("count", "bytes_of_it"), [(0, 0), (0, 1)])
+@pytest.mark.parametrize("encoding", ["binary", "ascii"])
+def test_padding_of_count_zero_is_nothing_or_one(
+    tmp_path: Path, make: Any, wall: Scan, count: int, bytes_of_it: int, encoding: str
+) -> None:
+    points, intensity = cloud_of(wall)
+    size = len(points)
+    head = (
+        "VERSION .7\nFIELDS x y z _ intensity\nSIZE 4 4 4 1 4\nTYPE F F F U F\n"
+        f"COUNT 1 1 1 {count} 1\nWIDTH {size}\nHEIGHT 1\nPOINTS {size}\nDATA {encoding}\n"
+    ).encode()
+    if encoding == "ascii":
+        bytes_of_it = 0
+        body = "\n".join(f"{x} {y} {z} {i}" for (x, y, z), i in zip(points, intensity, strict=True)).encode() + b"\n"
+    else:
+        record = np.zeros(size, [("p", "<f4", (3,)), ("pad", f"V{bytes_of_it}"), ("i", "<f4")])
+        record["p"], record["i"] = points, intensity
+        body = record.tobytes()
+    scan = read_pcd(write(tmp_path / "a.pcd", head + body))
+    expected = read_pcd(write(tmp_path / "b.pcd", make.pcd(points, intensity)))
+    np.testing.assert_allclose(np.sort(scan.ranges[scan.valid]), np.sort(expected.ranges[expected.valid]), atol=1e-6)
 
 
 def test_every_bad_header_is_one_clear_error(tmp_path: Path, make: Any, wall: Scan) -> None:

@@ -65,7 +65,9 @@ def test_other_kinds_of_tiff(tmp_path: Path) -> None:
     assert (photo.pixels == DEEP >> 8).all()
     assert "several pages" in photo.notes[0]
     tifffile.imwrite(tmp_path / "white.tif", 65535 - DEEP[..., 0], photometric="miniswhite")
-    assert (read_photo(tmp_path / "white.tif", focal_px=60).pixels[..., 0] == DEEP[..., 0] >> 8).all()
+    assert (
+        read_photo(tmp_path / "white.tif", focal_px=60, temperature_unit="none").pixels[..., 0] == DEEP[..., 0] >> 8
+    ).all()
 
 
 def test_what_no_decoder_reads_is_refused_with_a_way_out(tmp_path: Path) -> None:
@@ -134,9 +136,19 @@ def test_the_unit_of_temperatures_is_read_given_or_asked_for(tmp_path: Path) -> 
         assert stated.temperature_k is not None, description
         np.testing.assert_allclose(stated.temperature_k, WARM + 273.15, atol=1e-4)
     tifffile.imwrite(path, np.rint((WARM + 273.15) * 10).astype(np.uint16))  # decikelvin
+    with pytest.raises(UnderspecifiedError, match=r"2912.* to 309"):
+        read_photo(path, focal_px=60)
     tenths = read_photo(path, focal_px=60, temperature_unit="K")
     assert tenths.temperature_k is not None
     np.testing.assert_allclose(tenths.temperature_k, WARM + 273.15, atol=0.06)
+    gaps = WARM.copy()
+    gaps[:2, :3] = np.nan
+    tifffile.imwrite(path, gaps)
+    with pytest.raises(UnderspecifiedError, match=r"18.0 to 36.0"):
+        read_photo(path, focal_px=60)
+    holes = read_photo(path, focal_px=60, temperature_unit="C").temperature_k
+    assert holes is not None
+    np.testing.assert_allclose(holes[2:], WARM[2:] + 273.15, atol=1e-4)
     tifffile.imwrite(path, RAMP.astype(np.float32))  # a picture from 0 to 1 is none
     assert read_photo(path, focal_px=60).temperature_k is None
 

@@ -115,7 +115,7 @@ def test_columns_without_names_are_asked_for(tmp_path: Path, wall: Scan) -> None
 def test_a_swapped_column_is_another_scan(tmp_path: Path, wall: Scan) -> None:
     path = write(tmp_path / "a.xyz", rows(wall))
     with pytest.raises(AssertionError):
-        same_points(read_scan(path, columns=("y", "x", "z", "intensity", "-", "-", "-")), wall)
+        same_points(read_scan(path, origin=(0, 0, 0), columns=("y", "x", "z", "intensity", "-", "-", "-")), wall)
 
 
 def test_large_coordinates_keep_their_digits(tmp_path: Path, wall: Scan) -> None:
