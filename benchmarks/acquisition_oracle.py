@@ -136,7 +136,8 @@ def _without_echo_and_notices(line: bytes, sent: bytes) -> bytes:
     rest = line.strip(b" \t")
     echo = sent.strip()
     if rest.startswith(echo):
-        rest = rest[len(echo) :].strip(b" \t")
+        while echo and rest.startswith(echo):  # once from the unit, once from a converter that echoes, too
+            rest = rest[len(echo) :].strip(b" \t")
     elif rest[:1] == b"H" and rest[1:].strip(b" \t") in (b"", b"*"):
         return b""
     while rest[:2] in (b"!P", b"!T") and rest[2:].lstrip(b" \t")[:1] in (b"", b"*", b"!"):

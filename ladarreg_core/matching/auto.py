@@ -221,23 +221,31 @@ class CandidateSet:
             if self._unfinished is None or candidate.fraction > self._unfinished.fraction:
                 self._unfinished = candidate
             return
-        aligner, candidate = self._search.settled(*self._search.with_full_overlap(aligner, candidate))
-        self._begin_second_minimum(aligner, candidate)
-        result, aligner, self._wrong = _finish(
-            aligner, candidate, self._photo, self._camera, self._steps, self._options.intrinsics, self._prior,
-            self._wrong,
-        )  # fmt: skip
+        aligner, candidate = self._search.with_full_overlap(aligner, candidate)
+        settled = self._search.settled(aligner, candidate)
+        result, finished_by = self._finished(*settled)
+        if not _is_accepted(result) and settled[0] is not aligner:
+            result, finished_by = self._finished(aligner, candidate)
         pose = result.camera_from_scanner
-        if result.verification is None or not result.verification.accepted or pose is None:
-            if self._refused is None or _fraction(result) > _fraction(self._refused):
-                self._refused = result
+        if pose is None or not _is_accepted(result):
             return
         other = self.known.different_from(pose)
         if other is not None:
             self._ambiguous_poses = (other, pose)
         self.known.add(pose)
         if self._accepted is None or _fraction(result) > _fraction(self._accepted):
-            self._accepted, self._accepted_by = result, aligner
+            self._accepted, self._accepted_by = result, finished_by
+
+    def _finished(self, aligner: Aligner, candidate: Candidate) -> tuple[AutoResult, Aligner]:
+        """Return the finished and verified result of a candidate, and the aligner of its camera; keep a refused one."""
+        self._begin_second_minimum(aligner, candidate)
+        result, aligner, self._wrong = _finish(
+            aligner, candidate, self._photo, self._camera, self._steps, self._options.intrinsics, self._prior,
+            self._wrong,
+        )  # fmt: skip
+        if not _is_accepted(result) and (self._refused is None or _fraction(result) > _fraction(self._refused)):
+            self._refused = result
+        return result, aligner
 
     def _begin_second_minimum(self, aligner: Aligner, candidate: Candidate) -> None:
         """Begin the search for a second minimum beside a candidate that will be accepted, most likely.
@@ -387,6 +395,10 @@ def _refused_as_ambiguous(result: AutoResult, first: Rigid, second: Rigid) -> Au
     assert result.verification is not None, "only verified poses are compared"
     reasons = (ambiguity_sentence(first, second), ADVICE)
     return replace(result, verification=replace(result.verification, accepted=False, reasons=reasons), reasons=reasons)
+
+
+def _is_accepted(result: AutoResult) -> bool:
+    return result.verification is not None and result.verification.accepted
 
 
 def _fraction(result: AutoResult) -> float:

@@ -186,9 +186,10 @@ class ViewSearch:
             return aligner, candidate
         self._prepare_to_finish(view)
         again = self._refined(view, "the pose found in another view", pose)
-        if again is None or again.fraction < _AS_WELL * candidate.fraction:
+        if again is None:
             return aligner, candidate
-        return view, again
+        as_well = again.coarse_verdict.agreeing >= _AS_WELL * candidate.coarse_verdict.agreeing
+        return (view, again) if as_well and again.fraction >= _AS_WELL * candidate.fraction else (aligner, candidate)
 
     def _best(
         self,

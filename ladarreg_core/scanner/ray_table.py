@@ -164,7 +164,7 @@ def _around(
     r, c = np.where(inside, r, 0.0), np.where(inside, c, 0.0)
     i = np.clip(np.floor(r).astype(np.intp), 0, max(height - 2, 0))
     j = np.clip(np.floor(c).astype(np.intp), 0, max(width - 2, 0))
-    flat, first = rays.reshape(-1, 3), i * width + j
+    flat, first = rays.reshape(-1, rays.shape[-1]), i * width + j
     right, down = min(1, width - 1), width * min(1, height - 1)
     corners = flat[first], flat[first + right], flat[first + down], flat[first + down + right]
     return corners, r - i, c - j, np.asarray(inside)
@@ -208,13 +208,25 @@ class RayTableInverse:
         with np.errstate(invalid="ignore"):
             finite = np.flatnonzero(d @ self._middle >= self._least_along)
         d = d[finite]
-        nearest = self._beside[_bins(d, self._side)].astype(np.intp)
-        beyond = np.flatnonzero(nearest < 0)
-        if len(beyond):
-            distance, found = self._tree.query(d[beyond], distance_upper_bound=self._reach)
-            nearest[beyond] = np.where(np.isfinite(distance), found, -1)
-        near = nearest >= 0
-        finite, d, cells = finite[near], d[near], self._cells[nearest[near]]
+        beside = self._beside[_bins(d, self._side)]
+        near = np.flatnonzero(beside >= 0)
+        cells = np.full((len(d), 2), np.nan)
+        cells[near] = self._settled(d[near], self._cells[beside[near]])
+        # What lies outside when begun beside it may lie inside when begun at the nearest ray: a whole turn has a seam.
+        height, width = self._rays.shape[:2]
+        with np.errstate(invalid="ignore"):
+            outside = np.flatnonzero(~((cells > -0.5) & (cells < np.array([height, width]) - 0.5)).all(axis=-1))
+        if len(outside):
+            distance, found = self._tree.query(d[outside], distance_upper_bound=self._reach)
+            again, found = outside[np.isfinite(distance)], found[np.isfinite(distance)]
+            cells[outside] = np.nan
+            cells[again] = self._settled(d[again], self._cells[found])
+        result[finite] = cells
+        return result.reshape(*shape, 2)
+
+    def _settled(self, d: FloatArray, cells: FloatArray) -> NDArray[np.float64]:
+        """Return the cells (N, 2) of unit directions (N, 3), from cells beside them; NaN where none is found."""
+        cells = np.array(cells)
         # Two tangent vectors of each direction: at the cell sought the table's ray has no component along them.
         helper = np.where(np.abs(d[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
         e1 = np.cross(helper, d)
@@ -234,8 +246,7 @@ class RayTableInverse:
         (ray, *_), _, _, inside = _around(self._rays, cells[:, 0], cells[:, 1], _EXTRAPOLATED_CELLS)
         with np.errstate(invalid="ignore"):
             cells[~((moved < 1.0) & inside & (_dots(ray, d) > 0))] = np.nan
-        result[finite] = cells
-        return result.reshape(*shape, 2)
+        return np.asarray(cells, np.float64)
 
 
 def _median_step(rays: FloatArray, axis: int) -> float:

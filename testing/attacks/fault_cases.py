@@ -293,6 +293,9 @@ class _Unit:
         picture = self._beside / "photos" / f"photo-{number}.png"
         picture.write_bytes(b"a photograph " * 300 + b"%d" % number)
 
+    def supply(self) -> dict[str, float]:
+        return {}
+
     def halt(self) -> None:
         pass
 
