@@ -106,6 +106,12 @@ class Agreement:
         """Return the number of single blocks that peak within `tolerance_px` working pixels of zero shift."""
         return int((self._peak_distances(self.block_maps) <= tolerance_px * self._scale + 1e-9).sum())
 
+    def gains(self) -> FloatArray:
+        """Return the gain (B,) of each single block: its correlation within a pixel of zero shift, above its mean over
+        all shifts."""
+        near = slice(self.radius - 1, self.radius + 2)
+        return np.asarray(self.block_maps[:, near, near].mean(axis=(1, 2)))
+
     def _peak_distances(self, maps: FloatArray) -> FloatArray:
         """Return the distance (n,) of each map's (n, 2r+1, 2r+1) peak from zero shift, level pixels."""
         if not len(maps):

@@ -24,9 +24,7 @@ from ladarreg_core.matching.support import carries_intensity, is_coarse, is_inte
 from ladarreg_core.matching.verification import (
     GateOptions,
     Verification,
-    coarse_gate,
-    interpolated_gate,
-    shape_alone_gate,
+    gate_for,
 )
 from ladarreg_core.matching.views import viewing_directions
 from ladarreg_core.matching.wrong_poses import verdict_beside_wrong_poses, wrong_poses_decide
@@ -109,10 +107,8 @@ def _verified_in_view(scan: Scan, photo: Photo, pose: Rigid, *, seed: int) -> Ve
     coarse = is_coarse(scan, photo.pinhole)
     harmonics = harmonics_of(scan, photo.pinhole)
     levels = pair_levels(scan, view, channel_set=channel_set, coarse=coarse, harmonics=harmonics)
-    gate = GateOptions()
-    if coarse:
-        gate = shape_alone_gate(gate) if channel_set == "geometry" else coarse_gate(gate)
-        gate = interpolated_gate(gate) if is_interpolated(scan, photo.pinhole) else gate
+    interpolated = is_interpolated(scan, photo.pinhole)
+    gate = gate_for(GateOptions(), coarse=coarse, shape_alone=channel_set == "geometry", interpolated=interpolated)
     aligner = Aligner(levels, photo_levels(photo, working, harmonics=harmonics), gate=gate, seed=seed)
     if not aligner.usable:
         return None

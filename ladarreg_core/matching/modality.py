@@ -23,9 +23,7 @@ from ladarreg_core.matching.support import carries_intensity, is_coarse, is_inte
 from ladarreg_core.matching.verification import (
     COARSE_GATE,
     Verification,
-    coarse_gate,
-    interpolated_gate,
-    shape_alone_gate,
+    gate_for,
 )
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import StepLog
@@ -168,10 +166,9 @@ def _pair(scan: Scan, photo: Photo, channels: Channels | None) -> PairLevels:
 
 def _gated(options: AutoOptions, *, coarse: bool, interpolated: bool) -> AutoOptions:
     """Return the options with the thresholds for a coarse or an interpolated scan, if it is."""
-    gate = options.gate
-    if coarse:
-        gate = shape_alone_gate(gate) if options.channel_set == "geometry" else coarse_gate(gate)
-    return replace(options, gate=interpolated_gate(gate) if interpolated else gate)
+    shape_alone = options.channel_set == "geometry"
+    gate = gate_for(options.gate, coarse=coarse, shape_alone=shape_alone, interpolated=interpolated)
+    return replace(options, gate=gate)
 
 
 def _more_precise(

@@ -145,6 +145,13 @@ def interpolated_gate(gate: GateOptions) -> GateOptions:
     return replace(gate, few=_NO_NUMBER, many=_NO_NUMBER, false_alarm=0.0)
 
 
+def gate_for(gate: GateOptions, *, coarse: bool, shape_alone: bool, interpolated: bool) -> GateOptions:
+    """Return the thresholds for a scan: a coarse one, of which the shape alone may be compared, or one interpolated."""
+    if coarse:
+        gate = shape_alone_gate(gate) if shape_alone else coarse_gate(gate)
+    return interpolated_gate(gate) if interpolated else gate
+
+
 COARSE_GATE = GateOptions(
     contrast=2.1, many=35, few=35, few_contrast=2.1, few_fraction=0.5, fine_fraction=0.30, false_alarm=0.0,
     own_false_alarm=0.0,

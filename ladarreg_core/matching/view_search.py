@@ -29,7 +29,7 @@ _Attempt = Hypothesis | str
 _COARSEST = LEVELS[-1]
 _COARSE_REFINEMENT = RefineOptions(tau_px=8, iterations=8)
 _MAX_GRID_POSES = 2
-_AS_WELL = 0.9  # share of the regions that agreed in another view
+_AS_WELL = 0.9  # of the regions that agreed in the view of the search; fewer: what the photo sees is cut off
 
 
 class ViewSearch:

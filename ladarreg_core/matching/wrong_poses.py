@@ -30,7 +30,7 @@ _SAME_PX = 20.0  # working pixels; an end nearer to the candidate says nothing a
 _LEAST_BLOCKS = 8
 _LEAST_POSES = 16
 _SAMPLES = 500
-_SAME_VIEW_RAD = np.radians(6.0)
+_SAME_VIEW_RAD = np.radians(6.0)  # within it, wrong poses of one candidate are those of another: a tenth of the photo
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,24 +57,37 @@ class WrongPoses:
     def false_alarm(self, gain: float, *, tried: int) -> float:
         """Return a bound on the probability that the best of some wrong poses gains so much; 1 if it is not measured.
 
-        A gain is the mean over many blocks, so that it is nearly normal: a further one exceeds the mean of K others by
-        their standard deviation times Student's t. The bound on the best of several is the sum of their probabilities.
+        The bound on the best of several is the sum of their probabilities.
 
         Args:
             gain: of the pose to be judged.
             tried: number of poses of which it is the best.
 
-        Source: Geisser, Predictive inference (1993), for the prediction of a further observation; Bonferroni (1936).
+        Source: Bonferroni (1936).
         """
-        from scipy.special import stdtr
-
-        count = len(self.gains)
         if not self.enough:
             return 1.0
-        spread = float(self.gains.std(ddof=1)) * np.sqrt(1 + 1 / count)
-        if not spread > 0:
-            return 1.0
-        return min(1.0, max(1, tried) * float(stdtr(count - 1, -(gain - self.gains.mean()) / spread)))
+        return min(1.0, max(1, tried) * chance_of_gain(gain, self.gains))
+
+
+def chance_of_gain(gain: float, others: FloatArray, *, least_variance: float = 0.0) -> float:
+    """Return the probability that a further wrong pose or photo has as high a gain, given those of some.
+
+    A gain is the mean over many blocks, so that it is nearly normal: a further one exceeds the mean of K others by
+    their standard deviation times Student's t.
+
+    Args:
+        gain: the gain to be judged.
+        others: (K,) of wrong poses or photos, at least two.
+        least_variance: least variance of the others, since a few may be alike by chance.
+
+    Source: Geisser, Predictive inference (1993), for the prediction of a further observation.
+    """
+    from scipy.special import stdtr
+
+    count = len(others)
+    spread = float(np.sqrt(max(float(others.var(ddof=1)), least_variance) * (1 + 1 / count)))
+    return float(stdtr(count - 1, -(gain - others.mean()) / spread)) if spread > 0 else 1.0
 
 
 def wrong_poses_decide(verdict: Verification, aligner: Aligner) -> bool:
@@ -118,15 +131,12 @@ def verdict_beside_wrong_poses(
 
 
 def correlation_gain(fine: Agreement) -> float:
-    """Return the correlation at zero shift above its mean over all shifts, mean over the blocks; 0 without blocks.
+    """Return the mean gain of the blocks; 0 without any.
 
     Args:
         fine: agreement at level 0. Wrong poses that follow an outline or the horizon agree at the coarser level.
     """
-    if not len(fine.block_maps):
-        return 0.0
-    near = slice(fine.radius - 1, fine.radius + 2)
-    return float(fine.block_maps[:, near, near].mean())
+    return float(fine.gains().mean()) if len(fine.block_maps) else 0.0
 
 
 def wrong_poses(aligner: Aligner, pose: Rigid) -> WrongPoses:

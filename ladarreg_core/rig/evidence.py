@@ -9,14 +9,15 @@ import numpy as np
 from ladarreg_core.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.agreement import Agreement
+from ladarreg_core.matching.wrong_poses import chance_of_gain
 from ladarreg_core.rig.joint import JointPairs
 from ladarreg_core.rig.options import FINE_NEAR_PX, LEAST_PAIRS, NEAR_PX, RigOptions
 from ladarreg_core.rig.results import PairEvidence, PairOutcome, RigPair
 
 ADVICE = "Add pairs of other places with near objects, accumulate longer, or give a rough initial pose."
 """What to do about a rig that is not accepted."""
-_LEAST_EXCHANGED = 3  # photographs of other places: fewer have no scatter
-_LEAST_BLOCKS = 8
+_LEAST_EXCHANGED = 3  # photographs of other places, mirror images included: fewer have no scatter
+_LEAST_BLOCKS = 8  # of a mean; refinement needs as many
 
 
 class Jury:
@@ -115,25 +116,16 @@ class Jury:
     def _exchange_alarm(self, index: int, others: Sequence[int], own: Agreement) -> float:
         """Return the probability that a photograph of another place correlates as well with a scan as its own does.
 
-        Mirror images of all photographs are of other places, too: with the same horizon, verticals and texture. A
-        correlation is the mean over many blocks and nearly normal, so that a further one exceeds the mean of K others
-        by their standard deviation times Student's t. That is no smaller than what the scatter of the blocks implies,
-        since a few photographs may be alike by chance.
-
-        Source: Geisser, Predictive inference (1993).
+        Mirror images of all photographs are of other places, too: with the same horizon, verticals and texture.
         """
-        from scipy.special import stdtr
-
         count = len(self._pairs)
         others = [*others, *range(count, 2 * count)]
-        gains = self._gains[index, others]
-        known = np.isfinite(gains)
         gain, _ = _gain(own)
+        known = np.isfinite(self._gains[index, others])
         if known.sum() < _LEAST_EXCHANGED or not np.isfinite(gain):
             return 1.0
-        gains, within = gains[known], float(self._variances[index, others][known].mean())
-        spread = np.sqrt(max(float(gains.var(ddof=1)), within) * (1 + 1 / len(gains)))
-        return float(stdtr(len(gains) - 1, -(gain - gains.mean()) / spread)) if spread > 0 else 1.0
+        gains, variances = self._gains[index, others][known], self._variances[index, others][known]
+        return chance_of_gain(gain, gains, least_variance=float(variances.mean()))
 
     def _is_same(self, scan: int, photo: int) -> bool:
         share, own, o = self._shares[scan, photo], self._shares[scan, scan], self._options
@@ -167,11 +159,10 @@ def _shares(maps: Agreement | None) -> tuple[float, float]:
 
 
 def _gain(maps: Agreement | None) -> tuple[float, float]:
-    """Return the correlation of the blocks at zero shift above that at all shifts, and its variance; NaN for few."""
+    """Return the mean gain of the blocks, and its variance; NaN for few."""
     if maps is None or len(maps.block_maps) < _LEAST_BLOCKS:
         return np.nan, np.nan
-    near = slice(maps.radius - 1, maps.radius + 2)
-    gains = maps.block_maps[:, near, near].mean(axis=(1, 2))
+    gains = maps.gains()
     return float(gains.mean()), float(gains.var(ddof=1) / len(gains))
 
 

@@ -45,7 +45,8 @@ class PairEvidence:
     false_alarm: float
     """Bound on the probability that so many regions agree by chance."""
     exchange_alarm: float
-    """Probability that a photograph of another place correlates as well with this scan; 1 with fewer than three."""
+    """Probability that a photograph of another place correlates as well with this scan; 1 if fewer than three can be
+    compared, mirror images included."""
     swapped_fraction: float
     """The largest share of agreeing regions of this scan with a photograph of another pair, at the pose."""
     accepted_alone: bool
