@@ -174,7 +174,7 @@ def check_pair(
 
 
 def stated_pose(first: Prepared, second: Prepared, pose: Rigid) -> StatedPose:
-    """Return what a stated pose `first_from_second` shows of itself."""
+    """Return how well two scans agree at a stated pose `first_from_second`."""
     looked = seen(first.view, second.view, pose, tolerance_m=_tolerance(first, second))
     return StatedPose(pose, looked.agreeing, looked.contradicted)
 
