@@ -27,21 +27,21 @@ from ladarreg_core.acquisition.ports import PortSource
 from ladarreg_core.errors import Cancelled, DeviceError, OptionError
 
 HOMING_S = 35.0
-"""How long a unit that was switched on may take to find its zeros, during which it answers nothing."""
+"""How long a unit that was switched on may take to find its zeros, during which it answers nothing: up to 30 s."""
 _ANSWER_S = 1.0
 _CONNECT_S = 2.0
 _POLL_S = 0.03
-_STUCK_S, _STUCK_TRIPS = 1.5, 4
-_SPARE_S = 10.0
+_STUCK_S, _STUCK_TRIPS = 1.5, 4  # without a change of position, and round trips on top of it
+_SPARE_S = 10.0  # on top of thrice the time that a move should take
 _ARC_SECONDS = math.radians(1 / 3600)
 _REACHED_COUNTS = 1
-_STILL_READINGS = 2
+_STILL_READINGS = 2  # alike, in a row
 _QUIET_S, _QUIET_IN_DOUBT_S, _LONGEST_TALK_S = 0.1, 0.3, 1.0
 _RESTARTED = (
     "the pan/tilt unit was reset or lost its power for a moment; it has found its zeros again and is set up as before: "
     "check its power supply"
 )
-_MOST_TURNS_RAD = 4 * math.pi
+_MOST_TURNS_RAD = 4 * math.pi  # from the zero of an axis to its limit
 _AXES = (("P", "pan"), ("T", "tilt"))
 
 
@@ -77,7 +77,7 @@ class FlirUnit:
         Args:
             ports: opens the port.
             plan: of the unit.
-            patience_s: how long it may be silent, since it may just find its zeros.
+            patience_s: how long it may be silent, since it may still be finding its zeros.
 
         Raises:
             DeviceError: if the port cannot be opened, or what answers is no such unit.
@@ -161,7 +161,7 @@ class FlirUnit:
         self.identity = replace(self.identity, speed_rad_s=speed)
 
     def supply(self) -> dict[str, float]:
-        """Return what the unit states of its supply and its temperature, `volts` and `celsius`, as far as it does."""
+        """Return what the unit states about its supply and temperature, `volts` and `celsius`, as far as it does."""
         if not self._states_supply:
             return {}
         try:
@@ -190,7 +190,7 @@ class FlirUnit:
         self._link.close()
 
     def _set_up(self, patience_s: float) -> bool:
-        """Halt, and have answers terse and without echo, moves begin at once and end at limits; return if it restarted.
+        """Halt; set terse answers without echo, immediate moves and limits. Return whether the unit has restarted.
 
         A unit that was just switched on talks first, and answers nothing until it has found its zeros; one that was
         left in the middle of a command answers that.
@@ -358,7 +358,7 @@ class FlirUnit:
         return [axis.position(self._fastest_counts_s) for axis in self._axes]
 
     def _counts(self, query: str) -> int:
-        """Return what a query reads; a unit that is silent may find its zeros after a restart, which is waited for."""
+        """Return what a query reads; a silent unit may be finding its zeros after a restart, and is waited for."""
         sent = command(query)
         try:
             return self._link.retried(lambda: self._ask(sent).counts(sent), unless=FlirRestartedError)
@@ -402,7 +402,7 @@ class FlirUnit:
             return reply
 
     def _settle(self, quiet_s: float = _QUIET_S) -> None:
-        """Let pass what the unit still sends, but for limits that it reports; longer if it is far away."""
+        """Discard what the unit still sends, except limits that it reports; wait longer if it is far away."""
         until, passed = self._clock.now() + _LONGEST_TALK_S, b""
         quiet_s = min(self._round_trip.quiet_s(quiet_s), _LONGEST_TALK_S)
         with contextlib.suppress(DeviceError):  # it is quiet, or the port is lost, which the next command says

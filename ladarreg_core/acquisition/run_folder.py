@@ -182,7 +182,7 @@ class RunWriter(RunFolder):
         self._lock = lock
         self._log: AppendedFile | None = None
         self.exchanges = ExchangeLog(path)
-        """Where exchanges with devices are logged."""
+        """The log of the exchanges with the devices."""
 
     @staticmethod
     def begin(path: str | Path, plan: Plan, *, resume: bool = False, force: bool = False) -> RunWriter:
@@ -244,7 +244,7 @@ class RunWriter(RunFolder):
             passed: number of the pass.
             photo: a photograph of the stop, in the folder `photos`.
             strays: files that came before it, in the folder `stray`.
-            health: what the devices state of themselves.
+            health: what the devices state about themselves.
 
         Raises:
             ExportError: if it cannot be written; it does not count then.

@@ -37,12 +37,12 @@ from ladarreg_core.errors import DeviceError
 _T = TypeVar("_T")
 _ANSWER_S = 1.5
 _FIRST_LINE_S = 3.0
-_READY_S = 10.0
+_READY_S = 10.0  # for which a scanner may say that it does not measure yet
 _ASK_AGAIN_S = 0.3
 _NAP_S = 0.02
 _QUIET_S, _LONGEST_QUIET_S = 0.15, 1.5
 _CLOCK_READINGS = 8
-_COMPARED_FOR_S = 60.0
+_COMPARED_FOR_S = 60.0  # for which a comparison of the clocks holds
 _MM = 0.001
 
 
@@ -124,7 +124,7 @@ class ScipScanner:
 
     @property
     def last_clock(self) -> ClockReading | None:
-        """How the clocks related when they were compared last."""
+        """How the clocks related when they were compared last; None if that no longer holds."""
         return self._clock.reading
 
     def require_present(self) -> None:
@@ -197,7 +197,7 @@ class ScipScanner:
         self._asked(b"QT\n", parse_status)
 
     def _settle(self) -> None:
-        """Let pass what the scanner still sends after it was told to stop; for longer if it is far away."""
+        """Discard what the scanner still sends after it was stopped; wait longer if it is far away."""
         quiet_s = self._round_trip.quiet_s(_QUIET_S if self._round_trip.longest_s else QUIET_FIRST_S)
         with contextlib.suppress(DeviceError):
             self._link.exchange(b"", complete=lambda data: False, deadline_s=min(quiet_s, _LONGEST_QUIET_S))
@@ -256,7 +256,7 @@ class ScipScanner:
         return self._link.retried(lambda: parse(self._ask(sent), sent), unless=ScipNotReadyError, settle=self._settle)
 
     def _ask(self, sent: bytes, check: Check | None = None) -> bytes:
-        """Return the answer to a command; the echo tells it from late ones to earlier commands, which are dropped."""
+        """Return the answer to a command; late ones to earlier commands, known by their echo, are dropped."""
         begun = self._asked_s = self._host_clock.now()
         received = self._link.exchange(sent, complete=reply_length, deadline_s=_ANSWER_S, check=check)
         while answers_another(received, sent) and self._host_clock.now() - begun < _ANSWER_S:
