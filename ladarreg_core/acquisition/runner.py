@@ -65,7 +65,7 @@ class Paused:
 
     reason: str
     fault: bool
-    """Whether a device failed; otherwise somebody asked for it."""
+    """Whether a device failed; otherwise it was asked for."""
 
 
 @dataclass(frozen=True, slots=True)
