@@ -24,7 +24,7 @@ PoseUse = Literal["keep", "refine", "search"]
 """What is done with the poses that the files state: `keep`: they are kept to the last digit, and judged; `refine`:
 refined within a metre; `search`: ignored, and searched for."""
 POSE_USES: tuple[PoseUse, ...] = get_args(PoseUse)
-_SAME_M, _SAME_RAD = 1e-3, 1e-4
+_SAME_M, _SAME_RAD = 1e-3, 1e-4  # up to which poses are one and the same
 _UNKNOWN = np.full((6, 6), np.nan)
 MOST_SCANS = 40
 """Most scans of one call: every pair is tried."""
@@ -148,29 +148,26 @@ def _network(
     lost: dict[tuple[int, int], StationPair] = {}
     loops: list[Loop] = []
     stations: dict[int, PlacedStation] = {}
-    # Verified pairs connect components: first that of the fixed station, then those that no pair leads to.
-    for number in range(count):
-        left = [k for k in range(count) if k not in stations]
-        if not left:
-            break
+    number = 0  # of a component, which verified pairs connect: first that of the fixed station, then the others
+    while left := [k for k in range(count) if k not in stations]:
         stated = [k for k in left if poses != "search" and _stated_between(scans[fixed], scans[k]) is not None]
         root = fixed if number == 0 else (stated or left)[0]
         world = scans[root].world_from_scanner if root in (fixed, *stated) else None
         base = world or Rigid.identity()
-        if poses != "keep":
+        if poses == "keep":
+            members = sorted(connected(count, root, used))
+            placed = {k: (scans[k].world_from_scanner or base, _UNKNOWN) for k in members}
+        else:
             graph, outvoted = pose_graph(count, root, base, used)
             lost |= {(pair.first, pair.second): pair for pair in outvoted}
             used = [pair for pair in used if (pair.first, pair.second) not in lost]
-        members = sorted(connected(count, root, used))
-        loops += loops_of(count, root, used)
-        if poses == "keep":
-            placed = {k: (scans[k].world_from_scanner or base, _UNKNOWN) for k in members}
-        elif len(members) > 1:
-            placed = adjusted(
-                {k: prepared[k].view.surfels.returns for k in members}, root, {k: graph[k] for k in members}
-            )
-        else:
+            members = sorted(connected(count, root, used))
             placed = {root: (base, np.zeros((6, 6)))}
+            if len(members) > 1:
+                placed = adjusted(
+                    {k: prepared[k].view.surfels.returns for k in members}, root, {k: graph[k] for k in members}
+                )
+        loops += loops_of(count, root, used)
         stands = (
             number == 0
             or poses == "keep"
@@ -184,9 +181,8 @@ def _network(
             if k == fixed:
                 state, covariance = "fixed", np.zeros((6, 6))
             within = placed[root][0].inverse @ pose if number > 0 and len(members) > 1 else None
-            stations[k] = PlacedStation(
-                k, scans[k].name, state, pose if stands else None, covariance, number, within
-            )  # fmt: skip
+            stations[k] = PlacedStation(k, scans[k].name, state, pose if stands else None, covariance, number, within)
+        number += 1
     listed = [stations[k] for k in range(count)]
     pairs = [lost.get((pair.first, pair.second), pair) for pair in pairs]
     asked = {"fixed": fixed, "poses": poses, **asdict(options)}
