@@ -77,9 +77,7 @@ def add_panorama(folder: Path, files: Mapping[str, Callable[[Path], None]]) -> N
     try:
         replace_together(folder, files)
     finally:
-        lock.release()
-        with suppress(OSError):
-            (folder / LOCK).unlink()
+        lock.discard()
 
 
 def settle(folder: Path) -> None:

@@ -13,7 +13,6 @@ A piece counts once its record is there. A record whose piece is missing or chan
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import io
 import json
@@ -286,9 +285,7 @@ class RunWriter(RunFolder):
         self.exchanges.close()
         if self.complete:
             remove_set_aside(self.path)
-        self._lock.release()
-        with contextlib.suppress(OSError):
-            (self.path / LOCK).unlink()
+        self._lock.discard()
 
     def _sync(self, files: Sequence[Path]) -> None:
         """Bring files in the folder to disk, with the names that lead to them."""
