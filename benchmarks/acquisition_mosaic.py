@@ -3,8 +3,8 @@
 A double wall is measured where two pieces overlap: the distance between the surfaces that both show in patches of the
 panorama's cells, each flat within one piece. Errors of pan and tilt are counted in their stated standard deviations.
 
-Row `refinement` times 12 pieces of 360 x 256 cells, once by the law of their scanner and once as scans that have a ray
-of their own in each cell, as most files do, the mount given or estimated, too.
+Row `refinement` times 12 pieces of 360 x 256 cells, by the law of their scanner or with a tabulated ray for each cell,
+as in most files, and with the mount given or estimated.
 
 Run it as `python -m benchmarks.acquisition_mosaic [mosaic] [refinement] [large] [--seeds N] [--cells M]`.
 """
@@ -105,16 +105,17 @@ def refinement(*, seed: int = 0, scene: str = "office") -> list[dict[str, Any]]:
                 )
                 for scan, at in zip(scans, read, strict=True)
             ]
-            told = [started := time.perf_counter()]
+            reported = [started := time.perf_counter()]
             found = refine_pieces(
                 pieces, read, mount=mount, calibrate_mount=calibrate,
-                report=lambda _, told=told: told.append(time.perf_counter()),
+                report=lambda _, reported=reported: reported.append(time.perf_counter()),
             )  # fmt: skip
-            told.append(time.perf_counter())
+            reported.append(time.perf_counter())
             strong = [not piece.weak for piece in found.pieces]
             rows.append({
-                "tables": tables, "calibrate_mount": calibrate, "seconds": told[-1] - started,
-                "longest_silence_s": float(np.diff(told).max()), "reports": len(told) - 2, "accepted": found.accepted,
+                "tables": tables, "calibrate_mount": calibrate, "seconds": reported[-1] - started,
+                "longest_silence_s": float(np.diff(reported).max()), "reports": len(reported) - 2,
+                "accepted": found.accepted,
                 "after_deg_median": errors([one.world_from_scanner for one in found.pieces], truth, strong)[1],
             })  # fmt: skip
     return rows
@@ -127,7 +128,8 @@ def refinement_rows(quick: bool, show: Callable[[str], None]) -> list[Row]:
         show(json.dumps(one))
     rows = []
     for one in found:
-        what = f"12 pieces of 360 x 256{', a ray each' * one['tables']}{', mount estimated' * one['calibrate_mount']}"
+        how = ", tabulated rays" * one["tables"] + ", mount estimated" * one["calibrate_mount"]
+        what = f"12 pieces of 360 x 256{how}"
         rows.append(Row(f"{what}: refined in", "<= 30 s", f"{one['seconds']:.1f} s", one["seconds"] <= 30))
     silence = max(one["longest_silence_s"] for one in found)
     rows.append(Row("longest time between two reports of progress", "<= 5 s", f"{silence:.1f} s", silence <= 5))

@@ -34,6 +34,7 @@ class FolderLock:
         Raises:
             ExportError: if another program holds it, or the file cannot be created though the folder can be written.
         """
+        self._file = folder / name
         self._descriptors: list[int] = []
         self.remark = ""
         """What users should know of the folder, a sentence; empty: it is locked."""
@@ -64,6 +65,12 @@ class FolderLock:
         for descriptor in descriptors:
             with contextlib.suppress(OSError):
                 os.close(descriptor)
+
+    def discard(self) -> None:
+        """Release the lock and remove its file."""
+        self.release()
+        with contextlib.suppress(OSError):
+            self._file.unlink()
 
 
 def _lock(descriptor: int) -> bool:

@@ -94,13 +94,13 @@ def finish_moves(folder: Path, *, lock: str, what: str) -> None:
 
     Raises:
         ExportError: if another program is at it, or a file cannot be moved.
-        FormatError: if the list is damaged, or a file of somebody else is in the way.
+        FormatError: if the list is damaged, or another file is in the way.
     """
     if not (folder / MOVES_FILE).is_file():
         return
     held = FolderLock(folder, lock, what=what)
     try:
-        if (folder / MOVES_FILE).is_file():  # nobody has finished it meanwhile
+        if (folder / MOVES_FILE).is_file():  # no other program has finished it meanwhile
             _move(folder, _listed(folder))
             _remove_list(folder)
         remove_unfinished(folder)
@@ -111,9 +111,7 @@ def finish_moves(folder: Path, *, lock: str, what: str) -> None:
             "folder writable and try again"
         ) from None
     finally:
-        held.release()
-        with contextlib.suppress(OSError):
-            (folder / lock).unlink()
+        held.discard()
 
 
 def remove_unfinished(folder: Path) -> None:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from ladarreg_core.matches import Matches
 
 
-_WHOLE = 1000  # units of a whole that has parts
+_WHOLE = 1000  # steps of the progress of a whole whose parts report to it
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ StepReport = Callable[[Step], None]
 
 
 def part_of(report: Report | None, first: float, last: float) -> Report | None:
-    """Return what takes the progress of a part of some work, and reports it as from `first` to `last` of the whole.
+    """Return a callback for the progress of a part of some work, reported as from `first` to `last` of the whole.
 
     Args:
         report: receives the progress of the whole.
@@ -61,11 +61,11 @@ def part_of(report: Report | None, first: float, last: float) -> Report | None:
     if report is None:
         return None
 
-    def told(progress: Progress) -> None:
+    def reported(progress: Progress) -> None:
         share = progress.done / progress.total if progress.total else 0.0
         report(Progress(round(_WHOLE * (first + (last - first) * min(share, 1.0))), _WHOLE, progress.label))
 
-    return told
+    return reported
 
 
 class StepLog:

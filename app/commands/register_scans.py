@@ -18,7 +18,7 @@ EXAMPLES = (
     "ladarreg register-scans hall.e57 office.e57 -o stations",
     "# all scans of one file, the second of them held in place:",
     "ladarreg register-scans survey.e57 -o stations --fixed 1",
-    "# judge the poses in the files as they are, or search without them:",
+    "# judge the poses in the files as they are, or ignore them:",
     "ladarreg register-scans survey.e57 -o stations --poses keep",
     "ladarreg register-scans a.npz b.npz c.npz -o stations --poses search",
 )
@@ -36,10 +36,8 @@ class Arguments:
     fixed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
     """Number of the scan that keeps its pose, from 0; the others are moved to it."""
     poses: Literal["keep", "refine", "search"] = "refine"
-    """What the poses in the files are used for. keep: they are judged as they are; refine: only what is within a metre
-    of them is compared; search: for nothing. What they show by themselves is stated in any case."""
-    ignore_poses: bool = False
-    """Earlier form of --poses search."""
+    """What the poses in the files are used for. keep: judge them as they are; refine: compare only what is within a
+    metre of them; search: ignore them. How well the scans agree at these poses is stated in any case."""
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0
     """Random seed."""
     force: bool = False
@@ -65,8 +63,8 @@ def run(arguments: Arguments) -> ExitCode:
     with progress_bar(quiet=arguments.quiet or arguments.json) as bar:
         stations = read_stations(arguments.scans, report=bar.progress)
         network = register_scans(
-            [one.scan for one in stations], fixed=arguments.fixed,
-            poses="search" if arguments.ignore_poses else arguments.poses, seed=arguments.seed, report=bar.progress,
+            [one.scan for one in stations], fixed=arguments.fixed, poses=arguments.poses, seed=arguments.seed,
+            report=bar.progress,
         )  # fmt: skip
         fields = write_stations(arguments.out, network, stations, force=arguments.force, report=bar.progress)
     code = ExitCode.ACCEPTED if network.accepted else ExitCode.NOT_ACCEPTED

@@ -23,7 +23,7 @@ from .runner import JobContext
 
 if TYPE_CHECKING:
     from ladarreg_core.scan import Scan
-    from ladarreg_core.stations.registration import PosesUse
+    from ladarreg_core.stations.registration import PoseUse
 
 STATIONS = "station-scans"
 """Name of the zip among the exports; ids of photographs have no hyphen."""
@@ -66,8 +66,8 @@ class StationJobs:
             raise OptionError("the stations have not been registered as they are now; register them first")
         return document, document.survey
 
-    def register(self, context: JobContext, poses: PosesUse = "refine") -> str:
-        """Register the stations to each other; the scan that is shown is fixed, rough places are refined."""
+    def register(self, context: JobContext, poses: PoseUse = "refine") -> str:
+        """Register the stations to each other; the scan that is shown is fixed. Rough places are used by `refine`."""
         import ladarreg_core as lr
 
         document = self.require_stations()
@@ -82,10 +82,12 @@ class StationJobs:
             self._workspace.loader.station_points(source, scan)
         survey = Survey(scans=sources, fields=json.loads(network.to_json()))
         self._commit(context, f"Register {len(sources)} stations", document, survey)
-        out = [one.name for one in network.stations if one.state in ("stated", "out")]
-        if not out:
-            return f"All {len(sources)} stations are {'confirmed' if poses == 'keep' else 'registered'}."
-        return f"{len(sources) - len(out)} of {len(sources)} stations are registered; {', '.join(out)} is not."
+        done = "confirmed" if poses == "keep" else "registered"
+        others = [one.name for one in network.stations if not one.is_verified]
+        if not others:
+            return f"All {len(sources)} stations are {done}."
+        are = "is" if len(others) == 1 else "are"
+        return f"{len(sources) - len(others)} of {len(sources)} stations are {done}; {', '.join(others)} {are} not."
 
     def check_photos(self, context: JobContext) -> str:
         """Verify the poses of the accepted photographs, carried over, by the scans of the other stations."""

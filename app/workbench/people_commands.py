@@ -1,4 +1,4 @@
-"""The commands by which people see each other at work: pointers in the pictures, and following somebody's view."""
+"""The commands by which people see each other at work: pointers in the pictures, and following another's view."""
 
 from __future__ import annotations
 

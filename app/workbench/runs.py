@@ -30,7 +30,7 @@ class Runs:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self.slice: list[dict[str, Any]] = []
-        """What pages are told of each run, the latest first."""
+        """What pages receive about each run, the latest first."""
         self.refresh()
 
     def path(self, name: str) -> Path:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Selection:
-    """The photograph that each client sees; at first the one that somebody selected last.
+    """The photograph that each client sees; at first the one that was selected last by anyone.
 
     Args:
         session: the session.

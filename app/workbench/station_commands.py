@@ -21,7 +21,7 @@ class WithStations(Protocol):
 
 
 def register_stations(context: WithStations, client: Client, fields: Fields) -> Reply:
-    """Register the stations to each other; `poses` is what the poses in their files are used for."""
+    """Register the stations to each other; `poses` says what those in their files are used for."""
     return {"job": context.stations.register(fields.get("poses", "refine"), client.author)}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from ladarreg_core.frames import Rigid
     from ladarreg_core.project.document import Document, PhotoCheck, Source, StationEntry
     from ladarreg_core.project.history import Author
-    from ladarreg_core.stations.registration import PosesUse
+    from ladarreg_core.stations.registration import PoseUse
 
     from ..scene import StationShown
 
@@ -113,14 +114,12 @@ class Stations:
 
     def register(self, poses: object, author: Author) -> str:
         """Start registering the stations and return the job's id; raises `LadarregError` if it cannot begin."""
-        from ladarreg_core.stations.registration import POSES_USES
+        from ladarreg_core.stations.registration import POSE_USES
 
         self._jobs.require_stations()
-        require_choice(poses, POSES_USES, "'Poses in the files'")
+        require_choice(poses, POSE_USES, "'Poses in the files'")
 
-        def work(context: JobContext) -> str:
-            return self._jobs.register(context, cast("PosesUse", poses))
-
+        work = partial(self._jobs.register, poses=cast("PoseUse", poses))
         return self._start("register_stations", "Register stations", work, author)
 
     def check_photos(self, author: Author) -> str:

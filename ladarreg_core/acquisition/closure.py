@@ -16,7 +16,7 @@ from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.scan import Scan
 
 MOST_APART = 0.05
-"""Share of the returns that may be elsewhere at the second time: a person who walks by, edges."""
+"""Share of the returns that may be elsewhere the second time: a passer-by, edges."""
 SEARCHED_DEG = 6.0
 """How far around the first stop the place is sought that looks like the second measurement."""
 _APART_M, _APART_SHARE = 0.03, 0.01

@@ -67,7 +67,7 @@ class PanTiltUnit(Protocol):
         """Set the speed of both axes, rad/s."""
 
     def supply(self) -> dict[str, float]:
-        """Return what it states of its supply and its temperature, `volts` and `celsius`, as far as it does."""
+        """Return what it states about its supply and temperature, `volts` and `celsius`, as far as it does."""
 
     def require_present(self) -> None:
         """Raise `DeviceError` if its port is lost; without an exchange, so that it can be asked often."""
@@ -136,7 +136,7 @@ class LineScanner(Protocol):
 
     @property
     def last_clock(self) -> ClockReading | None:
-        """How the clocks related when they were compared last; None if that does not hold any more."""
+        """How the clocks related when they were compared last; None if that no longer holds."""
 
     def require_present(self) -> None:
         """Raise `DeviceError` if its port is lost; without an exchange, so that it can be asked often."""

@@ -1,9 +1,9 @@
-"""What changes in the folder of a run as one: a run that is begun, and the panorama that is composed of it.
+"""Changes of a run's folder that happen as a whole or not at all: a run is begun, or its panorama is added.
 
 The run that a new one replaces is set aside in its folder, and removed once the new one is complete.
 
-Only what the records of the run and the manifest of its folder list is touched, and only as it was written: any other
-file in the folder is somebody's, and the run is not replaced then.
+Only what the records of the run and the manifest of its folder list is touched, and only if it is unchanged: any other
+file in the folder may be the user's work, and the run is then not replaced.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _OTHER_FOLDER = "so the run is not replaced; give another folder, or move it awa
 
 
 def begin_anew(folder: Path, write_plan: Callable[[Path], None]) -> None:
-    """Begin a run in its folder; one that is there moves into a hidden folder below it, all of it, in the same step.
+    """Begin a run in its folder; an earlier one moves as a whole into a hidden folder below it, in the same step.
 
     To be called with the folder locked.
 
@@ -67,7 +67,7 @@ def begin_anew(folder: Path, write_plan: Callable[[Path], None]) -> None:
 
 
 def add_panorama(folder: Path, files: Mapping[str, Callable[[Path], None]]) -> None:
-    """Write what was composed beside the pieces of a run, which no program has open, all or none.
+    """Write all or none of the files of a panorama beside the pieces of its run, which no program has open.
 
     Raises:
         ExportError: as `replace_together`, or if another program has the run open.
@@ -77,13 +77,11 @@ def add_panorama(folder: Path, files: Mapping[str, Callable[[Path], None]]) -> N
     try:
         replace_together(folder, files)
     finally:
-        lock.release()
-        with suppress(OSError):
-            (folder / LOCK).unlink()
+        lock.discard()
 
 
 def settle(folder: Path) -> None:
-    """Finish what a program that was interrupted was moving in the folder of a run, before it is read.
+    """Finish what an interrupted program was moving in the folder of a run, before it is read.
 
     Raises:
         FormatError: if that cannot be done.
@@ -95,7 +93,7 @@ def settle(folder: Path) -> None:
 
 
 def remove_set_aside(folder: Path) -> None:
-    """Remove the runs that were set aside in a folder, as far as they are as they were."""
+    """Remove the runs that were set aside in a folder, as far as they are unchanged."""
     for aside in folder.glob(f"{_ASIDE}*"):
         with suppress(OSError, FormatError):
             if aside.is_dir() and not aside.is_symlink():
@@ -103,7 +101,7 @@ def remove_set_aside(folder: Path) -> None:
 
 
 def _own_files(folder: Path) -> list[str]:
-    """Return the names of the files of a run, those that say what it is last.
+    """Return the names of the files of a run; those that make it a run come last.
 
     Raises:
         OptionError: as `begin_anew`.

@@ -1,4 +1,4 @@
-"""The log of a run: every exchange with its devices, one JSON object a line, for whoever looks for a fault next day."""
+"""The log of a run: every exchange with its devices, one JSON object a line, for finding a fault the next day."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from typing import IO, Any
 from ladarreg_core.acquisition.link import Exchange
 
 EXCHANGES, EXCHANGES_BEFORE = "exchanges.jsonl", "exchanges-before.jsonl"
-"""The log, and what it had when it was begun anew because it had become too long."""
+"""The log, and its earlier part once it has become too long."""
 _LOG = logging.getLogger(__name__)
 _MOST_BYTES = 64 << 20
-_SHOWN_BYTES = 160  # the lines of a scanner are in the pieces
+_SHOWN_BYTES = 160  # of an exchange; a scanner's lines are in the pieces
 
 
 class ExchangeLog:
@@ -25,14 +25,14 @@ class ExchangeLog:
 
     Args:
         folder: of the run.
-        most_bytes: length at which it is begun anew.
+        most_bytes: length beyond which a new file is begun.
     """
 
     def __init__(self, folder: Path, *, most_bytes: int = _MOST_BYTES) -> None:
         self._folder, self._most_bytes = folder, most_bytes
         self._one = threading.Lock()
         self._file: IO[str] | None = None
-        self._failed = False
+        self._ended = False
 
     def add(self, device: str, exchange: Exchange) -> None:
         """Append an exchange with a device."""
@@ -48,25 +48,24 @@ class ExchangeLog:
             try:
                 self._append(json.dumps(fields) + "\n")
             except (OSError, ValueError) as error:
-                if not self._failed:
-                    _LOG.warning("the exchanges with the devices are not logged any more: %s", error)
-                self._failed = True
+                _LOG.warning("the exchanges with the devices are no longer logged: %s", error)
+                self._ended = True
 
     def close(self) -> None:
         """Close the file."""
         with self._one, contextlib.suppress(OSError):
             if self._file is not None:
                 self._file.close()
-            self._failed = True
+            self._ended = True
 
     def _append(self, line: str) -> None:
-        if self._failed:
+        if self._ended:
             return
-        if self._file is None:
-            self._file = open(self._folder / EXCHANGES, "a", encoding="utf-8", buffering=1)  # noqa: SIM115
-        elif self._file.tell() > self._most_bytes:
+        if self._file is not None and self._file.tell() > self._most_bytes:
             self._file.close()
+            self._file = None
             os.replace(self._folder / EXCHANGES, self._folder / EXCHANGES_BEFORE)
+        if self._file is None:
             self._file = open(self._folder / EXCHANGES, "a", encoding="utf-8", buffering=1)  # noqa: SIM115
         self._file.write(line)
 

@@ -25,7 +25,7 @@ _NOTICE = re.compile(r"!([PT])(?=[ \t]*(?:[*!\r\n]|$))")
 _NUMBER = re.compile(r"[-+]?[0-9]{1,10}(?:\.[0-9]{1,9})?")
 _WORD = re.compile(r"[A-Za-z][A-Za-z/().,:]*")
 _BANNER = re.compile(rb"(?m)^[^*!\r\n]*(?:controller|initiali[sz])", re.IGNORECASE)
-_ZEROS_FOUND = re.compile(rb"(?:![PT]){3,}[ \t]*\*")
+_ZEROS_FOUND = re.compile(rb"(?:![PT]){3,}[ \t]*\*")  # a reset runs both axes into their limits: `!T!T!P!P*`
 _SUPPLY = {"volts": r"([0-9.]+) ?V", "celsius": r"([-0-9.]+) ?deg ?C", "fahrenheit": r"([-0-9.]+) ?deg ?F"}
 _OF_A_HALT = re.compile(r"H[ \t]*\*?")
 _SPACE = " \t\r\n"
@@ -137,12 +137,12 @@ def limits_hit(unasked: bytes) -> tuple[str, ...]:
 
 
 def has_restarted(received: bytes) -> bool:
-    """Return whether bytes have what a unit says after a restart: its banner, or that its axes found their zeros."""
+    """Return whether bytes contain what a unit sends after a restart: its banner, or notices from finding zeros."""
     return bool(_BANNER.search(received) or _ZEROS_FOUND.search(received))
 
 
 def supply_of(text: str) -> dict[str, float]:
-    """Return what an answer to `O` states, as far as it does: `volts` of the input, `celsius` of the case."""
+    """Return what an answer to `O` states, if anything: `volts` of the input, `celsius` of the case."""
     found = {}
     for name, pattern in _SUPPLY.items():
         if match := re.search(pattern, text):

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 import math
 import threading
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import TypeVar
 
 from ladarreg_core.acquisition.axis_readings import AxisReadings
 from ladarreg_core.acquisition.devices import Check, PanTilt, UnitIdentity
@@ -24,32 +21,27 @@ from ladarreg_core.acquisition.flir_protocol import (
     reply_length,
     supply_of,
 )
-from ladarreg_core.acquisition.link import Link, NoAnswerError
+from ladarreg_core.acquisition.link import QUIET_FIRST_S, TRIES, Link, NoAnswerError, RoundTrip, twice_alike
 from ladarreg_core.acquisition.plan import UnitPlan
 from ladarreg_core.acquisition.ports import PortSource
 from ladarreg_core.errors import Cancelled, DeviceError, OptionError
 
-_LOG = logging.getLogger(__name__)
-_T = TypeVar("_T")
 HOMING_S = 35.0
-"""How long a unit that was switched on may take to find its zeros, during which it answers nothing."""
+"""How long a unit that was switched on may take to find its zeros, during which it answers nothing: up to 30 s."""
 _ANSWER_S = 1.0
 _CONNECT_S = 2.0
 _POLL_S = 0.03
-_STUCK_S, _STUCK_TRIPS = 1.5, 4
-_SPARE_S = 10.0
+_STUCK_S, _STUCK_TRIPS = 1.5, 4  # without a change of position, and round trips on top of it
+_SPARE_S = 10.0  # on top of thrice the time that a move should take
 _ARC_SECONDS = math.radians(1 / 3600)
 _REACHED_COUNTS = 1
-_STILL_READINGS = 2
+_STILL_READINGS = 2  # alike, in a row
 _QUIET_S, _QUIET_IN_DOUBT_S, _LONGEST_TALK_S = 0.1, 0.3, 1.0
-_QUIET_FIRST_S = 0.6  # how far away the unit is, is not known yet
-_QUIET_TRIPS, _FORGOTTEN = 1.5, 0.8
-_TRIES, _MOST_ASKED = 3, 4
 _RESTARTED = (
     "the pan/tilt unit was reset or lost its power for a moment; it has found its zeros again and is set up as before: "
     "check its power supply"
 )
-_MOST_TURNS_RAD = 4 * math.pi
+_MOST_TURNS_RAD = 4 * math.pi  # from the zero of an axis to its limit
 _AXES = (("P", "pan"), ("T", "tilt"))
 
 
@@ -69,7 +61,7 @@ class FlirUnit:
         self._halting, self._asking = threading.Lock(), threading.RLock()
         self._limits_hit: tuple[str, ...] = ()
         self._in_doubt = self._setting_up = self._restarted = False
-        self._round_trip_s = 0.0
+        self._round_trip = RoundTrip()
         self._states_supply = True
         self._axes: list[AxisReadings] = []
         self._fastest_counts_s = 0.0
@@ -85,7 +77,7 @@ class FlirUnit:
         Args:
             ports: opens the port.
             plan: of the unit.
-            patience_s: how long it may be silent, since it may just find its zeros.
+            patience_s: how long it may be silent, since it may still be finding its zeros.
 
         Raises:
             DeviceError: if the port cannot be opened, or what answers is no such unit.
@@ -128,7 +120,7 @@ class FlirUnit:
         for axis in self._axes:
             axis.may_move()
         for (letter, _), counts in zip(_AXES, wanted, strict=True):
-            self._told(command(f"{letter}P", counts))
+            self._asked(command(f"{letter}P", counts))
 
     def move_to(self, target: PanTilt, *, check: Check) -> PanTilt:
         """Move, await the end of the movement, and return the position read back.
@@ -159,7 +151,7 @@ class FlirUnit:
             counts_s = max(1, round(abs(value) / step))
             self._fastest_counts_s = max(self._fastest_counts_s, counts_s)
             try:
-                self._told(command(f"{letter}S", counts_s))
+                self._asked(command(f"{letter}S", counts_s))
             except FlirRestartedError:
                 raise
             except FlirError as error:
@@ -169,11 +161,11 @@ class FlirUnit:
         self.identity = replace(self.identity, speed_rad_s=speed)
 
     def supply(self) -> dict[str, float]:
-        """Return what the unit states of its supply and its temperature, `volts` and `celsius`, as far as it does."""
+        """Return what the unit states about its supply and temperature, `volts` and `celsius`, as far as it does."""
         if not self._states_supply:
             return {}
         try:
-            found = supply_of(self._told(command("O")).text)
+            found = supply_of(self._asked(command("O")).text)
         except FlirRestartedError:
             raise
         except FlirError:  # it does not have the query
@@ -198,7 +190,7 @@ class FlirUnit:
         self._link.close()
 
     def _set_up(self, patience_s: float) -> bool:
-        """Halt, and have answers terse and without echo, moves begin at once and end at limits; return if it restarted.
+        """Halt; set terse answers without echo, immediate moves and limits. Return whether the unit has restarted.
 
         A unit that was just switched on talks first, and answers nothing until it has found its zeros; one that was
         left in the middle of a command answers that.
@@ -209,7 +201,7 @@ class FlirUnit:
             while True:
                 tries += 1
                 self._link.urgent(STOP)
-                self._settle(_QUIET_S if self._round_trip_s else _QUIET_FIRST_S)
+                self._settle(_QUIET_S if self._round_trip.longest_s else QUIET_FIRST_S)
                 try:
                     for name in ("FT", "ED", "CI", "I"):
                         self._ask(command(name), deadline_s=_CONNECT_S)
@@ -217,10 +209,10 @@ class FlirUnit:
                 except (FlirError, NoAnswerError) as error:
                     silent = isinstance(error, NoAnswerError)
                     waits = (silent or self._restarted) and self._clock.now() - begun < patience_s
-                    if self._halts != halts or not (waits or (tries < _TRIES and not silent)):
+                    if self._halts != halts or not (waits or (tries < TRIES and not silent)):
                         raise
             if self._limits_are() == "off":
-                self._told(command("LE"))
+                self._asked(command("LE"))
             restarted = self._restarted
         finally:
             self._setting_up = self._restarted = False
@@ -238,7 +230,7 @@ class FlirUnit:
         return restarted
 
     def _identify(self) -> UnitIdentity:
-        model = self._told(command("V")).text
+        model = self._asked(command("V")).text
         self._step_rad = [self._asked_twice(f"{letter}R") * _ARC_SECONDS for letter, _ in _AXES]
         if not all(1e-7 < step < 0.1 for step in self._step_rad):
             raise FlirError(
@@ -316,7 +308,7 @@ class FlirUnit:
                     return now
             self._refuse_limits()
             now_s = self._clock.now()
-            if not there and now_s - moved > _STUCK_S + _STUCK_TRIPS * self._round_trip_s:
+            if not there and now_s - moved > _STUCK_S + _STUCK_TRIPS * self._round_trip.longest_s:
                 raise DeviceError(
                     f"the pan/tilt unit stands still at {self._said(now)} on its way to {self._said(wanted)}; it is "
                     "halted: remove what blocks it, check its power, and resume"
@@ -339,21 +331,23 @@ class FlirUnit:
     def _asked_twice(self, query: str, *, whole: bool = False) -> float:
         """Return what a unit states about itself, twice in a row the same: answers have no checksum."""
         sent = command(query)
-        values: list[float] = []
-        for _ in range(_MOST_ASKED):
-            reply = self._told(sent)
-            values.append(reply.counts(sent) if whole else reply.number(sent))
-            if values[-1:] == values[-2:-1]:
-                return values[-1]
-        raise FlirError(
-            f"the pan/tilt unit answered {values[-2]:g} to {query} and {values[-1]:g} when it was asked again; check "
-            "the cable, and that no other program uses the port"
-        )
+
+        def value() -> float:
+            reply = self._asked(sent)
+            return reply.counts(sent) if whole else reply.number(sent)
+
+        last, again = twice_alike(value)
+        if last != again:
+            raise FlirError(
+                f"the pan/tilt unit answered {last:g} to {query} and {again:g} when it was asked again; check "
+                "the cable, and that no other program uses the port"
+            )
+        return again
 
     def _limits_are(self) -> str:
         """Return whether the unit enforces limits: `on`, `off`, or `user` for those that its user has set."""
         try:
-            words = self._told(command("L")).text.upper()
+            words = self._asked(command("L")).text.upper()
         except FlirRestartedError:
             raise
         except FlirError:  # it does not have the query, and always enforces its limits
@@ -364,10 +358,10 @@ class FlirUnit:
         return [axis.position(self._fastest_counts_s) for axis in self._axes]
 
     def _counts(self, query: str) -> int:
-        """Return what a query reads; a unit that is silent may find its zeros after a restart, which is waited for."""
+        """Return what a query reads; a silent unit may be finding its zeros after a restart, and is waited for."""
         sent = command(query)
         try:
-            return self._retried(lambda: self._ask(sent).counts(sent))
+            return self._link.retried(lambda: self._ask(sent).counts(sent), unless=FlirRestartedError)
         except NoAnswerError:
             if self._setting_up or self._halts != self._halts_answered:
                 raise
@@ -375,23 +369,9 @@ class FlirUnit:
                 raise FlirRestartedError(_RESTARTED) from None
             raise
 
-    def _told(self, sent: bytes) -> FlirReply:
+    def _asked(self, sent: bytes) -> FlirReply:
         """Return the reply to a command that does the same when it is sent again."""
-        return self._retried(lambda: self._ask(sent))
-
-    def _retried(self, ask: Callable[[], _T]) -> _T:
-        """Return what comes of asking, which is repeated if no answer comes or a damaged one."""
-        for left in reversed(range(_TRIES)):
-            try:
-                return ask()
-            except FlirRestartedError:
-                raise
-            except (FlirError, NoAnswerError) as error:
-                if not left:
-                    raise
-                _LOG.info("asked again: %s", error)
-                self._link.remark(f"asked again: {error}")
-        raise AssertionError("the last try returns or raises")
+        return self._link.retried(lambda: self._ask(sent), unless=FlirRestartedError)
 
     def _angles(self, counts: list[int]) -> PanTilt:
         pan, tilt = (sign * n * step for sign, n, step in zip(self._signs, counts, self._step_rad, strict=True))
@@ -410,7 +390,7 @@ class FlirUnit:
             self._in_doubt = True
             begun = self._clock.now()
             received = self._link.exchange(sent, complete=lambda data: reply_length(data, sent), deadline_s=deadline_s)
-            self._round_trip_s = max(_FORGOTTEN * self._round_trip_s, self._clock.now() - begun)
+            self._round_trip.took(self._clock.now() - begun)
             unasked = self._link.take_unasked()
             self._restarted |= has_restarted(unasked + received)
             if self._restarted and not self._setting_up:
@@ -422,9 +402,9 @@ class FlirUnit:
             return reply
 
     def _settle(self, quiet_s: float = _QUIET_S) -> None:
-        """Let pass what the unit still sends, but for limits that it reports; longer if it is far away."""
+        """Discard what the unit still sends, except limits that it reports; wait longer if it is far away."""
         until, passed = self._clock.now() + _LONGEST_TALK_S, b""
-        quiet_s = min(max(quiet_s, _QUIET_TRIPS * self._round_trip_s), _LONGEST_TALK_S)
+        quiet_s = min(self._round_trip.quiet_s(quiet_s), _LONGEST_TALK_S)
         with contextlib.suppress(DeviceError):  # it is quiet, or the port is lost, which the next command says
             while self._clock.now() < until:
                 passed += self._link.exchange(b"", complete=bool, deadline_s=quiet_s)

@@ -44,7 +44,7 @@ class FolderSource:
     while and can be read. A file that was taken for an earlier stop and is written anew under its old name counts as
     new, unless it only gets longer.
 
-    Symbolic links in the folder are not followed: whoever may write there must not have files read that only the
+    Symbolic links in the folder are not followed: those who may write there must not get at files that only the
     operator may read.
 
     Args:
@@ -237,7 +237,8 @@ class FolderSource:
         growing = [name for name in new if name not in unreadable]
         came += [f"{', '.join(growing[:_MOST_NAMED])} came but is not complete"] if growing else []
         linked = sorted(self._links)[:_MOST_NAMED]
-        came += [f"{', '.join(linked)} is a symbolic link, which is not followed"] if linked else []
+        are = "is a symbolic link" if len(linked) == 1 else "are symbolic links"
+        came += [f"{', '.join(linked)} {are}, not followed"] if linked else []
         old = [name for name, state in self._listed.items() if self._before.was_changed(name, state)]
         came += (
             [f"{', '.join(old[:_MOST_NAMED])} was there before the unit arrived, so it does not count"] if old else []

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
 from ladarreg_core.acquisition.devices import Check
@@ -15,16 +17,25 @@ from ladarreg_core.errors import DeviceError, DeviceGlitchError
 
 Complete = Callable[[bytes], bool | int]
 """Given the bytes so far: False while the reply is incomplete, else its length, or True if it is all of them."""
+TRIES = 3
+"""How often a command is sent, in all, whose answers are damaged or missing."""
+QUIET_FIRST_S = 0.6
+"""How long a device must be quiet before it is asked something, while it is not known how far away it is."""
+_LOG = logging.getLogger(__name__)
+_T = TypeVar("_T")
+_MOST_ASKED = 4  # times, for two answers in a row that are the same
+_QUIET_TRIPS = 1.5  # round trips after which no late answer is expected
+_FORGOTTEN = 0.8  # of the longest round trip, what remains of it after the next one
 _SLICE_S = 0.02
-_REMEMBERED = 64
-_QUOTED = 3
+_REMEMBERED = 64  # exchanges
+_QUOTED = 3  # exchanges in a message
 _QUOTED_BYTES = 60
 _KEPT_BYTES = 4096
 _RECONNECT_S = 2.0
 _RETRY_S = 0.2
 _NAP_S = 0.02
 _LONGEST_DRAIN_S = 0.2
-_LONGEST_REPLY = 1 << 20
+_LONGEST_REPLY = 1 << 20  # bytes
 
 
 class NoAnswerError(DeviceGlitchError):
@@ -52,6 +63,22 @@ class Exchange:
         return f"{sent}, {got} in {self.seconds:.2f} s"
 
 
+class RoundTrip:
+    """How long a device takes to answer: a longer time counts at once, and is forgotten slowly."""
+
+    def __init__(self) -> None:
+        self.longest_s = 0.0
+        """0 while it is not known."""
+
+    def took(self, seconds: float) -> None:
+        """Count an exchange."""
+        self.longest_s = max(_FORGOTTEN * self.longest_s, seconds)
+
+    def quiet_s(self, least_s: float) -> float:
+        """Return how long a device must be quiet, at least so long, until nothing is under way any more."""
+        return max(least_s, _QUIET_TRIPS * self.longest_s)
+
+
 class Link:
     """Exchanges requests and replies with a device.
 
@@ -70,7 +97,7 @@ class Link:
         self._exchanges: deque[Exchange] = deque(maxlen=_REMEMBERED)
         self._log: Callable[[str, Exchange], None] | None = None
         self._reconnecting = False
-        self._told_of_guard = False
+        self._guard_reported = False
         self._closed = False
         self._unasked = b""
 
@@ -85,7 +112,7 @@ class Link:
         self._log = log
 
     def remark(self, text: str) -> None:
-        """Have the log say something."""
+        """Add a remark to the log."""
         self._add(Exchange(self.clock.now(), b"", b"", 0.0, text))
 
     @property
@@ -123,6 +150,28 @@ class Link:
                 self._reconnect(error, check)
                 return self._exchange(request, complete, deadline_s, check, fresh=True)
 
+    def retried(
+        self, ask: Callable[[], _T], *, unless: type[DeviceGlitchError], settle: Callable[[], object] | None = None
+    ) -> _T:
+        """Return what `ask` returns, which is called again if no answer comes or a damaged one, `TRIES` times in all.
+
+        Args:
+            ask: exchanges that may be repeated.
+            unless: what asking again does not mend; it is raised at once.
+            settle: called before each repetition.
+        """
+        for _ in range(TRIES - 1):
+            try:
+                return ask()
+            except unless:
+                raise
+            except DeviceGlitchError as error:
+                _LOG.info("asked again: %s", error)
+                self.remark(f"asked again: {error}")
+                if settle is not None:
+                    settle()
+        return ask()
+
     def receive(self, *, complete: Complete, deadline_s: float, check: Check | None = None) -> bytes:
         """Return the next reply of a device that goes on sending; without reconnection, since it would be in doubt.
 
@@ -144,7 +193,7 @@ class Link:
             self._buffer += self._port.read(0)
             del self._buffer[:-_LONGEST_REPLY]
         except GuardEndedError:
-            self._told_of_guard = True
+            self._guard_reported = True
             raise
         finally:
             self._one.release()
@@ -234,8 +283,8 @@ class Link:
 
     def _is_news_of_guard(self, error: PortLostError) -> bool:
         """Return whether the guard has ended since the last exchange: the devices were stopped, which is no glitch."""
-        news = isinstance(error, GuardEndedError) and not self._told_of_guard
-        self._told_of_guard = news
+        news = isinstance(error, GuardEndedError) and not self._guard_reported
+        self._guard_reported = news
         return news
 
     def _reconnect(self, error: PortLostError, check: Check | None) -> None:
@@ -254,7 +303,7 @@ class Link:
                     if check is not None:
                         check()
                     self.clock.sleep(_NAP_S)
-        self._told_of_guard = False
+        self._guard_reported = False
         if self._closed:
             self._port.close()
             raise error
@@ -264,6 +313,16 @@ class Link:
                 self._connected()
             finally:
                 self._reconnecting = False
+
+
+def twice_alike(ask: Callable[[], _T]) -> tuple[_T, _T]:
+    """Return two answers in a row, which are the same unless a device contradicts itself again and again."""
+    last, again = ask(), ask()
+    for _ in range(_MOST_ASKED - 2):
+        if last == again:
+            break
+        last, again = again, ask()
+    return last, again
 
 
 def _quoted(data: bytes) -> str:

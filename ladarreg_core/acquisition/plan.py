@@ -64,7 +64,7 @@ class ScannerPlan:
     timeout_s: float = 600.0
     """Longest wait for the next file of a folder."""
     trigger: TriggerPlan | None = None
-    """What starts a shot of a scanner with a folder; None: somebody, or its software."""
+    """What starts a shot of a scanner with a folder; None: a person, or its software."""
 
 
 @dataclass(frozen=True, slots=True)

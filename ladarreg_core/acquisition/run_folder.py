@@ -13,7 +13,6 @@ A piece counts once its record is there. A record whose piece is missing or chan
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import io
 import json
@@ -182,7 +181,7 @@ class RunWriter(RunFolder):
         self._lock = lock
         self._log: AppendedFile | None = None
         self.exchanges = ExchangeLog(path)
-        """Where exchanges with devices are logged."""
+        """The log of the exchanges with the devices."""
 
     @staticmethod
     def begin(path: str | Path, plan: Plan, *, resume: bool = False, force: bool = False) -> RunWriter:
@@ -244,7 +243,7 @@ class RunWriter(RunFolder):
             passed: number of the pass.
             photo: a photograph of the stop, in the folder `photos`.
             strays: files that came before it, in the folder `stray`.
-            health: what the devices state of themselves.
+            health: what the devices state about themselves.
 
         Raises:
             ExportError: if it cannot be written; it does not count then.
@@ -286,9 +285,7 @@ class RunWriter(RunFolder):
         self.exchanges.close()
         if self.complete:
             remove_set_aside(self.path)
-        self._lock.release()
-        with contextlib.suppress(OSError):
-            (self.path / LOCK).unlink()
+        self._lock.discard()
 
     def _sync(self, files: Sequence[Path]) -> None:
         """Bring files in the folder to disk, with the names that lead to them."""

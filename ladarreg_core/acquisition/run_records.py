@@ -24,13 +24,13 @@ _MOST_PIECES = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """What the devices stated of themselves when a piece was kept, as far as they do."""
+    """What the devices stated about themselves when a piece was kept, if anything."""
 
     unit: Mapping[str, float] = field(default_factory=dict)
     """`volts` of the pan/tilt unit's supply, `celsius` of its case."""
     clock: Mapping[str, float] = field(default_factory=dict)
-    """`scanner_s`, the scanner's clock without the jumps at which it wraps; `host_minus_scanner_s` by which the clock
-    of this computer differed when the two were compared last, and how far off that may be, `uncertainty_s`."""
+    """`scanner_s`, the scanner's clock, unwrapped; `host_minus_scanner_s`, by which this computer's clock differed from
+    it when the two were compared last, and how far off that may be, `uncertainty_s`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class Record:
     strays: Mapping[str, str] = field(default_factory=dict)
     """SHA-256 of each file that came before the unit had arrived, by its name relative to the run's folder."""
     health: Health = field(default_factory=Health)
-    """Written only: nothing is computed from it."""
+    """Only written, for diagnosis; nothing is computed from it."""
 
     def as_fields(self) -> dict[str, Any]:
         """Return the record's JSON object."""

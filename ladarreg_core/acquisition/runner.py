@@ -35,8 +35,8 @@ _LOG = logging.getLogger(__name__)
 _T = TypeVar("_T")
 _NAP_S = 0.02
 _AVERAGED = 0.3  # weight of the latest piece in the time that a piece takes
-_MOST_REPEATS = 6  # of a piece; each of two devices tells of the same hang
-_MOST_GLITCHES = 3  # of a piece
+_MOST_REPEATS = 6  # of a piece after hangs; each of two devices reports the same one
+_MOST_GLITCHES = 3  # of a piece, each of which repeats it
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,12 +65,12 @@ class Paused:
 
     reason: str
     fault: bool
-    """Whether a device failed; otherwise somebody asked for it."""
+    """Whether a device failed; otherwise it was asked for."""
 
 
 @dataclass(frozen=True, slots=True)
 class Repeated:
-    """A piece is begun again by itself: an answer was damaged or late, or this program hung for a moment."""
+    """A piece is measured again automatically: an answer was damaged or late, or this program hung for a moment."""
 
     index: int
     reason: str
@@ -165,8 +165,8 @@ class Run:
         In the end the first stop is measured again, which shows whether the unit has lost steps.
 
         A device that fails pauses the run until `resume` or `stop`. Devices that were stopped because this program hung
-        for a moment have not failed: their piece is begun again, a few times. So is that of a device whose answer was
-        damaged, late or missing, also when it was asked again, or that has restarted.
+        for a moment have not failed: their piece is begun again, a few times. So is that of a device that restarted, or
+        whose answer was damaged, late or missing even when it was asked again.
 
         Raises:
             ExportError: if a piece cannot be written; the devices are at rest then, as after every other end.
@@ -267,7 +267,7 @@ class Run:
         return self._keep(stop, read, lambda path: write_sweep(path, sweep), photo), sweep
 
     def _health(self) -> Health:
-        """Return what the devices state of themselves beside the measurement."""
+        """Return what the devices state about themselves."""
         reading = None if self._lines is None else self._lines.last_clock
         clock = {}
         if reading is not None:

@@ -52,7 +52,7 @@ class ScannerClock:
 
     @property
     def reading(self) -> ClockReading | None:
-        """How the clocks related when they were compared last; None if they have not been, or that does not hold."""
+        """How the clocks related when they were compared last; None if they were not, or that no longer holds."""
         return self._reading
 
     def is_fresh(self, now_s: float, *, for_s: float) -> bool:

@@ -190,7 +190,7 @@ def answers_another(received: bytes, sent: bytes) -> bool:
     echo, _, rest = received.strip(b"\n").partition(b"\n")
     status = rest[:3]
     whole = len(status) == 3 and checksum(status[:2]) == status[2] and rest[3:4] in (b"", b"\n")
-    # A request for lines that is acknowledged as another one, perhaps without end, is no late answer.
+    # One that acknowledges another number of lines, perhaps without end, is not late: the request was misread.
     misread = echo[:_COUNTED] == sent[:_COUNTED] and len(echo) > _COUNTED and status[:2] == b"00"
     return whole and echo != sent.strip(b"\n") and not misread
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 from collections.abc import Callable, Generator
 from functools import partial
 from typing import TypeVar
@@ -11,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from ladarreg_core.acquisition.devices import Check, ClockReading, LineScannerIdentity, ScanLine
-from ladarreg_core.acquisition.link import Link, NoAnswerError
+from ladarreg_core.acquisition.link import QUIET_FIRST_S, Link, RoundTrip, twice_alike
 from ladarreg_core.acquisition.plan import ScannerPlan
 from ladarreg_core.acquisition.ports import PortSource
 from ladarreg_core.acquisition.scip_clock import ClockSample, LineTimes, ScannerClock
@@ -35,19 +34,15 @@ from ladarreg_core.acquisition.scip_protocol import (
 from ladarreg_core.acquisition.scip_status import UNKNOWN_COMMAND
 from ladarreg_core.errors import DeviceError
 
-_LOG = logging.getLogger(__name__)
 _T = TypeVar("_T")
 _ANSWER_S = 1.5
 _FIRST_LINE_S = 3.0
-_READY_S = 10.0
+_READY_S = 10.0  # for which a scanner may say that it does not measure yet
 _ASK_AGAIN_S = 0.3
 _NAP_S = 0.02
-_QUIET_S = 0.15
-_QUIET_FIRST_S = 0.6  # how far away the scanner is, is not known yet
-_QUIET_TRIPS, _FORGOTTEN, _LONGEST_QUIET_S = 1.5, 0.8, 1.5
-_TRIES, _MOST_ASKED = 3, 4
+_QUIET_S, _LONGEST_QUIET_S = 0.15, 1.5
 _CLOCK_READINGS = 8
-_COMPARED_FOR_S = 60.0
+_COMPARED_FOR_S = 60.0  # for which a comparison of the clocks holds
 _MM = 0.001
 
 
@@ -56,7 +51,7 @@ class ScipScanner:
 
     def __init__(self, link: Link) -> None:
         self._link, self._host_clock = link, link.clock
-        self._round_trip_s = self._asked_s = 0.0
+        self._round_trip, self._asked_s = RoundTrip(), 0.0
         self._clock, self._tells_time = ScannerClock(), True
         self._set_up()
         self._parameters, self.identity = self._identify()
@@ -129,7 +124,7 @@ class ScipScanner:
 
     @property
     def last_clock(self) -> ClockReading | None:
-        """How the clocks related when they were compared last."""
+        """How the clocks related when they were compared last; None if that no longer holds."""
         return self._clock.reading
 
     def require_present(self) -> None:
@@ -202,17 +197,14 @@ class ScipScanner:
         self._asked(b"QT\n", parse_status)
 
     def _settle(self) -> None:
-        """Let pass what the scanner still sends after it was told to stop; for longer if it is far away."""
-        base = max(_QUIET_S, _QUIET_TRIPS * self._round_trip_s) if self._round_trip_s else _QUIET_FIRST_S
+        """Discard what the scanner still sends after it was stopped; wait longer if it is far away."""
+        quiet_s = self._round_trip.quiet_s(_QUIET_S if self._round_trip.longest_s else QUIET_FIRST_S)
         with contextlib.suppress(DeviceError):
-            self._link.exchange(b"", complete=lambda data: False, deadline_s=min(base, _LONGEST_QUIET_S))
+            self._link.exchange(b"", complete=lambda data: False, deadline_s=min(quiet_s, _LONGEST_QUIET_S))
 
     def _identify(self) -> tuple[ScipParameters, LineScannerIdentity]:
-        version, limits, again = (self._fields(sent) for sent in (b"VV\n", b"PP\n", b"PP\n"))
-        for _ in range(_MOST_ASKED - 2):
-            if limits == again:
-                break
-            limits, again = again, self._fields(b"PP\n")
+        version = self._fields(b"VV\n")
+        limits, again = twice_alike(lambda: self._fields(b"PP\n"))
         if limits != again:
             name = next(name for name in (*limits, *again) if limits.get(name) != again.get(name))
             raise ScipError(
@@ -260,27 +252,16 @@ class ScipScanner:
         return dict(self._asked(sent, parse_fields))
 
     def _asked(self, sent: bytes, parse: Callable[[bytes, bytes], _T]) -> _T:
-        """Return what the answer to a command says that may be sent again, as it is if none comes or a damaged one."""
-        for left in reversed(range(_TRIES)):
-            try:
-                return parse(self._ask(sent), sent)
-            except ScipNotReadyError:
-                raise
-            except (ScipError, NoAnswerError) as error:
-                if not left:
-                    raise
-                _LOG.info("asked again: %s", error)
-                self._link.remark(f"asked again: {error}")
-                self._settle()
-        raise AssertionError("the last try returns or raises")
+        """Return what is read from the answer to a command that does the same when it is sent again."""
+        return self._link.retried(lambda: parse(self._ask(sent), sent), unless=ScipNotReadyError, settle=self._settle)
 
     def _ask(self, sent: bytes, check: Check | None = None) -> bytes:
-        """Return the answer to a command; the echo tells it from late ones to earlier commands, which are dropped."""
+        """Return the answer to a command; late ones to earlier commands, known by their echo, are dropped."""
         begun = self._asked_s = self._host_clock.now()
         received = self._link.exchange(sent, complete=reply_length, deadline_s=_ANSWER_S, check=check)
         while answers_another(received, sent) and self._host_clock.now() - begun < _ANSWER_S:
             received = self._link.receive(complete=reply_length, deadline_s=_ANSWER_S, check=check)
-        self._round_trip_s = max(_FORGOTTEN * self._round_trip_s, self._host_clock.now() - begun)
+        self._round_trip.took(self._host_clock.now() - begun)
         return without_local_echo(received, sent)
 
     def _wait(self, seconds: float, check: Check) -> None:

@@ -26,10 +26,9 @@ _HUBER = 1.5
 _MAD = 1.4826
 _LEAST_SIGMA_M = 2e-4
 _STEPS_A_GATE = 3
-_LEAST_OF_PLANE = 24
-_TILE_M = 0.1
+_TILE_M = 0.1  # side of the tiles in which a plane may be uneven
 _COARSE = ((0.05, 120_000), (0.025, 240_000))
-"""At gates from so wide on, m, about so many points of all views are enough: poses move by far more than these say."""
+"""At gates at least so wide, m, about so many points of all views are enough: poses still move by far more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,7 +193,7 @@ def planes_of(
 
 
 def _stride(views: Sequence[RangeView], apart_m: float) -> int:
-    """Return of how many points one is used at a gate."""
+    """Return n where every n-th point is used at a gate."""
     points = sum(len(view.points) for view in views)
     enough = next((most for least_m, most in _COARSE if apart_m >= least_m), points)
     return max(1, points // max(enough, 1))
@@ -376,7 +375,7 @@ def _relief(found: SharedPlanes, groups: _Groups, world: FloatArray) -> NDArray[
 def _own_fit(
     plane: IntArray, planes: int, value: FloatArray, along_u: FloatArray, along_v: FloatArray
 ) -> NDArray[np.float64]:
-    """Return what a plane of its own, by an offset and two inclinations, explains of the value of each point."""
+    """Return what a plane fitted to each group, by an offset and two inclinations, explains of each point's value."""
     own = (np.ones(len(plane)), along_u, along_v)
     D, e = np.empty((planes, 3, 3)), np.empty((planes, 3))
     for i in range(3):

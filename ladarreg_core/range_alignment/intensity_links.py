@@ -24,10 +24,9 @@ BLUR_CELLS = (6.0, 3.0, 1.5)
 """Smoothing of the intensities, in turn: from far off only what is coarse leads to the right place."""
 
 _POINTS_A_LINK = 5_000
-_LEAST_POINTS = 200
+_LEAST_POINTS = 200  # of a link
 _STRAIGHT_RAD = 0.003  # off by half of its square
 _PROBED = 97  # of so many points one is looked up first
-_HUBER = 1.5
 MAD = 1.4826
 """Standard deviations a median deviation."""
 LEAST_SIGMA = 0.01
@@ -35,7 +34,7 @@ LEAST_SIGMA = 0.01
 LEAST_CONTRAST = 0.02
 """Standard deviation of the logarithm within a patch from which on it has texture."""
 _LEAST_CORRELATION = 0.6
-_PATCH_CELLS, _PATCH_BLURS = 24, 8.0
+_PATCH_CELLS, _PATCH_BLURS = 24, 8.0  # least side of a patch, in cells and in standard deviations of the smoothing
 LEAST_OF_PATCH = 8
 """Samples of a patch."""
 MISFIT_BLURS = 0.2
@@ -43,7 +42,7 @@ MISFIT_BLURS = 0.2
 the border of a scan, by gloss. However strong its edges, no patch is more exact than that."""
 LINK_MISFIT_BLURS = 0.04
 """The same, common to all patches of a link: many are parts of one long edge, or of one glossy wall."""
-_PATCH_HUBER = 2.5
+_PATCH_HUBER = 2.5  # standard deviations
 _CHI2_MEDIAN = 1.386  # of two degrees of freedom
 _UNSEEN = 2.0
 """Variances are larger than patches say by this factor: each pair of views is compared in both directions, which is

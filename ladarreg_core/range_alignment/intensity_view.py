@@ -1,4 +1,4 @@
-"""Scans prepared for the comparison of their intensities, and what one of them sees at points that others saw."""
+"""Scans prepared for the comparison of their intensities, looked up at points that other scans see."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.range_alignment.voxel_planes import dots
 from ladarreg_core.scan import Scan
 
-_BAND = 5.0
+_BAND = 5.0  # what varies over more than so many standard deviations of the smoothing is removed
 _BORDER = 2.0
 """How far smoothing reaches, in standard deviations."""
 _ONE_SIDED = 0.055
 """Centre of what is smoothed, in standard deviations of the smoothing: as near a straight border, `_BORDER` from it."""
 _STEEPEST = 6.0  # relative change of the range over a cell, in steps: beyond it, a depth edge
 _MOST_PARALLAX_BLURS = 0.5
-_FARTHEST = 1e6
+_FARTHEST = 1e6  # m
 _EDGE_CELLS = 5
 _EDGE_WINDOWS = (3, 7)  # an edge may be hidden in a gap of a few cells without returns
-_SAME_SURFACE = (0.03, 0.02)
-_FLOOR_SHARE = 0.25
+_SAME_SURFACE = (0.03, 0.02)  # m, and on top of it a share of the range
+_FLOOR_SHARE = 0.25  # of the median intensity
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -31,11 +31,11 @@ from ladarreg_core.range_alignment.intensity_links import (
 from ladarreg_core.range_alignment.intensity_view import IntensityView, lengths, lookup, lookup_at
 
 _STEP_CELLS = 0.5
-_MOST_STEPS = 15
-_SAMPLES_A_PATCH = 8
+_MOST_STEPS = 15  # to either side
+_SAMPLES_A_PATCH = 8  # that count
 _ALIKE = 3.0  # of them, those that a misfit shifts alike
-_MOST_SQUARE = 9.0
-_SHOWN_SIGMAS = 2.0
+_MOST_SQUARE = 9.0  # of a sample, in variances
+_SHOWN_SIGMAS = 2.0  # of the noise, beyond which contrast is texture
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +112,7 @@ def _shares(turn: FloatArray, axes: Sequence[FloatArray]) -> NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Comparison:
-    """The points of a link that both views see whatever the turn, since none is better for what comes into view."""
+    """The points of a link that both views see at every turn: what comes into view must not make a turn better."""
 
     view: IntensityView
     """The second of the link."""
@@ -171,7 +171,7 @@ class _Comparison:
         common = MISFIT_BLURS**2 + LINK_MISFIT_BLURS**2 * float(textured.sum())
         misfit = _ALIKE * common * self.view.blur_cells**2
         squares = np.square(residual) / (sigma**2 + misfit * (np.square(steep) + np.square(steep_there)) / 2)
-        # What is seen no more counts as what fits.
+        # A sample that is no longer seen counts as one that fits.
         excess = np.minimum(squares, _MOST_SQUARE) - 1
         sums = sums_of(excess[:, None], patch, len(count))[:, 0]
         return float((sums * np.minimum(1.0, _SAMPLES_A_PATCH / count))[textured].sum())

@@ -46,27 +46,26 @@ from ladarreg_core.scanner.grid_window import GridWindow
 from ladarreg_core.scanner.grids import TabulatedGrid
 from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
 
-_SIGMA_ANGLE_RAD = float(np.radians(0.3))
-_SIGMA_ROLL_RAD = float(np.radians(0.005))
-_SIGMA_SHIFT_M = 1e-4
-_SIGMA_MOUNT = (0.1, float(np.radians(5.0)))
-_SIGMA_KNOCKED = (0.02, float(np.radians(1.0)))
-_SIGMA_FIXED_RAD = float(np.radians(0.01))
+_SIGMA_ANGLE_RAD = float(np.radians(0.3))  # prior of pan and of tilt
+_SIGMA_ROLL_RAD = float(np.radians(0.005))  # prior of the turn about the axis ahead, which the unit does not move
+_SIGMA_SHIFT_M = 1e-4  # prior of each coordinate: the axes cross in one point
+_SIGMA_MOUNT = (0.1, float(np.radians(5.0)))  # m and rad, prior of the correction of a given mount
+_SIGMA_KNOCKED = (0.02, float(np.radians(1.0)))  # m and rad, prior of a piece that was knocked
+_SIGMA_FIXED_RAD = float(np.radians(0.01))  # prior of all turns where pieces are not to be refined
 _POINTS_A_PIECE = 60_000
-_MOST_POINTS = 2_000_000
-_MOST_CELLS = 10_000_000
+_MOST_POINTS = 2_000_000  # of all pieces
+_MOST_CELLS = 10_000_000  # of all pieces
 _LEAST_CELLS = 40_000  # of a piece
-_LEAST_POINTS = 300
-_UNDETERMINED_RAD = float(np.radians(0.1))
-_HELD_BY_RANGES_RAD = float(np.radians(0.015))
-_SEARCHED_LEVEL = 2
-_SEARCHES = 4
-_CLEARLY_BETTER = 4.0
+_LEAST_POINTS = 300  # of a piece that is refined
+_UNDETERMINED_RAD = float(np.radians(0.1))  # standard deviation
+_HELD_BY_RANGES_RAD = float(np.radians(0.015))  # standard deviation up to which a direction needs no search
+_SEARCHED_LEVEL = 2  # index of `BLUR_CELLS`: the finest
+_SEARCHES = 4  # at most
+_CLEARLY_BETTER = 4.0  # difference of log-likelihoods
 _LEAST_WORTH = 0.01
-_HELD_OUT = 4
-_THINNED = 3
-_BESIDE = 4
-_WORSE = 1.02
+_HELD_OUT = 4  # of so many blocks of the room one
+_THINNED = 3  # of so many points one
+_BESIDE = 4  # cells
 _MOUNT_GATES = ((0.25, 12.0), (0.2, 10.0), (0.12, 6.0), (0.06, 4.0), (0.04, 3.0), (0.04, 3.0))
 
 
@@ -105,14 +104,17 @@ def refine_pieces(
 
     thin = [link.every(_THINNED) for link in links]
 
-    def printed(poses: Sequence[Rigid], stage: int, keep: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
+    def intensities(poses: Sequence[Rigid], stage: int, keep: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
         levels = light[: stage + 1]
         used = links if len(levels) == len(light) else thin  # coarse levels only lead there
         return link_equations(used, levels, poses, keep=keep, held_out=_HELD_OUT, worth=worth)
 
+    def all_intensities(poses: Sequence[Rigid], _: int) -> tuple[FloatArray, FloatArray]:
+        return intensities(poses, len(light))
+
     train = adjust(
         views, common=common, use_blocks=lambda block: ~_held(block),
-        more=lambda poses, stage: printed(poses, stage, np.arange(1, _HELD_OUT)), report=part_of(report, 0.3, 0.55),
+        more=lambda poses, stage: intensities(poses, stage, np.arange(1, _HELD_OUT)), report=part_of(report, 0.3, 0.55),
         gates=gates,
     )  # fmt: skip
     before, after = _held_out(views, placed, train.poses)
@@ -123,10 +125,10 @@ def refine_pieces(
             else f"surfaces left out would disagree by {1000 * after:.2f} mm instead of {1000 * before:.2f} mm"
         )
         return kept(pieces, mount, enough, f"nothing was refined: {why}", before, after)
-    # With the planes that were held out, it goes on from there: they agree.
+    # The planes that were held out agree, and are used from here on.
     links = [link.anchored(light[0], train.poses) for link in links]
     found = adjust(
-        views, common=common, more=lambda poses, _: printed(poses, len(light)), report=part_of(report, 0.55, 0.7),
+        views, common=common, more=all_intensities, report=part_of(report, 0.55, 0.7),
         gates=gates[-2:], start=train,
     )  # fmt: skip
     spread = np.zeros((len(pieces), 2))
@@ -137,14 +139,14 @@ def refine_pieces(
     if fault is not None and fault.kind != "mount":
         common = together(common, blow(fault.first, fault.kind))
         again = part_of(report, 0.7, 0.73)
-        found = adjust(views, common=common, more=printed, report=again, gates=gates[-3:], start=found)
+        found = adjust(views, common=common, more=intensities, report=again, gates=gates[-3:], start=found)
     if refine:
         loose = knocked_pieces(*_corrections(found, positions), enough)
         if loose.any() and not loose.all():
             # What was knocked is no longer held by the unit; what only gave way to it comes back.
             views = [_loosened(view) if free else view for view, free in zip(views, loose, strict=True)]
             again = part_of(report, 0.73, 0.76)
-            found = adjust(views, common=common, more=printed, report=again, gates=gates, start=found)
+            found = adjust(views, common=common, more=intensities, report=again, gates=gates, start=found)
         for number in range(_SEARCHES):
             begun = 0.76 + 0.2 * number / _SEARCHES
             some = part_of(report, begun, begun + 0.1 / _SEARCHES)
@@ -153,13 +155,13 @@ def refine_pieces(
                 worth = likely
                 break
             found = adjust(
-                views, common=common, more=lambda poses, _: printed(poses, len(light)),
+                views, common=common, more=all_intensities,
                 report=part_of(report, begun + 0.1 / _SEARCHES, begun + 0.2 / _SEARCHES), gates=gates[-2:], start=aside,
             )  # fmt: skip
         if worth.min() < 1:
-            # The likelihood of all turns says less than the curvature at the best one promises.
+            # The likelihood over all turns is broader than the curvature at the best one promises.
             doubted = adjust(
-                views, common=common, more=lambda poses, _: printed(poses, len(light)),
+                views, common=common, more=all_intensities,
                 report=part_of(report, 0.96, 0.97), gates=gates[-1:], start=found, steps=1,
             )  # fmt: skip
             found = replace(found, covariance=doubted.covariance)
@@ -172,7 +174,7 @@ def refine_pieces(
         fixed = [_fixed(view) if hold else view for view, hold in zip(views, held, strict=True)]
         links = [link for link in links if not (held[link.first] or held[link.second])]
         thin = [link.every(_THINNED) for link in links]
-        found = adjust(fixed, common=common, more=printed, report=part_of(report, 0.97, 1.0), gates=gates)
+        found = adjust(fixed, common=common, more=intensities, report=part_of(report, 0.97, 1.0), gates=gates)
     made = _result(
         pieces, positions, views, found, mount, held, (before, after), refine=refine, calibrated=calibrate_mount
     )
@@ -245,22 +247,22 @@ def _views(
     most_points = min(_POINTS_A_PIECE, _MOST_POINTS // max(len(pieces), 1))
     steps = len(pieces) * (2 + len(BLUR_CELLS))
 
-    def told(done: int, label: str) -> None:
+    def reported(done: int, label: str) -> None:
         if report is not None:
             report(Progress(done, steps, label))
 
     for number, piece in enumerate(pieces):
-        told(number, "reading the pieces")
+        reported(number, "reading the pieces")
         scans.append(_small(piece.load(), most_cells))
     poses = [piece.world_from_scanner for piece in pieces]
     floor = common_floor(scans)
     views = []
     for k, at in enumerate(positions):
-        told(len(pieces) + k, "finding what pieces share")
+        reported(len(pieces) + k, "finding what pieces share")
         views.append(RangeView(overlap_points(scans, poses, k, most=most_points), poses[k], _prior(at, exact=exact)))
     light: list[list[IntensityView]] = []
     for blur in BLUR_CELLS:
-        told(len(pieces) * (2 + len(light)), "preparing the intensities")
+        reported(len(pieces) * (2 + len(light)), "preparing the intensities")
         light.append([IntensityView.of(scan, floor, blur) for scan in scans])
     return views, light
 

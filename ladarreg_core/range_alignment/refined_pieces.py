@@ -1,4 +1,4 @@
-"""Pieces after their refinement: what is known of each, and what is to be said about them."""
+"""Pieces after their refinement: what is known of each, and the remarks on them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ladarreg_core.range_alignment.run_faults import RunFault
 PARAMETERS = ("x", "y", "z", "roll", "pitch", "yaw")
 """Parameters of a mount, in this order."""
 
-_UNDETERMINED_MOUNT = (0.005, float(np.radians(0.1)))
+_UNDETERMINED_MOUNT = (0.005, float(np.radians(0.1)))  # standard deviations, m and rad
 _HELD_WELL = 2.0  # median standard deviations
 
 State = Literal["refined", "no overlap", "not determined", "kept"]
@@ -81,7 +81,7 @@ class Refinement:
 
 
 def judged(made: Refinement, spread_rad: FloatArray, fault: RunFault | None) -> Refinement:
-    """Return a refinement with what is to be said about its pieces."""
+    """Return a refinement with the remarks on its pieces."""
     known = np.array([one.state == "refined" for one in made.pieces])
     sigma = np.maximum([one.sigma_deg for one in made.pieces], np.degrees(spread_rad))
     turns = np.array([one.turn_deg for one in made.pieces])
@@ -107,7 +107,7 @@ def judged(made: Refinement, spread_rad: FloatArray, fault: RunFault | None) -> 
 def against_all(covariance: FloatArray) -> NDArray[np.float64]:
     """Return the covariance (V, 3, 3) of each view's turn less the mean turn of those that are held well.
 
-    One that is held by nothing would else make all the others uncertain.
+    Otherwise one that nothing holds would make all the others uncertain.
     """
     views = len(covariance) // 6
     turns = covariance.reshape(views, 6, views, 6)[:, :3, :, :3]
@@ -149,7 +149,7 @@ def kept(
     before: float = float("nan"),
     after: float = float("nan"),
 ) -> Refinement:
-    """Return that nothing was refined, and why."""
+    """Return a refinement that changes nothing, and says why."""
     nothing = (0.0, 0.0, 0.0)
     nan = float("nan")
     return Refinement(

@@ -16,24 +16,19 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.stations.evidence import Print, Seen, compared_print, seen
 from ladarreg_core.stations.icp import Target, aligned
 from ladarreg_core.stations.results import PairEvidence, PairVerdict, StatedPose, StationPair
-from ladarreg_core.stations.search import (
-    Hypothesis,
-    View,
-    apart,
-    differ,
-    search,
-)
+from ladarreg_core.stations.search import Hypothesis, View, apart, differ, search
 from ladarreg_core.stations.sight import range_picture
 from ladarreg_core.stations.surfels import surfels_of
 from ladarreg_core.stations.uncertainty import polish
 
-_HYPOTHESES = 24
+_HYPOTHESES = 24  # placements of the search that are aligned
 _ALIGNED_POINTS = 1500
-_GATES = ((0.06, 4.0), (0.02, 2.0))
-_HELD_OUT = 4
-_FIXED = 1e10
+_GATES = ((0.06, 4.0), (0.02, 2.0))  # m and deg
+_HELD_OUT = 4  # of so many blocks of the room one
+_FIXED = 1e10  # information of a pose that does not move, 1/rad^2 and 1/m^2
 _HOPELESS = 4  # times worse than the limit: not worth a refinement
 _NEAR_M = 1.0  # what lies farther from a rough pose is no refinement of it
+_AROUND = np.array([[x, y, 0.0] for x in (-0.6, 0.0, 0.6) for y in (-0.6, 0.0, 0.6) if (x, y) != (0, 0)])  # m
 _NOISE_SHARE = 0.8  # of the spacing of the surfels, as the tolerance of what is seen
 
 
@@ -107,10 +102,7 @@ def register_pair(
     looked = ranked[0][1]
     if looked.contradicted > _HOPELESS * o.most_contradicted or looked.agreeing < o.least_overlap / _HOPELESS:
         return _hopeless(indices, start, ranked, o)
-    views = [
-        RangeView(first.view.surfels.returns, Rigid.identity(), _FIXED * np.eye(6)),
-        RangeView(second.view.surfels.returns, best, np.zeros((6, 6))),
-    ]
+    views = _range_views(first, second, best)
     tolerance = _tolerance(first, second)
     most = 4 * first.view.surfels.spacing_m
     checked = adjust(views, gates=_GATES, use_blocks=_used).poses[1]
@@ -159,24 +151,30 @@ def check_pair(
     """
     o = options or PairOptions()
     looked = seen(first.view, second.view, pose, tolerance_m=_tolerance(first, second))
-    views = [
-        RangeView(first.view.surfels.returns, Rigid.identity(), _FIXED * np.eye(6)),
-        RangeView(second.view.surfels.returns, pose, np.zeros((6, 6))),
-    ]
-    count, ratio = _held_out(views, pose)
+    count, ratio = _held_out(_range_views(first, second, pose), pose)
     printed = compared_print(first.view.surfels, second.view.surfels, pose)
     evidence = PairEvidence(
-        looked.agreeing, looked.contradicted, 0, count, ratio, 0.0, 1.0, printed.correlation, printed.by_chance
-    )
+        looked.agreeing, looked.contradicted, shared_planes=0, held_out_planes=count, held_out_ratio=ratio,
+        runner_up_overlap=0.0, runner_up_contradicted=1.0, print_correlation=printed.correlation,
+        print_by_chance=printed.by_chance,
+    )  # fmt: skip
     verdict, reasons = _verdict(evidence, printed, None, pose, (), o)
     unknown = np.full((6, 6), np.inf)
     return StationPair(*indices, verdict, reasons, pose, unknown, evidence, "poses in the files, kept")
 
 
 def stated_pose(first: Prepared, second: Prepared, pose: Rigid) -> StatedPose:
-    """Return what a stated pose `first_from_second` shows of itself."""
+    """Return how well two scans agree at a stated pose `first_from_second`."""
     looked = seen(first.view, second.view, pose, tolerance_m=_tolerance(first, second))
     return StatedPose(pose, looked.agreeing, looked.contradicted)
+
+
+def _range_views(first: Prepared, second: Prepared, pose: Rigid) -> list[RangeView]:
+    """Return two scans for the adjustment of the second to the first, which is held."""
+    return [
+        RangeView(first.view.surfels.returns, Rigid.identity(), _FIXED * np.eye(6)),
+        RangeView(second.view.surfels.returns, pose, np.zeros((6, 6))),
+    ]
 
 
 def about_centre(covariance: FloatArray, pose: Rigid) -> NDArray[np.float64]:
@@ -194,11 +192,11 @@ def _ranked(first: Prepared, second: Prepared, rough: Rigid | None, seed: int) -
     """Return aligned placements that differ, the best one first, with what is seen of each."""
     surfels = second.view.surfels
     index = np.random.default_rng(seed).permutation(len(surfels.points))[:_ALIGNED_POINTS]
-    starts = [Hypothesis(rough, 0.0)] if rough is not None else []
     if rough is None:
         starts = search(first.view, second.view, keep=_HYPOTHESES, seed=seed)
     else:
-        starts += [Hypothesis(Rigid(rough.rotation, rough.translation + shift), 0.0) for shift in _AROUND]
+        around = [Rigid(rough.rotation, rough.translation + shift) for shift in _AROUND]
+        starts = [Hypothesis(pose, 0.0) for pose in (rough, *around)]
     tolerance = _tolerance(first, second)
     found = []
     for one in starts:
@@ -207,18 +205,15 @@ def _ranked(first: Prepared, second: Prepared, rough: Rigid | None, seed: int) -
             continue
         looked = seen(first.view, second.view, pose, tolerance_m=tolerance)
         found.append((Hypothesis(pose, _rank(looked)), looked))
-    if rough is not None and not found:  # the guess is then where it was stated to be
+    if rough is not None and not found:  # the rough pose itself is the guess then
         return [(rough, seen(first.view, second.view, rough, tolerance_m=tolerance))]
     found.sort(key=lambda one: -one[0].score)
     kept = apart([one for one, _ in found], keep=len(found))
     return [(one.first_from_second, looked) for one, looked in found if any(one is other for other in kept)]
 
 
-_AROUND = np.array([[x, y, 0.0] for x in (-0.6, 0.0, 0.6) for y in (-0.6, 0.0, 0.6) if (x, y) != (0, 0)])
-
-
 def _rank(looked: Seen) -> float:
-    """Return what placements are ordered by: overlap, less what is contradicted, five times."""
+    """Return what placements are ranked by: overlap less five times what is contradicted."""
     against = looked.contradicted / max(1 - looked.contradicted, 1e-9) * looked.agreeing
     return looked.agreeing - 5 * against
 

@@ -20,11 +20,11 @@ from ladarreg_core.stations.pair import PairOptions, Prepared, check_pair, prepa
 from ladarreg_core.stations.results import Loop, PlacedStation, StationNetwork, StationPair, StationState
 from ladarreg_core.validation import LARGEST_INT, require_choice, require_int, require_type
 
-PosesUse = Literal["keep", "refine", "search"]
-"""What becomes of the poses that the files state: kept to the last digit and judged; refined, within a metre of them;
-or searched for anew."""
-POSES_USES: tuple[PosesUse, ...] = get_args(PosesUse)
-_SAME_M, _SAME_RAD = 1e-3, 1e-4
+PoseUse = Literal["keep", "refine", "search"]
+"""What is done with the poses that the files state: `keep`: they are kept to the last digit, and judged; `refine`:
+refined within a metre; `search`: ignored, and searched for."""
+POSE_USES: tuple[PoseUse, ...] = get_args(PoseUse)
+_SAME_M, _SAME_RAD = 1e-3, 1e-4  # up to which poses are one and the same
 _UNKNOWN = np.full((6, 6), np.nan)
 MOST_SCANS = 40
 """Most scans of one call: every pair is tried."""
@@ -34,8 +34,7 @@ def register_scans(
     scans: Sequence[Scan],
     *,
     fixed: int = 0,
-    poses: PosesUse = "refine",
-    use_poses: bool | None = None,
+    poses: PoseUse = "refine",
     options: PairOptions | None = None,
     seed: int = 0,
     report: Report | None = None,
@@ -43,16 +42,15 @@ def register_scans(
     """Register scans of several stations to each other by their surfaces.
 
     The scanners stood upright, within a few degrees; nothing else need be known. Every pair gets a verdict of its own;
-    verified ones are adjusted together. What no verified pair leads to stays out, unless its file states where it
-    stands and nothing contradicts that: then it stays there, unverified.
+    verified ones are adjusted together. A station that no verified pair leads to is left out, unless its file states
+    where it stands and nothing contradicts that: then it stays there, unverified.
 
     Args:
         scans: two or more.
         fixed: index of the scan that keeps its pose: its `world_from_scanner`, or the world's origin without one.
         poses: what the poses in the files are used for, where both scans of a pair have one and they differ; `keep`:
-            they are judged as they are; `refine`: only what is within a metre of them is compared; `search`: for
-            nothing. What they show by themselves is stated in any case.
-        use_poses: earlier form of `poses`; False is `search`.
+            they are judged as they are; `refine`: only what is within a metre of them is compared; `search`: they are
+            ignored. How well the scans agree at these poses is stated in any case.
         options: the thresholds of the verdict.
         seed: random seed.
         report: receives the progress; may raise `Cancelled`.
@@ -62,41 +60,39 @@ def register_scans(
 
     Raises:
         OptionError: if there are fewer than two scans or more than `MOST_SCANS`, an argument is of a wrong type, or
-            poses are to be kept that a file does not state.
+            poses are to be kept but a file states none.
     """
-    if use_poses is not None:
-        poses = "refine" if use_poses else "search"
     _check(scans, fixed, poses, seed)
     count = len(scans)
     o = options or PairOptions()
     names = list(combinations(range(count), 2))
     total = 2 * count + 4 * len(names) + 4
 
-    def told(done: int, label: str) -> None:
+    def reported(done: int, label: str) -> None:
         if report is not None:
             report(Progress(done, total, label))
 
     with threadpool_limits(limits=1, user_api="blas"):
         prepared: list[Prepared] = []
         for k, scan in enumerate(scans):
-            told(2 * k, f"finding the surfaces of {scan.name}")
+            reported(2 * k, f"finding the surfaces of {scan.name}")
             prepared.append(prepare(scan))
         pairs = []
         for k, (a, b) in enumerate(names):
-            told(2 * count + 4 * k, f"registering {scans[b].name} to {scans[a].name}")
+            reported(2 * count + 4 * k, f"registering {scans[b].name} to {scans[a].name}")
             pairs.append(_pair(prepared, scans, (a, b), poses, o, seed))
-        told(total - 4, "adjusting the stations")
+        reported(total - 4, "adjusting the stations")
         return _network(scans, prepared, pairs, fixed, poses, o, seed)
 
 
-def _check(scans: Sequence[Scan], fixed: int, poses: PosesUse, seed: int) -> None:
+def _check(scans: Sequence[Scan], fixed: int, poses: PoseUse, seed: int) -> None:
     if not 2 <= len(scans) <= MOST_SCANS:
         raise OptionError(f"{len(scans)} scans are given; give 2 to {MOST_SCANS}")
     for scan in scans:
         require_type(scan, Scan, "each of the scans")
     require_int(fixed, "`fixed`", least=0, most=len(scans) - 1)
     require_int(seed, "the seed", least=0, most=LARGEST_INT)
-    require_choice(poses, POSES_USES, "`poses`")
+    require_choice(poses, POSE_USES, "`poses`")
     without = [scan.name for scan in scans if scan.world_from_scanner is None]
     if poses == "keep" and without:
         raise OptionError(
@@ -115,7 +111,7 @@ def _stated_between(first: Scan, second: Scan) -> Rigid | None:
 
 
 def _pair(
-    prepared: Sequence[Prepared], scans: Sequence[Scan], indices: tuple[int, int], poses: PosesUse,
+    prepared: Sequence[Prepared], scans: Sequence[Scan], indices: tuple[int, int], poses: PoseUse,
     options: PairOptions, seed: int,
 ) -> StationPair:  # fmt: skip
     first, second = (prepared[index] for index in indices)
@@ -129,13 +125,13 @@ def _pair(
         return found
     stated, pose = stated_pose(first, second, between), found.first_from_second
     said = (
-        f"At the poses in the files {stated.overlap:.1%} of the surfaces agree and {stated.contradicted:.1%} of those "
+        f"At the poses in the files, {stated.overlap:.1%} of the surfaces agree and {stated.contradicted:.1%} of those "
         "in plain view are contradicted"
     )
     if poses != "keep":
         said += (
-            f"; {'what was found' if found.verified else 'the best guess'} is {format_length(stated.away_m(pose))} and "
-            f"{format_angle(stated.away_rad(pose))} from there"
+            f"; {'the pose found' if found.verified else 'the best guess'} is {format_length(stated.away_m(pose))} and "
+            f"{format_angle(stated.away_rad(pose))} away from them"
         )
     reasons = [*found.reasons, f"{said}."]
     if poses == "refine" and not found.verified:
@@ -144,7 +140,7 @@ def _pair(
 
 
 def _network(
-    scans: Sequence[Scan], prepared: Sequence[Prepared], pairs: Sequence[StationPair], fixed: int, poses: PosesUse,
+    scans: Sequence[Scan], prepared: Sequence[Prepared], pairs: Sequence[StationPair], fixed: int, poses: PoseUse,
     options: PairOptions, seed: int,
 ) -> StationNetwork:  # fmt: skip
     count = len(scans)
@@ -152,29 +148,26 @@ def _network(
     lost: dict[tuple[int, int], StationPair] = {}
     loops: list[Loop] = []
     stations: dict[int, PlacedStation] = {}
-    # A component is what verified pairs connect: first that of the fixed station, then those that no pair leads to.
-    for number in range(count):
-        left = [k for k in range(count) if k not in stations]
-        if not left:
-            break
+    number = 0  # of a component, which verified pairs connect: first that of the fixed station, then the others
+    while left := [k for k in range(count) if k not in stations]:
         stated = [k for k in left if poses != "search" and _stated_between(scans[fixed], scans[k]) is not None]
         root = fixed if number == 0 else (stated or left)[0]
         world = scans[root].world_from_scanner if root in (fixed, *stated) else None
         base = world or Rigid.identity()
-        if poses != "keep":
+        if poses == "keep":
+            members = sorted(connected(count, root, used))
+            placed = {k: (scans[k].world_from_scanner or base, _UNKNOWN) for k in members}
+        else:
             graph, outvoted = pose_graph(count, root, base, used)
             lost |= {(pair.first, pair.second): pair for pair in outvoted}
             used = [pair for pair in used if (pair.first, pair.second) not in lost]
-        members = sorted(connected(count, root, used))
-        loops += loops_of(count, root, used)
-        if poses == "keep":
-            placed = {k: (scans[k].world_from_scanner or base, _UNKNOWN) for k in members}
-        elif len(members) > 1:
-            placed = adjusted(
-                {k: prepared[k].view.surfels.returns for k in members}, root, {k: graph[k] for k in members}
-            )
-        else:
+            members = sorted(connected(count, root, used))
             placed = {root: (base, np.zeros((6, 6)))}
+            if len(members) > 1:
+                placed = adjusted(
+                    {k: prepared[k].view.surfels.returns for k in members}, root, {k: graph[k] for k in members}
+                )
+        loops += loops_of(count, root, used)
         stands = (
             number == 0
             or poses == "keep"
@@ -188,9 +181,8 @@ def _network(
             if k == fixed:
                 state, covariance = "fixed", np.zeros((6, 6))
             within = placed[root][0].inverse @ pose if number > 0 and len(members) > 1 else None
-            stations[k] = PlacedStation(
-                k, scans[k].name, state, pose if stands else None, covariance, number, within
-            )  # fmt: skip
+            stations[k] = PlacedStation(k, scans[k].name, state, pose if stands else None, covariance, number, within)
+        number += 1
     listed = [stations[k] for k in range(count)]
     pairs = [lost.get((pair.first, pair.second), pair) for pair in pairs]
     asked = {"fixed": fixed, "poses": poses, **asdict(options)}
@@ -201,7 +193,7 @@ def _network(
 def _contradicted(
     pairs: Sequence[StationPair], members: Sequence[int], placed: Container[int], options: PairOptions
 ) -> bool:
-    """Return whether stations that have a place saw through what members of another component state."""
+    """Return whether the stated poses of a component's members are contradicted by stations that have a place."""
     return any(
         pair.stated is not None and pair.stated.contradicted > options.most_contradicted
         for pair in pairs
@@ -210,9 +202,9 @@ def _contradicted(
 
 
 def _reasons(stations: Sequence[PlacedStation], outvoted: int) -> tuple[str, ...]:
-    """Return the remarks on the whole."""
+    """Return remarks on the network as a whole."""
     reasons = []
-    for state, what in (("out", "left out"), ("stated", "where the file states, not verified")):
+    for state, what in (("out", "left out"), ("stated", "placed as the files state, not verified")):
         if names := [one.name for one in stations if one.state == state]:
             reasons.append(f"No verified pair leads to {', '.join(names)}: {what}.")
     components: dict[int, list[str]] = {}

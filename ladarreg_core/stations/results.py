@@ -43,7 +43,7 @@ class PairEvidence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StatedPose:
-    """What the poses in the files show, before anything is moved."""
+    """How well two scans agree at the poses in their files, before anything is moved."""
 
     first_from_second: Rigid
     """The pose of a pair's second scan in the frame of its first."""
@@ -53,11 +53,11 @@ class StatedPose:
     """As of `PairEvidence`, at this pose."""
 
     def away_m(self, found: Rigid) -> float:
-        """Return how far the second scanner stands from there by another pose."""
+        """Return how far another pose puts the second scanner from here, m."""
         return float(np.linalg.norm(found.translation - self.first_from_second.translation))
 
     def away_rad(self, found: Rigid) -> float:
-        """Return by which angle it is turned."""
+        """Return the angle between another pose and this one, rad."""
         return found.angle_to(self.first_from_second)
 
 
@@ -81,13 +81,14 @@ class StationPair:
     evidence: PairEvidence
     """The figures."""
     start: str
-    """Where the pose was found from: `search` or `poses in the files`; `poses in the files, kept`: it is theirs."""
+    """Where the pose was found from: `search` or `poses in the files`; `poses in the files, kept`, if it is theirs."""
     not_determined: tuple[str, ...] = ()
     """What the surfaces do not hold, in words."""
     runner_up: Rigid | None = None
     """The best other placement."""
     stated: StatedPose | None = None
-    """What the poses in the files show, whatever they were used for; None without poses, or if they are the same."""
+    """How well the scans agree at the poses in the files, whatever these were used for; None if the files state none,
+    or one and the same."""
 
     @property
     def verified(self) -> bool:
@@ -159,8 +160,13 @@ class PlacedStation:
     component: int = 0
     """Stations that verified pairs connect have the same number; the fixed one has 0."""
     component_from_scanner: Rigid | None = None
-    """Its pose in the frame of the first station of its component, if the component has several; None for that of the
-    fixed station."""
+    """Its pose in the frame of the first station of its component, if that has several; None in the fixed station's
+    component."""
+
+    @property
+    def is_verified(self) -> bool:
+        """Whether verified pairs connect it to the fixed station."""
+        return self.state in ("fixed", "registered", "kept")
 
     def as_fields(self) -> dict[str, Any]:
         """Return what `stations.json` states of the station."""
@@ -197,10 +203,10 @@ class StationNetwork:
     @property
     def accepted(self) -> bool:
         """Whether verified pairs lead to every scan."""
-        return all(one.state in ("fixed", "registered", "kept") for one in self.stations)
+        return all(one.is_verified for one in self.stations)
 
     def placed(self, scans: Sequence[Scan]) -> list[Scan]:
-        """Return the scans that have a pose with it; those that stayed out are left out."""
+        """Return the scans that were placed, each with its pose; those that are `out` are omitted."""
         return [
             replace(scans[one.index], world_from_scanner=one.world_from_scanner)
             for one in self.stations

@@ -155,7 +155,7 @@ class FlirTwin:
         self._slips.append((now_s, np.array([pan_rad, tilt_rad])))
 
     def switch_on(self, now_s: float, *, homing_s: float = 0.0) -> None:
-        """Have lost its power and got it back: modes reset, axes homed, for so long without an answer, banner sent."""
+        """Regain power after a loss: modes reset, axes homed; it sends its banner, and is deaf while it homes."""
         self._verbose = self._echo = self._immediate = True
         self._limits = "factory"
         for name, axis in self._axes.items():

@@ -21,7 +21,7 @@ import { mountStatusBar } from "./panels/status_bar.js";
 import { mountPanes } from "./panes/index.js";
 import { linkHovering } from "./state/hover.js";
 import { isRunning } from "./state/pipeline.js";
-import { followProject, toldOfProject } from "./state/project.js";
+import { followProject, projectNotice } from "./state/project.js";
 import { view } from "./state/view.js";
 import { notice, noticeArea } from "./ui/notices.js";
 import { followTheme } from "./ui/theme.js";
@@ -108,8 +108,8 @@ const welcome = () => {
     { label: "Show", act: () => openFiles() },
   );
   const nothing = !store.get("scan") && !(store.get("photos") ?? []).length;
-  const told = toldOfProject();
-  if (told) notice(told);
+  const message = projectNotice();
+  if (message) notice(message);
   if (nothing && store.get("acquisition")?.offered && !store.readOnly) view.set({ step: "acquire" });
   else if (store.get("project").start && !store.readOnly) openProjects(openFiles);
   else if (nothing && !store.readOnly && !document.querySelector("dialog[open]")) openFiles();

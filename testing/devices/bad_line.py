@@ -1,4 +1,4 @@
-"""A line between a computer and a device that delays, echoes, flips bits, loses bytes, or has the device restart."""
+"""A line between a computer and a device that delays, echoes, flips bits or loses bytes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ladarreg_core.twins.twin import Twin
 
 
 class BadLine:
-    """A simulated device as it is seen through a bad line; itself a `Twin`.
+    """A simulated device at the far end of a bad line; itself a `Twin`.
 
     Args:
         twin: the device.

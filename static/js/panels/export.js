@@ -121,12 +121,12 @@ export const mountExport = () => {
     element("div", { class: "part-body" }, files),
   );
 
-  /** A page that may only look downloads what somebody else has exported. */
+  /** A page that may only look downloads what others have exported. */
   const downloadLatest = async () => {
     const url = `export/${encodeURIComponent(store.shown() ?? "")}.zip`;
     const { ok } = await fetch(url, { method: "HEAD", cache: "no-store" }).catch(() => ({ ok: false }));
     if (!ok) {
-      notice("Nothing has been exported from this photograph yet: ask somebody who may edit for an export.", "warn");
+      notice("Nothing has been exported from this photograph yet: ask someone who is allowed to edit to export it.", "warn");
       return;
     }
     ready.href = url;

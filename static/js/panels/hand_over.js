@@ -183,11 +183,11 @@ export const mountHandOver = () => {
     if (into) notice(`Exporting into ${into}.`);
   };
 
-  /** A page that may only look saves what somebody else has exported. */
+  /** A page that may only look saves what others have exported. */
   const saveLatest = async () => {
     const { ok } = await fetch(ZIP, { method: "HEAD", cache: "no-store" }).catch(() => ({ ok: false }));
     if (ok) ready.click();
-    else notice("Nothing has been exported for other programs yet: ask somebody who may edit for an export.", "warn");
+    else notice("Nothing has been exported for other programs yet: ask someone who is allowed to edit to export it.", "warn");
   };
 
   form.addEventListener("submit", (event) => {

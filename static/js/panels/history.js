@@ -20,7 +20,7 @@ const goTo = (n, label) => {
       "p",
       {},
       `“${label}” becomes the state of the project, also for ${names}. Later edits, those of others included, are`,
-      " undone; they can be redone until somebody edits.",
+      " undone; they can be redone until someone edits.",
     ),
     element(
       "div",

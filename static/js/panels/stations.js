@@ -10,7 +10,7 @@ import { element, setChildren, setText } from "../ui/dom.js";
 import { notice } from "../ui/notices.js";
 
 const FIELDS = [["x", "x, m"], ["y", "y, m"], ["z", "z, m"], ["yaw_deg", "turn, °"]];
-const POSES = [["refine", "Refine poses"], ["keep", "Keep poses"], ["search", "Search anew"]];
+const POSES = [["refine", "Refine poses"], ["keep", "Keep poses"], ["search", "Ignore poses"]];
 const SIGNS = { verified: "ok", ambiguous: "warn", refused: "bad", contradicted: "bad", undecidable: "warn" };
 
 /** Controls that give a station a rough place: numbers, from the scan that is shown. */
@@ -72,7 +72,7 @@ export const mountStations = () => {
   const poses = element("select", {
     class: "select small",
     "aria-label": "Poses in the files",
-    title: "What the poses that the files state are used for; what they show by themselves is said in any case",
+    title: "What the poses in the files are used for; how well the scans agree at them is stated in any case",
   });
   fill(poses, POSES, "refine");
   const register = button({
@@ -207,7 +207,7 @@ export const mountStations = () => {
       verdicts,
       ...pairs.map((pair) => verdict(
         SIGNS[pair.verdict], `${pair.first} – ${pair.second}: ${pair.verdict}`,
-        [pair.verdict === "verified" ? `${sigmaText(pair)}.` : "", ...pair.reasons].filter(Boolean).join(" "), stale,
+        [pair.verdict === "verified" && sigmaText(pair) ? `${sigmaText(pair)}.` : "", ...pair.reasons].filter(Boolean).join(" "), stale,
       )),
       ...loops.map((loop) => verdict(
         loop.error_mm < 10 ? "ok" : "warn", `Loop ${loop.stations.join(" → ")}`,

@@ -46,7 +46,7 @@ export const setFaults = (faults) => {
 /** @param {(faults: PlanFault[]) => void} listen */
 export const onFaults = (listen) => faultListeners.add(listen);
 
-/** @returns {boolean} whether somebody else, who is still connected, drives the devices */
+/** @returns {boolean} whether another person, who is still connected, drives the devices */
 export const othersDrive = () => {
   const driver = store.get("acquisition")?.driver;
   const people = store.get("people");

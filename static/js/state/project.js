@@ -7,17 +7,17 @@ import { rememberPhoto } from "../net/identity.js";
 import { store } from "../net/store.js";
 import { view } from "./view.js";
 
-const TOLD = "ladarreg-project-told";
+const NOTICE = "ladarreg-project-notice";
 
 let present = null;
 
-const startAfresh = (id, told) => {
+const startAfresh = (id, message) => {
   view.exchange(present, id);
   rememberPhoto(null);
   try {
-    if (told) sessionStorage.setItem(TOLD, told);
+    if (message) sessionStorage.setItem(NOTICE, message);
   } catch {
-    // storage is disabled: nobody is told
+    // storage is disabled: nothing is shown
   }
   location.reload();
 };
@@ -33,12 +33,12 @@ export const followProject = () => {
   });
 };
 
-/** @returns {string} what to tell after the project was changed by somebody else; once */
-export const toldOfProject = () => {
+/** @returns {string} the notice after another project was opened; once */
+export const projectNotice = () => {
   try {
-    const told = sessionStorage.getItem(TOLD) ?? "";
-    sessionStorage.removeItem(TOLD);
-    return told;
+    const message = sessionStorage.getItem(NOTICE) ?? "";
+    sessionStorage.removeItem(NOTICE);
+    return message;
   } catch {
     return "";
   }

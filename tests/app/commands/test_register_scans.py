@@ -105,6 +105,18 @@ def test_the_scans_are_written_with_their_poses(
         assert not (tmp_path / "none" / "e57").exists()
     assert main(["export", str(out), "--to", "ply", "-o", str(tmp_path / "ply"), "--quiet"]) == 2
     capsys.readouterr()
+    earlier = json.loads((out / "stations.json").read_text())
+    del earlier["sha256"], earlier["options"]["poses"]
+    earlier["options"]["use_poses"] = True
+    for one in earlier["stations"]:
+        del one["component"], one["component_from_scanner"]
+    for pair in earlier["pairs"]:
+        del pair["stated"]
+    for name in ("hall.npz", "office.npz"):
+        shutil.copy(out / name, tmp_path / name)
+    (tmp_path / "stations.json").write_text(json.dumps(earlier))
+    assert main(["info", str(tmp_path)]) == 0, "results of earlier versions are read"
+    assert "office to hall: verified" in capsys.readouterr().out
     # An earlier result is replaced by --force only, and nothing else is.
     assert main(["register-scans", *files[:2], "-o", str(out), "--quiet"]) == 2
     assert main(["register-scans", *files[:2], "-o", str(out), "--force", "--json"]) == 0

@@ -269,7 +269,7 @@ def test_links_are_not_followed(room: Room, tmp_path: Path) -> None:
     assert room.next().read_bytes() == b"real" + WHOLE
     room.source.arrived(AT)
     assert room.source.keep_strays(room.kept / "stray") == []
-    with pytest.raises(DeviceError, match=r"a\.ptx, before\.ptx, folder is a symbolic link, which is not followed"):
+    with pytest.raises(DeviceError, match=r"a\.ptx, before\.ptx, folder are symbolic links, not followed"):
         room.next()
     assert [path.name for path in room.kept.iterdir()] == ["real.ptx"]
 
