@@ -39,7 +39,7 @@ COMMANDS = {
 _EXAMPLES = ("ladarreg demo", "ladarreg register room.e57 photo.jpg -o results", "ladarreg serve room.e57 photo.jpg")
 _LOOKING = ("info", "check", "devices")
 _OBJECTS_BEFORE_COLLECTION = 50_000
-_MOST_CAUSES = 20
+_MOST_CAUSES = 20  # causes of errors can be circular
 _NO_MEMORY = (
     "failed to map segment", "cannot allocate memory",  # a library that is loaded late
     "can't start new thread", "bad_alloc", "insufficient memory",  # the last two: OpenCV
@@ -175,7 +175,7 @@ def _explain(error: BaseException) -> tuple[str, ExitCode]:
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:
-    """Yield an error and those that it stems from, as Python 3.11 raises others from interrupts in `__set_name__`."""
+    """Yield an error and those that caused it: Python 3.11 raises others from an interrupt in `__set_name__`."""
     for _ in range(_MOST_CAUSES):
         if error is None:
             return
@@ -184,7 +184,7 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
 
 
 def _lacks_memory(error: BaseException) -> bool:
-    """Return whether an error says in one of the ways of Python and its libraries that there is no memory left."""
+    """Return whether an error of Python or one of its libraries says that there is no memory left."""
     if isinstance(error, OSError):
         return error.errno == errno.ENOMEM
     return isinstance(error, MemoryError) or any(words in str(error).lower() for words in _NO_MEMORY)

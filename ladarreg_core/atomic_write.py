@@ -1,6 +1,6 @@
 """Durable writing of files: data are on disk when a call returns, and failed appends leave no partial data.
 
-A file is on disk once both it and the folder with its name are synchronised; a synchronisation that fails is a failure.
+A file is on disk once both it and the folder with its name are synchronised; if that fails, the write has failed.
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ def sync_file(path: str | Path) -> None:
     Raises:
         OSError: if that fails.
     """
-    # Windows synchronises only what is open for writing; elsewhere a file that may only be read is synchronised, too.
+    # Windows synchronises only what is open for writing; elsewhere read-only files are to be synchronised, too.
     descriptor = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -179,7 +179,7 @@ def sync_folder(folder: str | Path) -> None:
     """Synchronise a folder's entries to disk where the system supports it.
 
     Raises:
-        OSError: if that fails: a name that was given or taken may be lost then.
+        OSError: if that fails: changes of its entries may then be lost.
     """
     if os.name == "nt":  # folders cannot be opened there
         return
@@ -210,7 +210,7 @@ def files_below(folder: str | Path) -> Iterator[Path]:
     """Yield the files in and below a folder; links to folders are not followed.
 
     Raises:
-        OSError: if a folder cannot be listed: it is not an empty one.
+        OSError: if a folder cannot be listed; it is not taken for an empty one.
     """
     for parent, _, names in os.walk(folder, onerror=raise_error):
         yield from (Path(parent, name) for name in names)
@@ -237,11 +237,11 @@ def move_file(old: str | Path, new: str | Path) -> None:
     """
     sync_file(old)
     os.replace(old, new)
-    # First where it is now: a crash between the two may leave it in both, never in none.
+    # The new folder first: a crash between the two may leave the file in both, never in neither.
     for folder in dict.fromkeys((Path(new).parent, Path(old).parent)):
         sync_folder(folder)
 
 
 def raise_error(error: OSError) -> NoReturn:
-    """Raise an error; the `onerror` of `os.walk`, which passes over a folder that cannot be listed otherwise."""
+    """Raise an error; as the `onerror` of `os.walk`, which otherwise skips a folder that cannot be listed."""
     raise error

@@ -23,7 +23,7 @@ ChecksumState = Literal["intact", "edited", "no checksum"]
 _EXACT = 2**53  # integers beyond are doubles in other programs, which read the same file
 _MOST_DIGITS = 21
 _SEAL = b"<!-- ladarreg report, SHA-256 of all above %s -->\n"
-_BLOCK = 1 << 20
+_BLOCK_BYTES = 1 << 20
 
 
 def canonical(value: Any) -> bytes:
@@ -135,7 +135,7 @@ def is_sealed_page(path: Path) -> bool:
         if size < 0:
             return False
         digest = hashlib.sha256()
-        while size and (block := file.read(min(size, _BLOCK))):
+        while size and (block := file.read(min(size, _BLOCK_BYTES))):
             digest.update(block)
             size -= len(block)
         return file.read() == b"\n" + _SEAL % digest.hexdigest().encode("ascii")

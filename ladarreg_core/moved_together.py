@@ -1,8 +1,7 @@
 """Several files of a folder that change as one, also if the program is killed or the disk fails in between.
 
-What is to be moved is written down first, in `.ladarreg-moves.json`: from then on the folder counts as changed, and
-whoever finds that file moves the rest, `finish_moves`. No move replaces a file, so that all can be taken back if one
-fails.
+What is to be moved is listed first, in `.ladarreg-moves.json`: from then on the folder counts as changed, and whoever
+finds that file finishes the moves (`finish_moves`). No move replaces a file, so that all can be undone if one fails.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from ladarreg_core.folder_lock import FolderLock
 from ladarreg_core.manifest import MANIFEST_FILE, ListedFile, manifest_bytes, read_manifest
 
 MOVES_FILE = ".ladarreg-moves.json"
-"""What is being moved in a folder; it is there for a moment, or until the next program looks."""
+"""Lists what is being moved in a folder; it exists for a moment, or until the next program finishes the moves."""
 _NEW, _OLD = ".new-files-", ".old-files-"
 _STAGING = re.compile(r"\.(?:new|old)-files-[0-9a-f]{8}")
 _LARGEST_BYTES = 64 << 20
@@ -51,8 +50,8 @@ def replace_together(
             are replaced, which are removed then.
 
     Raises:
-        ExportError: if one cannot be written, or would replace what the manifest does not list as it is; then the
-            folder is as it was, or as it is to be after `finish_moves`.
+        ExportError: if one cannot be written, or would replace a file that is not as the manifest lists it; then the
+            folder is as it was, or becomes what it should be by `finish_moves`.
         FormatError: if the manifest is damaged.
     """
     token = secrets.token_hex(4)
@@ -85,7 +84,7 @@ def replace_together(
 
 
 def finish_moves(folder: Path, *, lock: str, what: str) -> None:
-    """Finish what a program that was interrupted was moving in a folder; without its list nothing is done.
+    """Finish the moves of an interrupted program in a folder; without its list nothing is done.
 
     Args:
         folder: the folder.
@@ -93,8 +92,8 @@ def finish_moves(folder: Path, *, lock: str, what: str) -> None:
         what: what the folder is, for messages.
 
     Raises:
-        ExportError: if another program is at it, or a file cannot be moved.
-        FormatError: if the list is damaged, or another file is in the way.
+        ExportError: if another program has the folder locked, or a file cannot be moved.
+        FormatError: if the list is damaged, or a foreign file is in the way.
     """
     if not (folder / MOVES_FILE).is_file():
         return
@@ -126,12 +125,12 @@ def remove_unfinished(folder: Path) -> None:
 
 
 def is_unfinished(name: str) -> bool:
-    """Return whether a name in a folder is one of those that this module uses."""
+    """Return whether a name is one that this module gives to files in a folder."""
     return name == MOVES_FILE or _STAGING.fullmatch(name) is not None
 
 
 def _move_together(folder: Path, moves: Moves) -> None:
-    """Move files that are on disk, all or none; nothing has their new names but what moves away.
+    """Move files that are on disk, all or none; their new names are free, or those of files that move away.
 
     Raises:
         OSError: if one cannot be moved; all have their old names then, or get their new ones by `finish_moves`.
@@ -168,15 +167,15 @@ def _move(folder: Path, moves: Moves) -> None:
                 continue
             if not target.exists():
                 os.rename(source, target)
-            elif _same(source, target):  # of a rename the disk had the new name only
+            elif _same(source, target):  # after a loss of power the disk had both names
                 source.unlink()
             else:
-                raise FormatError(f"{target} is in the way of a file that gets its name; move it away and try again")
+                raise FormatError(f"{target} is in the way of a file that needs its name; move it away and try again")
         _sync_both(folder, names)
 
 
 def _has_come(source: Path, target: Path, origin: Path | None) -> bool:
-    """Return whether a file is the one that was to come there already, after the former one went away."""
+    """Return whether a file is already the new one, the former one having moved away."""
     return origin is not None and target.exists() and (not origin.exists() or _same(source, origin))
 
 
@@ -196,7 +195,7 @@ def _move_back(folder: Path, moves: Moves) -> None:
 def _sync_both(folder: Path, names: Sequence[Move]) -> None:
     """Synchronise the folders of files that were moved.
 
-    First where the files are now: a crash between the two may leave them in both places, never in none.
+    The new ones first: a crash between the two may leave the files in both places, never in neither.
     """
     now = [(folder / new).parent for _, new in names]
     for parent in dict.fromkeys([*now, *((folder / old).parent for old, _ in names)]):

@@ -295,7 +295,7 @@ def add_to_run(run_folder: str | Path, panorama: Panorama) -> None:
     """Write `scan.npz`, `panorama.json` and `provenance.png` beside a run's pieces, all or none.
 
     Raises:
-        ExportError: if they cannot be written, would replace files of somebody else, or another program is at the run.
+        ExportError: if they cannot be written, would replace foreign files, or another program has the run open.
     """
     from ladarreg_core.acquisition.earlier_run import add_panorama
     from ladarreg_core.export.json import write_document

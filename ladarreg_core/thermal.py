@@ -127,12 +127,18 @@ def _in_unit(values: NDArray[Any], unit: TemperatureUnit) -> NDArray[np.float32]
 
 
 def needs_unit(values: NDArray[Any]) -> bool:
-    """Return whether only its unit says if a decoded image is of temperatures: gray, of 16 bits or floating point.
+    """Return whether a decoded image may hold temperatures whose unit must be stated: gray, 16 bits or floating point.
 
-    Cameras write deg C, kelvin, tenths and hundredths of both, with empty pixels as NaN, and gray levels look alike.
+    Cameras write deg C, kelvin, tenths or hundredths of either, and NaN for empty pixels; gray levels can look alike.
     Floating point from -1 to 1 is a picture.
     """
     if values.ndim != 2 or not values.size or values.dtype.kind not in "uif" or values.dtype.itemsize < 2:
         return False
     known = values[np.isfinite(values)]
     return bool(known.size) and (values.dtype.kind != "f" or float(np.abs(known).max()) > 1)
+
+
+def shown_values(values: NDArray[Any]) -> str:
+    """Return the least and the largest finite value of an image that has some, for messages."""
+    known = values[np.isfinite(values)]
+    return f"{float(known.min()):.1f} to {float(known.max()):.1f}"

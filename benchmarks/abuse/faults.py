@@ -1,4 +1,4 @@
-"""Every call of a save, an export and a run that may fail, every moment the power may go, and memory that ends."""
+"""Saves, exports and runs of which any call may fail, the power may be lost at any moment, or memory may end."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from testing.attacks.system_calls import KINDS, can_watch
 
 SECTION = "faults"
 _MOST_STATES = 100
-"""States that power loss leaves, of a case of which a share is tried."""
-_LEAST_MEMORY, _GROWTH = 4096, 1.25
-"""The first limit, bytes beyond what is in use, and the ratio of one to the one before: fifty reach 230 MB."""
+"""States after a loss of power that are tried in each case, where only a share is tried."""
+_LEAST_MEMORY_BYTES, _GROWTH = 4096, 1.25
+"""The first limit, beyond what is in use, and the ratio of each to the one before: fifty reach 230 MB."""
 
 
 def run(log: Log, limits: int, every: int) -> None:
-    """Try every n-th call and state of each case (1: all), and this many limits of memory."""
+    """Fail every n-th call of each case (1: all), lose power in as large a share, and try this many memory limits."""
     if not can_watch():
         return
     fault_rounds.ready()
@@ -26,7 +26,7 @@ def run(log: Log, limits: int, every: int) -> None:
             _note(log, case, "power", "", [*fault_rounds.powerless(case, most=most)])
     for case in CASES:
         if not log.of(SECTION, case=case, kind="memory"):
-            sizes = [int(_LEAST_MEMORY * _GROWTH**k) for k in range(limits)]
+            sizes = [int(_LEAST_MEMORY_BYTES * _GROWTH**k) for k in range(limits)]
             _note(log, case, "memory", "", [fault_rounds.limited(case, size) for size in sizes])
     for call in KINDS:
         for case in CASES:

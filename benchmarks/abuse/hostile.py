@@ -1,4 +1,4 @@
-"""Hostile files of all formats, and `--force` beside files of somebody else."""
+"""Hostile files of all formats, and `--force` beside foreign files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from benchmarks.abuse.log import Log
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.formats import describe
 from ladarreg_core.formats.isolated import IsolatedReaders
-from testing.attacks.forced_runs import COMMANDS, Forced, forced_runs
+from testing.attacks.forced_runs import COMMANDS, forced_runs
 from testing.attacks.hostile_files import Listener, traced_reading, write_hostile
 
 FILES, FORCED = "hostile", "forced"
@@ -40,10 +40,10 @@ def run(log: Log, files: int) -> None:
 
 
 def run_forced(log: Log, times: int) -> None:
-    """Run each command that has `--force` this many times beside files of somebody else."""
+    """Run each command that has `--force` this many times beside foreign files."""
     for command in COMMANDS:
         if not log.of(FORCED, command=command):
-            found: Forced = forced_runs(command, times)
+            found = forced_runs(command, times)
             log.add(
                 FORCED, command=command, runs=found.runs, refused=found.refused, replaced=found.replaced,
                 others=found.others, count=len(found.lost), lost=found.lost[:20],

@@ -154,14 +154,8 @@ def _faults(rows: list[Row]) -> str:
         ("all", what, *(_sum(rows_of(found, "faults", {"kind": kind}), name) for name in counts))
         for kind, what in names.items()
     ]
-    head = (
-        "work",
-        "and",
-        "rounds",
-        "ended early",
-        "of them by a crash of NumPy",
-        "neither old nor new, or no clear sentence",
-    )
+    head = ("work", "what fails", "rounds", "ended early", "of these by a crash of NumPy",
+            "neither old nor new, or no clear sentence")  # fmt: skip
     return _section("Calls that fail", _table(head, body), _all(found, "first"))
 
 
@@ -169,7 +163,7 @@ def _hostile(rows: list[Row]) -> str:
     found = rows_of(rows, "hostile")
     if not found:
         return ""
-    head = ("hostile files", "heard by a listener", "confined and traced", "connections", "files of others opened")
+    head = ("hostile files", "heard by a listener", "confined and traced", "connections", "foreign files opened")
     body = [(row["files"], row["heard"], row["confined"], row["connects"], row["foreign"]) for row in found]
     return _section("Hostile files", _table(head, body), _all(found, "faults"))
 
@@ -181,8 +175,8 @@ def _forced(rows: list[Row]) -> str:
     names = ("runs", "refused", "replaced", "others", "count")
     body = [(row["command"], *(row[name] for name in names)) for row in found]
     body.append(("all", *(_sum(found, name) for name in names)))
-    head = ("command with --force", "runs", "refused", "replaced its own", "ended otherwise", "files of others lost")
-    return _section("--force beside files of somebody else", _table(head, body), _all(found, "lost"))
+    head = ("command with --force", "runs", "refused", "replaced its own", "ended otherwise", "foreign files lost")
+    return _section("--force beside foreign files", _table(head, body), _all(found, "lost"))
 
 
 def _floods(rows: list[Row]) -> str:

@@ -159,10 +159,10 @@ def require_own_report(path: Path) -> None:
     """Refuse to replace a file that is not a report as it was written.
 
     Args:
-        path: a file; one that does not exist is nobody's.
+        path: a file; one that does not exist is not refused.
 
     Raises:
-        ExportError: if it is another file, or was changed since, by its own checksum and the manifest beside it.
+        ExportError: if neither its own checksum nor the manifest beside it says that it is an unchanged report.
     """
     if not os.path.lexists(path):
         return

@@ -1,4 +1,4 @@
-"""Cameras stated by fields of any calibration program, in YAML, XML or JSON: OpenCV, ROS, ORB-SLAM, camodocal, Koide.
+"""Cameras stated by the fields of a calibration in YAML, XML or JSON: OpenCV, ROS, ORB-SLAM, camodocal and others.
 
 The intrinsics are a camera matrix, four numbers, or fields of their own (`fx`, `fy`, `cx`, `cy`); the distortion is a
 list or fields of their own (`k1`, `p1`, ...). Pixels: all count from (0, 0) at the centre of the top-left pixel, as
@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import CameraError, FormatError
 from ladarreg_core.formats.camera_fields import CameraFields, read_fields
 from ladarreg_core.formats.camera_in_file import (
@@ -89,11 +90,13 @@ def _has_intrinsics(known: CameraFields, side: str) -> bool:
 
 
 def _single_names(names: Sequence[str], side: str) -> list[str]:
-    """Return how a single number is spelled: `Camera.fx`, and `fx` where it is of the only camera."""
+    """Return the spellings of a single number: `Camera.fx`, and `fx` where the file has one camera."""
     return [*(names if not side else ()), *(f"camera{side}{name}" for name in names)]
 
 
-def _camera_of(known: CameraFields, side: str) -> tuple[Any, str]:
+def _camera_of(known: CameraFields, side: str) -> tuple[CameraModel, str]:
+    """Return a camera and its name; `side` is how its fields end in the file of a stereo pair."""
+
     def field(names: tuple[str, ...]) -> Any:
         own = known.take([f"{name}{side}" for name in names] + _single_names(names, side))
         return own if own is not None or not side or names in (_MATRIX, _DISTORTION) else known.take(
@@ -101,8 +104,7 @@ def _camera_of(known: CameraFields, side: str) -> tuple[Any, str]:
         )  # fmt: skip
 
     with naming(side and f"camera {side}"):
-        model = field(_MODEL)
-        lens = _lens_of(known, model)
+        lens = _lens_of(known, field(_MODEL))
         matrix = field(_MATRIX)
         fx, fy, cx, cy = _four_of(matrix) if matrix is not None else _single_numbers(known, side)
         width, height = _size(field(_WIDTH), field(_HEIGHT), field(_SIZE)) or _size_of_picture(known, cx, cy)
@@ -131,7 +133,7 @@ def _single_numbers(known: CameraFields, side: str) -> tuple[float, float, float
 
 
 def _single(known: CameraFields, names: Sequence[str], what: str) -> float:
-    """Return one number; errors call it as the file does."""
+    """Return one number; errors name it as the file does."""
     called = known.called(names) or what
     return number({called: known.take(names)}, called)
 
@@ -142,11 +144,10 @@ def _terms_of(known: CameraFields, listed: Any, lens: Lens, side: str) -> list[f
         flat: tuple[str, ...] = ("k2", "k3", "k4", "k5")  # camodocal's names of the four terms
     else:
         flat = ("k1", "k2", "k3", "k4") if lens == "fisheye" else _TERMS
-    given = {
-        name: names for name in _TERMS
-        if (names := _single_names([name], side))
-        and not isinstance(known.peek(names), list | Mapping | None)  # stereo pairs have matrices P1 and K1
-    }  # fmt: skip
+    spelled = {name: _single_names([name], side) for name in _TERMS}
+    given = {  # stereo pairs have matrices P1 and K1
+        name: names for name, names in spelled.items() if not isinstance(known.peek(names), list | Mapping | None)
+    }
     if listed is not None:
         if given:
             raise FormatError(
@@ -202,12 +203,12 @@ def _size(width: Any, height: Any, size: Any) -> tuple[int, int] | None:
 
 
 def _size_of_picture(known: CameraFields, cx: float, cy: float) -> tuple[int, int]:
-    """Return the photograph's size, turned so that the principal point is nearer to the middle: EXIF may turn it."""
+    """Return the photograph's size, the way round that has the principal point nearer the middle: EXIF may turn it."""
     sides = picture_size.get()
     if sides is None:
         raise FormatError(
-            "the image size is missing; add image_width and image_height (a photograph that is given with it has one)"
+            "the image size is missing; add image_width and image_height, or give the photograph with the camera"
         )
     width, height = min(sides, sides[::-1], key=lambda each: abs(cx / each[0] - 0.5) + abs(cy / each[1] - 0.5))
-    known.note(f"the camera file states no size of its pictures; the photograph's was taken, {width} x {height} px")
+    known.note(f"the camera file states no image size; the photograph's was taken, {width} x {height} px")
     return width, height

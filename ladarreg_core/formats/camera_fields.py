@@ -88,7 +88,7 @@ def _word(word: str) -> int | float | str:
 class CameraFields:
     """The fields of a calibration by plain names (`Camera_Matrix` and `cameraMatrix` agree), and which were used.
 
-    Groups (`distortion_parameters`, `camera`, ...) are opened: their fields stand beside the others.
+    Groups (`distortion_parameters`, `camera`, ...) are flattened: their fields stand beside the others.
     """
 
     def __init__(self, fields: Mapping[str, Any]) -> None:
@@ -100,28 +100,28 @@ class CameraFields:
 
     def _add(self, fields: Mapping[str, Any], depth: int) -> None:
         for key, value in fields.items():
-            plain = "".join(c for c in str(key).lower() if c.isalnum())
+            plain = _plain(key)
             if plain in _GROUPS and isinstance(value, Mapping) and "data" not in value and depth < _DEEPEST_GROUP:
                 self._add(value, depth + 1)
             elif value is not None and self._by_name.setdefault(plain, (str(key), value))[1] != value:
                 self._twice.add(plain)
 
     def peek(self, names: Sequence[str]) -> Any:
-        """Return the first of several fields that is there, without using it; None if there is none."""
+        """Return the value of the first of several fields that is there, without using it; None if there is none."""
         return next((self._by_name[name][1] for name in names if name in self._by_name), None)
 
     def take(self, names: Sequence[str]) -> Any:
-        """Return the first of several fields that is there, which counts as used; None if there is none.
+        """Return the value of the first of several fields that is there, which counts as used; None if there is none.
 
         Raises:
-            FormatError: if it is stated twice, with two values.
+            FormatError: if it is stated twice, with different values.
         """
         name = next((name for name in names if name in self._by_name), None)
         if name is None:
             return None
         if name in self._twice:
             raise FormatError(
-                f"it states {one_line(self._by_name[name][0], 40)!r} twice, differently; keep one of them"
+                f"it states {one_line(self._by_name[name][0], 40)!r} twice, with different values; keep one of them"
             )
         self._used.add(name)
         return self._by_name[name][1]
@@ -145,14 +145,14 @@ class CameraFields:
 
 
 def notes_on_unused(fields: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return a note that names the fields of a camera file that nothing was made of; none if none matters.
+    """Return a note that names the fields of a camera file that were not used; none if none matters.
 
     Raises:
-        CameraError: if one of them is a term of a lens: a camera without it would be a wrong one.
+        CameraError: if one of them is a term of the lens: without it the camera would be wrong.
     """
     said = []
     for key, value in fields.items():
-        plain = "".join(c for c in str(key).lower() if c.isalnum())
+        plain = _plain(key)
         if _is_nothing(value) or plain in _HARMLESS:
             continue
         if _LENS_TERM.fullmatch(plain) and isinstance(value, int | float):
@@ -167,12 +167,15 @@ def notes_on_unused(fields: Mapping[str, Any]) -> tuple[str, ...]:
     return (f"fields of the camera file that were not used: {', '.join(said[:_MOST_NAMED])}{more}",)
 
 
+def _plain(name: object) -> str:
+    """Return a name in lower case without separators."""
+    return "".join(c for c in str(name).lower() if c.isalnum())
+
+
 def _is_nothing(value: Any) -> bool:
-    """Return whether a value says nothing: zero, empty, or a group of such."""
+    """Return whether a value says nothing: zero, false, empty, a list of zeros, or a group of such values."""
     if isinstance(value, Mapping):
         return all(map(_is_nothing, value.values()))
-    return value is None or value in (0, "", "false", "False") or value == [] or value == [0] * len(_list(value))
-
-
-def _list(value: Any) -> list[Any]:
-    return value if isinstance(value, list) else []
+    if isinstance(value, list):
+        return not any(value)
+    return value in (None, 0, "", "false", "False")

@@ -73,7 +73,7 @@ def scan_of_cloud(
         color: (N, 3) uint8 RGB.
         name: of the scan.
         origin: where the scanner stood in the coordinates of the points, (3,) m, if the operator says.
-        stated: what the file may have meant as that place, with the words for it; see `locate_cloud`.
+        stated: places that the file may mean, with the words for what states them; see `locate_cloud`.
         zero_is_stated: whether the file says that the points are in the scanner's frame.
         ring: (N,) whole numbers, the beam of each point.
         world_from_scanner: pose of the coordinates of the points in the world.

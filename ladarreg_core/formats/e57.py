@@ -97,7 +97,7 @@ def read_e57(
                 if where.any():
                     records.origin = where
                     grid = _assembled(records, budget)
-                    assert grid is not None, "its indices were of use before"
+                    assert grid is not None, "its indices made a grid before"
                 return _gridded(file.stem, [*_notes(info, scan, intensity), *said], scan, *grid, where)
         budget.require(held + scan.points * _OWN_CELL_BYTES, f"its {scan.points:,} points")
         columns = records.all_columns()
@@ -201,7 +201,7 @@ class _Records:
 def _centre_of(
     grid: GridAssembly, records: _Records, origin: tuple[float, float, float] | None
 ) -> tuple[NDArray[np.float64], list[str]]:
-    """Return where the scanner stood in the coordinates of a grid's points, (3,), and notes: some are of the world.
+    """Return where the scanner stood in the coordinates of a grid's points, (3,), which may be the world's, and notes.
 
     Raises:
         OptionError: if an origin is given to a grid that is centred on its scanner.
@@ -213,8 +213,7 @@ def _centre_of(
     stride = max(1, int(np.sqrt(grid.rays.shape[0] * grid.rays.shape[1] / _DECIDING_CELLS)))
     rays = grid.rays[::stride, ::stride].astype(np.float64)
     rays[~rays.any(axis=-1)] = np.nan
-    is_central = is_scan_grid(rays)
-    if is_central:
+    if is_scan_grid(rays):
         if origin is not None and any(origin):
             raise OptionError(
                 f"origin is {origin}, but scan {records.scan.name!r} has a grid, which is centred on its scanner; "
@@ -239,7 +238,7 @@ def _centre_of(
 def _stated(scan: E57ScanInfo) -> list[tuple[str, FloatArray]]:
     """Return where the scanner stood if the points are in the world already, beside their pose."""
     pose = scan.world_from_scanner
-    if pose is None or np.array_equal(pose.matrix, np.eye(4)):  # which is what is written where nothing is known
+    if pose is None or np.array_equal(pose.matrix, np.eye(4)):  # the identity is written where nothing is known
         return []
     return [("the pose of the scan", pose.translation)]
 
@@ -337,9 +336,7 @@ def _gridded(
         ranges,
         intensity,
         color=color,
-        world_from_scanner=moved_pose(scan.world_from_scanner, where, _stated(scan))
-        if where.any()
-        else (scan.world_from_scanner),
+        world_from_scanner=moved_pose(scan.world_from_scanner, where, _stated(scan)),
         name=name,
         notes=(*notes, *unit_notes(ranges)),
     )

@@ -15,9 +15,9 @@ from ladarreg_core.formats.cloud import scan_of_cloud
 from ladarreg_core.formats.intensity import chosen_intensity, intensity_name, require_intensity
 from ladarreg_core.formats.scan_request import IntensitySource
 from ladarreg_core.formats.untrusted import as_float32, one_line, unit_notes
-from ladarreg_core.frames import Rigid, describe_position
+from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner.cloud import moved_pose
+from ladarreg_core.scanner.cloud import in_world_note, moved_pose
 from ladarreg_core.scanner.grid_order import is_scan_grid, order_of, unit_rays
 from ladarreg_core.scanner.grids import TabulatedGrid
 
@@ -108,19 +108,16 @@ def scan_of_fields(
         most_cells=most_cells,
         notes=remarks,
     )
-    if (
-        pose is None
-        or scan.world_from_scanner is None
-        or not np.array_equal(scan.world_from_scanner.matrix, pose.matrix)
-    ):
-        return scan
-    return replace(scan, notes=(*scan.notes, _VIEWPOINT))
+    found_pose = scan.world_from_scanner
+    if pose is not None and found_pose is not None and np.array_equal(found_pose.matrix, pose.matrix):
+        return replace(scan, notes=(*scan.notes, _VIEWPOINT))
+    return scan
 
 
 def _organised(
     points: NDArray[np.float64], shape: tuple[int, int], stated: Sequence[tuple[str, NDArray[np.float64]]]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], list[str]] | None:
-    """Return the points from the scanner, where it stood, and notes, if the order of an organised cloud is a grid."""
+    """Return the points relative to the scanner, where it stood, and notes, if an organised cloud is its grid."""
     grid = points.reshape(*shape, 3)
     rays = unit_rays(grid)
     if not np.isfinite(rays[..., 0]).any():
@@ -130,8 +127,7 @@ def _organised(
     for words, place in stated:
         moved = np.where(grid.any(axis=-1, keepdims=True), grid - place, np.nan)
         if place.any() and is_scan_grid(unit_rays(moved)):
-            said = f"the points are in the world; the scanner stood at {describe_position(place)}, as {words} says"
-            return np.asarray(moved.reshape(-1, 3), dtype=np.float64), place, [said]
+            return np.asarray(moved.reshape(-1, 3), dtype=np.float64), place, [in_world_note(words, place)]
     return None
 
 

@@ -39,7 +39,7 @@ from ladarreg_core.formats.scan_request import ScanRequest
 from ladarreg_core.formats.untrusted import one_line, reading, shown_name
 from ladarreg_core.frames import ThesisParameters, describe_direction, describe_position, describe_world
 from ladarreg_core.scan import Scan
-from ladarreg_core.thermal import kelvin_of, needs_unit
+from ladarreg_core.thermal import kelvin_of, needs_unit, shown_values
 
 FileKind = Literal["scan", "photo", "camera", "pose", "matches", "results"]
 _MOST_LISTED = 50
@@ -328,10 +328,8 @@ def _thermal_notes(file: Path, image: ImageData) -> list[str]:
     if (kelvin := kelvin_of(image.values)) is not None:
         return [f"a thermal image, {float(kelvin.min()):.1f} to {float(kelvin.max()):.1f} K"]
     if needs_unit(image.values):
-        low, high = float(np.nanmin(image.values)), float(np.nanmax(image.values))
-        return [
-            f"its pixels, {low:.1f} to {high:.1f}, may be temperatures: give `temperature_unit` C, K or none with it"
-        ]
+        shown = shown_values(image.values)
+        return [f"its pixels, {shown}, may be temperatures: give `temperature_unit` C, K or none with it"]
     return []
 
 

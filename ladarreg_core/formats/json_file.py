@@ -17,7 +17,7 @@ from ladarreg_core.formats.untrusted import PathLike, one_line, shown_name
 
 LARGEST_BYTES = 8_000_000
 """Size limit; cameras, poses, matches, descriptors and results are smaller."""
-_LOOKED_AT = 512
+_LOOKED_AT = 512  # bytes
 _NOT_TEXT = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")
 _WHAT = "\0"  # placeholder in a reason for the expected content
 _parsed: ContextVar[dict[Path, dict[str, Any] | str] | None] = ContextVar("parsed", default=None)
@@ -46,7 +46,7 @@ def begins_with_brace(file: Path) -> bool:
 
 
 def looks_like_json(head: bytes) -> bool:
-    """Return whether the first bytes of a file are a brace and text: one float32 in 256 begins with that byte, too."""
+    """Return whether the first bytes of a file are a brace and text; a number may begin with the byte of a brace."""
     start = head.removeprefix(b"\xef\xbb\xbf").lstrip(b" \r\n\t")
     return start.startswith(b"{") and not _NOT_TEXT.search(head[:_LOOKED_AT])
 

@@ -28,7 +28,7 @@ from ladarreg_core.formats.radiometric import radiometric_kelvin, radiometric_ma
 from ladarreg_core.formats.untrusted import PathLike, one_line, reading
 from ladarreg_core.photo import Photo
 from ladarreg_core.source import with_source
-from ladarreg_core.thermal import TemperatureUnit, kelvin_of, needs_unit, thermal_photo
+from ladarreg_core.thermal import TemperatureUnit, kelvin_of, needs_unit, shown_values, thermal_photo
 
 _FREEZING_K = 273.15
 _POSSIBLE = (0.05, 100.0)
@@ -203,10 +203,9 @@ def _temperatures(file: Path, image: ImageData, unit: TemperatureUnit | None) ->
         return kelvin_of(image.values, stated)
     kelvin = kelvin_of(image.values)
     if kelvin is None and needs_unit(image.values):
-        low, high = float(np.nanmin(image.values)), float(np.nanmax(image.values))
         raise UnderspecifiedError(
-            f"its pixels, {low:.1f} to {high:.1f}, may be temperatures, and the file does not state their unit; give "
-            "`temperature_unit` C or K, or none if it is an ordinary picture"
+            f"its pixels, {shown_values(image.values)}, may be temperatures, and the file does not state their unit; "
+            "give `temperature_unit` C or K, or none if it is an ordinary picture"
         )
     return kelvin
 

@@ -23,10 +23,10 @@ from ladarreg_core.formats.number_rows import numbers_of, row_parts
 from ladarreg_core.formats.scan_request import IntensitySource
 from ladarreg_core.formats.untrusted import PathLike, as_float32, one_line, reading, require_cells, unit_notes
 from ladarreg_core.formats.world_pose import world_pose
-from ladarreg_core.frames import Rigid, describe_position
+from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Report
 from ladarreg_core.scan import Scan
-from ladarreg_core.scanner.cloud import moved_pose, where_it_stood
+from ladarreg_core.scanner.cloud import in_world_note, moved_pose, where_it_stood
 from ladarreg_core.scanner.grid_order import is_scan_grid, order_of, unit_rays
 from ladarreg_core.scanner.grids import TabulatedGrid
 
@@ -297,9 +297,9 @@ def _to_scan(
             value.ravel(),
             None if color is None else color.reshape(-1, 3),
             name=name,
-            origin=None if more_said else origin,
+            origin=origin,
             zero_is_stated=pose is not None,
-            stated=[] if pose is None else [(_POSE, pose.translation)],
+            stated=_stated(pose),
             world_from_scanner=pose,
             most_cells=budget.most_cells,
             notes=(*notes, *said, header, *more),
@@ -341,9 +341,9 @@ def _in_scanner_frame(points: FloatArray, block: PtxBlock) -> tuple[FloatArray, 
 def _around_scanner(
     points: FloatArray, pose: Rigid | None, origin: tuple[float, float, float] | None
 ) -> tuple[FloatArray, Rigid | None, tuple[str, ...]]:
-    """Return points (C, R, 3) from where the scanner stood, its pose, and notes, if the points are a grid from there.
+    """Return points (C, R, 3) relative to the scanner, its pose, and notes, if they are a grid as seen from there.
 
-    Programs write points of the world with an identity as the registration, or with the pose beside them.
+    Some programs write points of the world with an identity as the registration, or with the pose beside them.
 
     Raises:
         OptionError: if an origin is given to a grid that is centred on its scanner.
@@ -352,23 +352,28 @@ def _around_scanner(
         if origin is not None and any(origin):
             raise OptionError("origin is given, but the points are a scanner's grid, centred on it; leave it out")
         return points, pose, ()
-    stated = [] if pose is None else [(_POSE, pose.translation)]
+    stated = _stated(pose)
     known = points.reshape(-1, 3)
     known = known[np.isfinite(known).all(axis=1)]
     if origin is None and not any(_is_grid(unit_rays(points - place)) for _, place in stated):
         try:
             where, said = where_it_stood(known, stated=stated, zero_is_stated=pose is not None)
-        except UnderspecifiedError:  # asked for where the cloud is gridded
+        except UnderspecifiedError:  # it is asked for when the points are gridded as a cloud
             return points, pose, ()
     else:
         given = origin if origin is not None else stated[0][1]
         where, said = where_it_stood(known, origin=given)
         if origin is None:
-            said = [f"the points are in the world; the scanner stood at {describe_position(where)}, as {_POSE} says"]
+            said = [in_world_note(_POSE, where)]
     moved = points - where
     if not where.any() or not _is_grid(unit_rays(moved)):
         return points, pose, ()
     return moved, moved_pose(pose, where, stated), tuple(said)
+
+
+def _stated(pose: Rigid | None) -> list[tuple[str, FloatArray]]:
+    """Return where the scanner stood if the points are in the world already, beside their registration."""
+    return [] if pose is None else [(_POSE, pose.translation)]
 
 
 def _unevenness(points: FloatArray) -> float:

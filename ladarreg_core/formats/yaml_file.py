@@ -20,12 +20,12 @@ _NONE = ("", "~", "null", "Null", "NULL")
 
 
 def parse_yaml(text: str) -> dict[str, Any]:
-    """Return the mapping that the first document of a text is; numbers become int or float, everything else a string.
+    """Return the mapping in the first document of a text; numbers become int or float, everything else a string.
 
     Raises:
         FormatError: if it is not a mapping, is nested too deeply, is damaged, or uses anchors.
     """
-    import yaml  # only where a camera is YAML: it takes as long to load as a small file to read
+    import yaml  # only where a camera is YAML: loading it takes as long as reading a small file
 
     longest = max(map(len, text.splitlines()), default=0)
     if longest > _LONGEST_LINE:
@@ -64,7 +64,7 @@ def _document(yaml: Any, events: Iterator[Any]) -> Any:
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None) is not None:
             raise FormatError("it uses an anchor or alias (& or *), which is not read; write the values out")
         if isinstance(event, yaml.ScalarEvent):
-            value = _scalar(event.value) if event.style is None or event.style == "" else event.value
+            value = event.value if event.style else _scalar(event.value)  # quoted: a string
             if holders and isinstance(holders[-1], dict) and keys[-1] is None:
                 keys[-1] = _new_key(event.value, holders[-1])
                 continue
@@ -102,13 +102,13 @@ def _reason(text: str, error: Any) -> str:
     mark = getattr(error, "problem_mark", None)
     at = f", line {mark.line + 1}" if mark is not None else ""
     lines = text.splitlines()
-    if mark is not None and mark.line < len(lines) and "\t" in re.match(r"\s*", lines[mark.line])[0]:  # type: ignore[index]
+    if mark is not None and mark.line < len(lines) and re.match(r"\s*\t", lines[mark.line]):
         return f"it is indented with tabs{at}; YAML is indented with spaces"
     if mark is not None and mark.line >= len(lines):
         return "a bracket or a quotation is never closed; the file is truncated"
     if not re.search(r":(\s|$)", text, re.MULTILINE):
         return "its lines are not of the form 'name: value'; give JSON or YAML with a camera matrix"
-    return f"it is not valid YAML{at}; lines have the form 'name: value', and neighbours the same indentation"
+    return f"it is not valid YAML{at}; lines have the form 'name: value', and neighbouring lines the same indentation"
 
 
 def _scalar(text: str) -> Any:

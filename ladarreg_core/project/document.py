@@ -316,7 +316,7 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def sources(self) -> Iterator[Source]:
-        """The files that it is of: scans, photographs and cameras, of all stations."""
+        """The files that it refers to: scans, photographs and cameras, of all stations."""
         if self.scan is not None:
             yield self.scan
         yield from (station.source for station in self.stations)

@@ -33,10 +33,10 @@ def duplicate_project(folder: ProjectFolder, history: History, target: Path, *, 
     try:
         make_folder(target.parent)
         target.mkdir()
-        sync_folder(target.parent)
     except OSError as error:
         raise ExportError(f"{target} cannot be created: {error.strerror or error}") from None
     try:
+        sync_folder(target.parent)
         copied_inputs = target / folder.inputs.name
         shutil.copytree(folder.inputs, copied_inputs, ignore=shutil.ignore_patterns("*.part"))
         sync_tree(copied_inputs)

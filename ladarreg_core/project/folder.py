@@ -59,7 +59,7 @@ def is_project(path: str | Path) -> bool:
     """Return whether a folder contains a project, intact or damaged.
 
     Raises:
-        FormatError: if that cannot be seen: a project that the disk does not show must not be begun anew.
+        FormatError: if the folder cannot be read: a project that may be there must not be begun anew.
     """
     try:
         return any((Path(path) / name).is_file() for name in (_PROJECT, _HISTORY))
@@ -92,7 +92,7 @@ class ProjectFolder:
         self._kept: dict[str, StoredArrays] = {}
         self._synced: set[str] = set()  # files of sources that are known to be on disk
         self._missing: dict[str, StoredArrays] = {}
-        self._unreadable: set[str] = set()  # of these; what cannot be read now may be intact
+        self._unreadable: set[str] = set()  # those of them that may be intact, but cannot be read now
         self._unknown: Unknown = {}
         self._damaged: set[Path] = set()
         self._remarks: list[str] = [self._lock.remark] if self._lock.remark else []
@@ -127,7 +127,7 @@ class ProjectFolder:
 
     @property
     def unreadable(self) -> bool:
-        """Whether stored matches could not be read, and may be intact."""
+        """Whether some stored matches cannot be read at the moment, though they may be intact."""
         return bool(self._unreadable)
 
     @property
@@ -308,7 +308,7 @@ class ProjectFolder:
         self._rewrite, self._queue = False, []
 
     def _save_named(self, document: Document) -> None:
-        """Bring all that a document names to disk, before the document itself.
+        """Bring all files that a document names to disk, before the document itself.
 
         Raises:
             ExportError: if that fails.
@@ -323,7 +323,7 @@ class ProjectFolder:
                 self._kept[name] = arrays
 
     def _sync_source(self, file: Path) -> None:
-        """Synchronise a file in the folder, with the names that lead to it; one that is missing is nobody's loss."""
+        """Synchronise a file in the folder, with the names that lead to it; a missing one is passed over."""
         try:
             if not file.is_file():
                 return

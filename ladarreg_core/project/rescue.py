@@ -72,7 +72,11 @@ def _new_folder(place: Path, name: str) -> Path:
         target = place / (name if number == 1 else f"{name}-{number}")
         with contextlib.suppress(FileExistsError):
             target.mkdir()
-            sync_folder(place)
+            try:
+                sync_folder(place)
+            except OSError:
+                target.rmdir()
+                raise
             return target
     raise FileExistsError(f"{name} and {_MOST_OF_ONE_NAME - 2:,} numbered folders exist")
 

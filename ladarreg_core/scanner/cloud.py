@@ -16,10 +16,10 @@ from ladarreg_core.scanner.gridding import LARGEST_GRID, LEAST_POINTS, GriddedCl
 from ladarreg_core.scanner.origin import FARTHEST_ZERO_M, estimate_origin
 
 _LEAST_KEPT = 0.9
-_MOST_HIDDEN = 0.9
+_MOST_HIDDEN = 0.9  # share of the points; with more hidden from zero, the file's word for it is not believed
 _SAME_PLACE_M = 0.5
 _SAMPLES = 10_000
-_COARSEST_M = 0.02
+_COARSEST_M = 0.02  # of a step between coordinates
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +57,7 @@ def locate_cloud(
         color: (N, 3) uint8 RGB.
         origin: where the scanner stood in the coordinates of the points, (3,) m, if it is given; else it is found by
             the pattern of the points (`estimate_origin`).
-        stated: what the file may have meant as that place, (3,) m, each with the words for it (`its VIEWPOINT`).
+        stated: places (3,), m, that the file may mean, each with the words for what states it (`VIEWPOINT`).
         zero_is_stated: whether the file says that the points are in the scanner's frame.
         ring: (N,) whole numbers, the beam of each point.
         world_from_scanner: pose of the coordinates of the points in the world.
@@ -74,7 +74,7 @@ def locate_cloud(
     moved = np.asarray(points, dtype=np.float64)
     if where.any():
         moved = moved - where
-        world_from_scanner = moved_pose(world_from_scanner, where, stated)
+    world_from_scanner = moved_pose(world_from_scanner, where, stated)
     cloud = grid_points(moved, intensity, color, ring=ring, most_cells=most_cells)
     remarks.append(cloud.describe())
     kept = cloud.points_kept + (cloud.points_merged if cloud.accumulated else 0)
@@ -88,14 +88,23 @@ def locate_cloud(
     return LocatedCloud(cloud, world_from_scanner, where, tuple(remarks))
 
 
-def moved_pose(pose: Rigid | None, where: NDArray[np.float64], stated: Sequence[tuple[str, ArrayLike]] = ()) -> Rigid:
-    """Return the scanner's pose in the world, where it stood at a place (3,) in the coordinates of the points.
+def moved_pose(
+    pose: Rigid | None, where: NDArray[np.float64], stated: Sequence[tuple[str, ArrayLike]] = ()
+) -> Rigid | None:
+    """Return the scanner's pose in the world, given where it stood, (3,) in the coordinates of the points.
 
     Where that is the place of the stated pose, the points were in the world already, and the pose is not applied again.
     """
+    if not where.any():
+        return pose
     step = Rigid(np.eye(3), where)
     in_world = any(np.linalg.norm(where - np.asarray(place)) < _SAME_PLACE_M for _, place in stated)
     return step if pose is None or in_world else pose @ step
+
+
+def in_world_note(words: str, place: NDArray[np.float64]) -> str:
+    """Return the note on a grid of points in the world, which is one as seen from the stated place (3,)."""
+    return f"the points are in the world; the scanner stood at {describe_position(place)}, as {words} says"
 
 
 def where_it_stood(
@@ -129,19 +138,19 @@ def where_it_stood(
                 f"the zero point of {own} is the scanner's position, as the file says; the points do not show it"
             ]
         far = np.nanmedian(np.abs(points[:: max(1, len(points) // _SAMPLES)]), axis=0).max() > FARTHEST_ZERO_M
-        millimetres = "; coordinates in millimetres are to be converted to metres" if far else ""
+        millimetres = "; if they are in millimetres, convert them to metres" if far else ""
         raise UnderspecifiedError(
             f"{what} does not say where the scanner stood, and the pattern of the points does not show it: give "
-            f"`origin` as x, y, z in {own} (0, 0, 0 if they are the scanner's own); a cloud of several scans is to "
-            f"be exported scan by scan{millimetres}"
+            f"`origin` as x, y, z in {own} (0, 0, 0 if they are the scanner's own); export a cloud of several scans "
+            f"scan by scan{millimetres}"
         )
     where = np.array(estimate.position)
     if not where.any():
         if not estimate.by_visibility_alone or zero_is_stated:
             return where, []
         return where, [
-            f"the zero point of {own} was taken for the scanner's position, since little is hidden from it; the "
-            "pattern of the points says no more: if the scanner stood elsewhere, give it by `origin`"
+            f"the zero point of {own} was taken for the scanner's position only because little is hidden from it; if "
+            "the scanner stood elsewhere, give its position by `origin`"
         ]
     if (words := next((words for words, place in places if np.array_equal(place, where)), None)) is not None:
         return where, [
@@ -155,10 +164,10 @@ def where_it_stood(
 
 
 def _require_fine_steps(points: NDArray[np.floating], what: str) -> None:
-    """Refuse coordinates of a map that were rounded to single precision: nothing brings the shape back.
+    """Refuse coordinates of a map that were rounded to single precision: nothing restores the shape.
 
     Raises:
-        ShapeError: naming the step.
+        ShapeError: if they were; it names the step.
     """
     known = points[:: max(1, len(points) // _SAMPLES)]
     with np.errstate(over="ignore", invalid="ignore"):
@@ -170,6 +179,6 @@ def _require_fine_steps(points: NDArray[np.floating], what: str) -> None:
     step = float(np.spacing(np.float32(largest)))
     if step > _COARSEST_M:
         raise ShapeError(
-            f"{what} has coordinates of a map, about {largest:,.0f} m, in single precision, in which neighbours are "
-            f"{step:g} m apart: the shape of what was scanned is lost; export it in double precision, or less an offset"
+            f"{what} has coordinates of a map, about {largest:,.0f} m, in single precision, whose steps are {step:g} m "
+            "apart: the shape of what was scanned is lost; export it in double precision, or with an offset subtracted"
         )

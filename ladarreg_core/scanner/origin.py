@@ -28,22 +28,22 @@ _WITNESSES = 20_000  # points that may hide each other
 _NEIGHBOURS = 40
 _LEAST_POINTS = 12
 _LEAST_PATCHES = 60
-_LEAST_POOL = 4_000
+_LEAST_POOL = 4_000  # points; of fewer only lines count
 _FLAT = 0.1
 _TAU = 0.5
 _ELEVATIONS = 6_000
 _BINS_DEG = (0.25, 0.12, 0.06, 0.03, 0.015)  # lidars have lines .1 to 2 degrees apart
-_LEAST_IN_BIN, _LEAST_BINS = 24, 3
-_COINCIDENT_RAD = 2e-6
+_LEAST_IN_BIN, _LEAST_BINS = 24, 3  # points in a wide bin, and such bins
+_COINCIDENT_RAD = 2e-6  # angles on one line of a grid differ by rounding only
 _LEAST_LINES, _LEAST_IN_LINE, _LEAST_IN_ROW = 4, 4, 9  # a lattice has eight places at one distance
-_SHARP = 0.9
+_SHARP = 0.9  # sharpness and regularity are nats, from 0 to log 8 = 2.08
 _SURELY_SHARP = 1.2
 _SURELY_REGULAR, _CLEARLY_LESS = 1.6, 0.6
-_LEAST_DROP = 0.03
+_LEAST_DROP = 0.03  # nats, from a centre of lines to the places around it
 _AROUND = 0.012  # distance of the places beside a centre of lines, of the cloud's size
 _SHARPENED = 6
 _COARSE_TURNS = 5
-_MOST_HIDDEN = 0.5
+_MOST_HIDDEN = 0.5  # shares of the points that lie behind others: here, from a centre of lines
 _HIDDEN = 0.12
 _HIDDEN_IF_SHARP = 0.3
 _AS_GOOD = 0.05
@@ -84,7 +84,7 @@ def estimate_origin(points: FloatArray, *, stated: Sequence[ArrayLike] = ()) -> 
     2. the searched place, if that is true of it;
     3. a known place that explains the densities as well as the searched one, and from which little is hidden;
     4. the searched place, if it explains the densities well and nearly nothing is hidden from it;
-    5. a known place from which far less is hidden than from elsewhere in the cloud.
+    5. a known place from which far less is hidden than from elsewhere in the cloud, unless the densities contradict it.
 
     Args:
         points: (N, 3) float64, m, in any coordinates with axis Z up; points that are not finite are ignored.
@@ -148,7 +148,7 @@ def _estimate(picked: FloatArray, known: Sequence[FloatArray]) -> OriginEstimate
     from_zero = cloud.hidden_from(-middle) if zero_is_near else 1.0
 
     def answer(place: FloatArray, *, alone: bool = False) -> OriginEstimate:
-        x, y, z = next((each for each in known if np.allclose(each - middle, place, rtol=0, atol=0)), place + middle)
+        x, y, z = next((each for each in known if np.array_equal(each - middle, place)), place + middle)
         return OriginEstimate((float(x), float(y), float(z)), cloud.hidden_from(place), from_zero, alone)
 
     by_lines = [place for place in places if cloud.is_centre_of_lines(place)]
@@ -169,8 +169,8 @@ def _estimate(picked: FloatArray, known: Sequence[FloatArray]) -> OriginEstimate
     if is_clear and misfit < gained and np.linalg.norm(best) < _FARTHEST * cloud.size:
         return answer(best)
     usual = cloud.usually_hidden()
-    for _, behind, place in sorted(seen, key=lambda each: each[1]):
-        if behind < min(_HIDDEN_IF_SHARP, 0.5 * usual):
+    for fit, behind, place in sorted(seen, key=lambda each: each[1]):
+        if fit <= flat and behind < min(_HIDDEN_IF_SHARP, 0.5 * usual):  # little is hidden beside a narrow cloud, too
             return answer(place, alone=True)
     return OriginEstimate(None, from_zero, from_zero)
 
@@ -296,8 +296,8 @@ class _Cloud:
     def sharpness(self, origin: FloatArray, *, coarsely: bool = False) -> float:
         """Return how concentrated the elevations are on single values: 0 for none, 2.08 for rings.
 
-        It is the information that fine bins have beyond bins of eight of them, at the best of several sizes. Wide bins
-        count alike: a floor at the height of the origin, all of it at one elevation, is one of many.
+        It is the information that fine bins add to bins eight times as wide, for the best of several sizes. All wide
+        bins count alike: a floor level with the origin, all of it at one elevation, is only one of many.
         """
         offset = self.ordered[:: 3 if coarsely else 1] - origin
         elevation = np.arctan2(offset[:, 2], np.hypot(offset[:, 0], offset[:, 1])) + np.pi / 2
@@ -390,7 +390,7 @@ class _Cloud:
 
 
 def _concentration(angle: FloatArray, size: float) -> float:
-    """Return the information of bins of a size beyond bins of eight of them, freed of what chance gives."""
+    """Return the information, nats, that bins of a size, rad, add to bins eight times as wide, less that of chance."""
     wide = int(2 * np.pi / size / 8) + 2
     counts = np.bincount((angle / size).astype(np.intp), minlength=8 * wide)[: 8 * wide].reshape(wide, 8)
     counts = counts[counts.sum(axis=1) >= _LEAST_IN_BIN].astype(np.float64)
@@ -405,7 +405,7 @@ def _concentration(angle: FloatArray, size: float) -> float:
 
 
 def _share_in_lines(angle: FloatArray, least: int) -> float:
-    """Return the share of angles of which `least` coincide to rounding, where they do on many values."""
+    """Return the share of angles on lines, on which `least` or more coincide; 0 for few lines, or one that has most."""
     apart = np.diff(np.sort(angle)) > _COINCIDENT_RAD
     sizes = np.diff(np.flatnonzero(np.concatenate([[True], apart, [True]])))
     sizes = sizes[sizes >= least]

@@ -1,6 +1,6 @@
 """Work on folders that is made to fail: a save, an export, a zip, results, a copy of a project, and runs.
 
-Each case prepares a folder, does its work there in a process of its own, and says of any folder what it holds.
+Each case prepares a folder, does its work there in a process of its own, and says what is wrong with what is left.
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-
-import msgspec
 
 from ladarreg_core.acquisition.devices import PanTilt, UnitIdentity
 from ladarreg_core.acquisition.folder_source import FolderSource
@@ -33,7 +31,7 @@ from ladarreg_core.project import edits
 from ladarreg_core.project.document import Document, Source
 from ladarreg_core.project.duplicate import duplicate_project
 from ladarreg_core.project.folder import ProjectFolder, is_project
-from ladarreg_core.project.history import History
+from ladarreg_core.project.history import NOBODY, History
 from ladarreg_core.twins.world import FRAME_MOUNT
 from testing.attacks.drawing import WHEN, draw
 from testing.devices.simulated_clock import SimulatedClock
@@ -41,7 +39,7 @@ from testing.scenes.documents import with_an_answer
 from testing.scenes.small_registration import sample_photo, sample_registration, sample_scan
 
 Tell = Callable[[int], None]
-"""Is told the number of the last edit, photograph or piece that was confirmed."""
+"""Receives the number of the last edit, photograph or piece that was confirmed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,11 +52,11 @@ class Case:
     work: Callable[[Path, Path, Tell], None]
     """Does the work; raises what it raises."""
     fault: Callable[[Path, int, bool], str]
-    """Says what is wrong with a folder of which so many things were confirmed, and the whole work if true; may recover
-    what an interruption left, as the next program does."""
+    """Says what is wrong with a folder, given how many things were confirmed and whether the work was done; it may
+    recover what an interruption left, as the next program does."""
     starts_threads: bool = False
-    """Whether memory is limited only once it has told something for the first time: Python waits for ever for a thread
-    that finds no memory when it begins."""
+    """Whether memory is limited only after the first confirmation: Python waits for ever for a thread that finds no
+    memory when it starts."""
 
 
 # -- a project
@@ -79,12 +77,12 @@ def _save(room: Path, beside: Path, tell: Tell) -> None:
         if not session.document.photos:
             shutil.copyfile(beside / "photo.png", picture)  # as an upload
             source = Source(path="inputs/photo.png", name="photo.png", size=picture.stat().st_size)
-            session.commit("Open", lambda d: edits.with_photo(d, source)[0], author=_nobody())
+            session.commit("Open", lambda d: edits.with_photo(d, source)[0], author=NOBODY)
         first = len(session.document.photos[0].picks)
         for k in range(first, first + 5):
             if draw(session, k):
                 tell(k + 1)
-        session.commit("Solve", lambda d: with_an_answer(d, seed=1), author=_nobody())
+        session.commit("Solve", lambda d: with_an_answer(d, seed=1), author=NOBODY)
         if draw(session, first + 5):
             tell(first + 6)
     finally:
@@ -93,12 +91,6 @@ def _save(room: Path, beside: Path, tell: Tell) -> None:
             session.close()
         else:
             folder.close()
-
-
-def _nobody() -> object:
-    from ladarreg_core.project.history import NOBODY
-
-    return NOBODY
 
 
 def _project_before(room: Path, beside: Path) -> None:
@@ -428,8 +420,7 @@ def _fault_of_run(folder: Path, confirmed: int, *, done: bool) -> str:
 
 
 def _compose_again(room: Path, beside: Path, tell: Tell) -> None:
-    made = compose(room / "run")
-    add_to_run(room / "run", msgspec.structs.replace(made) if isinstance(made, msgspec.Struct) else made)
+    add_to_run(room / "run", compose(room / "run"))
 
 
 def _composed_fault(room: Path, confirmed: int, done: bool) -> str:

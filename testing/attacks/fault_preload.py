@@ -1,6 +1,6 @@
-"""Loads what the work of all cases needs, so that the processes that are forked from here read no code.
+"""Loads what the work of all cases needs, so that the processes that are forked from here load no code.
 
-A library that is loaded with no memory left may wait for ever (OpenBLAS); that is not what is tried here.
+A library that is loaded with no memory left may wait for ever (OpenBLAS); that is not what is tested here.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Work in a process of its own whose n-th system call of a kind fails, whose memory is limited, or that loses power."""
+"""Rounds of work in a process whose n-th system call of a kind fails, whose memory is limited, or that loses power."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ ERRORS = {
 """The errors of calls that fail, by their kinds."""
 _PROCESSES = multiprocessing.get_context("forkserver")
 _LONGEST_S = 120.0
-_BALLAST = (1 << 20, 1 << 16, 1 << 12)
+_BALLAST_BYTES = (1 << 20, 1 << 16, 1 << 12)
 _prepared: dict[str, tempfile.TemporaryDirectory[str]] = {}
-_LONGEST_SENTENCE, _SHORTEST_SENTENCE = 700, 20
+_LONGEST_SENTENCE, _SHORTEST_SENTENCE = 700, 20  # characters
 
 
 @dataclass
@@ -48,9 +48,7 @@ class Round:
     calls: Counter[str] = field(default_factory=Counter)
     """Calls that were about the folder, by kind."""
     crashed: bool = False
-    """Whether the process was ended by a signal: NumPy uses memory that it did not get in a few places."""
-    reached: bool = False
-    """Whether the call that was to fail was made."""
+    """Whether the process was ended by a signal: in a few places NumPy does not check that memory was allocated."""
 
 
 class _Stack(ctypes.Structure):
@@ -70,16 +68,15 @@ def counted(case: str) -> Round:
     return faulted(case, "", 0)
 
 
-def faulted(case: str, kind: str, number: int, *, lasting: bool = False) -> Round:
+def faulted(case: str, kind: str, number: int) -> Round:
     """Let the n-th call of a kind fail, from 0.
 
     Args:
         case: name of the case.
         kind: kind of the call; empty: nothing fails.
         number: of the call that fails.
-        lasting: let all later calls of the kind fail, too.
     """
-    found = Round(case, f"{kind} {number}{' and later' if lasting else ''}" if kind else "nothing")
+    found = Round(case, f"{kind} {number}" if kind else "nothing")
     with _rooms(CASES[case]) as (room, beside):
 
         def judge(call: Call) -> int:
@@ -87,9 +84,7 @@ def faulted(case: str, kind: str, number: int, *, lasting: bool = False) -> Roun
                 return 0
             place = found.calls[call.kind]
             found.calls[call.kind] += 1
-            fails = call.kind == kind and (place >= number if lasting else place == number)
-            found.reached |= fails
-            return ERRORS[kind] if fails else 0
+            return ERRORS[kind] if (call.kind, place) == (kind, number) else 0
 
         child = _Child(CASES[case], room, beside)
         watch_calls(child.connection, judge)
@@ -98,7 +93,7 @@ def faulted(case: str, kind: str, number: int, *, lasting: bool = False) -> Roun
 
 
 def limited(case: str, extra_bytes: int) -> Round:
-    """Limit the address space to what the process has before the work, and so many bytes more, from 1."""
+    """Limit the address space to what the process has before the work and this many bytes more, at least 1."""
     found = Round(case, f"memory {extra_bytes >> 10} kB")
     with _rooms(CASES[case]) as (room, beside):
         child = _Child(CASES[case], room, beside, extra_bytes=extra_bytes)
@@ -112,7 +107,7 @@ def powerless(case: str, *, most: int | None = None, seed: int = 0) -> Iterator[
 
     Args:
         case: name of the case.
-        most: draw so many of the states, beside those after the work; None: all.
+        most: number of states to draw, besides those after the work; None: all.
         seed: of the draw.
     """
     seen: set[bytes] = set()
@@ -132,8 +127,7 @@ def powerless(case: str, *, most: int | None = None, seed: int = 0) -> Iterator[
 
         def judge(call: Call) -> int:
             if _is_about(call, room):
-                changes = call.kind not in ("stat", "readdir")
-                if changes:
+                if call.kind not in ("stat", "readdir"):  # which change nothing
                     note(f"before {call.kind} {counts[call.kind]}", done=False)
                 counts[call.kind] += 1
                 disk.see(call)
@@ -168,7 +162,7 @@ def _rooms(case: Case) -> Iterator[tuple[Path, Path]]:
 
 
 def _is_about(call: Call, room: Path) -> bool:
-    """Return whether a call is about what lies in the folder; that of the folder itself is the surroundings' matter."""
+    """Return whether a call concerns what lies in the folder; the folder's own name is not part of the work."""
     path = os.path.normpath(call.path)
     return path.startswith(f"{room}{os.sep}") or (path == str(room) and call.kind in ("fsync", "readdir"))
 
@@ -231,12 +225,12 @@ def _work(connection: socket.socket, case: str, room: Path, beside: Path, extra_
     def limit() -> None:
         if not extra_bytes or ballast:
             return
-        # The kernel ends a process whose stack finds no room: it gets that before.
+        # The kernel kills a process whose stack cannot grow: let it grow first.
         ctypes.CDLL(None).getpid(_Stack())
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
         size = pages * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (size, resource.RLIM_INFINITY))
-        for piece in _BALLAST:  # what the process has and does not use is none that the work may have
+        for piece in _BALLAST_BYTES:  # memory that the process holds unused must not serve the work
             with suppress(MemoryError):
                 while True:
                     ballast.append(bytearray(piece))
@@ -276,7 +270,7 @@ def _compare(found: Round, room: Path, confirmed: int, *, done: bool) -> None:
         if wrong := CASES[found.case].fault(room, confirmed, done):
             found.wrong.append(wrong)
     except Exception as error:
-        found.wrong.append(f"it cannot be looked at: {type(error).__name__}: {error}")
+        found.wrong.append(f"it cannot be inspected: {type(error).__name__}: {error}")
 
 
 def _is_sentence(text: str) -> bool:

@@ -1,4 +1,4 @@
-"""Commands with `--force` on folders in which something is not theirs: it must be there afterwards, as it was."""
+"""Commands with `--force` on folders with foreign files, which must be there afterwards, as they were."""
 
 from __future__ import annotations
 
@@ -37,12 +37,13 @@ class Forced:
 
     runs: int = 0
     refused: int = 0
-    """Because of what is in the folder."""
+    """Refused because of the foreign files."""
     others: int = 0
     """Ended for another reason, such as a device that is not there."""
     replaced: int = 0
+    """Replaced the command's own results."""
     lost: list[str] = field(default_factory=list)
-    """What somebody put there and is not there any more, or not as it was."""
+    """Foreign files that are gone, or were changed."""
 
 
 def _results(out: Path) -> None:
@@ -105,16 +106,16 @@ COMMANDS: dict[str, tuple[Callable[[Path], None], Callable[[Path, Path], list[ob
     ),
     "acquire": (_run_of_devices, lambda out, beside: ["acquire", beside / "plan.json", "-o", out]),
 }  # fmt: skip
-"""Each command with `--force`: how its results come about, and its words."""
+"""Each command with `--force`: what makes its results, and its arguments."""
 
 
 def forced_runs(command: str, times: int, *, seed: int = 0) -> Forced:
-    """Run a command with `--force` on its own results, beside something of somebody else each time.
+    """Run a command with `--force` on its own results, each time beside other foreign files.
 
     Args:
         command: one of `COMMANDS`.
         times: how often.
-        seed: of what is put there.
+        seed: of the foreign files.
     """
     rng, found = random.Random(f"{command} {seed}"), Forced()
     made, words = COMMANDS[command]
@@ -132,7 +133,7 @@ def forced_runs(command: str, times: int, *, seed: int = 0) -> Forced:
         for _ in range(times):
             out = place / "out"
             shutil.copytree(place / "before", out, symlinks=True)
-            theirs = _disturbed(out, rng, place, _PAGES if command == "report" else _NAMES)
+            foreign = _disturbed(out, rng, place, _PAGES if command == "report" else _NAMES)
             said = io.StringIO()
             code = _run([*words(out, beside), "--force"], said)
             done, refused = code in (ExitCode.ACCEPTED, ExitCode.NOT_ACCEPTED), "replaced" in said.getvalue()
@@ -140,7 +141,7 @@ def forced_runs(command: str, times: int, *, seed: int = 0) -> Forced:
             found.refused += refused and not done
             found.replaced += done
             found.others += not done and not refused
-            for path, content in theirs.items():
+            for path, content in foreign.items():
                 if _content(out / path) != content:
                     found.lost.append(f"{command}: {path}, with {code}")
             shutil.rmtree(out)
@@ -148,9 +149,9 @@ def forced_runs(command: str, times: int, *, seed: int = 0) -> Forced:
 
 
 def _disturbed(out: Path, rng: random.Random, place: Path, names: Sequence[str]) -> dict[str, bytes]:
-    """Add files, change some of the program's, or both; return what must be there afterwards, by its name."""
+    """Add files, change some of the program's, or both; return what must be there afterwards, by name."""
     ours = sorted(path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file())
-    theirs: dict[str, bytes] = {}
+    foreign: dict[str, bytes] = {}
     for _ in range(rng.randrange(1, 3)):
         what = rng.choice(("add", "add", "change", "link", "forge"))
         if what == "change":
@@ -170,9 +171,9 @@ def _disturbed(out: Path, rng: random.Random, place: Path, names: Sequence[str])
         if what == "forge" and (out / MANIFEST_FILE).is_file():
             text = (out / MANIFEST_FILE).read_text()
             (out / MANIFEST_FILE).write_text(text.replace('"files": [', f'"files": [{{"name": "{path.name}"}},', 1))
-        theirs[path.relative_to(out).as_posix()] = _content(path)
-        theirs = {name: _content(out / name) for name in theirs}
-    return theirs
+        names_so_far = {*foreign, path.relative_to(out).as_posix()}
+        foreign = {name: _content(out / name) for name in names_so_far}
+    return foreign
 
 
 def _content(path: Path) -> bytes:

@@ -83,7 +83,7 @@ def write_hostile(folder: Path, count: int, address: str) -> list[Path]:
         address: what they would like to connect to.
     """
     secret = folder / "secret"
-    secret.write_bytes(b"of somebody else")
+    secret.write_bytes(b"foreign")
     (folder / "seeds").mkdir()
     seeds = write_seeds(folder / "seeds")
     ours = [seed for seed in seeds if seed.format == "E57"]
@@ -142,11 +142,11 @@ class Traced:
     confined: int
     """Processes that confined themselves."""
     opened: tuple[str, ...]
-    """Files that these opened afterwards, links followed."""
+    """Files that they opened afterwards, links followed."""
     foreign: tuple[str, ...]
     """Those of them that are neither the program's code nor in the folder of the files."""
     others: tuple[str, ...]
-    """Calls that are none of opening and succeeded: connections, sockets, processes, programs."""
+    """Other calls that succeeded: connections, sockets, processes, programs."""
 
 
 def traced_reading(files: Sequence[Path], folder: Path, log: Path) -> Traced | None:

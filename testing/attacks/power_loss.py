@@ -18,11 +18,11 @@ State = dict[str, bytes | None]
 
 
 class PowerLoss:
-    """Follows a folder through the calls of a process; to be shown each call before it is carried out.
+    """Follows a folder through the calls of a process; must see each call before it is carried out.
 
-    A file's contents are certain as they were when it was synchronised last, a folder's entries likewise. What else was
-    done may be on the disk or not; `states` has the ends of that: nothing of it, all names without their contents
-    (file systems write names early), and all of it, as after a kill.
+    A file's contents are certain as they were when it was last synchronised, a folder's entries likewise. Anything else
+    may be on the disk or not; `states` has the extremes: nothing of it, all names without their contents (file systems
+    write names early), and all of it, as after a kill.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -67,19 +67,13 @@ class PowerLoss:
         synced: State = {}
         self._collect(root, "", synced)
         yield "only what was synchronised", synced
-        here = [(path.relative_to(self._folder).as_posix(), path, number) for path, number in self._walk()][1:]
+        _, *inside = self._walk()
+        here = [(path.relative_to(self._folder).as_posix(), path, number) for path, number in inside]
         yield (
             "names without contents",
-            {
-                name: None if path.is_dir() else self._contents.get(number, b"")
-                for name, path, number in here
-                if name != "."
-            },
+            {name: None if path.is_dir() else self._contents.get(number, b"") for name, path, number in here},
         )
-        yield (
-            "as after a kill",
-            {name: None if path.is_dir() else path.read_bytes() for name, path, _ in here if name != "."},
-        )
+        yield "as after a kill", {name: None if path.is_dir() else path.read_bytes() for name, path, _ in here}
 
     def _collect(self, folder: int, above: str, found: State) -> None:
         for name, number in self._entries.get(folder, {}).items():
@@ -117,7 +111,7 @@ class PowerLoss:
 
 
 def _again(look: Callable[[], T]) -> T:
-    """Look at the folder once more if another thread of the process has removed a file meanwhile."""
+    """Look at the folder again if another thread of the process has removed a file meanwhile."""
     for _ in range(_MOST_LOOKS):
         with suppress(FileNotFoundError, KeyError):
             return look()

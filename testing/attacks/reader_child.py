@@ -40,6 +40,7 @@ def readers_of(kind: str, name: str, folder: Path) -> dict[str, Callable[[Path],
     found: dict[str, Callable[[Path], object]] = {"describe": describe}
     if kind == "scan":
         found["read_scan"] = read_scan
+        found["read_scan, origin stated"] = lambda path: read_scan(path, origin=(0.0, 0.0, 0.0))
     if kind == "photo":
         found["read_photo"] = lambda path: read_photo(path, focal_px=50.0)
         found["read_photo, own camera"] = read_photo
@@ -115,8 +116,8 @@ def _read(path: Path, readers: dict[str, Callable[[Path], object]], patience_s: 
             faults.append(f"{name}: slow, {spent:.1f} s")
         if peak_mb() > MOST_MB:
             faults.append(f"{name}: memory, {peak_mb():.0f} MB")
-    main_one = [*readers][min(1, len(readers) - 1)]  # the first only describes
-    return {"refused": main_one in refused, "seconds": round(seconds, 4), "mb": round(megabytes, 1), "faults": faults}
+    reading = [*readers][1:] or [*readers]  # the first only describes
+    return {"refused": refused.issuperset(reading), "seconds": round(seconds, 4), "mb": round(megabytes, 1), "faults": faults}
 
 
 def _tried(reader: Callable[[Path], object], path: Path, patience_s: float) -> BaseException | None:

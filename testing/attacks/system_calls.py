@@ -1,4 +1,4 @@
-"""System calls of a child process, each shown to this one before the kernel carries it out, which may refuse it.
+"""System calls of a child process, each shown to this one, which may refuse it, before the kernel carries it out.
 
 Linux hands them over (`SECCOMP_RET_USER_NOTIF`): no privilege and no tool is needed, and what C libraries do is seen
 like what Python does.
@@ -24,8 +24,8 @@ from pathlib import Path
 
 _ARCHITECTURES = ("x86_64", "aarch64")
 _CALLS: dict[str, dict[tuple[int | None, int | None], tuple[int, int | None]]] = {
-    # numbers of a call on both kinds of processors: the argument with its open file or folder (-1: the working folder),
-    # and that with its path, if it has one
+    # numbers of a call on x86_64 and aarch64 (None: it has none), then which argument is its open file or folder
+    # (-1: the working folder), and which is its path, if it has one
     "write": {
         (1, 64): (0, None), (20, 66): (0, None), (18, 68): (0, None), (296, 70): (0, None), (328, 287): (0, None),
         (40, 71): (0, None), (326, 285): (2, None),
@@ -49,7 +49,6 @@ _RECEIVE, _ANSWER = 0xC0502100, 0xC0182101
 _CONTINUE = 1
 _WORKING_FOLDER = -100
 _LONGEST_PATH = 4096
-_EMPTY = b"\0"
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +65,7 @@ class Call:
 
 
 Judge = Callable[[Call], int]
-"""Is shown each call; returns the number of the error that it fails with, or 0."""
+"""Receives each call; returns the number of the error that it fails with, or 0."""
 
 
 def can_watch() -> bool:
@@ -139,9 +138,8 @@ def _calls(listener: int) -> Iterator[tuple[int, Call]]:
         identity, process, _, number, _, _, *arguments = struct.unpack("=QIIiIQ6Q", received)
         kind, folder_at, path_at = known[number]
         descriptor = _WORKING_FOLDER if folder_at < 0 else ctypes.c_int(arguments[folder_at]).value
-        text = _EMPTY if path_at is None else _text(process, arguments[path_at])
-        about = None if text not in (b"", _EMPTY) else descriptor
-        yield identity, Call(kind, process, about, _path(process, descriptor, text))
+        text = b"" if path_at is None else _text(process, arguments[path_at])
+        yield identity, Call(kind, process, None if text else descriptor, _path(process, descriptor, text))
 
 
 def _text(process: int, address: int) -> bytes:
@@ -161,4 +159,4 @@ def _path(process: int, descriptor: int, text: bytes) -> Path:
         folder = os.readlink(f"/proc/{process}/{opened}")
     except OSError:
         return Path(os.fsdecode(text))
-    return Path(folder.removesuffix(" (deleted)"), os.fsdecode(text.strip(b"\0")))
+    return Path(folder.removesuffix(" (deleted)"), os.fsdecode(text))

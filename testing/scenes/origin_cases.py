@@ -1,4 +1,4 @@
-"""Clouds whose scanner's place is known, in the coordinates of files: scanners, places, offsets and turns, drawn."""
+"""Drawn clouds whose scanner's place is known: scanners, rooms and streets, offsets of the coordinates, turns."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ _RAYS = {
 }
 _SCATTERED = ("300 points", "60 points", "airborne")
 KINDS = (*_RAYS, *_SCATTERED)
-_FROM_SIZE, _LEAST_M = 0.1, 0.1
+_TOLERANCE, _TOLERANCE_BY_DENSITY, _LEAST_TOLERANCE_M = 0.01, 0.1, 0.1
+"""Of the size of the cloud where its directions form lines, and where only its densities show the place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,20 +41,26 @@ class OriginCase:
     """A cloud and where its scanner stood."""
 
     name: str
+    kind: str
+    """One of `KINDS`."""
     points: NDArray[np.float64]
     """(N, 3), m."""
     origin: NDArray[np.float64] | None
-    """(3,), m; None: from nowhere."""
+    """(3,), m; None: the points were not measured from one place."""
 
     def verdict(self, found: OriginEstimate) -> str:
-        """Return `right`, `asked` or `wrong`: a place is right within a tenth of the size of the cloud."""
+        """Return `right`, `asked` or `wrong`; docs/scans.md states how exact a right place is."""
         if found.position is None:
             return "asked"
-        if self.origin is None:
-            return "wrong"
         size = float(np.percentile(np.linalg.norm(self.points - np.median(self.points, axis=0), axis=1), 90))
-        error = float(np.linalg.norm(np.array(found.position) - self.origin))
-        return "right" if error < max(_LEAST_M, _FROM_SIZE * size) else "wrong"
+        tolerance = _TOLERANCE_BY_DENSITY if self.kind == "rosette" else _TOLERANCE
+        return "right" if self.error_m(found) < max(_LEAST_TOLERANCE_M, tolerance * size) else "wrong"
+
+    def error_m(self, found: OriginEstimate) -> float:
+        """Return how far a place that was found is from the scanner's, m; infinite if there is none."""
+        if self.origin is None or found.position is None:
+            return np.inf
+        return float(np.linalg.norm(np.array(found.position) - self.origin))
 
 
 def draw_origin_case(seed: int) -> OriginCase:
@@ -66,7 +73,7 @@ def draw_origin_case(seed: int) -> OriginCase:
     if kind == "airborne":
         level = generator.uniform(0, 300, (15_000, 2))
         height = 5 * np.sin(level[:, 0] / 40) + 3 * np.cos(level[:, 1] / 25)
-        return OriginCase(name, np.column_stack([level, height]) + offset, None)
+        return OriginCase(name, kind, np.column_stack([level, height]) + offset, None)
     rays = _RAYS[kind if kind in _RAYS else "32 rings"]()
     if generator.random() < 0.5:
         place = np.array([*generator.uniform(-1.5, 1.5, 2), generator.uniform(1.2, 1.9)])
@@ -76,4 +83,4 @@ def draw_origin_case(seed: int) -> OriginCase:
         points = in_street(rays, place, seed=seed) - place
     if kind in _SCATTERED:
         points = points[generator.permutation(len(points))[: int(kind.split()[0])]]
-    return OriginCase(name, np.asarray(turn @ points) + offset, offset)
+    return OriginCase(name, kind, np.asarray(turn @ points) + offset, offset)

@@ -10,7 +10,7 @@ from testing.attacks import fault_rounds
 from testing.attacks.fault_cases import CASES
 from testing.attacks.system_calls import KINDS, can_watch
 
-pytestmark = pytest.mark.skipif(not can_watch(), reason="this system hands over no system calls")
+pytestmark = pytest.mark.skipif(not can_watch(), reason="this system does not hand over system calls")
 _CALLS, _STATES = 3, 6
 _LIMITS_KB = (64, 2048)
 

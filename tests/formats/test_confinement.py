@@ -51,7 +51,7 @@ def test_a_reader_that_was_taken_over_can_do_nothing(
 ) -> None:
     path = tmp_path / "a file.e57"
     path.write_bytes(b"its content")
-    (tmp_path / "neighbour").write_bytes(b"of somebody else")
+    (tmp_path / "neighbour").write_bytes(b"foreign")
     # In this process all of it is permitted; what harms is left out.
     assert readers.run(misbehaving.breaks_out, path, listener.port) == []
     assert sorted(os.listdir(tmp_path)) == ["a file.e57", "neighbour"]
@@ -105,7 +105,7 @@ def test_system_calls_show_no_connection_and_no_foreign_file(tmp_path: Path, lis
 
 
 def test_a_companion_that_is_a_link_is_not_readable(tmp_path: Path) -> None:
-    (tmp_path / "secret").write_bytes(b"of somebody else")
+    (tmp_path / "secret").write_bytes(b"foreign")
     (tmp_path / "images.bin").write_bytes(b"")
     (tmp_path / "images.txt").symlink_to(tmp_path / "secret")
     request = {"args": [tmp_path / "cameras.txt"], "kwargs": {}, "folder": str(tmp_path)}

@@ -37,7 +37,7 @@ print(len(read_confined(misbehaving.open_files)))
 def test_what_takes_a_read_over_can_do_nothing(tmp_path: Path, checkout: Path) -> None:
     path = tmp_path / "a file.e57"
     path.write_bytes(b"nothing much")
-    (tmp_path / "neighbour").write_bytes(b"of somebody else")
+    (tmp_path / "neighbour").write_bytes(b"foreign")
     command = [sys.executable, "-c", PROGRAM, str(path)]
     done = subprocess.run(command, cwd=checkout, capture_output=True, text=True, check=False)
     *refusals, permitted, files = done.stdout.splitlines()
