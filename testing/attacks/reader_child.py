@@ -117,7 +117,8 @@ def _read(path: Path, readers: dict[str, Callable[[Path], object]], patience_s: 
         if peak_mb() > MOST_MB:
             faults.append(f"{name}: memory, {peak_mb():.0f} MB")
     reading = [*readers][1:] or [*readers]  # the first only describes
-    return {"refused": refused.issuperset(reading), "seconds": round(seconds, 4), "mb": round(megabytes, 1), "faults": faults}
+    every = refused.issuperset(reading)
+    return {"refused": every, "seconds": round(seconds, 4), "mb": round(megabytes, 1), "faults": faults}
 
 
 def _tried(reader: Callable[[Path], object], path: Path, patience_s: float) -> BaseException | None:
