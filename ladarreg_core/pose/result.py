@@ -26,6 +26,8 @@ from ladarreg_core.pose.noise import estimate_noise
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M, PoseOptions
 from ladarreg_core.results import PoseResult
 
+_MOST_NOISE, _MOST_NOISE_DRAWN = 0.005, 0.02  # of the photo's longer side: of detected points, of lines by hand
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
@@ -73,13 +75,14 @@ def noise_of_inliers(
     gate_chi2: float = np.inf,
 ) -> tuple[float, float]:
     """Return (sigma_px, sigma_range_m) estimated from the inliers, within bounds for plausible matches."""
+    share = _MOST_NOISE_DRAWN if matches.has_lines else _MOST_NOISE
     return estimate_noise(
         pose,
         matches,
         camera,
         members=inliers,
         stated_range_m=STATED_SIGMA_RANGE_M,
-        most_px=max(3.0, 0.005 * max(camera.size)),
+        most_px=max(3.0, share * max(camera.size)),
         most_range_m=max(0.05, 0.03 * median(matches.ranges)),
         fixed_px=options.sigma_px,
         fixed_range_m=options.sigma_range_m,
