@@ -102,16 +102,16 @@ def outcome(scene: str, drawn: DrawnScene, scatter_px: float, picks: Sequence[Pi
         sigma_mm=1000 * result.sigma_position_m,
         sigmas=_sigmas(pose, result.covariance, truth),
         drawn_sigmas=_sigmas(matched.camera_from_scanner, matched.covariance, truth),
-        drawn_accepted=matched.accepted,
+        drawn_accepted=matched.diagnostics["statistics"]["accepted"],
         error_px=_error_px(drawn, pose),
         reason=" ".join(result.reasons),
     )  # fmt: skip
 
 
 def _solved(scan: lr.Scan, photo: lr.Photo, picks: Sequence[Pick]) -> tuple[Registration, Registration]:
-    """Return the result of the lines with the images' verdict, and that of the lines alone."""
-    matched = lr.register(scan, photo, method="manual", picks=picks)
-    return lr.with_image_check(matched, lr.verify_pose(scan, photo, matched)), matched
+    """Return the pose that is proposed of the lines, and that of the lines as they were drawn."""
+    as_drawn = lr.RegisterOptions(proposal="drawn")
+    return lr.register(scan, photo, picks=picks), lr.register(scan, photo, picks=picks, options=as_drawn)
 
 
 def _sigmas(pose: Rigid, covariance: FloatArray, truth: Rigid) -> float:

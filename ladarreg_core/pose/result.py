@@ -186,6 +186,32 @@ def _may_be_ambiguous(points: FloatArray, options: AcceptanceOptions) -> bool:
     return len(points) < options.many_inliers or is_planar(points, options)
 
 
+def inliers_at(
+    camera_from_scanner: Rigid,
+    matches: Matches,
+    camera: CameraModel,
+    *,
+    sigma_px: float,
+    sigma_range_m: float,
+    gate_chi2: float,
+) -> BoolArray:
+    """Return which matches (M,) agree with a pose that was not fitted to them.
+
+    Args:
+        camera_from_scanner: the pose.
+        matches: M matches, possibly none.
+        camera: the photo's camera.
+        sigma_px: pixel noise, px.
+        sigma_range_m: range noise, m.
+        gate_chi2: largest cost s of one that agrees.
+    """
+    if not len(matches):
+        return np.zeros(0, np.bool_)
+    measured = Measurements.of(matches, camera, sigma_px=sigma_px, sigma_range_m=sigma_range_m)
+    _, seen = adjust_ranges(measured, States.of([camera_from_scanner], measured))
+    return np.asarray(seen.s[0] <= gate_chi2)
+
+
 def describe_pose(
     camera_from_scanner: Rigid,
     matches: Matches,

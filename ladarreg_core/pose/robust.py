@@ -93,7 +93,7 @@ def _solutions(
     Raises:
         DegenerateGeometryError: if no pose is found with any of them.
     """
-    levels = (options.sigma_px or STATED_SIGMA_PX,)
+    levels: tuple[float, ...] = (options.sigma_px or STATED_SIGMA_PX,)
     if matches.has_lines and options.sigma_px is None:
         levels = _DRAWN_SIGMAS_PX
     for level, sigma_px in enumerate(levels, 1):
