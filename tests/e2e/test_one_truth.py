@@ -38,7 +38,7 @@ def test_an_edit_puts_the_whole_verdict_out_of_date(operator: Operator) -> None:
     judge = page.get_by_role("tab", name="Judge", exact=True)
     photo = page.locator(".photo-tab")
     status = page.get_by_role("group", name="Job")
-    page.get_by_text("Accepted on match statistics only").first.wait_for()
+    page.get_by_text("Accepted on matches only").first.wait_for()
     page.locator("#step-judge.done").wait_for()
 
     page.locator(".row-line[data-pick]").first.locator(".col-kind").click()

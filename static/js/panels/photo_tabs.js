@@ -5,19 +5,16 @@ import { store } from "../net/store.js";
 import { button } from "../ui/controls.js";
 import { element, scrollAcross, setChildren } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
+import { lightOf } from "../ui/lights.js";
 import { notice } from "../ui/notices.js";
 import { markChosen, navigateByArrows } from "../ui/tablist.js";
 import { mountCameraForm } from "./camera_form.js";
 import { openFiles } from "./files.js";
 
-const ICONS = { empty: "dot", solved: "target", accepted: "tick", refused: "bad", stale: "warn" };
-const STATES = { empty: "not solved yet", solved: "solved", accepted: "accepted", refused: "not accepted", stale: "out of date" };
-
 const stateOf = (photo) => {
   if (photo.error) return { sign: "bad", word: photo.error, level: "bad" };
   if (!photo.camera) return { sign: "warn", word: "focal length unknown", level: "warn" };
-  const level = { accepted: "ok", refused: "bad", solved: "accent", stale: "warn" }[photo.state] ?? "dim";
-  return { sign: ICONS[photo.state] ?? "dot", word: STATES[photo.state] ?? photo.state, level };
+  return { ...lightOf(photo.light), word: photo.light_words ?? "not solved yet" };
 };
 
 const remove = async (photo) => {
