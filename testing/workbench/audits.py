@@ -54,5 +54,5 @@ def layout_faults(page: Page) -> list[str]:
     """Return which controls are clipped, covered, outside of the window, or too small; 40 px are needed for fingers."""
     least = 40 if page.evaluate("matchMedia('(max-width: 600px)').matches") else 24
     found = page.evaluate(_LAYOUT, least)
-    assert found["count"] > 5, "hardly any control was visible"
+    assert found["count"] > 0, "no control was visible"
     return list(found["found"])

@@ -33,7 +33,7 @@
 
   const found = [];
   let count = 0;
-  const dialog = [...document.querySelectorAll("dialog[open]")].at(-1);
+  const dialog = [...document.querySelectorAll("dialog[open], :popover-open")].at(-1);
   for (const each of (dialog ?? document).querySelectorAll(CONTROLS)) {
     if (!each.checkVisibility({ visibilityProperty: true, opacityProperty: true })) continue;
     if (each.closest(".notice, .visually-hidden, .skip") || each.type === "file" || each.type === "hidden") continue;
