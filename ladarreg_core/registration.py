@@ -160,8 +160,16 @@ class MatchesRegistered:
 
     @property
     def contradicted(self) -> bool:
-        """Whether the images verify a pose that the matches exclude."""
-        return self.refined is not None and self.drawn.diagnostics["verification"]["outcome"] == "contradicted"
+        """Whether the images verify a pose that the matches exclude.
+
+        Matches that would not be accepted by themselves, as they do not agree with each other, exclude none.
+        """
+        found = self.drawn.diagnostics
+        return (
+            self.refined is not None
+            and found["verification"]["outcome"] == "contradicted"
+            and bool(found["statistics"]["accepted"])
+        )
 
     def proposed(self, proposal: Proposal = "refined") -> Registration:
         """Return the pose to propose; see `RegisterOptions.proposal`."""
