@@ -73,7 +73,7 @@ def matches(result: PoseResult) -> str:
     if not len(result.matches):
         return "no matches"
     inliers, count = count_picks(result.matches, result.inliers)
-    text = f"{inliers} of {count} matches are inliers"
+    text = f"{inliers} of {count} matches agree"
     if result.inliers.any():
         squares = (result.residuals_px[result.inliers] ** 2).sum(axis=-1)
         text += f", {float(squares.mean()) ** 0.5:.2f} px rms"

@@ -14,7 +14,7 @@ from ladarreg_core.camera import CameraModel, camera_from_model_fields, require_
 from ladarreg_core.camera.uncertainty import CameraUncertainty, pose_jacobian
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import Rigid, ThesisParameters, describe_direction, describe_position, rotation_from_rotvec
-from ladarreg_core.matches import Matches
+from ladarreg_core.matches import Matches, count_picks
 from ladarreg_core.progress import Step
 from ladarreg_core.validation import require_number
 
@@ -226,7 +226,7 @@ class PoseResult:
         if len(self.matches):
             off = np.hypot(*self.residuals_px[self.inliers].T)
             rms = f", residual {np.sqrt(np.nanmean(off**2)):.2f} px rms" if np.isfinite(off).any() else ""
-            words.append(f"{int(self.inliers.sum())} of {len(self.matches)} matches are inliers{rms}")
+            words.append("{} of {} matches agree".format(*count_picks(self.matches, self.inliers)) + rms)
         return f"{name}({'; '.join(words)})"
 
     @property
