@@ -40,8 +40,8 @@ def main(words: list[str] | None = None) -> int:
     scan, photo = lr.read_scan(asked.scan), lr.read_photo(asked.photo, camera=asked.camera)
     cells, uv = matched(scan, photo)
     print(f"{len(uv)} matches")
-    # Few of such matches are right, too few for a verdict on matches alone; the pose is refined against the images, which
-    # can still confirm it.
+    # Few of such matches are right, too few for a verdict on matches alone; but the pose is refined against the images,
+    # which can still confirm it.
     result = lr.register(scan, photo, cells=cells, uv=uv)
     print(result)
     print("\n".join(result.reasons))
