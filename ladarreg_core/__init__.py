@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from ladarreg_core.version import VERSION
 
 if TYPE_CHECKING:
+    from ladarreg_core import views as views
     from ladarreg_core.camera import Camera as Camera
     from ladarreg_core.camera import EquirectangularCamera as EquirectangularCamera
     from ladarreg_core.camera import FisheyeCamera as FisheyeCamera
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from ladarreg_core.matching.image_check import ImageCheck as ImageCheck
     from ladarreg_core.matching.image_check import with_image_check as with_image_check
     from ladarreg_core.matching.kept_channels import Channels as Channels
+    from ladarreg_core.notebook import NotebookProgress as NotebookProgress
     from ladarreg_core.photo import Photo as Photo
     from ladarreg_core.pose.estimate import PoseOptions as PoseOptions
     from ladarreg_core.pose.estimate import estimate_pose as estimate_pose
@@ -84,6 +86,7 @@ _HOMES = {
     "Label": "surface.texture",
     "LadarregError": "errors",
     "Matches": "matches",
+    "NotebookProgress": "notebook",
     "Photo": "photo",
     "PhotoPoints": "surface.photo_points",
     "PhotoPointsWithNormals": "surface.photo_points",
@@ -127,6 +130,7 @@ _HOMES = {
     "simulate_case": "simulate",
     "texture_scan": "surface.texture",
     "verify_pose": "given",
+    "views": "views",
     "with_image_check": "matching.image_check",
     "xyz_of_photo": "surface.photo_points",
 }
@@ -138,7 +142,8 @@ logging.getLogger(__name__).addHandler(logging.NullHandler())
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+    home = importlib.import_module(f"{__name__}.{_HOMES[name]}")
+    value = home if name == _HOMES[name] else getattr(home, name)
     globals()[name] = value
     return value
 

@@ -27,6 +27,7 @@ from ladarreg_core.pose.assumed_camera import with_assumed_camera
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.multistart import confirm
 from ladarreg_core.progress import StepLog, StepReport
+from ladarreg_core.quality.pose_conventions import other_convention
 from ladarreg_core.results import PoseResult, Registration
 from ladarreg_core.scan import Scan
 from ladarreg_core.side_by_side import one_thread
@@ -146,7 +147,9 @@ def register(
     steps = StepLog(report)
     # With several threads BLAS sums in another order, and the last digits of a pose would depend on the machine.
     with threadpool_limits(limits=1, user_api="blas"), nullcontext() if threads is None else one_thread():
-        return _register(scan, photo, steps, method, picks, initial, o, channels)
+        found = _register(scan, photo, steps, method, picks, initial, o, channels)
+    doubt = None if initial is None or found.accepted else other_convention(scan, photo.camera, initial)
+    return found if doubt is None else replace(found, reasons=(*found.reasons, doubt))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

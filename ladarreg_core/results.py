@@ -13,8 +13,10 @@ from ladarreg_core.arrays import BoolArray, FloatArray, read_only
 from ladarreg_core.camera import CameraModel, camera_from_model_fields, require_pinhole
 from ladarreg_core.camera.uncertainty import CameraUncertainty, pose_jacobian
 from ladarreg_core.errors import ShapeError
+from ladarreg_core.formatting import format_angle, format_length
 from ladarreg_core.frames import Rigid, ThesisParameters, describe_direction, describe_position, rotation_from_rotvec
 from ladarreg_core.matches import Matches, count_picks
+from ladarreg_core.palette import BAD, OK, WARN
 from ladarreg_core.progress import Step
 from ladarreg_core.validation import require_number
 
@@ -228,6 +230,23 @@ class PoseResult:
             rms = f", residual {np.sqrt(np.nanmean(off**2)):.2f} px rms" if np.isfinite(off).any() else ""
             words.append("{} of {} matches agree".format(*count_picks(self.matches, self.inliers)) + rms)
         return f"{name}({'; '.join(words)})"
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: the verdict, the parameters with their sigmas, and the residuals."""
+        from ladarreg_core.foundations.card import arrows, card
+
+        good = self.accepted and self.evidence == "image" and not self.is_coarse
+        words = verdict_words(self.accepted, self.evidence, self.diagnostics, coarse=self.is_coarse)
+        facts = [("matches", "{} of {} agree".format(*count_picks(self.matches, self.inliers)))]
+        if self.is_determined:
+            rounded = self.thesis_parameters.rounded(self.thesis_sigmas)
+            facts += [(one.name, f"{one.value} \u00b1 {one.sigma} {one.unit}") for one in rounded]
+            position, angle = format_length(self.sigma_position_m), format_angle(self.sigma_angle_rad)
+            facts.append(("sigma", f"{position} and {angle}, over all three axes"))
+        at, off = self.matches.uv, self.residuals_px
+        picture = arrows(self.camera.size, at, off, self.inliers, (OK, BAD), "residuals") if len(at) else None
+        verdict = words, OK if good else WARN if self.is_shown else BAD
+        return card(type(self).__name__, facts, picture=picture, verdict=verdict, notes=self.reasons)
 
     @property
     def has_pose(self) -> bool:

@@ -125,7 +125,7 @@ def photo_revision(entry: PhotoEntry) -> str:
 
 def photo_slice(loader: Loader, document: Document, entry: PhotoEntry) -> dict[str, Any]:
     """Return an entry of the slice `photos`; without a camera if its focal length is unknown."""
-    from ladarreg_core.quality.verdict import LIGHT_WORDS, light_of
+    from ladarreg_core.quality.verdict import LIGHT_WORDS, light_of, position_of
 
     found: dict[str, Any] = {"id": entry.id, "name": entry.source.name, "camera": None, "notes": [], "state": "empty"}
     found["rev"] = photo_revision(entry)
@@ -164,6 +164,8 @@ def photo_slice(loader: Loader, document: Document, entry: PhotoEntry) -> dict[s
         found["stale"] = loader.stale(document, entry, pose)
         found["light"] = light_of(accepted=pose.accepted, evidence=pose.evidence, stale=found["stale"])
         found["light_words"] = LIGHT_WORDS[found["light"]]
+        if pose.accepted:
+            found["position"] = position_of(pose.covariance)
         current = "accepted" if pose.accepted else "refused" if pose.evidence == "none" else "solved"
         found["state"] = "stale" if found["stale"] else current
     return found

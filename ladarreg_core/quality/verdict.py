@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ladarreg_core.formatting import format_length, format_number
 from ladarreg_core.matches import count_picks
@@ -29,6 +30,7 @@ LIGHT_WORDS: dict[Light, str] = {
 """Each light in words, as on a tab or in a list."""
 FROM_IMAGES: tuple[StageId, ...] = ("auto", "carried")
 """Stages that matches do not solve again."""
+_MAX_SHOWN_M = 1e4
 _NOTHING_AGREES = 0.25
 """Share of the image regions, and of the matches, below which hardly anything agrees."""
 
@@ -98,6 +100,18 @@ def verdict_of(
         next_step=_next_step(result, stage, light, stages, wants_frames=wants_frames),
         other=_other_choice(result, stage, light, stages),
     )
+
+
+def position_of(covariance: ArrayLike) -> str:
+    """Return the standard deviation of a camera position as text, by the covariance (6, 6) of its pose, rad and m.
+
+    Empty where it is not known, or says that the position is not determined.
+    """
+    variance = np.asarray(covariance, dtype=np.float64)
+    if variance.shape != (6, 6) or not np.isfinite(variance).all():
+        return ""
+    sigma_m = float(np.sqrt(max(float(np.trace(variance[3:, 3:])), 0.0)))
+    return format_length(sigma_m) if sigma_m < _MAX_SHOWN_M else ""
 
 
 def light_of(*, accepted: bool, evidence: str, stale: str) -> Light:

@@ -209,7 +209,7 @@ export const mountMatchTable = () => {
 
   spacer.addEventListener("click", (event) => {
     const id = rowAt(event.target);
-    if (!id || event.target.closest("input")) return;
+    if (!id || event.target.closest("input, .row-check")) return;
     pickRow(id, { shift: event.shiftKey, more: event.ctrlKey || event.metaKey });
   });
   spacer.addEventListener(
