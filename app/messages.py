@@ -52,7 +52,9 @@ def verdict(result: PoseResult) -> str:
 
 def position(result: PoseResult) -> str:
     """Return the camera position relative to the scanner, with its standard deviation."""
-    sigma = f"{1000 * result.sigma_position_m:.1f} mm" if math.isfinite(result.sigma_position_m) else "unknown"
+    from ladarreg_core.formatting import format_length
+
+    sigma = format_length(result.sigma_position_m) if math.isfinite(result.sigma_position_m) else "unknown"
     return f"{result.thesis_parameters.describe_position()} (sigma {sigma})"
 
 
