@@ -239,9 +239,13 @@ def _judged(scan: Scan, result: PoseResult, found: Verification, placement: Pose
             "pose, or correct the matches."
         )
         return ImageCheck("contradicted", sentence, found, placement)
-    own = " ".join(found.reasons) if found.accepted else ""
     near = f"The images verify a pose {where}, within its uncertainty."
-    return ImageCheck("verified", " ".join(filter(None, [own, near])), found, placement)
+    if found.accepted:
+        return ImageCheck("verified", " ".join([*found.reasons, near]), found, placement)
+    statistics = result.diagnostics.get("statistics") or _statistics_of(result)
+    # what its matches do not support may be as uncertain as anything: that another pose lies within it confirms nothing
+    outcome: Outcome = "verified" if statistics["accepted"] else "undecidable"
+    return ImageCheck(outcome, near, found, placement)
 
 
 def _judged_as_given(found: Verification, placement: PoseResult, where: str, *, contradicted: bool) -> ImageCheck:
