@@ -14,6 +14,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from ladarreg_core.arrays import BoolArray
 from ladarreg_core.camera.uncertainty import DEFAULT_CAMERA_PRIOR, CameraPrior
 from ladarreg_core.formatting import format_length, format_number
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
@@ -191,9 +192,8 @@ def refined_pose(result: PoseResult, check: ImageCheck) -> PoseResult | None:
     found = check.placement
     if found is None:
         return None
-    pose, matches = found.camera_from_scanner, result.matches
+    pose, matches, agree = found.camera_from_scanner, result.matches, _agreeing(found, result)
     sigma = {"sigma_px": _noise_beside(found, result), "sigma_range_m": result.sigma_range_m}
-    agree = inliers_at(pose, matches, found.camera, **sigma, gate_chi2=_GATE_CHI2)
     described = describe_pose(pose, matches, agree, found.camera, **sigma, covariance=found.covariance)
     count, total = count_picks(matches, agree)
     statistics = result.diagnostics.get("statistics") or _statistics_of(result)
@@ -219,6 +219,12 @@ def refined_pose(result: PoseResult, check: ImageCheck) -> PoseResult | None:
         },
     )  # fmt: skip
     return refused_by_lengths(refined)
+
+
+def _agreeing(found: PoseResult, result: PoseResult) -> BoolArray:
+    """Return which matches (M,) of a result agree with the pose that the images verify."""
+    sigma = {"sigma_px": _noise_beside(found, result), "sigma_range_m": result.sigma_range_m}
+    return inliers_at(found.camera_from_scanner, result.matches, found.camera, **sigma, gate_chi2=_GATE_CHI2)
 
 
 def _noise_beside(found: PoseResult, result: PoseResult) -> float:
@@ -249,6 +255,13 @@ def _judged(scan: Scan, result: PoseResult, found: Verification, placement: Pose
     far = _is_far(result, placement)
     if result.evidence == "given":
         return _judged_as_given(found, placement, where, contradicted=far and apart_px > GateOptions().same_pose_px)
+    agree, total = count_picks(result.matches, _agreeing(placement, result))
+    if not far and 2 * agree < total:  # as where another principal point makes up for another pose
+        sentence = (
+            f"The images verify another placement, {where}, with which only {agree} of {total} matches agree: use that "
+            "pose, or correct the matches."
+        )
+        return ImageCheck("contradicted", sentence, found, placement)
     if far:
         sentence = (
             f"The images verify another placement, {where}, which is more than three standard deviations: use that "
