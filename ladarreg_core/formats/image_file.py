@@ -6,7 +6,8 @@ import importlib
 import mmap
 import struct
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -193,15 +194,37 @@ def image_size(path: Path) -> tuple[int, int, str]:
     """
     from PIL import Image
 
+    with _header_of(path) as kind:
+        if kind == "TIFF":
+            return *tiff_size(path), "TIFF"
+        with Image.open(path, formats=_formats_for(kind)) as image:
+            return image.width, image.height, image.format or "image"
+
+
+def image_header(path: Path) -> tuple[tuple[int, int], dict[int, Any]]:
+    """Return (width, height) and the EXIF tags from an image's header, without decoding it.
+
+    Raises:
+        FormatError: if it is not an image.
+    """
+    from PIL import Image
+
+    with _header_of(path) as kind:
+        if kind == "TIFF":
+            return tiff_size(path), _tags_in(path)
+        with Image.open(path, formats=_formats_for(kind)) as image:
+            return image.size, _tags_of(image)
+
+
+@contextmanager
+def _header_of(path: Path) -> Iterator[str | None]:
+    """Give the kind of an image, and turn what goes wrong with its header into a `FormatError`."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
             with open(path, "rb") as stream:
                 kind = image_format(stream.read(64))
-            if kind == "TIFF":
-                return *tiff_size(path), "TIFF"
-            with Image.open(path, formats=_formats_for(kind)) as image:
-                return image.width, image.height, image.format or "image"
+            yield kind
         except FormatError:
             raise
         except Exception as error:
