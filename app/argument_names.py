@@ -20,6 +20,7 @@ _FLAGS = {
     "match_tolerance_m": "--match-tolerance-m",
     "origin": "--origin X,Y,Z",
     "poses": "--poses",
+    "processes": "--processes",
     "resume": "--resume",
     "scan_index": "--scan",
     "seconds": "--seconds",

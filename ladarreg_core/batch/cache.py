@@ -7,7 +7,6 @@ import hashlib
 import os
 import re
 import secrets
-from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any
 

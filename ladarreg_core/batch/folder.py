@@ -103,7 +103,8 @@ class BatchFolder:
         more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
         raise ExportError(
             f"the folder {display_path(self.folder)} contains results of other photos, inputs or options than these "
-            f"({', '.join(names[:_MOST_NAMED])}{more}); give another folder, or allow them to be replaced by `force=True`"
+            f"({', '.join(names[:_MOST_NAMED])}{more}); give another folder, or allow them to be replaced by "
+            "`force=True`"
         )
 
     def remove(self, photo: str) -> None:

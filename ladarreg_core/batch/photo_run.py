@@ -11,13 +11,13 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, as_completed
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
 from ladarreg_core.batch.cache import ContentCache
 from ladarreg_core.batch.executor import WorkerProcesses, usable_cores
-from ladarreg_core.batch.folder import PAGE_FILE, PHOTOS_FOLDER, SUMMARY_FILE, BatchFolder
+from ladarreg_core.batch.folder import PAGE_FILE, SUMMARY_FILE, BatchFolder
 from ladarreg_core.batch.photo_list import CameraGroup, PhotoEntry, camera_groups, photo_entries
 from ladarreg_core.batch.photo_summary import PhotosResult, summary_document
 from ladarreg_core.batch.photo_task import Output, PhotoTask, ScanFiles, estimate_in_worker, register_in_worker
@@ -27,6 +27,7 @@ from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.export.json import input_document, plain, write_result
 from ladarreg_core.export.output_frame import FrameName, OutputFrame
 from ladarreg_core.formats import read_scan
+from ladarreg_core.formats.scan_request import ScanRequest
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.registration import RegisterOptions
@@ -36,6 +37,7 @@ from ladarreg_core.scan import Scan
 T = TypeVar("T")
 _FIRST, _DONE = "alone", "done"
 """Stages of a photograph in the journal: registered by itself, for its camera; registered and written."""
+_LABELS = {_FIRST: "camera estimated", _DONE: "registered"}
 
 
 def register_photos(
@@ -135,12 +137,12 @@ class _Run:
             if not Path(file).is_file():
                 raise OptionError(f"{file}: file not found; give the file of a scan")
         inputs = [input_document(Path(file)) for file in files]
-        stated = {name: value for name, value in options.items() if name != "more"}
+        stated = ScanRequest(**{name: value for name, value in options.items() if name != "more"}).given()
         key = ContentCache.key(kind="scan", files=[one["sha256"] for one in inputs], options=plain(stated))
         self._tell(0, f"reading {path.name}")
         scan = cache.get(key)
         if not isinstance(scan, Scan):
-            scan = read_scan(path, **options, **({} if self.report is None else {"report": self.report}))
+            scan = read_scan(path, report=self.report, **options)
             cache.put(key, scan)
         OutputFrame.of(scan, self.frame)  # refuse before the work
         read = ScanFiles(path, options, key, cache.folder, cache.most_bytes)
@@ -175,7 +177,7 @@ class _Run:
 
     def _common(self, scan: _ReadScan) -> dict[str, Any]:
         """Return what the results of all photographs depend on."""
-        options = dict(self.photo_options)
+        options = {name: value for name, value in self.photo_options.items() if value is not None}
         camera = options.get("camera")
         if isinstance(camera, str | Path):
             options["camera"] = input_document(Path(camera))["sha256"]
@@ -202,10 +204,10 @@ class _Run:
             known = self.folder.journal.find(_FIRST, entry.id, keys[entry.id])
             if known is not None:
                 found[entry.id] = dict(known)
-                self._advance(entry)
+                self._advance(entry, _FIRST)
             else:
                 waiting[workers.submit(estimate_in_worker, self._task(entry, scan))] = entry
-        for future, entry in self._finished(waiting):
+        for future, entry in self._finished(waiting, _FIRST):
             try:
                 result, estimate = future.result()
             except Exception:  # it is tried once more when its results are to be written, and recorded then
@@ -245,12 +247,12 @@ class _Run:
             known = self.folder.journal.find(_DONE, entry.id, whole[entry.id])
             if known is not None and self.folder.has_results(entry.id):
                 results[entry.id] = dict(known)
-                self._advance(entry)
+                self._advance(entry, _DONE)
                 continue
             task = self._task(entry, scan, pooled, estimates.get(entry.id))
             output = Output(folder=self.folder.photos / entry.id, frame=self.frame, force=True)
             waiting[workers.submit(register_in_worker, task, output)] = entry
-        for future, entry in self._finished(waiting):
+        for future, entry in self._finished(waiting, _DONE):
             try:
                 results[entry.id] = plain(future.result())
             except Exception as error:
@@ -276,14 +278,14 @@ class _Run:
             found=self.alone.get(entry.id),
         )  # fmt: skip
 
-    def _finished(self, waiting: Mapping[Future[T], PhotoEntry]) -> Iterator[tuple[Future[T], PhotoEntry]]:
+    def _finished(self, waiting: Mapping[Future[T], PhotoEntry], stage: str) -> Iterator[tuple[Future[T], PhotoEntry]]:
         for future in as_completed(waiting):
-            self._advance(waiting[future])
+            self._advance(waiting[future], stage)
             yield future, waiting[future]
 
-    def _advance(self, entry: PhotoEntry) -> None:
+    def _advance(self, entry: PhotoEntry, stage: str) -> None:
         self.done += 1
-        self._tell(self.done, f"registering, {entry.path.name} is done")
+        self._tell(self.done, f"{entry.path.name}: {_LABELS[stage]}")
 
     def _tell(self, done: int, label: str) -> None:
         if self.report is not None:

@@ -137,7 +137,9 @@ def summary_fields(result: Registration, photo: Photo) -> dict[str, Any]:
         "precision": "coarse" if result.accepted and result.is_coarse else None,
         "verdict": verdict_words(result.accepted, result.evidence, result.diagnostics, coarse=result.is_coarse),
         "reasons": list(result.reasons),
-        "sigma": {"angle_rad": result.sigma_angle_rad, "position_m": result.sigma_position_m} if shown and known else None,
+        "sigma": {"angle_rad": result.sigma_angle_rad, "position_m": result.sigma_position_m}
+        if shown and known
+        else None,
         "camera": result.camera.as_fields(),
         "camera_sigmas": dict(result.camera_sigmas),
         "notes": list(photo.notes),
@@ -150,7 +152,7 @@ def thumbnail(pixels: ByteArray) -> str:
     height, width = pixels.shape[:2]
     scale = min(1.0, _THUMBNAIL_PX / max(height, width))
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    small = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)
     data = encoded_image(small, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, _THUMBNAIL_QUALITY])
     return base64.b64encode(data).decode("ascii")
 

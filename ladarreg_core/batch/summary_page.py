@@ -20,6 +20,8 @@ _STYLE = """
 .photos p { margin: 2px 0; }
 """
 _MOST_REASONS = 4
+_BADGES = (("bad", "failed"), ("bad", "not accepted"), ("warn", "accepted, coarse"), ("ok", "accepted"))
+"""By `_rank`."""
 
 
 def write_summary_page(path: Path, document: Mapping[str, Any], results: Mapping[str, Mapping[str, Any]]) -> None:
@@ -43,13 +45,14 @@ def summary_page(document: Mapping[str, Any], results: Mapping[str, Mapping[str,
     accepted = sum(one["accepted"] for one in photos.values())
     title = f"{len(photos)} photographs on {scan['name']}"
     kind = "ok" if accepted == len(photos) else "bad" if accepted == 0 else "warn"
+    badge = tag("span", f"{accepted} of {len(photos)} accepted", class_=f"badge {kind}")
+    files = [tag("li", f"{one['name']}, SHA-256 {one['sha256']}") for one in scan["inputs"]]
     body = [
-        tag("header", tag("h1", title), tag("p", tag("span", f"{accepted} of {len(photos)} accepted", class_=f"badge {kind}"))),
+        tag("header", tag("h1", title), tag("p", badge)),
         section("photographs", "Photographs", _photos(photos, results)),
         section("cameras", "Cameras", _cameras(document["cameras"])),
-        section("scan", "Scan", tag("ul", [tag("li", f"{one['name']}, SHA-256 {one['sha256']}") for one in scan["inputs"]]),
-                tag("ul", [tag("li", note) for note in scan["notes"]])),
-    ]  # fmt: skip
+        section("scan", "Scan", tag("ul", files), tag("ul", [tag("li", note) for note in scan["notes"]])),
+    ]
     head = tag(
         "head",
         Html('<meta charset="utf-8">'),
@@ -75,7 +78,7 @@ def _rank(photo: Mapping[str, Any]) -> int:
 
 def _row(photo: Mapping[str, Any], result: Mapping[str, Any]) -> Html:
     name = str(photo["input"]["name"])
-    kind, words = (("bad", "failed"), ("bad", "not accepted"), ("warn", "accepted, coarse"), ("ok", "accepted"))[_rank(photo)]
+    kind, words = _BADGES[_rank(photo)]
     uri = DataUri(f"data:image/jpeg;base64,{result['thumbnail']}") if result.get("thumbnail") else None
     picture: Content = tag("img", src=uri, alt=name) if uri else ""
     text: list[Content] = [tag("p", tag("b", name), " ", tag("span", words, class_=f"badge {kind}"))]
