@@ -43,6 +43,7 @@ _FIELDS = {
     "match_tolerance_m": "the setting 'Lengths of targets'",
     "origin": "'Scanner stood at'",
     "poses": "'Poses in the files':",
+    "processes": "ladarreg register --processes",
     "resume": "'Resume'",
     "scan_index": "'Scan of the file'",
     "seconds": "'Accumulate over'",

@@ -7,10 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ladarreg_core.batch.folder import PHOTOS_FOLDER
+from ladarreg_core.batch.folder import PHOTOS_FOLDER, SUMMARY_FILE
 from ladarreg_core.batch.photo_list import CameraGroup, PhotoEntry
 from ladarreg_core.batch.pooled_camera import PooledCamera
+from ladarreg_core.errors import ExportError, FormatError
 from ladarreg_core.export.json import CAMERA_FROM_SCANNER_IS, software_document
+from ladarreg_core.export.replacement import is_file_name
+from ladarreg_core.formats.own_results import read_own_result
+from ladarreg_core.formats.untrusted import reading
 from ladarreg_core.frames import Rigid
 
 _VERSION = 1
@@ -53,6 +57,61 @@ class PhotosResult:
     def photo_folder(self, photo: str) -> Path:
         """Return the folder with the results of a photograph, by its id; a failed one has none."""
         return self.folder / PHOTOS_FOLDER / photo
+
+
+def read_photos_result(folder: str | Path, *, trust_edited: bool = False) -> PhotosResult:
+    """Return the result of a run that was written into a folder.
+
+    Args:
+        folder: the folder.
+        trust_edited: take a document that was changed after it was written.
+
+    Raises:
+        FormatError: if the run was not finished, or its document is damaged, changed or of another version.
+    """
+    home = Path(folder)
+    if not (home / SUMMARY_FILE).is_file():
+        raise FormatError(f"{home} is the folder of a run that was not finished; run the same command again")
+    with reading(home / SUMMARY_FILE) as file:
+        fields = read_own_result(file, "adjustment", trust_edited=trust_edited)
+        photos, cameras = fields.get("photos"), fields.get("cameras")
+        if fields.get("version") != _VERSION or not isinstance(photos, dict) or not isinstance(cameras, dict):
+            raise FormatError(f"it is of another version than {_VERSION}, or damaged; register the photos again")
+        if not all(is_file_name(name) and "/" not in name and isinstance(one, dict) for name, one in photos.items()):
+            raise FormatError("it names photographs outside its folder; register the photos again")
+    return PhotosResult(home, fields)
+
+
+def accepted_folders(folder: str | Path, *, trust_edited: bool = False) -> list[Path]:
+    """Return the folders of results of the photographs that a run accepted; arguments as of `read_photos_result`.
+
+    Raises:
+        FormatError: as of `read_photos_result`.
+        ExportError: if it accepted none.
+    """
+    result = read_photos_result(folder, trust_edited=trust_edited)
+    found = [result.photo_folder(name) for name, one in result.photos.items() if one.get("accepted") is True]
+    if not found:
+        raise ExportError(f"no photo in {folder} was accepted, so nothing can be exported")
+    return found
+
+
+def describe_photos(folder: str | Path) -> dict[str, Any]:
+    """Return what a run found, JSON-ready: the verdicts, and the cameras.
+
+    Raises:
+        FormatError: as of `read_photos_result`.
+    """
+    result = read_photos_result(folder)
+    return {
+        "kind": "results of many photos",
+        "accepted": f"{sum(one.get('accepted') is True for one in result.photos.values())} of {len(result.photos)}",
+        "photos": [f"{name}: {one.get('verdict')}" for name, one in result.photos.items()],
+        "cameras": [
+            f"{name}: {one.get('is')}; {len(one.get('pooled') or ())} photos pooled"
+            for name, one in result.cameras.items()
+        ],
+    }
 
 
 def summary_document(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +12,13 @@ from ladarreg_core.arrays import ByteArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.formats.npz import write_npz_counts
 from ladarreg_core.frames import Rigid, ThesisParameters
+from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.simulate.case import CAMERA, case_world
 from ladarreg_core.simulate.ladar import Ladar, LadarImages, scan_world
 from ladarreg_core.simulate.photograph import Lighting, take_photograph
 from ladarreg_core.simulate.ray_cast import RayCaster
 from ladarreg_core.simulate.world import World
+from testing.scenes.kept import kept
 
 _QUALITY = 95
 _EXIF_IFD, _MAKE, _MODEL, _FOCAL_35MM, _LENS = 0x8769, 0x010F, 0x0110, 0xA405, 0xA434
@@ -59,6 +61,15 @@ def simulate_photo_set(
     return PhotoSet(images, scanner, pixels, poses, camera)
 
 
+@kept
+def small_photo_set(scene: str, *, seed: int, photos: int) -> PhotoSet:
+    """Return a set that is registered in a second a photograph."""
+    step = float(np.radians(0.11))
+    ladar = Ladar(geometry=AzimuthElevation(rows=350, columns=500, d_azimuth_rad=step, d_elevation_rad=step))
+    camera = Camera(480, 320, 609.0, 609.0, 241.0, 157.0, (-0.02, 0.0, 0.0, 0.0))
+    return simulate_photo_set(scene, seed=seed, photos=photos, camera=camera, ladar=ladar)
+
+
 def write_photo_set(folder: Path, found: PhotoSet, *, focal_error: float = 0.0, model: str = "P1") -> list[Path]:
     """Write `scan.npz` and the photographs as a phone would, JPEG with EXIF, and return the photographs' paths.
 
@@ -89,12 +100,6 @@ def write_phone_photo(
         {_FOCAL_35MM: round(focal_px * _FILM_DIAGONAL_MM / float(np.hypot(*camera.size)), 4), _LENS: "main"}
     )
     Image.fromarray(pixels).save(path, quality=_QUALITY, subsampling=0, exif=exif)
-
-
-def wrongly_stated(camera: Camera, focal_error: float) -> Camera:
-    """Return the ideal camera of a focal length that is stated with a relative error."""
-    stated = Camera.from_focal(camera.width, camera.height, camera.focal_px * (1 + focal_error))
-    return replace(stated)
 
 
 def _pose(world: World, rng: np.random.Generator) -> Rigid:
