@@ -122,8 +122,6 @@ class WorkerProcesses(Executor):
 
     def _dispatch(self) -> None:
         """Hand out tasks and take in results until all is done; in a thread of its own."""
-        if hasattr(signal, "pthread_sigmask"):  # the processes inherit it: Ctrl-C is for the program alone
-            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         workers: list[_Worker] = []
         try:
             while not self._killed:
@@ -191,6 +189,7 @@ class _Worker:
             target=_serve, args=(theirs, os.getpid()), name="ladarreg worker", daemon=True
         )
         with _environment(dict.fromkeys(_ONE_THREAD, "1")):
+            _block_interrupts()
             self._process.start()
         theirs.close()
 
@@ -251,6 +250,15 @@ def _why_it_ended(code: int | None) -> str:
             return f"its process was killed ({name}), perhaps because memory ran out; run again, with fewer `processes`"
         return f"its process crashed ({name}); run again, and report it if that repeats"
     return f"its process ended with code {code} before it had finished; run again, and report it if that repeats"
+
+
+def _block_interrupts() -> None:
+    """Block Ctrl-C in this thread and in the processes that it starts: it is for the main thread alone."""
+    if sys.platform != "win32":
+        from multiprocessing import resource_tracker
+
+        resource_tracker.ensure_running()  # which unblocks it, but only once
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
 
 @contextlib.contextmanager
