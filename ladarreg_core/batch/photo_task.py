@@ -20,7 +20,6 @@ from ladarreg_core.batch.pooled_camera import (
     camera_estimate,
     with_pooled_camera,
 )
-from ladarreg_core.camera import Camera
 from ladarreg_core.camera.model import CameraModel
 from ladarreg_core.camera.uncertainty import CameraPrior
 from ladarreg_core.export.encoded_image import encoded_image
@@ -28,8 +27,7 @@ from ladarreg_core.export.folder import export_registration
 from ladarreg_core.export.output_frame import FrameName
 from ladarreg_core.formats import read_photo, read_scan
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.kept_channels import Channels, view_key
-from ladarreg_core.matching.pyramid import ChannelSet, ScanLevels
+from ladarreg_core.matching.kept_channels import Channels
 from ladarreg_core.photo import Photo
 from ladarreg_core.quality.assessment import assess
 from ladarreg_core.registration import RegisterOptions, register
@@ -157,29 +155,6 @@ def thumbnail(pixels: ByteArray) -> str:
     return base64.b64encode(data).decode("ascii")
 
 
-class StoredChannels(Channels):
-    """Channels whose views of scans are kept on disk as well, for other processes and later runs."""
-
-    def __init__(self, cache: ContentCache, *, most_bytes: int) -> None:
-        super().__init__(most_bytes=most_bytes)
-        self._cache = cache
-
-    def view(
-        self, scan: Scan, camera: Camera, direction: Rigid, channel_set: ChannelSet, *, coarse: bool, harmonics: int
-    ) -> ScanLevels | None:
-        """Return the levels of a view that were kept in memory or on disk; None if there are none."""
-        key = view_key(scan, camera, direction, channel_set, coarse=coarse, harmonics=harmonics)
-        if key not in self.keys and (arrays := self._cache.get(key)) is not None:
-            self.add(key, arrays)
-        return super().view(scan, camera, direction, channel_set, coarse=coarse, harmonics=harmonics)
-
-    def save_views(self) -> None:
-        """Keep the views of scans on disk that are not there yet."""
-        for key in self.keys:
-            if key not in self._cache and "view cells" in (arrays := self.arrays(key)):
-                self._cache.put(key, arrays)
-
-
 def _register_alone(task: PhotoTask) -> Registration:
     return _registered(task, _scan(task.scan), read_photo(task.path, **task.options), task.registering)
 
@@ -187,10 +162,7 @@ def _register_alone(task: PhotoTask) -> Registration:
 def _registered(
     task: PhotoTask, scan: Scan, photo: Photo, options: RegisterOptions, initial: Rigid | None = None
 ) -> Registration:
-    channels = _channels(task.scan.cache, task.scan.cache_bytes)
-    result = register(scan, photo, initial=initial, options=options, channels=channels, threads=1)
-    channels.save_views()
-    return result
+    return register(scan, photo, initial=initial, options=options, channels=_channels(), threads=1)
 
 
 def _with_camera(task: PhotoTask, scan: Scan, photo: Photo, pooled: PooledCamera) -> tuple[Registration, Photo]:
@@ -255,8 +227,9 @@ def _disagreed_sentence(pooled: PooledCamera, *, accepted: bool) -> str:
 
 
 @cache
-def _channels(folder: Path, most_bytes: int) -> StoredChannels:
-    return StoredChannels(ContentCache(folder, most_bytes=most_bytes), most_bytes=_CHANNEL_BYTES)
+def _channels() -> Channels:
+    """Return what this process has made of the scan for the photographs that follow."""
+    return Channels(most_bytes=_CHANNEL_BYTES)
 
 
 _held: dict[str, Scan] = {}

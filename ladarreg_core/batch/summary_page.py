@@ -17,7 +17,7 @@ from ladarreg_core.formatting import format_angle, format_length
 _STYLE = """
 .photos td { padding: 10px 14px 10px 0; border-bottom: 1px solid var(--line); }
 .photos img { width: 140px; } .photos ul { font-size: 13px; } .photos td:first-child { width: 154px; }
-.photos p { margin: 2px 0; }
+.photos p { margin: 2px 0; } .photos td:last-child { white-space: nowrap; padding-right: 0; }
 """
 _MOST_REASONS = 4
 _BADGES = (("bad", "failed"), ("bad", "not accepted"), ("warn", "accepted, coarse"), ("ok", "accepted"))
@@ -95,7 +95,7 @@ def _cameras(cameras: Mapping[str, Mapping[str, Any]]) -> Html:
     rows = []
     for name, one in cameras.items():
         fields, sigmas = one["camera"], one["sigmas"]
-        focal = "one for each photograph" if fields is None else f"{fields.get('fx', float('nan')):.1f}"
+        focal = "not determined" if fields is None else f"{fields.get('fx', float('nan')):.1f}"
         sigma = f"+- {sigmas['focal_px']:.1f}" if "focal_px" in sigmas else ""
         rows.append((name, one["is"], focal, sigma, _pooled_words(one)))
     heads = ("camera", "body, lens, focal length, size", "focal length, px", "sigma, px", "pooled over")
@@ -107,7 +107,7 @@ def _cameras(cameras: Mapping[str, Mapping[str, Any]]) -> Html:
 
 def _pooled_words(camera: Mapping[str, Any]) -> str:
     if not camera["pooled"]:
-        return f"not pooled; {len(camera['photos'])} photographs"
+        return f"not pooled, of {len(camera['photos'])}"
     words = f"{len(camera['pooled'])} of {len(camera['photos'])} photographs"
     return words + (f"; disagreeing: {', '.join(camera['disagreeing'])}" if camera["disagreeing"] else "")
 

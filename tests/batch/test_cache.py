@@ -40,7 +40,9 @@ def _flipped(data: bytes) -> bytes:
     return data[:-9] + bytes([data[-9] ^ 1]) + data[-8:]
 
 
-@pytest.mark.parametrize("damage", [_cut, _flipped, lambda data: b"", lambda data: data + b"x", lambda data: b"\0" * 99])
+@pytest.mark.parametrize(
+    "damage", [_cut, _flipped, lambda data: b"", lambda data: data + b"x", lambda data: b"\0" * 99]
+)
 def test_a_damaged_entry_is_absent_and_replaced(tmp_path: Path, damage: Any) -> None:
     cache, key = ContentCache(tmp_path), ContentCache.key(kind="test")
     cache.put(key, {"values": np.arange(50.0)})

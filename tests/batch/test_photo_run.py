@@ -26,6 +26,7 @@ from ladarreg_core.integrity import check_integrity
 from ladarreg_core.progress import Progress
 from testing.scenes.photo_set import PhotoSet, small_photo_set, write_phone_photo, write_photo_set
 
+pytestmark = pytest.mark.slow
 FOREIGN, DAMAGED = "foreign", "damaged"
 
 
@@ -198,30 +199,33 @@ def test_a_scan_that_is_none_leaves_nothing(site: Site, tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_a_cancelled_run_goes_on_where_it_was(site: Site, tmp_path: Path, registered: lr.PhotosResult) -> None:
+def test_a_run_that_is_cancelled_before_anything_is_done_leaves_nothing(site: Site, tmp_path: Path) -> None:
     def stop(progress: Progress) -> None:
-        if progress.label.endswith("camera estimated"):
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        site.register(tmp_path / "out", report=stop)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_cancelled_run_goes_on_where_it_was(site: Site, tmp_path: Path) -> None:
+    said: list[str] = []
+
+    def stop(progress: Progress) -> None:
+        said.append(progress.label)
+        if sum(label.endswith("estimated") for label in said) == 2:
             raise Cancelled
 
     out, photos = tmp_path / "out", [site.photos[1], site.photos[2]]
     with pytest.raises(Cancelled):
         site.register(out, photos, report=stop)
-    assert not out.exists(), "nothing was finished"
-    said: list[str] = []
-
-    def stop_later(progress: Progress) -> None:
-        said.append(progress.label)
-        if sum(label.endswith("estimated") for label in said) == 2:
-            raise Cancelled
-
-    with pytest.raises(Cancelled):
-        site.register(out, photos, report=stop_later)
     assert (out / JOURNAL_FILE).is_file()
     assert not list(out.glob("photos/*"))
     with pytest.raises(FormatError, match="not finished"):
         read_photos_result(out)
-    result = site.register(out, photos)
-    assert result.accepted
+    before = (out / JOURNAL_FILE).read_bytes()
+    assert site.register(out, photos).accepted
+    assert (out / JOURNAL_FILE).read_bytes().startswith(before)
 
 
 def _die(*_: object) -> None:

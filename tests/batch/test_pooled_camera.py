@@ -18,6 +18,7 @@ TRUTH = np.array([980.0, -0.02, 4.0, -6.0])
 STATED = np.array([1000.0, 0.0, 0.0, 0.0])
 PRIOR = np.array([30.0, 0.05, 11.0, 11.0])
 SIGMA = np.array([4.0, 0.01, 3.0, 5.0])
+ZOOM = np.array([60.0, 0.0, 0.0, 0.0])
 
 
 def estimate(name: str, rng: np.random.Generator, truth: NDArray[np.float64] = TRUTH) -> CameraEstimate:
@@ -62,7 +63,7 @@ def test_more_photographs_know_the_camera_better() -> None:
 @pytest.mark.parametrize("number", [0, 2, 5])
 def test_a_photograph_of_another_camera_is_named_and_changes_nothing(number: int) -> None:
     right = some(5)
-    other = estimate("other", np.random.default_rng(9), TRUTH + [60, 0, 0, 0])
+    other = estimate("other", np.random.default_rng(9), TRUTH + ZOOM)
     found, without = pooled([*right[:number], other, *right[number:]]), pooled(right)
     assert found.disagreeing == ("other",)
     np.testing.assert_array_equal(found.values, without.values)
@@ -71,7 +72,7 @@ def test_a_photograph_of_another_camera_is_named_and_changes_nothing(number: int
 
 def test_there_is_no_pool_of_less_than_two_or_of_two_halves() -> None:
     rng = np.random.default_rng(5)
-    others = [estimate(f"other {number}", rng, TRUTH + [60, 0, 0, 0]) for number in range(2)]
+    others = [estimate(f"other {number}", rng, TRUTH + ZOOM) for number in range(2)]
     assert pool([]) is None
     assert pool(some(1)) is None
     assert pool([*some(1), others[0]]) is None
