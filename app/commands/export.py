@@ -98,11 +98,11 @@ def run(arguments: Arguments) -> ExitCode:
     ]
     if missing:
         raise OptionError(f"missing {', '.join(missing)}; see ladarreg export --help, or --list for the targets")
+    arguments = _with_accepted_photos(arguments)
     assert arguments.to is not None
     assert arguments.out is not None
     started = time.perf_counter()
     targets = targets_of([name.strip() for name in arguments.to.split(",") if name.strip()])
-    arguments = _with_accepted_photos(arguments)
     first = arguments.results[0]
     if is_station_folder(first):
         return _stations(arguments, first, [target.name for target in targets])

@@ -280,8 +280,8 @@ class _Run:
 
     def _finished(self, waiting: Mapping[Future[T], PhotoEntry], stage: str) -> Iterator[tuple[Future[T], PhotoEntry]]:
         for future in as_completed(waiting):
+            yield future, waiting[future]  # and it is recorded
             self._advance(waiting[future], stage)
-            yield future, waiting[future]
 
     def _advance(self, entry: PhotoEntry, stage: str) -> None:
         self.done += 1
