@@ -82,6 +82,8 @@ def is_about_several(words: Sequence[str], flags: Sequence[str]) -> bool:
     files = [Path(word) for word in _positional(words, flags)]
     if any(file.is_dir() for file in files):
         return True
+    if len(files) == 1 and not files[0].exists():  # meant as a folder: a scan alone is not enough
+        return True
     if len(files) < 3:
         return False
     from ladarreg_core.formats import listed_kind

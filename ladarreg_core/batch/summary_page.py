@@ -11,14 +11,9 @@ from ladarreg_core.atomic_write import write_bytes
 from ladarreg_core.checksums import sealed_page
 from ladarreg_core.export.html import Content, DataUri, Html, joined, section, table, tag
 from ladarreg_core.export.replacement import REPORT_FILE
-from ladarreg_core.export.report_style import STYLE
+from ladarreg_core.export.report_style import STYLE, SUMMARY_STYLE
 from ladarreg_core.formatting import format_angle, format_length
 
-_STYLE = """
-.photos td { padding: 10px 14px 10px 0; border-bottom: 1px solid var(--line); }
-.photos img { width: 140px; } .photos ul { font-size: 13px; } .photos td:first-child { width: 154px; }
-.photos p { margin: 2px 0; } .photos td:last-child { white-space: nowrap; padding-right: 0; }
-"""
 _MOST_REASONS = 4
 _BADGES = (("bad", "failed"), ("bad", "not accepted"), ("warn", "accepted, coarse"), ("ok", "accepted"))
 """By `_rank`."""
@@ -59,7 +54,7 @@ def summary_page(document: Mapping[str, Any], results: Mapping[str, Mapping[str,
         tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
         tag("meta", name="referrer", content="no-referrer"),
         tag("title", title),
-        tag("style", Html(STYLE + _STYLE)),
+        tag("style", Html(STYLE + SUMMARY_STYLE)),
     )
     return f"<!DOCTYPE html>\n{tag('html', head, tag('body', tag('main', *body)), lang='en')}\n"
 
