@@ -13,8 +13,12 @@ from typing import TYPE_CHECKING, Any
 from ladarreg_core.version import VERSION
 
 if TYPE_CHECKING:
+<<<<<<< HEAD
     from ladarreg_core.batch.photo_run import register_photos as register_photos
     from ladarreg_core.batch.photo_summary import PhotosResult as PhotosResult
+=======
+    from ladarreg_core import views as views
+>>>>>>> main
     from ladarreg_core.camera import Camera as Camera
     from ladarreg_core.camera import EquirectangularCamera as EquirectangularCamera
     from ladarreg_core.camera import FisheyeCamera as FisheyeCamera
@@ -43,6 +47,7 @@ if TYPE_CHECKING:
     from ladarreg_core.matching.image_check import ImageCheck as ImageCheck
     from ladarreg_core.matching.image_check import with_image_check as with_image_check
     from ladarreg_core.matching.kept_channels import Channels as Channels
+    from ladarreg_core.notebook import NotebookProgress as NotebookProgress
     from ladarreg_core.photo import Photo as Photo
     from ladarreg_core.pose.estimate import PoseOptions as PoseOptions
     from ladarreg_core.pose.estimate import estimate_pose as estimate_pose
@@ -86,6 +91,7 @@ _HOMES = {
     "Label": "surface.texture",
     "LadarregError": "errors",
     "Matches": "matches",
+    "NotebookProgress": "notebook",
     "Photo": "photo",
     "PhotoPoints": "surface.photo_points",
     "PhotoPointsWithNormals": "surface.photo_points",
@@ -131,6 +137,7 @@ _HOMES = {
     "simulate_case": "simulate",
     "texture_scan": "surface.texture",
     "verify_pose": "given",
+    "views": "views",
     "with_image_check": "matching.image_check",
     "xyz_of_photo": "surface.photo_points",
 }
@@ -142,7 +149,8 @@ logging.getLogger(__name__).addHandler(logging.NullHandler())
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+    home = importlib.import_module(f"{__name__}.{_HOMES[name]}")
+    value = home if name == _HOMES[name] else getattr(home, name)
     globals()[name] = value
     return value
 

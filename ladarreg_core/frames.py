@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, overload
 
 import numpy as np
@@ -26,6 +26,7 @@ CAMERA_AXES_FROM_SCANNER = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0
 """Rotation of a camera that looks along the scanner's X: x_camera = -Y, y_camera = -Z, z_camera = X."""
 CAMERA_AXES_FROM_SCANNER.flags.writeable = False
 
+_MAX_DECIMALS = 6
 _STEREO_AXES = np.diag([-1.0, -1.0, 1.0])  # the thesis's stereo frame (x = -lambda X/Z) from the OpenCV one
 # A product of very many points with a 3 x 3 matrix would be split among threads, which costs many times what it gains
 # where cores are shared; in blocks it stays in the processor's cache, with the same result to the bit.
@@ -269,6 +270,20 @@ def skew(vector: ArrayLike) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True, slots=True)
+class RoundedParameter:
+    """One of the thesis's six parameters, rounded to its significant decimals."""
+
+    name: str
+    """Tx, Ty, Tz, alpha, beta or gamma."""
+    unit: str
+    """m or deg."""
+    value: str
+    """The value."""
+    sigma: str
+    """The standard deviation; `unknown` where there is none."""
+
+
+@dataclass(frozen=True, slots=True)
 class ThesisParameters:
     """Camera position and orientation as the six parameters of the thesis's tables, in its stereo frame.
 
@@ -316,6 +331,18 @@ class ThesisParameters:
         centre = CAMERA_AXES_FROM_SCANNER.T @ _STEREO_AXES @ np.array([self.Tx, self.Ty, self.Tz])
         return Rigid.from_centre(Q_cv.T @ CAMERA_AXES_FROM_SCANNER, centre)
 
+    def rounded(self, sigmas: ThesisParameters) -> tuple[RoundedParameter, ...]:
+        """Return the parameters in m and degrees, with two digits of their standard deviations (m, rad)."""
+        found = []
+        for one in fields(self):
+            value, sigma, unit = getattr(self, one.name), getattr(sigmas, one.name), "m"
+            if not one.name.startswith("T"):
+                value, sigma, unit = math.degrees(value), math.degrees(sigma), "deg"
+            decimals = _decimals(sigma)
+            sigma_text = f"{sigma:.{decimals}f}" if math.isfinite(sigma) else "unknown"
+            found.append(RoundedParameter(one.name, unit, f"{value:.{decimals}f}", sigma_text))
+        return tuple(found)
+
     def describe_position(self) -> str:
         """Return the camera position as text: '0.61 m left, 0.05 m down, 0.12 m forward'."""
         pairs = ((self.Tx, "left", "right"), (self.Ty, "up", "down"), (self.Tz, "forward", "back"))
@@ -332,6 +359,13 @@ class ThesisParameters:
             f"{abs(tilt):.2f} deg {'down' if tilt >= 0 else 'up'}, "
             f"rolled {abs(roll):.2f} deg {'clockwise' if roll >= 0 else 'counter-clockwise'}"
         )
+
+
+def _decimals(sigma: float) -> int:
+    """Return how many decimals show two digits of a standard deviation."""
+    if not (math.isfinite(sigma) and sigma > 0):
+        return 4
+    return min(max(1 - math.floor(math.log10(sigma)), 0), _MAX_DECIMALS)
 
 
 def rotation_about(axis: str, angle_rad: float) -> NDArray[np.float64]:

@@ -15,6 +15,7 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M
 from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.progress import StepLog, StepReport
+from ladarreg_core.quality.pose_conventions import other_convention
 from ladarreg_core.results import PoseResult, Registration
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture import Label, texture_scan
@@ -90,7 +91,8 @@ def given_pose(
             check = check_against_images(scan, photo, result, steps, seed=seed)
             diagnostics["verification"] = check.as_dict()
             reasons.insert(0, f"Image verification: {check.outcome}. {check.sentence}")
-        reasons.append(found.summary())
+        doubt = other_convention(scan, photo.camera, pose)
+        reasons += [*([doubt] if doubt else []), found.summary()]
     fields = {name: getattr(result, name) for name in PoseResult.__dataclass_fields__}
     fields |= {"reasons": tuple(reasons), "diagnostics": diagnostics}
     options = {"check_images": check_images}

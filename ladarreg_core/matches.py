@@ -230,6 +230,11 @@ class Matches:
         return Matches(rays, ranges, uv, ids, *columns)
 
     @property
+    def has_lines(self) -> bool:
+        """True if some matches are of drawn lines."""
+        return bool((self.directions != 0).any())
+
+    @property
     def distinct_picks(self) -> bool:
         """True if every match is of a pick of its own, so that none is of a line."""
         return self.pick_ids is _numbered(len(self)) or len(set(self.pick_ids)) == len(self)

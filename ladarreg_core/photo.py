@@ -55,10 +55,23 @@ class Photo:
         return require_pinhole(self.camera, "This work")
 
     def __repr__(self) -> str:
+        return f"Photo({self.name!r}: {', '.join(self._described)})"
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: the camera and the picture."""
+        from ladarreg_core.foundations.card import card, thumbnail
+
+        size, camera, *kind = self._described
+        facts = [("size", size), ("camera", camera), ("kind", ", ".join(kind))]
+        return card(f"Photo {self.name}", facts, picture=thumbnail(self.pixels, "the photograph"), notes=self.notes)
+
+    @property
+    def _described(self) -> list[str]:
+        """Size, camera, how it is known, and whether the picture is thermal, in words."""
         kind = "calibrated" if self.calibrated else "focal length only" if self.assumed else "given camera"
-        thermal = ", thermal" if self.temperature_k is not None else ""
         width, height = self.camera.size
-        return f"Photo({self.name!r}: {width} x {height} px, {describe_in_short(self.camera)}, {kind}{thermal})"
+        thermal = ["thermal"] if self.temperature_k is not None else []
+        return [f"{width} x {height} px", describe_in_short(self.camera), kind, *thermal]
 
     @staticmethod
     def from_array(

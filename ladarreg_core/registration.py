@@ -12,24 +12,22 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from ladarreg_core.arrays import read_only
-from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.errors import DegenerateGeometryError, OptionError, ShapeError
-from ladarreg_core.frames import Rigid, look_along
+from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, Pick, picks_of_arrays
 from ladarreg_core.matching.auto import AutoOptions
-from ladarreg_core.matching.auto_result import AutoResult
+from ladarreg_core.matching.from_images import no_pose, pose_from_images, with_shape_alone_said
+from ladarreg_core.matching.image_check import Proposal, check_against_images, refined_pose, with_image_check
 from ladarreg_core.matching.kept_channels import Channels
-from ladarreg_core.matching.modality import register_by_modality
-from ladarreg_core.matching.support import carries_intensity
 from ladarreg_core.matching.thesis.chain import ThesisOptions, ThesisResult, thesis_stages
 from ladarreg_core.photo import Photo
 from ladarreg_core.picks.lengths import with_lengths_checked
 from ladarreg_core.picks.measure import SAMPLES_PER_LINE, LineUse, check_line_use, check_samples, matches_from_picks
 from ladarreg_core.pose.assumed_camera import with_assumed_camera
-from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions, solve_pose
+from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.multistart import confirm
-from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.progress import StepLog, StepReport
+from ladarreg_core.quality.pose_conventions import other_convention
 from ladarreg_core.results import PoseResult, Registration
 from ladarreg_core.scan import Scan
 from ladarreg_core.side_by_side import one_thread
@@ -39,6 +37,8 @@ _LOSSES_SHOWN = 3
 _DISTINCT_SIGMA = 3.0  # of focal lengths that the images tell apart
 _SHOWN_BY_BLOCKS = 0.37  # of an offset of the principal point; the pose has absorbed the rest of what blocks can show
 _KAPPA_ROUNDS = 2  # positions of samples along a line in the photo depend on the pose, and converge at once
+
+_NO_PICKS = "the method 'manual' has no picks; give points or lines, or use the method 'auto'"
 
 RegistrationMethod = Literal["auto", "thesis", "manual"]
 
@@ -63,6 +63,9 @@ class RegisterOptions:
     """Use of lines drawn by hand in `manual`; `thesis` samples them at equal intervals."""
     samples_per_line: int = SAMPLES_PER_LINE
     """Number of samples along a line drawn by hand, if it is sampled."""
+    proposal: Proposal = "refined"
+    """Which pose `manual` proposes, if the images verify one: `refined`, theirs, unless it contradicts the matches;
+    `drawn`, that of the matches as they are; `images`, theirs in any case."""
     match_tolerance_m: float | None = None
     """Largest difference allowed between the lengths that came with matches and the scan's own ranges, m; None: three
     standard deviations of the range, and 5 cm at least."""
@@ -76,6 +79,7 @@ class RegisterOptions:
         require_int(self.seed, "the seed", least=0, most=LARGEST_INT)
         check_samples(self.samples_per_line)
         check_line_use(self.lines)
+        require_choice(self.proposal, get_args(Proposal), "the proposal")
         if self.match_tolerance_m is not None:
             require_positive(self.match_tolerance_m, "match_tolerance_m")
 
@@ -137,13 +141,66 @@ def register(
         require_type(channels, Channels, "'channels'")
     require_choice(method, get_args(RegistrationMethod), "the method")
     if method == "manual" and not picks:
-        raise OptionError("the method 'manual' has no picks; give points or lines, or use the method 'auto'")
+        raise OptionError(_NO_PICKS)
     if threads is not None:
         require_int(threads, "the number of threads", least=1, most=1)
     steps = StepLog(report)
     # With several threads BLAS sums in another order, and the last digits of a pose would depend on the machine.
     with threadpool_limits(limits=1, user_api="blas"), nullcontext() if threads is None else one_thread():
-        return _register(scan, photo, steps, method, picks, initial, o, channels)
+        found = _register(scan, photo, steps, method, picks, initial, o, channels)
+    doubt = None if initial is None or found.accepted else other_convention(scan, photo.camera, initial)
+    return found if doubt is None else replace(found, reasons=(*found.reasons, doubt))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MatchesRegistered:
+    """What matches lead to: the pose as they were drawn, and the one that the images verify."""
+
+    drawn: Registration
+    """The pose of the matches as they are, with the verdict of the images on it."""
+    refined: Registration | None
+    """The pose that the images verify; None if they verify none."""
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the images verify a pose that the matches exclude."""
+        return self.refined is not None and self.drawn.diagnostics["verification"]["outcome"] == "contradicted"
+
+    def proposed(self, proposal: Proposal = "refined") -> Registration:
+        """Return the pose to propose; see `RegisterOptions.proposal`."""
+        if self.refined is None or proposal == "drawn" or (proposal == "refined" and self.contradicted):
+            return self.drawn
+        return self.refined
+
+
+def register_matches(
+    scan: Scan,
+    photo: Photo,
+    picks: Sequence[Pick],
+    *,
+    initial: Rigid | None = None,
+    options: RegisterOptions | None = None,
+    report: StepReport | None = None,
+) -> MatchesRegistered:
+    """Solve matches and refine the pose against the images; `register` returns the one of both that is proposed.
+
+    Args:
+        scan: the laser scan.
+        photo: the photograph with its camera.
+        picks: corresponding points and lines.
+        initial: a starting pose, `camera_from_scanner`, tried before all others.
+        options: seed, methods and thresholds.
+        report: receives every finished `Step`; may raise `Cancelled`.
+
+    Raises:
+        LadarregError: as `register`.
+    """
+    o = RegisterOptions() if options is None else options
+    _check_types(scan, photo, picks, initial, o)
+    if not picks:
+        raise OptionError(_NO_PICKS)
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _registered_matches(scan, photo, StepLog(report), picks, initial, o, None)
 
 
 def _picks_of(
@@ -197,58 +254,39 @@ def _register(
             scan, photo, steps,
             picks=picks, initial=initial, options=options.seeded_thesis, samples_per_line=options.samples_per_line,
         )  # fmt: skip
-        result = _with_shape_alone_said(_thesis_result(chain, scan, photo), scan)
+        result = with_shape_alone_said(_thesis_result(chain, scan, photo), scan)
         if photo.assumed:
             result = with_assumed_camera(result, options.thesis.pose.camera_prior)
         result = with_lengths_checked(result, scan, picks or (), tolerance_m=options.match_tolerance_m)
         return _registration(result, scan, "thesis", steps, options)
     if picks:
-        result = _manual_result(scan, photo, steps, picks, initial, options)
-        result = with_lengths_checked(result, scan, picks, tolerance_m=options.match_tolerance_m)
-        return _registration(result, scan, "manual", steps, options)
-    found, photo = _register_cameras(scan, photo, steps, initial, options, channels)
-    with steps.step("result"):
-        result = _with_shape_alone_said(_auto_result(found, scan, photo), scan)
-        if photo.assumed:
-            result = with_assumed_camera(result, options.pose.camera_prior, shown=_SHOWN_BY_BLOCKS)
-        steps.pose, steps.matches = result.camera_from_scanner, result.matches
+        return _registered_matches(scan, photo, steps, picks, initial, options, channels).proposed(options.proposal)
+    auto = replace(options.auto, seed=options.seed)
+    result = pose_from_images(
+        scan, photo, steps, initial=initial, options=auto, prior=options.pose.camera_prior, channels=channels
+    )
     return _registration(result, scan, "auto", steps, options)
 
 
-def _register_cameras(
+def _registered_matches(
     scan: Scan,
     photo: Photo,
     steps: StepLog,
+    picks: Sequence[Pick],
     initial: Rigid | None,
     options: RegisterOptions,
     channels: Channels | None,
-) -> tuple[AutoResult, Photo]:
-    """Return the automatic result with the first of a photo's cameras that is accepted, and the photo with it."""
-    auto = replace(options.auto, seed=options.seed)
-    cameras = (photo.camera, *photo.alternatives)
-    tried: list[tuple[AutoResult, Photo]] = []
-    for camera in cameras:
-        seen = replace(photo, camera=camera, alternatives=tuple(other for other in cameras if other is not camera))
-        found = register_by_modality(
-            scan, seen, steps, initial=initial, options=auto, prior=options.pose.camera_prior, channels=channels
-        )  # fmt: skip
-        if found.verification is not None and found.verification.accepted:
-            return _with_camera_named(found, cameras), seen
-        tried.append((found, seen))
-    return tried[0]
-
-
-def _with_camera_named(found: AutoResult, cameras: Sequence[CameraModel]) -> AutoResult:
-    """Return an accepted result whose reasons say which of the focal lengths that the file admits the images show."""
-    focal = [camera.focal_px for camera in cameras if isinstance(camera, Camera)]
-    sigma = found.camera_sigmas.get("focal_px")
-    if found.camera is None or sigma is None or max(focal) - min(focal) <= _DISTINCT_SIGMA * sigma:
-        return found
-    near = [value for value in focal if abs(value - found.camera.focal_px) <= _DISTINCT_SIGMA * sigma]
-    what = f"that of {near[0]:.1f} px" if near else "none of them"
-    admitted = ", ".join(f"{value:.1f}" for value in focal)
-    sentence = f"Of the focal lengths that the photo's file admits ({admitted} px), the images support {what}."
-    return replace(found, reasons=(*found.reasons, sentence))
+) -> MatchesRegistered:
+    result = _manual_result(scan, photo, steps, picks, initial, options)
+    result = with_lengths_checked(result, scan, picks, tolerance_m=options.match_tolerance_m)
+    check = check_against_images(
+        scan, photo, result, steps, seed=options.seed, prior=options.pose.camera_prior, channels=channels
+    )
+    refined = refined_pose(result, check)
+    return MatchesRegistered(
+        drawn=_registration(with_image_check(result, check), scan, "manual", steps, options),
+        refined=None if refined is None else _registration(refined, scan, "manual", steps, options),
+    )
 
 
 def _manual_result(
@@ -311,65 +349,8 @@ def _thesis_result(found: ThesisResult, scan: Scan, photo: Photo) -> PoseResult:
         if found.drawn:
             raise _with_losses(found.stages[-1].note, found.losses)
         notes = tuple(dict.fromkeys(stage.note for stage in found.stages))
-        return replace(_no_pose(scan, photo), reasons=(*notes, *found.cautions))
+        return replace(no_pose(scan, photo), reasons=(*notes, *found.cautions))
     return replace(result, reasons=(*result.reasons, *found.fallback_note, *found.cautions, *found.losses))
-
-
-def _with_shape_alone_said(result: PoseResult, scan: Scan) -> PoseResult:
-    """Return a result whose reasons say so if the scan has no intensity that shows anything."""
-    if carries_intensity(scan):
-        return result
-    return replace(result, reasons=(*result.reasons, _SHAPE_ALONE))
-
-
-def _auto_result(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:
-    """Return an automatic result with the residuals and diagnostics that every pose has."""
-    if found.camera_from_scanner is None:
-        return replace(_no_pose(scan, photo), reasons=found.reasons)
-    evidence, blocks = found.evidence, found.blocks
-    scatter = blocks.scatter_px if blocks and np.isfinite(blocks.scatter_px) else STATED_SIGMA_PX
-    described = describe_pose(
-        found.camera_from_scanner,
-        blocks.matches if blocks else Matches.none(),
-        blocks.inliers if blocks else np.zeros(0, np.bool_),
-        found.camera or photo.camera,
-        sigma_px=scatter,
-        sigma_range_m=STATED_SIGMA_RANGE_M,
-        covariance=evidence.covariance if evidence else _UNKNOWN,
-    )
-    verdict = found.verification
-    accepted = verdict is not None and verdict.accepted
-    diagnostics = dict(described.diagnostics)
-    if verdict:
-        diagnostics["verification"] = {**verdict.as_dict(), "regions": [list(region) for region in verdict.regions]}
-    return replace(
-        described,
-        camera_sigmas=found.camera_sigmas,
-        camera_uncertainty=found.camera_uncertainty,
-        blocks=blocks.compared if blocks else None,
-        accepted=accepted,
-        evidence="image" if accepted else "none",
-        reasons=found.reasons,
-        diagnostics=diagnostics,
-    )
-
-
-_SHAPE_ALONE = "The scan has no intensity, so that only its shape was compared with the photo."
-_UNKNOWN = np.diag([np.pi**2] * 3 + [100.0**2] * 3)
-
-
-def _no_pose(scan: Scan, photo: Photo) -> PoseResult:
-    """Return a refused placeholder pose at the scanner, with a covariance that says it is unknown."""
-    result = describe_pose(
-        Rigid(look_along(scan.mean_direction), np.zeros(3)),
-        Matches.none(),
-        np.zeros(0, np.bool_),
-        photo.camera,
-        sigma_px=STATED_SIGMA_PX,
-        sigma_range_m=STATED_SIGMA_RANGE_M,
-        covariance=_UNKNOWN,
-    )
-    return replace(result, diagnostics={**result.diagnostics, "no_candidate": True})
 
 
 def _registration(

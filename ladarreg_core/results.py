@@ -13,8 +13,10 @@ from ladarreg_core.arrays import BoolArray, FloatArray, read_only
 from ladarreg_core.camera import CameraModel, camera_from_model_fields, require_pinhole
 from ladarreg_core.camera.uncertainty import CameraUncertainty, pose_jacobian
 from ladarreg_core.errors import ShapeError
+from ladarreg_core.formatting import format_angle, format_length
 from ladarreg_core.frames import Rigid, ThesisParameters, describe_direction, describe_position, rotation_from_rotvec
 from ladarreg_core.matches import Matches
+from ladarreg_core.palette import BAD, OK, WARN
 from ladarreg_core.progress import Step
 from ladarreg_core.validation import require_number
 
@@ -23,7 +25,7 @@ ThesisStage = Literal["linear", "constrained_linear", "simplex", "simplex_outlie
 """The columns of thesis Tables 3.2-3.5."""
 StageName = Literal[ThesisStage, "default"]
 """The columns of a comparison: those of the thesis, and the default method."""
-StageId = Literal[ThesisStage, "robust", "auto", "thesis", "carried"]
+StageId = Literal[ThesisStage, "robust", "refined", "auto", "thesis", "carried"]
 """The poses that a project stores for a photograph."""
 STAGE_LABELS: dict[StageId | StageName, str] = {
     "linear": "Linear",
@@ -31,6 +33,7 @@ STAGE_LABELS: dict[StageId | StageName, str] = {
     "simplex": "Simplex",
     "simplex_outliers_removed": "Simplex, outliers removed",
     "robust": "Robust",
+    "refined": "Refined against the image",
     "auto": "Automatic",
     "thesis": "Thesis chain",
     "carried": "Carried over",
@@ -41,6 +44,8 @@ GIVEN_MARK = "given, not verified"
 """The mark of a pose that was given, not solved."""
 COARSE_CAVEAT = "accepted, coarse"
 """What files say of an accepted pose that is coarse."""
+MATCHES_ONLY_CAVEAT = "accepted on matches only"
+"""What files say of a pose that was accepted on its matches, where the images could not judge it."""
 COARSE_SIGMA_PX = 3.0
 """Standard deviation above which an accepted pose is called coarse, px of a photograph of 1 megapixel."""
 STATED_OFFSET_SIGMA_RAD = float(np.radians(0.2))
@@ -55,7 +60,7 @@ _USUAL_RANGE_M = 10.0
 
 VERDICTS: dict[str, str] = {
     "image": "Accepted: verified against the image.",
-    "statistics": "Accepted on match statistics only, not image-verified.",
+    "statistics": "Accepted on matches only: the images could not judge it.",
     "given": "Given, not verified: this pose was applied, not solved.",
     "none": "Accepted without evidence.",
 }
@@ -199,7 +204,7 @@ class PoseResult:
     accepted: bool = False
     """Whether the evidence suffices to present the pose as registered."""
     evidence: Evidence = "none"
-    """`image`: verified against the image; `statistics`: accepted on match statistics only; `given`: applied, not
+    """`image`: verified against the image; `statistics`: accepted on matches only; `given`: applied, not
     solved, and never accepted; `none`."""
     reasons: tuple[str, ...] = ()
     """Reasons of the verdict, as sentences."""
@@ -211,7 +216,7 @@ class PoseResult:
     def __repr__(self) -> str:
         name = type(self).__name__
         if self.accepted:
-            verdict = f"{self.caveat or 'accepted'} by {'the images' if self.evidence == 'image' else self.evidence}"
+            verdict = f"{self.caveat or 'accepted'}{' by the images' if self.evidence == 'image' else ''}"
         else:
             verdict = self.mark or "not accepted"
         if not self.has_pose:
@@ -225,6 +230,23 @@ class PoseResult:
             rms = f", residual {np.sqrt(np.nanmean(off**2)):.2f} px rms" if np.isfinite(off).any() else ""
             words.append(f"{int(self.inliers.sum())} of {len(self.matches)} matches are inliers{rms}")
         return f"{name}({'; '.join(words)})"
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: the verdict, the parameters with their sigmas, and the residuals."""
+        from ladarreg_core.foundations.card import arrows, card
+
+        good = self.accepted and self.evidence == "image" and not self.is_coarse
+        words = verdict_words(self.accepted, self.evidence, self.diagnostics, coarse=self.is_coarse)
+        facts = [("matches", f"{int(self.inliers.sum())} of {len(self.matches)} agree")]
+        if self.is_determined:
+            rounded = self.thesis_parameters.rounded(self.thesis_sigmas)
+            facts += [(one.name, f"{one.value} \u00b1 {one.sigma} {one.unit}") for one in rounded]
+            position, angle = format_length(self.sigma_position_m), format_angle(self.sigma_angle_rad)
+            facts.append(("sigma", f"{position} and {angle}, over all three axes"))
+        at, off = self.matches.uv, self.residuals_px
+        picture = arrows(self.camera.size, at, off, self.inliers, (OK, BAD), "residuals") if len(at) else None
+        verdict = words, OK if good else WARN if self.is_shown else BAD
+        return card(type(self).__name__, facts, picture=picture, verdict=verdict, notes=self.reasons)
 
     @property
     def has_pose(self) -> bool:
@@ -251,7 +273,9 @@ class PoseResult:
 
     @property
     def caveat(self) -> str:
-        """The mark, or of a pose that is coarse `COARSE_CAVEAT`; empty for any other one that was accepted."""
+        """The mark, or what an accepted pose lacks: `MATCHES_ONLY_CAVEAT`, `COARSE_CAVEAT`; empty for any other one."""
+        if self.accepted and self.evidence == "statistics":
+            return MATCHES_ONLY_CAVEAT + (", coarse" if self.is_coarse else "")
         return self.mark or (COARSE_CAVEAT if self.is_coarse else "")
 
     @property
@@ -259,7 +283,7 @@ class PoseResult:
         """What a file says of its pose: accepted, how precisely and on what evidence, or else its mark."""
         if not self.accepted:
             return self.mark or "not accepted"
-        return f"{self.caveat or 'accepted'} ({self.evidence})"
+        return self.caveat if self.evidence == "statistics" else f"{self.caveat or 'accepted'} ({self.evidence})"
 
     @property
     def joint_covariance(self) -> FloatArray | CameraUncertainty | None:

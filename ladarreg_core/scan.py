@@ -76,14 +76,29 @@ class Scan:
         object.__setattr__(self, "notes", tuple(self.notes))
 
     def __repr__(self) -> str:
-        height, width = self.shape
-        low, high = (float(reduce(self.ranges)) for reduce in (np.nanmin, np.nanmax))
-        step = " x ".join(f"{np.degrees(angle):.3g}" for angle in self.geometry.step_rad)
+        cells, ranges = self._described
         return (
-            f"Scan({self.name!r}: {height} x {width} cells of {step} deg, {self.valid.mean():.0%} with returns, "
-            f"{low:.2f} to {high:.2f} m{', colour' if self.color is not None else ''}"
+            f"Scan({self.name!r}: {cells}, {self.valid.mean():.0%} with returns, {ranges}"
+            f"{', colour' if self.color is not None else ''}"
             f"{'' if self.world_from_scanner is None else ', placed in the world'})"
         )
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: the figures of the grid and a picture."""
+        from ladarreg_core.foundations.card import card, gray, thumbnail
+
+        cells, ranges = self._described
+        kind = "colour" if self.color is not None else "intensity" if self.has_intensity else "nearness"
+        near = np.divide(1, self.ranges, where=self.valid, out=np.zeros(self.shape, np.float32))
+        shown = gray(self.intensity if self.has_intensity else near, self.valid) if self.color is None else self.color
+        facts = [
+            ("grid", cells),
+            ("returns", f"{int(self.valid.sum())}, {self.valid.mean():.0%} of the cells"),
+            ("range", ranges),
+            ("picture", kind),
+            ("world", "not stated" if self.world_from_scanner is None else "the scanner's pose is stated"),
+        ]
+        return card(f"Scan {self.name}", facts, picture=thumbnail(shown, f"{kind} of the scan"), notes=self.notes)
 
     @staticmethod
     def from_points(
@@ -182,6 +197,13 @@ class Scan:
             color=None if paint is None else grid.order.apply(paint), intensity_is=intensity_is,
             world_from_scanner=world_from_scanner, name=name, notes=(*notes, *grid.notes),
         )  # fmt: skip
+
+    @property
+    def _described(self) -> tuple[str, str]:
+        """The grid and the ranges, in words."""
+        low, high = (float(reduce(self.ranges)) for reduce in (np.nanmin, np.nanmax))
+        step = " x ".join(f"{np.degrees(angle):.3g}" for angle in self.geometry.step_rad)
+        return f"{self.shape[0]} x {self.shape[1]} cells of {step} deg", f"{low:.2f} to {high:.2f} m"
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -40,6 +40,8 @@ EXAMPLES = (
     "ladarreg register room.e57 1.jpg 2.jpg 3.jpg -o results",
     "# from matches drawn by hand:",
     "ladarreg register room.e57 photo.jpg --matches matches.json -o results",
+    "# the pose of these matches as they are, not refined against the image:",
+    "ladarreg register room.e57 photo.jpg --matches m.json --proposal drawn -o out",
 )
 
 
@@ -49,6 +51,9 @@ class Arguments(RegisterArguments):
 
     method: Literal["auto", "thesis", "manual"] = "auto"
     """Registration method. With --matches, auto means manual, and thesis solves these matches."""
+    proposal: Literal["refined", "drawn", "images"] | None = None
+    """Pose to propose of --matches: refined, as the images verify it, unless they contradict the matches (default);
+    drawn; or images, theirs in any case."""
     smooth: bool = False
     """Replace range spikes at matches by their stereo range in model.glb and cloud.ply."""
     frame: Literal["scanner", "world"] = "scanner"
@@ -93,6 +98,7 @@ def run(arguments: Arguments | RigArguments | PhotosArguments) -> ExitCode:
     arguments = with_recorded_options(arguments, arguments.initial, arguments.carry)
     check_method(arguments, arguments.method)
     _check_carry(arguments)
+    _check_proposal(arguments)
     with progress_bar(quiet=arguments.quiet) as bar:
         scan, photo = read_inputs(arguments, bar, arguments.initial, arguments.carry, soon=lambda: lr.register)
         if arguments.smooth:
@@ -137,6 +143,14 @@ def _check_carry(arguments: Arguments) -> None:
         raise OptionError("--carry does not solve for a pose; omit --matches, --initial and --method")
 
 
+def _check_proposal(arguments: Arguments) -> None:
+    """Refuse a choice between the poses of matches where there are none, or where they have one pose only."""
+    from ladarreg_core.errors import OptionError
+
+    if arguments.proposal is not None and (arguments.matches is None or arguments.method == "thesis"):
+        raise OptionError("--proposal needs matches (--matches), solved by the method manual")
+
+
 def _register(arguments: Arguments, scan: Scan, photo: Photo, bar: ProgressBar) -> Registration:
     import ladarreg_core as lr
 
@@ -151,13 +165,16 @@ def _register(arguments: Arguments, scan: Scan, photo: Photo, bar: ProgressBar) 
         carried = timed("Carry over", bar, lambda: carry_over(first, offset, photo))
         return replace(carried, world_from_scanner=scan.world_from_scanner)  # it stands in this scan's world
     picks, initial = read_start(arguments, scan)
+    options = register_options(arguments)
+    if arguments.proposal is not None:
+        options = replace(options, proposal=arguments.proposal)
     return lr.register(
         scan,
         photo,
         method=arguments.method,
         picks=picks,
         initial=initial,
-        options=register_options(arguments),
+        options=options,
         report=bar.step,
     )
 

@@ -13,9 +13,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import Cancelled, LadarregError
-from ladarreg_core.project.edits import with_pose
 from ladarreg_core.project.history import NOBODY
-from ladarreg_core.project.results import pose_entry
 
 from ..argument_names import as_fields
 from .inputs import Inputs, Workspace
@@ -23,6 +21,7 @@ from .runner import JobRunner
 from .solve import SolveJobs
 
 if TYPE_CHECKING:
+    from ladarreg_core.matching.image_check import Proposal
     from ladarreg_core.progress import Step
     from ladarreg_core.project.document import PhotoEntry
 
@@ -118,13 +117,14 @@ class AutomaticSolver:
         self._busy = photo
         self._on_change()
         try:
-            result = self._solve.solved(inputs, lambda step: self._check(inputs, step))[0]
+            found = self._solve.solved(inputs, lambda step: self._check(inputs, step))
             note = self._solve.note_on_start(inputs)
-            entry = pose_entry("robust", result, picks=inputs.entry.picks, note=note, clouds=inputs.clouds)
+            proposal: Proposal = "drawn" if _chosen_as_drawn(inputs.entry) else "refined"
+            solved = self._solve.with_solution(inputs, found, proposal=proposal, note=note)
             self._workspace.commit(
                 inputs,
                 "Solve automatically",
-                lambda now: with_pose(now, entry) if self._is_wanted(now) else now,
+                lambda now: solved(now) if self._is_wanted(now) else now,
                 author=NOBODY,
                 of_picks=True,
                 automatic=True,
@@ -162,4 +162,12 @@ class AutomaticSolver:
             return False  # its commit would discard what can be redone
         if pose is None or (pose.stage == "auto" and not pose.accepted):
             return any(pick.origin in _DRAWN for pick in enabled)
-        return pose.stage == "robust" and bool(loader.stale(session.document, entry, pose))
+        return pose.stage in ("robust", "refined") and bool(loader.stale(session.document, entry, pose))
+
+
+def _chosen_as_drawn(entry: PhotoEntry) -> bool:
+    """Return whether the operator chose the pose as drawn, where the images verify a refined one."""
+    pose = entry.pose
+    if pose is None or pose.stage != "robust" or entry.stage("refined") is None:
+        return False
+    return bool(pose.accepted)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import logging
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ladarreg_core.errors import OptionError
+from ladarreg_core.atomic_write import write_bytes
+from ladarreg_core.errors import ExportError, OptionError
 from ladarreg_core.project.station_edits import scans_of
 
 from ..session.exported import ExportedPose, exported_pose
@@ -19,6 +22,7 @@ if TYPE_CHECKING:
     from ladarreg_core.export.output_frame import FrameName
     from ladarreg_core.project.document import Document, PhotoEntry, Source
 
+log = logging.getLogger(__name__)
 Work = Callable[[Inputs, JobContext], str]
 
 
@@ -27,10 +31,39 @@ class ExportJobs:
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace = workspace
+        self._exported: dict[str, str] | None = None
 
     def zip_path(self, photo: str) -> Path:
         """Return the path of a photograph's zip."""
         return self._workspace.session.folder.exports / f"{photo}.zip"
+
+    def record(self, entries: Iterable[PhotoEntry]) -> None:
+        """Record that the shown poses of photographs were exported; it is known after a restart, too."""
+        known = self._known_exports()
+        known |= {entry.id: entry.pose.arrays.name for entry in entries if entry.pose is not None}
+        self._exported = known
+        try:
+            write_bytes(self._record_path, json.dumps(known).encode())
+        except (ExportError, OSError) as error:
+            log.warning("exports are not recorded: %s", error)
+
+    def is_exported(self, entry: PhotoEntry) -> bool:
+        """Return whether the shown pose of a photograph was exported."""
+        return entry.pose is not None and self._known_exports().get(entry.id) == entry.pose.arrays.name
+
+    def _known_exports(self) -> dict[str, str]:
+        """Return the name of the pose of each photograph that was exported last."""
+        if self._exported is None:
+            try:
+                found = json.loads(self._record_path.read_bytes())
+            except (OSError, ValueError):
+                found = {}
+            self._exported = found if isinstance(found, dict) else {}
+        return dict(self._exported)
+
+    @property
+    def _record_path(self) -> Path:
+        return self._workspace.session.folder.exports / "exported.json"
 
     def require_current(self, document: Document, entry: PhotoEntry, *, last_solved: bool) -> None:
         """Refuse to export a pose that is out of date, unless its state when it was solved is wanted.
@@ -58,6 +91,7 @@ class ExportJobs:
 
         target = self.zip_path(inputs.entry.id)
         write_zip(target, lambda: self._files(inputs, frame), report=context.progress)
+        self.record([inputs.entry])
         return f"Wrote a zip of {size_of(target)}."
 
     def report_path(self, photo: str) -> Path:
@@ -98,6 +132,7 @@ class ExportJobs:
                 force=force,
                 report=context.progress,
             )
+            self.record([inputs.entry])
             return f"Wrote {', '.join(visible_files(folder))}."
 
         return work

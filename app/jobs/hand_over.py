@@ -135,12 +135,14 @@ class HandOverJobs:
                 export_to(
                     folder, handed, names, options=options, apart_from=[project], force=force, report=context.progress
                 )
+                self._exports.record(chosen.entries)
                 return f"Wrote {', '.join(names)} into {folder.name}.{_left_out(chosen)}"
             write_zip(
                 self.zip_path,
                 lambda: export_files(handed, names, options=options, report=context.progress),
                 report=context.progress,
             )
+            self._exports.record(chosen.entries)
             return f"Wrote a zip of {size_of(self.zip_path)} with {', '.join(names)}.{_left_out(chosen)}"
 
         return work, chosen.entries[0].id

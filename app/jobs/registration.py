@@ -164,4 +164,4 @@ def _self_test_shown(found: Any) -> dict[str, Any]:
         }
         for trial in found.trials
     ]
-    return {"sentence": found.summary(), "advice": found.advice(), "rows": rows}
+    return {"sentence": found.summary(), "advice": found.advice(), "counts": found.counts(), "rows": rows}

@@ -24,6 +24,7 @@ from .solve import SolveJobs
 
 if TYPE_CHECKING:
     from ladarreg_core.export.output_frame import FrameName
+    from ladarreg_core.project.document import PhotoEntry
 
 Work = Callable[[Inputs, JobContext], str]
 _WATCHED: tuple[Control, ...] = ("pause", "stop", "speed", "step")
@@ -169,6 +170,10 @@ class JobRegistry:
             return None
         path = self._exports.zip_path(entry.id)
         return (path, download_name(document.name, Path(entry.source.name).stem)) if path.is_file() else None
+
+    def is_exported(self, entry: PhotoEntry) -> bool:
+        """Return whether the shown pose of a photograph was exported."""
+        return self._exports.is_exported(entry)
 
     def report_file(self, photo: str) -> tuple[Path, str] | None:
         """Return the last report of a photograph and its download name; None before there is one."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.progress import StepLog
-from ladarreg_core.project.edits import with_pose
+from ladarreg_core.project.edits import with_pose, without_stage
 from ladarreg_core.project.results import pose_entry, pose_of
 from ladarreg_core.results import STAGE_LABELS
 
@@ -17,8 +18,14 @@ from .inputs import Inputs, Workspace
 from .runner import JobContext
 
 if TYPE_CHECKING:
+    from ladarreg_core.matching.image_check import Proposal
     from ladarreg_core.progress import StepReport
-    from ladarreg_core.results import PoseResult, Registration, StageId
+    from ladarreg_core.project.document import PhotoEntry
+    from ladarreg_core.registration import MatchesRegistered
+    from ladarreg_core.results import PoseResult, StageId
+
+FROM_IMAGES = ("refined", "auto", "carried")
+"""Stages whose pose does not come from the matches."""
 
 
 class SolveJobs:
@@ -38,18 +45,26 @@ class SolveJobs:
         return self.commit(inputs, stage, result, context, method="thesis", seconds=time.perf_counter() - begun)
 
     def robust(self, inputs: Inputs, context: JobContext) -> str:
-        """Solve all matches by the default estimator, and check the result from many starting poses."""
-        note = self.note_on_start(inputs)
-        said = self.commit(inputs, "robust", self._robust(inputs, context.step), context, note=note)
-        return " ".join(filter(None, [said, note]))
+        """Solve all matches by the default estimator, and show the pose as they were drawn."""
+        return self._solve(inputs, context, "drawn")
 
     def solve(self, inputs: Inputs, context: JobContext) -> str:
-        """Solve all matches by the default estimator and verify the pose against the images: one verdict."""
-        result, sentence = self.solved(inputs, context.step)
+        """Solve all matches by the default estimator, and refine the pose against the images: one verdict."""
+        return self._solve(inputs, context, "refined")
+
+    def _solve(self, inputs: Inputs, context: JobContext, proposal: Proposal) -> str:
+        found = self.solved(inputs, context.step)
         context.check()
         note = self.note_on_start(inputs)
-        self.commit(inputs, "robust", result, context, note=note)
-        return " ".join(filter(None, [verdict(result), sentence, note]))
+        shown = found.proposed(proposal)
+        self._workspace.commit(
+            inputs,
+            "Solve from matches",
+            self.with_solution(inputs, found, proposal=proposal, note=note),
+            author=context.job.author,
+            of_picks=True,
+        )
+        return " ".join(filter(None, [f"{matches(shown)}. {verdict(shown)}", note]))
 
     def note_on_start(self, inputs: Inputs) -> str:
         """Return what there is to say about the pose that solving starts from; empty: nothing."""
@@ -57,47 +72,61 @@ class SolveJobs:
 
     def verify(self, inputs: Inputs, context: JobContext) -> str:
         """Verify the shown pose against the images; whatever the outcome, it is stored with the pose."""
+        from ladarreg_core.matching.image_check import check_against_images, refined_pose, with_image_check
+
         pose = inputs.entry.pose
         if pose is None:
             raise OptionError("there is no pose to verify; solve first")
-        result, sentence = self._checked(inputs, self._workspace.loader.registration(pose), context.step)
+        result = self._workspace.loader.registration(pose)
+        steps = StepLog(context.step)
+        settings = inputs.settings
+        prior = settings.pose_options.camera_prior
+        check = check_against_images(inputs.scan, inputs.photo, result, steps, seed=settings.seed, prior=prior)
+        checked = replace(with_image_check(result, check), steps=(*result.steps, *steps.steps))
+        refined = refined_pose(checked, check) if pose.stage not in FROM_IMAGES else None
         context.check()
-        entry = pose_entry(pose.stage, result, picks=self._workspace.loader.solved_on(pose), clouds=pose.clouds)
-        self._workspace.commit(
-            inputs,
-            f"Verify: {STAGE_LABELS[pose.stage].lower()}",
-            lambda photo: with_pose(photo, entry, shown=False),
-            author=context.job.author,
-        )
-        return f"{verdict(result)} {sentence}"
+        picks = self._workspace.loader.solved_on(pose)
 
-    def _robust(self, inputs: Inputs, report: StepReport) -> Registration:
-        import ladarreg_core as lr
+        def kept(photo: PhotoEntry) -> PhotoEntry:
+            photo = with_pose(photo, pose_entry(pose.stage, checked, picks=picks, clouds=pose.clouds), shown=False)
+            if refined is None:
+                return photo
+            entry = pose_entry("refined", refined, picks=picks, method=pose.method, clouds=pose.clouds)
+            return with_pose(photo, entry, shown=False)
+
+        label = f"Verify: {STAGE_LABELS[pose.stage].lower()}"
+        self._workspace.commit(inputs, label, kept, author=context.job.author)
+        return f"{verdict(checked)} {check.sentence}"
+
+    def solved(self, inputs: Inputs, report: StepReport) -> MatchesRegistered:
+        """Return the solution of the matches, and the pose that the images verify."""
+        from ladarreg_core.registration import register_matches
 
         _ = inputs.matches()  # raises if matches are missing
         pose = inputs.entry.pose
-        return lr.register(
+        return register_matches(
             inputs.scan,
             inputs.photo,
-            method="manual",
-            picks=inputs.picks,
+            inputs.picks,
             initial=inputs.stated_pose if pose is None else pose_of(pose),
             options=inputs.settings.register_options,
             report=report,
         )
 
-    def solved(self, inputs: Inputs, report: StepReport) -> tuple[Registration, str]:
-        """Return the robust solution with its image verification, and the sentence on that."""
-        return self._checked(inputs, self._robust(inputs, report), report)
+    def with_solution(
+        self, inputs: Inputs, found: MatchesRegistered, *, proposal: Proposal, note: str
+    ) -> Callable[[PhotoEntry], PhotoEntry]:
+        """Return the edit that stores a solution, and shows the pose that is proposed of it."""
+        how: dict[str, Any] = {"picks": inputs.entry.picks, "note": note, "clouds": inputs.clouds}
+        drawn = pose_entry("robust", found.drawn, **how)
+        refined = None if found.refined is None else pose_entry("refined", found.refined, **how)
+        shows_refined = found.proposed(proposal) is found.refined
 
-    def _checked(self, inputs: Inputs, result: Registration, report: StepReport) -> tuple[Registration, str]:
-        """Return the registration with its image verification, and the sentence on that."""
-        from ladarreg_core.matching.image_check import check_against_images, with_image_check
+        def solved(photo: PhotoEntry) -> PhotoEntry:
+            photo = with_pose(without_stage(photo, "refined"), drawn)
+            return photo if refined is None else with_pose(photo, refined, shown=shows_refined)
 
-        steps = StepLog(report)
-        check = check_against_images(inputs.scan, inputs.photo, result, steps, seed=inputs.settings.seed)
-        checked = with_image_check(result, check)
-        return replace(checked, steps=(*checked.steps, *steps.steps)), check.sentence
+        return solved
 
     def commit(
         self,

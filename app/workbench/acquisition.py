@@ -302,7 +302,7 @@ class Acquisition:
                 "offered": self.offered,
                 "said": self._said,
                 "driver": None if self._driver is None else {"id": self._driver[0], "name": self._driver[1]},
-                "devices": None if self._devices is None else _described(self._devices),
+                "devices": None if self._devices is None else _described(self._devices, self._plan),
                 "plan": None if self._plan is None else self._plan.as_fields(),
                 "at_deg": None if at is None else [_deg(at.pan_rad), _deg(at.tilt_rad)],
                 "done": progress.done,
@@ -503,14 +503,23 @@ class Acquisition:
         return self._devices
 
 
-def _described(devices: Connected) -> dict[str, Any]:
+def _described(devices: Connected, plan: Plan | None) -> dict[str, Any]:
+    from ladarreg_core.acquisition.twin_address import is_twin
+
     unit, scanner = devices.unit.identity, devices.line_scanner
+    unit_is_twin = plan is not None and is_twin(plan.unit.port)
+    scanner_is_twin = plan is not None and is_twin(plan.scanner.port or "")
     return {
-        "unit": unit.model,
+        "unit": f"{unit.model} (simulated)" if unit_is_twin else unit.model,
+        "simulated": unit_is_twin,
         "lowest_deg": [_deg(unit.lowest.pan_rad), _deg(unit.lowest.tilt_rad)],
         "highest_deg": [_deg(unit.highest.pan_rad), _deg(unit.highest.tilt_rad)],
         "step_deg": [_deg(unit.resolution_rad.pan_rad), _deg(unit.resolution_rad.tilt_rad)],
-        "scanner": None if scanner is None else scanner.identity.model,
+        "scanner": None
+        if scanner is None
+        else f"{scanner.identity.model} (simulated)"
+        if scanner_is_twin
+        else scanner.identity.model,
         "has_intensity": scanner is None or scanner.identity.has_intensity,
     }
 

@@ -132,10 +132,12 @@ class Images:
             level, column, row = picture_forms.level_column_row(query["part"])
             of_level = cached(("level", level), lambda: picture_forms.reduced(pixels(), level)) if level else pixels()
             return _with_etag(picture_forms.part(of_level, column, row))
-        if form == "quick":
-            found: Picture = cached("quick", lambda: _with_etag(picture_forms.quick(pixels())))
-        else:
-            found = cached("exact", lambda: _with_etag(picture_forms.exact(pixels(), natural=natural)))
+        encoded = {
+            "exact": lambda: picture_forms.exact(pixels(), natural=natural),
+            "quick": lambda: picture_forms.quick(pixels()),
+            "small": lambda: picture_forms.small(pixels()),
+        }
+        found: Picture = cached(form, lambda: _with_etag(encoded[form]()))
         return found
 
     def _scan(self, query: Mapping[str, str]) -> Picture:

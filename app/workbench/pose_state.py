@@ -21,14 +21,16 @@ from ..messages import verdict
 if TYPE_CHECKING:
     from ladarreg_core.matches import Matches, Pick
     from ladarreg_core.photo import Photo
-    from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
+    from ladarreg_core.project.document import PhotoEntry, PoseEntry
     from ladarreg_core.quality.assessment import Assessment
+    from ladarreg_core.results import StageId
     from ladarreg_core.scan import Scan
 
     from ..session.loader import Loader
 
 
 log = logging.getLogger(__name__)
+_WORST_FIRST = ("poor", "fair", "good")
 _LEAST_MATCHES = 4
 """The number of matches from which on cautions are computed."""
 
@@ -114,18 +116,23 @@ def sampled_line(loader: Loader, scan: Scan, ends: Any) -> dict[str, Any]:
     return {"scan_samples": samples, "sampled": line.sampled, "used": line.used}
 
 
-def poses_slice(
-    loader: Loader, document: Document, entry: PhotoEntry, stage_of: Callable[[PoseEntry], dict[str, Any]]
-) -> dict[str, Any]:
-    """Return the slice `poses`: every stage as `stage_of` describes it, and whether it is out of date."""
-    stages = [{**stage_of(pose), "stale": loader.stale(document, entry, pose)} for pose in entry.poses]
-    return {"shown": entry.shown_stage, "stages": stages}
+def poses_slice(entry: PhotoEntry, stage_of: Callable[[PoseEntry], dict[str, Any]]) -> dict[str, Any]:
+    """Return the slice `poses`: every stage as `stage_of` describes it."""
+    return {"shown": entry.shown_stage, "stages": [stage_of(pose) for pose in entry.poses]}
 
 
-def stage_state(loader: Loader, pose: PoseEntry) -> dict[str, Any]:
-    """Return a stage with its verdict and, once computed, its assessment."""
+def stage_state(loader: Loader, pose: PoseEntry, *, stale: str, stages: Sequence[StageId]) -> dict[str, Any]:
+    """Return a stage with its verdict and, once computed, its assessment.
+
+    Args:
+        loader: reads the stored registration.
+        pose: the stage.
+        stale: why it is out of date; empty: it is not.
+        stages: all stages that the photograph has a pose of.
+    """
     from ladarreg_core.matching.image_check import statistics_note
     from ladarreg_core.matching.views import would_clouds_help
+    from ladarreg_core.quality.verdict import LIGHT_WORDS, verdict_of
 
     try:
         registration = loader.registration(pose)
@@ -135,9 +142,16 @@ def stage_state(loader: Loader, pose: PoseEntry) -> dict[str, Any]:
             "label": STAGE_LABELS[pose.stage],
             "accepted": False,
             "verdict": as_fields(str(error)),
+            "stale": stale,
+            "summary": _missing_summary(as_fields(str(error))),
         }
     verification = pose.diagnostics.get("verification", {})
     checked = "outcome" in verification
+    wants_frames = would_clouds_help(pose.reasons)
+    assessment = loader.known_assessment(pose)
+    summary = verdict_of(
+        registration, stage=pose.stage, stale=stale, stages=stages, wants_frames=wants_frames, assessment=assessment
+    )
     return {
         "stage": pose.stage,
         "label": STAGE_LABELS[pose.stage],
@@ -146,7 +160,9 @@ def stage_state(loader: Loader, pose: PoseEntry) -> dict[str, Any]:
         "evidence": pose.evidence,
         "verdict": verdict(registration),
         "reasons": [as_fields(reason) for reason in pose.reasons],
-        "wants_frames": would_clouds_help(pose.reasons),
+        "wants_frames": wants_frames,
+        "stale": stale,
+        "summary": {**asdict(summary), "words": LIGHT_WORDS[summary.light]},
         "note": " ".join(filter(None, [pose.note, statistics_note(registration)])),
         **({"image": {name: verification[name] for name in ("outcome", "sentence")}} if checked else {}),
         "parameters": [asdict(parameter) for parameter in parameters(registration)],
@@ -159,8 +175,17 @@ def stage_state(loader: Loader, pose: PoseEntry) -> dict[str, Any]:
         "seconds": pose.seconds,
         "regions": [list(region) for region in verification.get("regions", [])],
         "steps": [{"name": step.name, "label": step_label(step.name), "seconds": step.seconds} for step in pose.steps],
-        **_assessment_fields(loader.known_assessment(pose)),
+        **_assessment_fields(assessment),
     }
+
+
+def _missing_summary(problem: str) -> dict[str, Any]:
+    """Return the summary of a pose whose matches are missing."""
+    from ladarreg_core.quality.verdict import LIGHT_WORDS, NextStep, Verdict
+
+    line = f"{problem[:1].upper()}{problem[1:]}."
+    summary = Verdict("not_accepted", line, "", "", "", NextStep("Solve again.", "solve"))
+    return {**asdict(summary), "words": LIGHT_WORDS["not_accepted"]}
 
 
 def _assessment_fields(assessment: Assessment | None) -> dict[str, Any]:
@@ -169,7 +194,7 @@ def _assessment_fields(assessment: Assessment | None) -> dict[str, Any]:
     return {
         "findings": [
             {"what": f.name, "level": f.level, "sentence": f.sentence, "what_to_do": f.what_to_do}
-            for f in assessment.findings or ()
+            for f in sorted(assessment.findings or (), key=lambda f: _WORST_FIRST.index(f.level))
         ],
         "uncertainty": assessment.uncertainty.summary() if assessment.uncertainty else "",
         "check": assessment.match_to_check,

@@ -125,6 +125,8 @@ def photo_revision(entry: PhotoEntry) -> str:
 
 def photo_slice(loader: Loader, document: Document, entry: PhotoEntry) -> dict[str, Any]:
     """Return an entry of the slice `photos`; without a camera if its focal length is unknown."""
+    from ladarreg_core.quality.verdict import LIGHT_WORDS, light_of, position_of
+
     found: dict[str, Any] = {"id": entry.id, "name": entry.source.name, "camera": None, "notes": [], "state": "empty"}
     found["rev"] = photo_revision(entry)
     photo: Photo | None = None
@@ -160,9 +162,32 @@ def photo_slice(loader: Loader, document: Document, entry: PhotoEntry) -> dict[s
     pose = entry.pose
     if pose is not None:
         found["stale"] = loader.stale(document, entry, pose)
+        found["light"] = light_of(accepted=pose.accepted, evidence=pose.evidence, stale=found["stale"])
+        found["light_words"] = LIGHT_WORDS[found["light"]]
+        if pose.accepted:
+            found["position"] = position_of(pose.covariance)
         current = "accepted" if pose.accepted else "refused" if pose.evidence == "none" else "solved"
         found["state"] = "stale" if found["stale"] else current
     return found
+
+
+def progress_slice(loader: Loader, document: Document, entry: PhotoEntry | None, *, exported: bool) -> dict[str, Any]:
+    """Return the slice `progress` of a photograph, or of a project without one."""
+    from dataclasses import asdict
+
+    from ladarreg_core.project.work_steps import progress_of
+
+    if entry is None:
+        return asdict(progress_of(document, None))
+    stale = "" if entry.pose is None else loader.stale(document, entry, entry.pose)
+    missing = False
+    try:
+        loader.photo(entry)
+    except CameraError:
+        missing = True
+    except Exception:  # noqa: BLE001: the slice `photos` states it
+        missing = False
+    return asdict(progress_of(document, entry, missing_camera=missing, stale=stale, exported=exported))
 
 
 def outline_slice(loader: Loader, document: Document, entry: PhotoEntry) -> dict[str, Any] | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
     from ..scene import StationShown
 
+_PLACED = ("registered", "kept")
+"""States of a station that has a verified place beside the fixed one."""
 _MOST_POINTS = 200_000
 """Most points of all stations together in a 3-D view."""
 
@@ -65,6 +67,7 @@ class Stations:
             listed.append(_station(document, station, station.source, COLOURS[number % len(COLOURS)]))
         found: dict[str, Any] = {
             "stations": listed, "stale": is_stale(document), "registered": survey is not None,
+            **_progress(document, listed),
             "pairs": [], "loops": [], "reasons": [], "checks": [],
         }  # fmt: skip
         if survey is not None:
@@ -171,6 +174,25 @@ class Stations:
 
     def _start(self, kind: str, label: str, work: Callable[[JobContext], str], author: Author) -> str:
         return self._runner.start(kind, work, label=label, photo="", author=author)
+
+
+def _progress(document: Document, listed: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return whether the stations are all registered as they are now, how many are, and what is missing."""
+    from ladarreg_core.project.work_steps import counted
+
+    current = document.survey is not None and not is_stale(document)
+    others = sum(one["state"] in _PLACED for one in listed)
+    placed = others + 1 if others else 0  # the fixed one is registered with another one
+    every = counted(len(listed), "station")
+    if not current:
+        return {"done": False, "status": f"{every}.", "missing": "Register them to each other."}
+    if placed == len(listed):
+        return {"done": True, "status": f"{every} registered.", "missing": ""}
+    return {
+        "done": False,
+        "status": f"{placed} of {every} registered." if placed else f"None of {every} registered.",
+        "missing": "Some are not registered: see why, and give them a rough place or further stations between.",
+    }
 
 
 def _station(

@@ -47,6 +47,7 @@ from .state import (
     outline_slice,
     photo_slice,
     pick_entry,
+    progress_slice,
     project_slice,
     scan_slice,
 )
@@ -268,9 +269,10 @@ class Workbench:
         """Send an event to clients by their ids."""
         self.publisher.publish_event(event, to=to)
 
-    def publish_notice(self, text: str, *, level: str = "info") -> None:
-        """Show a sentence to all clients."""
-        self.publish_event({"event": "notice", "level": level, "text": text})
+    def publish_notice(self, text: str, *, level: str = "info", photo: str = "") -> None:
+        """Show a sentence to all clients; one on a photograph leaves when its matches or its pose change."""
+        about = {"photo": photo} if photo else {}
+        self.publish_event({"event": "notice", "level": level, "text": text, **about})
 
     # state
 
@@ -292,11 +294,15 @@ class Workbench:
             "embedded": self.embedded.slice(),
             "acquisition": self.acquisition.slice(),
             "stations": self.stations.slice(),
+            "progress": progress_slice(loader, document, None, exported=False),
             "limits": {"upload_bytes": self.limits.upload_bytes, "photos": MOST_PHOTOS},
         }
         for entry in document.photos:
             found[f"picks:{entry.id}"] = self._pick_entries.get(entry.id, entry.picks)
             found[f"poses:{entry.id}"] = self._poses_slice(document, entry)
+            found[f"progress:{entry.id}"] = progress_slice(
+                loader, document, entry, exported=self.jobs.is_exported(entry)
+            )
             found[f"outline:{entry.id}"] = self._outline_slice(entry)
             found[f"solving:{entry.id}"] = self.jobs.solving(entry.id)
             found[f"corners:{entry.id}"] = self.jobs.corners(entry.id)
@@ -373,13 +379,17 @@ class Workbench:
         return found
 
     def _poses_slice(self, document: Document, entry: PhotoEntry) -> dict[str, Any]:
+        stages = tuple(pose.stage for pose in entry.poses)
+
         def stage_of(pose: PoseEntry) -> dict[str, Any]:
             assessed = self.loader.known_assessment(pose) is not None
-            return self._slices.get(("stage", str(assessed), pose), partial(stage_state, self.loader, pose))
+            stale = self.loader.stale(document, entry, pose)
+            key = ("stage", str(assessed), stale, stages, pose)
+            return self._slices.get(key, partial(stage_state, self.loader, pose, stale=stale, stages=stages))
 
         assessed = ",".join(str(k) for k, pose in enumerate(entry.poses) if self.loader.known_assessment(pose))
         key = (document.clouds, entry.shown_stage, assessed, entry.picks, *entry.poses)
-        return self._slices.get(key, partial(poses_slice, self.loader, document, entry, stage_of))
+        return self._slices.get(key, partial(poses_slice, entry, stage_of))
 
     def _assess(self) -> None:
         """Assess the shown poses that are not assessed yet."""
@@ -424,9 +434,9 @@ class Workbench:
         if job.state == "done" and job.kind in _ANNOUNCED:
             entry = self.session.document.photo(job.photo)
             accepted = entry is not None and entry.pose is not None and entry.pose.accepted
-            self.publish_notice(job.message, level="info" if accepted else "warn")
+            self.publish_notice(job.message, level="info" if accepted else "warn", photo=job.photo)
         if job.state == "failed":
-            self.publish_notice(f"{job.label}: {job.message}", level="bad")
+            self.publish_notice(f"{job.label}: {job.message}", level="bad", photo=job.photo)
 
     def _preload(self) -> None:
         """Load the scan before the first client connects."""

@@ -122,6 +122,12 @@ class CameraUncertainty:
         """Standard deviations of the intrinsics after the registration, by name."""
         return dict(zip(self.names, np.sqrt(np.diag(self.covariance)[6:]).tolist(), strict=True))
 
+    def with_scatter(self, scatter: FloatArray) -> CameraUncertainty:
+        """Return it with something added to the covariance (6, 6) of the pose."""
+        covariance = self.covariance.copy()
+        covariance[:6, :6] += scatter
+        return replace(self, covariance=covariance)
+
     def jacobian(self, camera: Camera, xy: FloatArray) -> FloatArray:
         """Return the derivative of pixels by the intrinsics, (N, 2, K), at undistorted tangents (N, 2)."""
         J = camera.intrinsics_jacobian(xy)

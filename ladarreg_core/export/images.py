@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from ladarreg_core.arrays import ByteArray, FloatArray, read_only
 from ladarreg_core.atomic_write import write_bytes
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.export.encoded_image import encoded_image
 from ladarreg_core.export.layout import beside, padded, stacked, text_block
 from ladarreg_core.export.watermark import watermarked
+from ladarreg_core.foundations.encoded_image import encoded_image
 from ladarreg_core.inspection.model_textures import Legend, visibility_texture
 from ladarreg_core.palette import (
     BACKGROUND,

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.arrays import ByteArray, FloatArray
-from ladarreg_core.export.html import Html, photograph_uri, tag
 from ladarreg_core.export.panels import contrasted
+from ladarreg_core.foundations.markup import Html, photograph_uri, tag
 from ladarreg_core.palette import BACKGROUND
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult

@@ -10,7 +10,6 @@ import numpy as np
 
 from ladarreg_core.atomic_write import write_bytes
 from ladarreg_core.checksums import sealed_page
-from ladarreg_core.export.html import Content, Html, definitions, figure, joined, section, table, tag
 from ladarreg_core.export.json import CAMERA_FROM_SCANNER_IS
 from ladarreg_core.export.match_crops import WorstMatch, crop_legend, match_crops, worst_matches
 from ladarreg_core.export.report_pictures import ReportPictures, legend_html
@@ -24,6 +23,7 @@ from ladarreg_core.export.report_provenance import (
 )
 from ladarreg_core.export.report_style import STYLE
 from ladarreg_core.formatting import format_angle, format_length, format_number
+from ladarreg_core.foundations.markup import Content, Html, definitions, figure, joined, section, table, tag
 from ladarreg_core.inspection.figures import figures, parameters
 from ladarreg_core.photo import Photo
 from ladarreg_core.picks.lengths import lengths_by_end

@@ -9,10 +9,10 @@ import numpy as np
 
 from ladarreg_core.arrays import ByteArray
 from ladarreg_core.export.detail import DETAIL_ASPECT, Window, detail_window, edge_lines, seen_window, whole_window
-from ladarreg_core.export.html import Html, map_uri, photograph_uri, tag
 from ladarreg_core.export.layout import fit_size, framed, resized
 from ladarreg_core.export.match_panels import best_enlargement, match_panel
 from ladarreg_core.export.panels import BADGES, contrasted, marked, scan_panel, window_size, with_edges
+from ladarreg_core.foundations.markup import Html, map_uri, photograph_uri, tag
 from ladarreg_core.inspection.model_textures import (
     Legend,
     TextureKind,

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ladarreg_core.arrays import BoolArray, FloatArray
-from ladarreg_core.export.html import Html, tag
+from ladarreg_core.foundations.markup import Html, tag
 from ladarreg_core.results import PoseResult
 
 _WIDTH, _HEIGHT = 340.0, 270.0

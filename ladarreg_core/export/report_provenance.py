@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ladarreg_core.export.html import Content, Html, definitions, section, table, tag
+from ladarreg_core.foundations.markup import Content, Html, definitions, section, table, tag
 
 Document = Mapping[str, Any]
 _MOST_ADVICE = 3

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import cv2
 
 from ladarreg_core.arrays import ByteArray
-from ladarreg_core.export.encoded_image import encoded_image
+from ladarreg_core.foundations.encoded_image import encoded_image
 from ladarreg_core.surface.model_part import TextureTile
 
 JPEG_QUALITY = 92

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from ladarreg_core.errors import FormatError, OptionError
 
 DEFAULT_BYTES = 1 << 30
-"""Default memory limit for small files."""
+"""Default memory limit of an empty file."""
 BYTES_PER_FILE_BYTE = 96
-"""Default memory limit for large files, relative to their size: a dense scan takes 4 (LAZ) to 20 bytes per point in
+"""What each byte of a file adds to it: a dense scan takes 4 (LAZ) to 20 bytes per point in
 the file, and 200 to 400 while it is gridded."""
 ALWAYS_CELLS = 2_000_000
 """Grids of up to this many cells are accepted from files of any size: a scan may be nearly empty."""
@@ -42,13 +42,13 @@ class ReadBudget:
 
         Args:
             file_bytes: file size, bytes.
-            memory_bytes: memory that the read may use, bytes; None: 1 GB, or 96 times the file's size if that is more.
+            memory_bytes: memory that the read may use, bytes; None: 1 GB, and 96 bytes per byte of the file.
 
         Raises:
             OptionError: if `memory_bytes` is not positive.
         """
         if memory_bytes is None:
-            memory_bytes = max(DEFAULT_BYTES, BYTES_PER_FILE_BYTE * file_bytes)
+            memory_bytes = DEFAULT_BYTES + BYTES_PER_FILE_BYTE * file_bytes
         if isinstance(memory_bytes, bool) or not isinstance(memory_bytes, int) or memory_bytes < 1:
             raise OptionError(f"memory_bytes is {memory_bytes!r}; it must be a positive integer, in bytes")
         return ReadBudget(file_bytes, memory_bytes)

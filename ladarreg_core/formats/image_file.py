@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import mmap
 import struct
-import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -20,6 +19,7 @@ from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.budget import PIXELS_PER_BYTE, ReadBudget
 from ladarreg_core.formats.tiff_file import tiff_facts, tiff_size, tiff_values
 from ladarreg_core.formats.untrusted import one_line
+from ladarreg_core.foundations.opened_image import MAX_PIXELS, opened_image
 from ladarreg_core.thermal import TemperatureUnit
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 # Only decoders that run inside this process: others start external programs on the file's content.
 _PIL_FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "PPM", "GIF", "JPEG2000", "AVIF")
-_LARGEST_PIXELS = 178_000_000  # Pillow's own limit
 _MOST_PASSED = 200_000_000  # pixels times passes of a JPEG that are accepted from a file of any size
 _BAND_PIXELS = 4_000_000
 # Measured peak memory per pixel of a read, from the file to a photograph or a channel of a scan.
@@ -155,10 +154,9 @@ class _UnknownImageError(FormatError):
 def _read_by_pillow(path: Path, budget: ReadBudget, formats: tuple[str, ...]) -> ImageData:
     from PIL import Image, UnidentifiedImageError
 
-    with open(path, "rb") as stream, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Pillow warns about large images; they are checked here
+    with open(path, "rb") as stream:
         try:
-            with Image.open(stream, formats=formats) as image:
+            with opened_image(stream, formats) as image:
                 _check_size(image, path, budget)
                 image.load()
                 return ImageData(_values_of(image), image.format or "image", _tags_of(image), xmp=_xmp_of(image))
@@ -167,7 +165,7 @@ def _read_by_pillow(path: Path, budget: ReadBudget, formats: tuple[str, ...]) ->
                 "it is not an image that can be read; give a PNG, JPEG, TIFF, WebP, AVIF or BMP"
             ) from None
         except Image.DecompressionBombError:
-            raise FormatError(f"it claims more than {_LARGEST_PIXELS:,} pixels; scale it down") from None
+            raise FormatError(f"it claims more than {MAX_PIXELS:,} pixels; scale it down") from None
         except (OSError, SyntaxError, ValueError, EOFError) as error:
             reason = one_line(error, 100)
             raise FormatError(f"the image is damaged or truncated ({reason}); copy or export it again") from error
@@ -192,12 +190,11 @@ def image_size(path: Path) -> tuple[int, int, str]:
     Raises:
         FormatError: if it is not an image.
     """
-    from PIL import Image
 
     with _header_of(path) as kind:
         if kind == "TIFF":
             return *tiff_size(path), "TIFF"
-        with Image.open(path, formats=_formats_for(kind)) as image:
+        with opened_image(path, _formats_for(kind)) as image:
             return image.width, image.height, image.format or "image"
 
 
@@ -207,35 +204,31 @@ def image_header(path: Path) -> tuple[tuple[int, int], dict[int, Any]]:
     Raises:
         FormatError: if it is not an image.
     """
-    from PIL import Image
-
     with _header_of(path) as kind:
         if kind == "TIFF":
             return tiff_size(path), _tags_in(path)
-        with Image.open(path, formats=_formats_for(kind)) as image:
+        with opened_image(path, _formats_for(kind)) as image:
             return image.size, _tags_of(image)
 
 
 @contextmanager
 def _header_of(path: Path) -> Iterator[str | None]:
     """Give the kind of an image, and turn what goes wrong with its header into a `FormatError`."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            with open(path, "rb") as stream:
-                kind = image_format(stream.read(64))
-            yield kind
-        except FormatError:
-            raise
-        except Exception as error:
-            raise FormatError(f"the image's header cannot be read ({one_line(error, 100)})") from error
+    try:
+        with open(path, "rb") as stream:
+            kind = image_format(stream.read(64))
+        yield kind
+    except FormatError:
+        raise
+    except Exception as error:
+        raise FormatError(f"the image's header cannot be read ({one_line(error, 100)})") from error
 
 
 def _check_size(image: Image, path: Path, budget: ReadBudget) -> None:
     """Refuse an image whose header shows that it would take too much memory or time."""
     width, height = image.size
-    if not 1 <= width * height <= _LARGEST_PIXELS:
-        raise FormatError(f"the image claims {width:,} x {height:,} pixels; between 1 and {_LARGEST_PIXELS:,} are read")
+    if not 1 <= width * height <= MAX_PIXELS:
+        raise FormatError(f"the image claims {width:,} x {height:,} pixels; between 1 and {MAX_PIXELS:,} are read")
     if image.format == "JPEG2000":
         _check_codestream(image, path)
     mode = "I" if image.mode.startswith("I;16") else image.mode

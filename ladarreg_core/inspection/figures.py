@@ -7,27 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladarreg_core.frames import Rigid, look_along
+from ladarreg_core.frames import Rigid, RoundedParameter, look_along
 from ladarreg_core.matches import count_picks
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
-
-_NAMES = ("Tx", "Ty", "Tz", "alpha", "beta", "gamma")
-_MOST_DECIMALS = 6
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """One of the thesis's six parameters, rounded to its significant decimals."""
-
-    name: str
-    """Tx, Ty, Tz, alpha, beta or gamma."""
-    unit: str
-    """m or deg."""
-    value: str
-    """The value."""
-    sigma: str
-    """The standard deviation; `unknown` where there is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,32 +44,16 @@ def figures(result: PoseResult) -> Figures:
     )
 
 
-def parameters(result: PoseResult) -> tuple[Parameter, ...]:
+def parameters(result: PoseResult) -> tuple[RoundedParameter, ...]:
     """Return Tx, Ty, Tz in m and alpha, beta, gamma in degrees, with two digits of their standard deviations.
 
     Empty for a pose that is refused and undetermined: its numbers mean nothing.
     """
     if not result.is_determined:
         return ()
-    values, sigmas = result.thesis_parameters, result.thesis_sigmas
-    found = []
-    for name in _NAMES:
-        value, sigma = getattr(values, name), getattr(sigmas, name)
-        length = name.startswith("T")
-        if not length:
-            value, sigma = math.degrees(value), math.degrees(sigma)
-        decimals = _decimals(sigma)
-        sigma_text = f"{sigma:.{decimals}f}" if math.isfinite(sigma) else "unknown"
-        found.append(Parameter(name, "m" if length else "deg", f"{value:.{decimals}f}", sigma_text))
-    return tuple(found)
+    return result.thesis_parameters.rounded(result.thesis_sigmas)
 
 
 def pose_at_scanner(scan: Scan) -> Rigid:
     """Return the pose of a camera at the position of the scanner that looks along the mean direction of the scan."""
     return Rigid(look_along(scan.mean_direction), np.zeros(3))
-
-
-def _decimals(sigma: float) -> int:
-    if not (math.isfinite(sigma) and sigma > 0):
-        return 4
-    return min(max(1 - math.floor(math.log10(sigma)), 0), _MOST_DECIMALS)

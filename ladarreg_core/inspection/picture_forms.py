@@ -14,9 +14,11 @@ from ladarreg_core.errors import OptionError
 
 QUICK_PX = 800
 """The longer side of a quick picture; about the width of a pane."""
+SMALL_PX = 160
+"""The longer side of a small picture, as in the list of photographs."""
 PART_PX = 256
 """The side of a part, pixels of its level."""
-FORMS = ("exact", "quick")
+FORMS = ("exact", "quick", "small")
 _QUALITIES = (70, 80, 90)
 _MOST_ERROR = 4.0
 """RMS error of the brightness of a quick picture, levels of 255: about the noise of a camera, and hardly visible."""
@@ -48,12 +50,14 @@ def exact(pixels: NDArray[np.uint8], *, natural: bool = False) -> EncodedPicture
     return _saved(pixels, "PNG", compress_level=1)
 
 
+def small(pixels: NDArray[np.uint8]) -> EncodedPicture:
+    """Return a picture of at most `SMALL_PX`, as WebP."""
+    return _saved(_at_most(pixels, SMALL_PX), "WEBP", quality=_QUALITIES[0], method=2)
+
+
 def quick(pixels: NDArray[np.uint8]) -> EncodedPicture:
     """Return a picture of at most `QUICK_PX`, as WebP of the lowest quality whose error is hardly visible."""
-    height, width = pixels.shape[:2]
-    share = min(1.0, QUICK_PX / max(height, width))
-    size = max(1, round(width * share)), max(1, round(height * share))
-    small = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA) if share < 1 else pixels)
+    small = _at_most(pixels, QUICK_PX)
     has_alpha = small.shape[2] == 4
     bgr = cv2.cvtColor(small, cv2.COLOR_RGBA2BGRA if has_alpha else cv2.COLOR_RGB2BGR)
     gray = cv2.cvtColor(bgr, cv2.COLOR_BGRA2GRAY if has_alpha else cv2.COLOR_BGR2GRAY)
@@ -63,6 +67,14 @@ def quick(pixels: NDArray[np.uint8]) -> EncodedPicture:
         if cv2.norm(again, gray) <= _MOST_ERROR * np.sqrt(gray.size):
             break
     return EncodedPicture(data.tobytes(), "image/webp")
+
+
+def _at_most(pixels: NDArray[np.uint8], longest_px: int) -> NDArray[np.uint8]:
+    """Return a picture whose longer side is at most `longest_px`."""
+    height, width = pixels.shape[:2]
+    share = min(1.0, longest_px / max(height, width))
+    size = max(1, round(width * share)), max(1, round(height * share))
+    return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA) if share < 1 else pixels, dtype=np.uint8)
 
 
 def reduced(pixels: NDArray[np.uint8], level: int) -> NDArray[np.uint8]:

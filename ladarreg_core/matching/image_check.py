@@ -1,7 +1,9 @@
 """Image verification of a pose that was solved from matches: verified, contradicted or undecidable.
 
-A pose that fails verification need not be wrong: the scan may show too little of what the photo shows. It is
-contradicted only if the same images verify another placement.
+The pose is refined against the images. Where they verify the refined one, it is compared with the pose that was solved:
+within three of its standard deviations, they confirm it, and the refined pose is the better one to propose; farther
+away, they contradict it. Where they verify none, the pose need not be wrong: the scan may show too little of what the
+photo shows.
 """
 
 from __future__ import annotations
@@ -12,13 +14,15 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from ladarreg_core.camera.uncertainty import DEFAULT_CAMERA_PRIOR, CameraPrior
 from ladarreg_core.formatting import format_length, format_number
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
+from ladarreg_core.matches import count_picks
 from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.auto import AutoOptions
-from ladarreg_core.matching.auto_result import AutoResult
 from ladarreg_core.matching.face_registration import is_wide, verify_faces
-from ladarreg_core.matching.modality import register_by_modality
+from ladarreg_core.matching.from_images import pose_from_images
+from ladarreg_core.matching.kept_channels import Channels
 from ladarreg_core.matching.pyramid import ChannelSet, harmonics_of, pair_levels, photo_levels, working_camera
 from ladarreg_core.matching.support import carries_intensity, is_coarse, is_interpolated
 from ladarreg_core.matching.verification import (
@@ -30,15 +34,20 @@ from ladarreg_core.matching.views import viewing_directions
 from ladarreg_core.matching.wrong_poses import verdict_beside_wrong_poses, wrong_poses_decide
 from ladarreg_core.photo import Photo
 from ladarreg_core.picks.lengths import refused_by_lengths
+from ladarreg_core.pose.result import describe_pose, inliers_at
 from ladarreg_core.progress import StepLog
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import perspective_view
 
 Outcome = Literal["verified", "contradicted", "undecidable"]
+Proposal = Literal["refined", "drawn", "images"]
+"""Which pose to propose of matches: that of the images where they confirm the matches, that of the matches as they were
+drawn, or that of the images even where they contradict the matches."""
 ResultT = TypeVar("ResultT", bound=PoseResult)
-_SIGNIFICANT = 22.46  # chi^2 of 6 degrees of freedom, exceeded by chance once in 1000
+_THREE_SIGMAS = 20.06  # chi^2 of 6 degrees of freedom, exceeded as rarely as 3 sigma by one number
 _SAMPLES = 10_000
+_GATE_CHI2 = 9.21  # of a match that agrees with a pose, as `PoseOptions.gate_chi2`
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +60,8 @@ class ImageCheck:
     """The outcome with its reason."""
     verification: Verification | None
     """The verdict on the pose itself; None if there is too little structure to compare."""
+    placement: PoseResult | None = None
+    """The pose that the images verify, found from the one that was checked; None if they verify none."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return the outcome with its statistics, JSON-ready."""
@@ -64,38 +75,48 @@ class ImageCheck:
         }
 
 
-def check_against_images(scan: Scan, photo: Photo, result: PoseResult, steps: StepLog, *, seed: int = 0) -> ImageCheck:
-    """Verify a solved pose against the images; if that fails, look for another placement that the images verify.
+def check_against_images(
+    scan: Scan,
+    photo: Photo,
+    result: PoseResult,
+    steps: StepLog,
+    *,
+    seed: int = 0,
+    prior: CameraPrior = DEFAULT_CAMERA_PRIOR,
+    channels: Channels | None = None,
+) -> ImageCheck:
+    """Verify a solved pose against the images, and refine it against them.
 
     Args:
         scan: the scan.
-        photo: the photograph; its camera is replaced by that of the result.
+        photo: the photograph; the pose itself is verified with the camera of the result.
         result: the pose with its covariance.
         steps: receives every step.
         seed: random seed.
+        prior: what is known of an assumed camera.
+        channels: those that are kept for further registrations.
     """
-    photo = replace(photo, camera=result.camera)
+    pose, seen = result.camera_from_scanner, replace(photo, camera=result.camera)
     with threadpool_limits(limits=1, user_api="blas"):  # the same answer on any machine
-        return _checked(scan, photo, result, steps, seed)
-
-
-def _checked(scan: Scan, photo: Photo, result: PoseResult, steps: StepLog, seed: int) -> ImageCheck:
-    pose = result.camera_from_scanner
-    with steps.step("image check") as note:
-        verify = verify_faces if is_wide(photo) else _verified_in_view
-        found = verify(scan, photo, pose, seed=seed)
-        note.update(verified=found is not None and found.accepted)
-    if found is None:
-        return ImageCheck(
-            "undecidable",
-            "The images could not confirm it: the scan shows too little texture here to compare with the photograph.",
-            None,
+        with steps.step("image check") as note:
+            verify = verify_faces if is_wide(seen) else _verified_in_view
+            found = verify(scan, seen, pose, seed=seed)
+            note.update(verified=found is not None and found.accepted)
+        if found is None:
+            return ImageCheck(
+                "undecidable",
+                "The images could not confirm it: the scan shows too little texture here to compare with the "
+                "photograph.",
+                None,
+            )
+        if result.evidence == "given" and found.accepted:
+            return ImageCheck("verified", " ".join(found.reasons), found)
+        free = photo.assumed and result.evidence != "given"
+        options = AutoOptions(seed=seed, intrinsics="auto" if free else "fixed", reach="near_start")
+        placement = pose_from_images(
+            scan, photo if free else seen, steps, initial=pose, options=options, prior=prior, channels=channels
         )
-    if found.accepted:
-        return ImageCheck("verified", " ".join(found.reasons), found)
-    options = AutoOptions(seed=seed, intrinsics="fixed", reach="near_start")
-    rival = register_by_modality(scan, photo, steps, initial=pose, options=options)
-    return _judged(scan, result, found, rival)
+    return _judged(scan, result, found, placement)
 
 
 def _verified_in_view(scan: Scan, photo: Photo, pose: Rigid, *, seed: int) -> Verification | None:
@@ -128,17 +149,12 @@ def with_image_check(result: ResultT, check: ImageCheck) -> ResultT:
 
 
 def _with_outcome(result: ResultT, check: ImageCheck) -> ResultT:
-    before = result.diagnostics.get("statistics") or {
-        "accepted": bool(result.accepted),
-        "evidence": result.evidence,
-        "reasons": list(result.reasons),
-    }
+    before = result.diagnostics.get("statistics") or _statistics_of(result)
     diagnostics = {**result.diagnostics, "statistics": before, "verification": check.as_dict()}
     if check.outcome == "verified":
-        assert check.verification is not None, "a pose is verified by what was compared"
         # What the statistics lack is no reason to accept the pose: it is a note, see `statistics_note`.
         more = before["reasons"] if before["accepted"] else ()
-        reasons = tuple(dict.fromkeys((*check.verification.reasons, *more)))
+        reasons = tuple(dict.fromkeys((check.sentence, *more)))
         return replace(result, accepted=True, evidence="image", reasons=reasons, diagnostics=diagnostics)
     if check.outcome == "contradicted":
         return replace(result, accepted=False, evidence="none", reasons=(check.sentence,), diagnostics=diagnostics)
@@ -151,6 +167,11 @@ def _with_outcome(result: ResultT, check: ImageCheck) -> ResultT:
     )
 
 
+def _statistics_of(result: PoseResult) -> dict[str, Any]:
+    """Return what the matches alone say of a pose."""
+    return {"accepted": bool(result.accepted), "evidence": result.evidence, "reasons": list(result.reasons)}
+
+
 def statistics_note(result: PoseResult) -> str:
     """Return what the match statistics of a pose accepted on the images lack, as advice; empty if nothing."""
     before = result.diagnostics.get("statistics")
@@ -160,47 +181,100 @@ def statistics_note(result: PoseResult) -> str:
     return f"The images settle it; the matches alone would not suffice yet: {_lower(lacking)}"
 
 
-def _judged(scan: Scan, result: PoseResult, found: Verification, rival: AutoResult) -> ImageCheck:
-    failed = f"The images could not confirm it: {_lower(' '.join(found.reasons))}"
-    other = rival.camera_from_scanner
-    if other is None or rival.verification is None or not rival.verification.accepted:
-        return ImageCheck("undecidable", failed, found)
-    pose = result.camera_from_scanner
-    apart_px = _displacement_px(scan, result, other)
-    given = result.evidence == "given"
-    covariance = np.zeros((6, 6)) if given else np.asarray(result.covariance)
-    if rival.evidence is not None:
-        covariance = covariance + rival.evidence.covariance
-    apart = np.concatenate([rotvec_from_rotation(other.rotation @ pose.rotation.T), other.centre - pose.centre])
-    significant = float(apart @ np.linalg.pinv(covariance, hermitian=True) @ apart) > _SIGNIFICANT
+def refined_pose(result: PoseResult, check: ImageCheck) -> PoseResult | None:
+    """Return the pose that the images verify, with the drawn matches beside it; None if they verify none.
+
+    The pose as drawn, with what the matches alone say of it, stands under the diagnostics `drawn`.
+    """
+    found = check.placement
+    if found is None:
+        return None
+    pose, matches = found.camera_from_scanner, result.matches
+    sigma = {"sigma_px": result.sigma_px, "sigma_range_m": result.sigma_range_m}
+    agree = inliers_at(pose, matches, found.camera, **sigma, gate_chi2=_GATE_CHI2)
+    described = describe_pose(pose, matches, agree, found.camera, **sigma, covariance=found.covariance)
+    count, total = count_picks(matches, agree)
+    statistics = result.diagnostics.get("statistics") or _statistics_of(result)
+    drawn = {
+        **statistics,
+        "camera_from_scanner": result.camera_from_scanner.matrix.tolist(),
+        "sigma_position_m": result.sigma_position_m,
+        "sigma_angle_rad": result.sigma_angle_rad,
+        "outcome": check.outcome,
+    }
+    kept = {name: result.diagnostics[name] for name in ("lengths",) if name in result.diagnostics}
+    refined = replace(
+        described,
+        world_from_scanner=result.world_from_scanner,
+        camera_sigmas=found.camera_sigmas,
+        camera_uncertainty=found.camera_uncertainty,
+        blocks=found.blocks,
+        accepted=True,
+        evidence="image",
+        reasons=(*found.reasons, f"{count} of {total} drawn matches agree with it"),
+        diagnostics={
+            **described.diagnostics, **kept, "verification": found.diagnostics["verification"], "drawn": drawn
+        },
+    )  # fmt: skip
+    return refused_by_lengths(refined)
+
+
+def _judged(scan: Scan, result: PoseResult, found: Verification, placement: PoseResult) -> ImageCheck:
+    if not placement.accepted:
+        if found.accepted:
+            return ImageCheck("verified", " ".join(found.reasons), found)
+        return ImageCheck("undecidable", f"The images could not confirm it: {_lower(' '.join(found.reasons))}", found)
+    pose, other = result.camera_from_scanner, placement.camera_from_scanner
+    apart_px = _displacement_px(scan, result, placement)
     where = (
         f"{format_number(apart_px)} px in the photo, {format_length(pose.distance_to(other))} and "
         f"{np.degrees(pose.angle_to(other)):.2g} deg away"
     )
-    if significant and apart_px > GateOptions().same_pose_px:
-        return ImageCheck(
-            "contradicted",
-            f"The images agree with another placement, {where}: "
-            + ("check the given pose" if given else "correct the matches")
-            + ", or register automatically.",
-            found,
+    far = _is_far(result, placement)
+    if result.evidence == "given":
+        return _judged_as_given(found, placement, where, contradicted=far and apart_px > GateOptions().same_pose_px)
+    if far:
+        sentence = (
+            f"The images verify another placement, {where}, which is more than three standard deviations: use that "
+            "pose, or correct the matches."
         )
-    return ImageCheck(
-        "undecidable",
-        f"The images could not confirm it as it is: they agree best with a pose {where}. "
-        + ("Register" if given else "Draw the matches more exactly, or register")
-        + " automatically to use that pose.",
-        found,
+        return ImageCheck("contradicted", sentence, found, placement)
+    own = " ".join(found.reasons) if found.accepted else ""
+    near = f"The images verify a pose {where}, within its uncertainty."
+    return ImageCheck("verified", " ".join(filter(None, [own, near])), found, placement)
+
+
+def _judged_as_given(found: Verification, placement: PoseResult, where: str, *, contradicted: bool) -> ImageCheck:
+    if contradicted:
+        sentence = f"The images agree with another placement, {where}: check the given pose, or register automatically."
+        return ImageCheck("contradicted", sentence, found, placement)
+    sentence = (
+        f"The images could not confirm it as it is: they agree best with a pose {where}. Register automatically to use "
+        "that pose."
     )
+    return ImageCheck("undecidable", sentence, found, placement)
 
 
-def _displacement_px(scan: Scan, result: PoseResult, other: Rigid) -> float:
+def _is_far(result: PoseResult, placement: PoseResult) -> bool:
+    """Return whether two poses differ by more than three standard deviations.
+
+    Those are the own ones of the pose that was solved; what is not known of the other one is no contradiction.
+    """
+    covariance = np.asarray(placement.covariance)
+    if np.isfinite(result.covariance).all():
+        covariance = covariance + result.covariance
+    pose, other = result.camera_from_scanner, placement.camera_from_scanner
+    apart = np.concatenate([rotvec_from_rotation(other.rotation @ pose.rotation.T), other.centre - pose.centre])
+    return float(apart @ np.linalg.pinv(covariance, hermitian=True) @ apart) > _THREE_SIGMAS
+
+
+def _displacement_px(scan: Scan, result: PoseResult, other: PoseResult) -> float:
     """Return the median displacement in the photo of what another pose shows; infinite if it shows nothing."""
     stride = max(1, int(np.sqrt(scan.ranges.size / _SAMPLES)))
     points = scan.thinned_points(stride).reshape(-1, 3).astype(np.float64)
     points = points[np.isfinite(points).all(axis=-1)]
-    there = result.camera.project(other @ points)
-    seen = result.camera.contains(there)
+    there = other.camera.project(other.camera_from_scanner @ points)
+    seen = other.camera.contains(there)
     if not seen.any():
         return float("inf")
     off = np.hypot(*(result.camera.project(result.camera_from_scanner @ points[seen]) - there[seen]).T)

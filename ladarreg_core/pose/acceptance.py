@@ -32,8 +32,8 @@ class AcceptanceOptions:
     """Thresholds of acceptance on match statistics."""
 
     least_surplus: int = 6
-    """Minimum number of distinct inliers beyond those that the unknowns need: three for a pose, and one for every two
-    intrinsics."""
+    """Minimum number of independent inliers, of which a line counts two, beyond those that the unknowns need: three for
+    a pose, and one for every two intrinsics."""
     least_share: float = 0.5
     """Minimum share of the matches that are inliers."""
     most_chi2_per_dof: float = 3.0
@@ -72,7 +72,7 @@ class AcceptanceOptions:
     """Minimum share of the nearest starting poses that return to the pose."""
 
     def least_inliers(self, unknowns: int = 6) -> int:
-        """Return the minimum number of distinct inliers to which so many unknowns, the pose's included, are fitted."""
+        """Return the minimum number of independent inliers for so many unknowns, those of the pose included."""
         return -(-unknowns // 2) + self.least_surplus
 
 
@@ -115,29 +115,21 @@ def decide_acceptance(
             `covariance`.
         options: the thresholds.
     """
-    # a line end known only across the line counts as half a match
-    points, uv, count = matches.points[inliers], matches.uv[inliers], len(matches)
-    halves = int(np.count_nonzero(matches.across[inliers]))
-    agree = count_distinct(points, uv) - (halves + 1) // 2
+    points, uv, picked = matches.points[inliers], matches.uv[inliers], count_picks(matches, inliers)
     # a line end known only across the line is an inlier more easily, so it does not count towards the share
-    share = np.count_nonzero(inliers & ~matches.across) / count
-    of_lines = "" if matches.distinct_picks else " among points and line ends"
+    share = np.count_nonzero(inliers & ~matches.across) / len(matches)
     against = []
-    needed = options.least_inliers(unknowns)
-    if agree < needed:
-        against.append(f"only {agree} distinct inliers{of_lines}, {needed} are needed; add or correct matches")
+    missing = options.least_inliers(unknowns) - count_independent(matches, inliers)
+    if missing > 0:
+        against.append(f"too few matches agree for matches alone to decide: {more_matches(missing)}")
     if share < options.least_share:
-        against.append(
-            f"only {share:.0%} of {count} {'points and line ends' if of_lines else 'matches'} are inliers, "
-            f"{options.least_share:.0%} are needed; correct or remove the outliers"
-        )
+        against.append("only {} of {} matches agree: correct or disable the others".format(*picked))
     if not np.isfinite(chi2_per_dof):
         against.append("there are too few inliers to check their residuals; add or correct matches")
     elif chi2_per_dof > options.most_chi2_per_dof:
         against.append(
-            f"the residuals exceed the stated noise (chi^2/dof {chi2_per_dof:.1f}, at most "
-            f"{options.most_chi2_per_dof:g}); check the matches with the largest residuals first, then the focal "
-            "length and the lens distortion, or state larger noise"
+            f"the residuals exceed the stated noise (chi^2/dof {chi2_per_dof:.1f}); check the matches with the largest "
+            "residuals first, then the focal length and the lens distortion, or state larger noise"
         )
     if log10_chance > options.most_log10_chance:
         against.append(
@@ -181,7 +173,7 @@ def decide_acceptance(
     if stated_covariance is not None:
         angle, position = (float(np.sqrt(np.trace(C))) for C in (stated_covariance[:3, :3], stated_covariance[3:, 3:]))
     return True, (
-        "{} of {} matches are inliers ".format(*count_picks(matches, inliers)) + f"(chi^2/dof {chi2_per_dof:.2f})",
+        "{} of {} matches agree ".format(*picked) + f"(chi^2/dof {chi2_per_dof:.2f})",
         f"uncertainty (1 sigma): position {format_length(position)}, orientation {np.degrees(angle):.2g} deg",
         *(("no second pose explains the matches",) if second_pose_sought else ()),
     )
@@ -239,6 +231,28 @@ def _common_plane(points: FloatArray, options: AcceptanceOptions) -> tuple[Float
 def _triples(count: int) -> IntArray:
     """Return the indices (3, planes) of the points through which planes are tried."""
     return np.random.default_rng(0).integers(0, count, (3, _PLANE_SAMPLES))
+
+
+def more_matches(missing: int) -> str:
+    """Return what to draw where so many independent points are missing; a line counts two."""
+    lines = -(-missing // 2)
+    return f"draw {_counted(lines, 'more line')}, or {_counted(missing, 'more point')}"
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def count_independent(matches: Matches, inliers: BoolArray) -> int:
+    """Return the number of independent points among the inliers (M,): a line counts two, however often it is sampled.
+
+    A line end known only across the line counts half, and duplicates are no evidence.
+    """
+    halves = int(np.count_nonzero(matches.across[inliers]))
+    distinct = count_distinct(matches.points[inliers], matches.uv[inliers]) - (halves + 1) // 2
+    _, pick = matches.numbered_picks()
+    of_pick = np.bincount(pick[inliers])
+    return min(distinct, int(np.minimum(of_pick, 2).sum()))
 
 
 def count_distinct(points: FloatArray, uv: FloatArray) -> int:
@@ -305,8 +319,8 @@ def find_critical_match(
 
     Source: Cook and Weisberg, Residuals and influence in regression (1982), for deletion.
     """
-    J, K = _parts_of_information(at, inliers)
-    H, unit, inverse = _information(J, K)
+    J, K = parts_of_information(at, inliers)
+    H, unit, inverse = information_of(J, K)
     names, pick = matches.numbered_picks()
     # a standard deviation grows noticeably only if a pick provides nearly all the information in some direction
     heavy = np.flatnonzero(_leverages(J, K, unit, inverse, pick) > options.critical_leverage)
@@ -362,8 +376,8 @@ def find_inconsistent_match(
     # what the largest number of coordinates of a pick could exceed by chance is exceeded by few, if by any
     ratio = fdtri(most, dof - most, 1 - options.least_left_out_chance / picked)
     least = s.sum() / (1 + (dof - most) / (most * ratio)) / most  # for any smaller number it is smaller
-    J, K = _parts_of_information(at, inliers)
-    H, unit, inverse = _information(J, K)
+    J, K = parts_of_information(at, inliers)
+    H, unit, inverse = information_of(J, K)
     spare = np.maximum(1 - _leverages(J, K, unit, inverse, pick), 1e-3)
     e = at.seen.e[0] - at.lin.j[0] * at.seen.range_error[0]  # at the measured range
     chances: dict[str, float] = {}
@@ -380,7 +394,7 @@ def find_inconsistent_match(
     return worst if worst is not None and chances[worst] < options.least_left_out_chance else None
 
 
-def _parts_of_information(at: Evaluation, inliers: BoolArray) -> tuple[FloatArray, FloatArray]:
+def parts_of_information(at: Evaluation, inliers: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Return J (6, 2, N) and K = J W (6, 2, N) of the inliers, with the ranges marginalised; K is 0 of the others."""
     measured, lin = at.measured, at.lin
     counts = inliers & (at.seen.s[0] < UNSEEN)
@@ -393,7 +407,7 @@ def _parts_of_information(at: Evaluation, inliers: BoolArray) -> tuple[FloatArra
     return J, K
 
 
-def _information(J: FloatArray, K: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def information_of(J: FloatArray, K: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return H (6, 6), the units (6,) in which its diagonal is 1, and its inverse in them."""
     H = K.reshape(6, -1) @ J.reshape(6, -1).T
     unit = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))

@@ -24,10 +24,10 @@ LEAST_EIGENVALUE = 1e-13
 """Lower bound of the eigenvalues of an information matrix scaled to a unit diagonal."""
 
 
-def guarded_inverse(information: FloatArray) -> FloatArray:
+def guarded_inverse(information: FloatArray, *, least: float = LEAST_EIGENVALUE) -> FloatArray:
     """Return the inverse of an information matrix (P, P) of unit diagonal, with its eigenvalues bounded from below."""
     values, vectors = np.linalg.eigh(information)
-    return np.asarray((vectors / np.maximum(values, LEAST_EIGENVALUE)) @ vectors.T)
+    return np.asarray((vectors / np.maximum(values, least)) @ vectors.T)
 
 
 def pose_covariance(information: FloatArray) -> FloatArray:

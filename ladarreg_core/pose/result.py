@@ -26,6 +26,8 @@ from ladarreg_core.pose.noise import estimate_noise
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M, PoseOptions
 from ladarreg_core.results import PoseResult
 
+_MOST_NOISE, _MOST_NOISE_DRAWN = 0.005, 0.02  # of the photo's longer side: of detected points, of lines by hand
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
@@ -73,13 +75,14 @@ def noise_of_inliers(
     gate_chi2: float = np.inf,
 ) -> tuple[float, float]:
     """Return (sigma_px, sigma_range_m) estimated from the inliers, within bounds for plausible matches."""
+    share = _MOST_NOISE_DRAWN if matches.has_lines else _MOST_NOISE
     return estimate_noise(
         pose,
         matches,
         camera,
         members=inliers,
         stated_range_m=STATED_SIGMA_RANGE_M,
-        most_px=max(3.0, 0.005 * max(camera.size)),
+        most_px=max(3.0, share * max(camera.size)),
         most_range_m=max(0.05, 0.03 * median(matches.ranges)),
         fixed_px=options.sigma_px,
         fixed_range_m=options.sigma_range_m,
@@ -181,6 +184,32 @@ def _may_be_ambiguous(points: FloatArray, options: AcceptanceOptions) -> bool:
     Many points with relief leave a calibrated camera no second pose; with few points noise may.
     """
     return len(points) < options.many_inliers or is_planar(points, options)
+
+
+def inliers_at(
+    camera_from_scanner: Rigid,
+    matches: Matches,
+    camera: CameraModel,
+    *,
+    sigma_px: float,
+    sigma_range_m: float,
+    gate_chi2: float,
+) -> BoolArray:
+    """Return which matches (M,) agree with a pose that was not fitted to them.
+
+    Args:
+        camera_from_scanner: the pose.
+        matches: M matches, possibly none.
+        camera: the photo's camera.
+        sigma_px: pixel noise, px.
+        sigma_range_m: range noise, m.
+        gate_chi2: largest cost s of one that agrees.
+    """
+    if not len(matches):
+        return np.zeros(0, np.bool_)
+    measured = Measurements.of(matches, camera, sigma_px=sigma_px, sigma_range_m=sigma_range_m)
+    _, seen = adjust_ranges(measured, States.of([camera_from_scanner], measured))
+    return np.asarray(seen.s[0] <= gate_chi2)
 
 
 def describe_pose(

@@ -9,9 +9,9 @@ Source: the methods named in the modules of this package.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import sqrt
+from math import log, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,7 @@ from ladarreg_core.pose.bundle import (
 )
 from ladarreg_core.pose.covariance import pose_covariance
 from ladarreg_core.pose.cross_validation import choose_intrinsics, describe_intrinsics, worse_when_held_out
+from ladarreg_core.pose.drawn_scatter import scatter_between_lines
 from ladarreg_core.pose.gnc import graduate, narrow_scales, truncated_score, wide_scales
 from ladarreg_core.pose.intrinsics import IntrinsicsFit, Noise, estimate_intrinsics
 from ladarreg_core.pose.line_ends import repair_ends
@@ -54,6 +55,8 @@ _LITTLE_NOISE = (
     1.3,
     2.0,
 )  # of pixels and of ranges: up to such changes the inliers are selected again from the pose found
+_DRAWN_SIGMAS_PX = (STATED_SIGMA_PX, 2.0, 4.0, 8.0)
+"""Noise that lines drawn by hand may have: at first, before it is estimated, px."""
 _FINAL_SIGMA, _PASSING_SIGMA = 1e-2, 2.0  # the last step; one step of 2 sigma leaves an error of some .004
 
 
@@ -72,11 +75,7 @@ def solve_robust(
     Raises:
         DegenerateGeometryError: if no pose has 4 inliers.
     """
-    sigma = options.sigma_px or STATED_SIGMA_PX, options.sigma_range_m or STATED_SIGMA_RANGE_M
-    solution = _Solution(matches, camera, sigma, _initial_fit(matches, camera, options, sigma, initial))
-    solution = _with_repaired_ends(solution, options)
-    solution = replace(solution, fit=_likelier_of_mirrored(solution.fit.measured, solution.fit, options))
-    solution = _with_estimated_noise(solution, options)
+    solution = _likeliest(_solutions(matches, camera, options, initial))
     if solution.fit.count < LEAST_MATCHES:
         raise _no_pose(len(matches))
     solution = _with_intrinsics(solution, options)
@@ -86,12 +85,54 @@ def solve_robust(
     return _with_assumed_camera(result, solution, camera, options) if assumed else result
 
 
+def _solutions(
+    matches: Matches, camera: CameraModel, options: PoseOptions, initial: Rigid | None
+) -> Iterator[_Solution]:
+    """Yield the solution from every noise that the matches may have: a hand that draws lines may be careful or not.
+
+    Raises:
+        DegenerateGeometryError: if no pose is found with any of them.
+    """
+    levels: tuple[float, ...] = (options.sigma_px or STATED_SIGMA_PX,)
+    if matches.has_lines and options.sigma_px is None:
+        levels = _DRAWN_SIGMAS_PX
+    for level, sigma_px in enumerate(levels, 1):
+        sigma = sigma_px, options.sigma_range_m or STATED_SIGMA_RANGE_M
+        try:
+            solution = _Solution(matches, camera, sigma, _initial_fit(matches, camera, options, sigma, initial))
+        except DegenerateGeometryError:
+            if level == len(levels):
+                raise
+            continue
+        solution = _with_repaired_ends(solution, options)
+        solution = replace(solution, fit=_likelier_of_mirrored(solution.fit.measured, solution.fit, options))
+        yield _with_estimated_noise(solution, options)
+
+
+def _likeliest(solutions: Iterator[_Solution]) -> _Solution:
+    """Return the likeliest solution, where an outlier lies anywhere in the photograph."""
+    return min(solutions, key=_deviance)
+
+
+def _deviance(solution: _Solution) -> float:
+    """Return -2 log likelihood of the matches: inliers have the noise of the solution, outliers are uniform."""
+    dimensions, inliers = solution.matches.dimensions, solution.fit.inliers
+    size = float(np.prod(solution.camera.size))
+    of_inliers = solution.fit.s + dimensions * log(2 * pi * solution.sigma[0] ** 2)
+    return float(np.where(inliers, of_inliers, dimensions * log(size)).sum())
+
+
 def _result(
     solution: _Solution, options: PoseOptions, camera_uncertainty: CameraUncertainty | None = None
 ) -> PoseResult:
     covariance = solution.covariance
     if covariance is None:
         covariance = pose_covariance(solution.fit.at.information(solution.fit.inliers))
+    if solution.matches.has_lines and options.sigma_px is None:
+        scatter = scatter_between_lines(solution.fit.at, solution.matches, solution.fit.inliers)
+        covariance = covariance + scatter
+        if camera_uncertainty is not None:
+            camera_uncertainty = camera_uncertainty.with_scatter(scatter)
     stopped = "settled" if solution.fit.settled else "step limit"
     search = {"stopped": stopped, "noise_rounds": solution.noise_rounds}
     result = build_result(

@@ -23,6 +23,7 @@ from ladarreg_core.project.document import (
     Source,
     file_name,
 )
+from ladarreg_core.results import StageId
 
 MOST_PHOTOS = 32
 MOST_PICKS = 5000
@@ -203,6 +204,12 @@ def with_pose(photo: PhotoEntry, pose: PoseEntry, *, shown: bool = True) -> Phot
     poses = [*(p for p in photo.poses if p.stage != pose.stage), pose]
     poses.sort(key=lambda p: STAGES.index(p.stage))
     return replace(photo, poses=tuple(poses), shown_stage=pose.stage if shown else photo.shown_stage)
+
+
+def without_stage(photo: PhotoEntry, stage: StageId) -> PhotoEntry:
+    """Return the photograph without the result of a stage; the current pose is then none, if it was that one's."""
+    poses = tuple(pose for pose in photo.poses if pose.stage != stage)
+    return replace(photo, poses=poses, shown_stage=None if photo.shown_stage == stage else photo.shown_stage)
 
 
 def with_stage(photo: PhotoEntry, stage: object) -> PhotoEntry:

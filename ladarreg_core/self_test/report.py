@@ -82,6 +82,15 @@ class SelfTest:
             parts.append(f"{sum(t.right for t in wrong)} of {len(wrong)} unrelated photos refused")
         return f"With this scan and camera: {'; '.join(parts)}."
 
+    def counts(self) -> str:
+        """Return how many photographs of each kind are correct and accepted, in one line."""
+        kinds = dict.fromkeys(trial.kind for trial in self.trials)
+        of_kind = {kind: [trial for trial in self.trials if trial.kind == kind] for kind in kinds}
+        return "; ".join(
+            f"{kind}: {sum(t.right for t in of)} of {len(of)} correct, {sum(t.accepted for t in of)} accepted"
+            for kind, of in of_kind.items()
+        )
+
     def advice(self) -> str:
         """Return advice for this scan and camera; empty where none is needed."""
         right = self.of("right")

@@ -31,7 +31,7 @@ class RayCaster:
         triangles: (T, 3, 3), scanner frame, m.
 
     Raises:
-        DependencyError: if the optional package `embreex` is not installed.
+        DependencyError: if `embreex` is not installed.
     """
 
     def __init__(self, triangles: FloatArray) -> None:
@@ -40,7 +40,7 @@ class RayCaster:
             from embreex.rtcore_scene import EmbreeScene
         except ImportError:
             raise DependencyError(
-                'the simulator needs the package embreex, which is not installed: run pip install "ladarreg[simulate]"'
+                "the simulator needs the package embreex, which is not installed: run pip install embreex"
             ) from None
         self._scene: Any = EmbreeScene()
         self._mesh: Any = TriangleMesh(self._scene, np.ascontiguousarray(triangles, dtype=np.float32))

@@ -23,7 +23,7 @@ import { linkHovering } from "./state/hover.js";
 import { isRunning } from "./state/pipeline.js";
 import { followProject, projectNotice } from "./state/project.js";
 import { view } from "./state/view.js";
-import { notice, noticeArea } from "./ui/notices.js";
+import { dropOutdated, notice, noticeArea } from "./ui/notices.js";
 import { followTheme } from "./ui/theme.js";
 
 const OPENED = "ladarreg-opened";
@@ -58,7 +58,13 @@ linkHovering();
 acceptDrops(floating);
 
 store.on("shown", rememberPhoto);
-store.onEvent("notice", ({ text, level }) => notice(text, level));
+/** What a notice on a photograph speaks of: its matches and the verdict on its pose. */
+const subjectOf = (photo) => () => {
+  const stage = store.stageOf(photo);
+  return [store.picksOf(photo), stage?.stage, stage?.summary?.light, stage?.centre];
+};
+store.onEvent("notice", ({ text, level, photo }) => notice(text, level, undefined, photo ? subjectOf(photo) : undefined));
+store.watch(["picks:*", "poses:*", "photos"], dropOutdated);
 
 /** A scan may bring its own pictures: offer them where the dialog does not. */
 store.on("embedded", () => {

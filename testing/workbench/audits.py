@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 _CONTRAST = (Path(__file__).parent / "contrast.js").read_text(encoding="utf-8")
+_LAYOUT = (Path(__file__).parent / "layout_faults.js").read_text(encoding="utf-8")
 _FOCUSED = """() => {
   const at = document.activeElement;
   const [style, after] = [getComputedStyle(at), getComputedStyle(at, "::after")];
@@ -47,3 +48,11 @@ def lost_without_a_mouse(page: Page) -> tuple[set[str], list[str]]:
         if at["picture"]:
             page.keyboard.press("Escape")  # after which Tab leaves the pictures
     return unseen, page.evaluate(_MISSED)
+
+
+def layout_faults(page: Page) -> list[str]:
+    """Return which controls are clipped, covered, outside of the window, or too small; 40 px are needed for fingers."""
+    least = 40 if page.evaluate("matchMedia('(max-width: 600px)').matches") else 24
+    found = page.evaluate(_LAYOUT, least)
+    assert found["count"] > 0, "no control was visible"
+    return list(found["found"])

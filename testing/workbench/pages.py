@@ -141,3 +141,18 @@ def wait_for_pixels(page: Page, wanted: Callable[[np.ndarray], bool], *, what: s
             return shown
         before = shown
     pytest.fail(f"not seen within {seconds:g} s: {what}")
+
+
+def choose_photo(page: Page, name: str) -> None:
+    """Choose a photograph in the list."""
+    page.locator(".photo-button").click()
+    page.locator(".photo-entry", has_text=name).click()
+    page.locator(".photo-panel").wait_for(state="hidden")
+
+
+def photo_in_list(page: Page, name: str) -> None:
+    """Open the list of photographs, wait until it has one of a name, and close it."""
+    page.locator(".photo-button").click()
+    page.locator(".photo-entry", has_text=name).wait_for()
+    page.keyboard.press("Escape")
+    page.locator(".photo-panel").wait_for(state="hidden")

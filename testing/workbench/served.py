@@ -51,10 +51,14 @@ class Served:
         connection.close()
         return reply.status, body, {name.lower(): value for name, value in reply.getheaders()}
 
-    def upload(self, path: Path) -> str:
-        """Upload a file, which then waits to be opened; return its id."""
+    def upload(self, path: Path, *, name: str = "") -> str:
+        """Upload a file, by default under its own name; it then waits to be opened. Return its id."""
         connection = http.client.HTTPConnection(self.host, self.port, timeout=60)
-        headers = {"Cookie": self.access.cookie, "Origin": self.address.rstrip("/"), "X-File-Name": quote(path.name)}
+        headers = {
+            "Cookie": self.access.cookie,
+            "Origin": self.address.rstrip("/"),
+            "X-File-Name": quote(name or path.name),
+        }
         connection.request("POST", self.access.within("/upload?what=any"), path.read_bytes(), headers)
         reply = json.loads(connection.getresponse().read())
         connection.close()

@@ -15,7 +15,7 @@ import pytest
 CHECKOUT = Path(__file__).resolve().parents[2]
 
 GROUND_FLOOR = {
-    "errors", "arrays", "validation", "formatting", "palette", "progress",
+    "errors", "arrays", "foundations", "validation", "formatting", "palette", "progress",
     "frames", "camera", "scanner", "scan", "photo", "matches", "source",
 }  # fmt: skip
 DATA = GROUND_FLOOR | {"results"}

@@ -36,9 +36,9 @@ def verdict(page: Page) -> Any:
 def test_an_edit_puts_the_whole_verdict_out_of_date(operator: Operator) -> None:
     page = operator.page
     judge = page.get_by_role("tab", name="Judge", exact=True)
-    photo = page.locator(".photo-tab")
+    photo = page.locator(".photo-button")
     status = page.get_by_role("group", name="Job")
-    page.get_by_text("Accepted on match statistics only").first.wait_for()
+    page.get_by_text("Accepted on matches only").first.wait_for()
     page.locator("#step-judge.done").wait_for()
 
     page.locator(".row-line[data-pick]").first.locator(".col-kind").click()
@@ -87,7 +87,7 @@ def test_solving_is_one_button_with_one_verdict(operator: Operator) -> None:
     notices.first.wait_for()
     assert notices.count() == 1
     page.get_by_role("group", name="Job").filter(has_text=contradicted).wait_for()
-    assert "not accepted" in page.locator(".photo-tab").inner_text()
+    assert "not accepted" in page.locator(".photo-button").inner_text()
     for step in ("solve", "judge", "export"):
         assert page.locator(f"#step-{step}.done").count() == 0
     assert page.get_by_role("group", name="Job").locator(".icon-tick").count() == 0

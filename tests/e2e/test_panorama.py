@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from testing.workbench.pages import LONGEST_MS, without_model
+from testing.workbench.pages import LONGEST_MS, choose_photo, without_model
 from testing.workbench.shared import SharedWorkbench
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def test_the_strip_turns_the_view_and_a_half_drawn_match_stays(operator: Page) -
 
 def test_a_pose_turns_the_view_and_the_strip_shows_where_photographs_lie(operator: Page) -> None:
     page, strip = operator, operator.get_by_role("slider", name=STRIP)
-    page.get_by_role("tab", name="ahead.png").click()
+    choose_photo(page, "ahead.png")
     look_to(page, strip, 120)
     assert page.get_by_role("button", name="Look where the photograph looks").is_hidden()
     until(page, lambda: page.evaluate(SLICE, "shown") == "p2", "the photograph is shown")
@@ -129,8 +129,8 @@ def test_a_pose_turns_the_view_and_the_strip_shows_where_photographs_lie(operato
     assert axis(page) @ true < 0.5
     page.get_by_role("button", name="Look where the photograph looks").click()
     until(page, lambda: axis(page) @ true > np.cos(np.deg2rad(22)), "the button turns back")
-    page.get_by_role("tab", name="behind.png").click()
+    choose_photo(page, "behind.png")
     until(page, lambda: page.evaluate(SLICE, "shown") == "p1", "the other photograph is shown")
     look_to(page, strip, 170)
-    page.get_by_role("tab", name="ahead.png").click()
+    choose_photo(page, "ahead.png")
     until(page, lambda: axis(page) @ true > np.cos(np.deg2rad(22)), "choosing the photograph turns to it")

@@ -14,7 +14,7 @@ import pytest
 
 from ladarreg_core.simulate.sample import sample_folder
 from testing.workbench.operator import Operator
-from testing.workbench.pages import LONGEST_MS, without_model
+from testing.workbench.pages import LONGEST_MS, choose_photo, photo_in_list, without_model
 from testing.workbench.served import Served, served
 from testing.workbench.shared import SharedWorkbench
 
@@ -56,10 +56,11 @@ class Person(Operator):
 
     def add_photo(self, path: Path) -> None:
         """Add a photograph with the dialog."""
+        self.page.locator(".photo-button").click()
         self.page.get_by_role("button", name="Add photographs").click()
         dialog = self.page.locator("dialog[open]")
         dialog.locator("input[type=file]").first.set_input_files(str(path))
-        self.page.get_by_role("tab", name=path.name).wait_for()
+        photo_in_list(self.page, path.name)
         if dialog.count():
             self.page.keyboard.press("Escape")
 
@@ -81,7 +82,7 @@ def ben(browser: Browser, server: Served) -> Iterator[Person]:
 
 
 def shown_photo(page: Page) -> str:
-    return page.locator("[role=tab][aria-selected=true].photo-tab").inner_text().strip()
+    return page.locator(".photo-button .photo-name").inner_text().strip()
 
 
 @pytest.mark.long
@@ -95,7 +96,7 @@ def test_a_colleague_who_adds_a_photograph_does_not_disturb_a_line_that_is_being
     before = len(ann.slice("picks:p1"))
     ben.add_photo(second)
     ben.wait(lambda: ben.slice("shown") == "p2", "the colleague sees the new photograph")
-    ann.page.get_by_role("tab", name="second.png").wait_for()
+    photo_in_list(ann.page, "second.png")
     assert ann.slice("shown") == "p1"
     ann.draw("photo", [(300, 200), (410, 220)])
     ann.wait(lambda: len(ann.slice("picks:p1")) == before + 1, "the line is saved where it was drawn")
@@ -112,8 +113,8 @@ def test_a_colleague_who_adds_a_photograph_does_not_disturb_a_line_that_is_being
 
 @pytest.mark.slow
 def test_undo_takes_back_ones_own_edit_and_a_conflict_says_whose(ann: Person, ben: Person) -> None:
-    ann.page.get_by_role("tab", name=PHOTO).click()
-    ben.page.get_by_role("tab", name=PHOTO).click()
+    choose_photo(ann.page, PHOTO)
+    choose_photo(ben.page, PHOTO)
     before = {pick["number"] for pick in ann.slice("picks:p1")}
 
     def drawn(person: Person, v: float) -> int:
@@ -163,7 +164,7 @@ POINTER_SEEN = """() => {
 @pytest.mark.slow
 def test_one_sees_the_others_pointer_and_follows_the_others_view(ann: Person, ben: Person) -> None:
     for person in (ann, ben):
-        person.page.get_by_role("tab", name=PHOTO).click()
+        choose_photo(person.page, PHOTO)
         person.wait(lambda p=person: p.slice("shown") == "p1", "the same photograph")
     assert ben.page.evaluate(POINTER_SEEN) == 0
     path = itertools.cycle([ann.place("photo", (200 + 4 * k, 150 + 3 * k)) for k in range(10)])
@@ -197,7 +198,7 @@ def test_a_read_only_page_looks_and_changes_nothing(browser: Browser, workbench:
     try:
         page = eve.page
         page.get_by_text("Read only", exact=True).first.wait_for()
-        for name in ("Undo", "Redo", "Register automatically", "Add photographs", "Draw a line"):
+        for name in ("Undo", "Redo", "Register automatically", "Draw a line"):
             assert page.get_by_role("button", name=name).count() == 0, name
         before, at = eve.slice("picks:p1"), eve.slice("history")["at"]
         eve.draw("scan", [(420, 180), (760, 260)])

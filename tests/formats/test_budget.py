@@ -93,8 +93,9 @@ def test_large_valid_files_are_within_the_budget() -> None:
     ReadBudget.of(98_000_000).require(10_000_000 * 432, "10 million points of an E57")
     ReadBudget.of(8_000_000).require_pixels(12_240, 8_160, 10.3)  # 100 Mpixel, progressive
     ReadBudget.of(40_000_000).require_cells(2500, 4000, 218)
-    assert ReadBudget.of(100).limit_bytes == 1 << 30
-    assert ReadBudget.of(1 << 30).limit_bytes == 96 << 30
+    ReadBudget.of(12_000_000).require_pixels(16_320, 12_240, 9.5)  # 200 Mpixel of a phone
+    assert ReadBudget.of(0).limit_bytes == 1 << 30
+    assert ReadBudget.of(1 << 30).limit_bytes == 97 << 30
 
 
 def test_the_budget_is_an_option_and_named(tmp_path: Path, wall: Scan) -> None:

@@ -13,6 +13,7 @@ from PIL import Image
 
 from ladarreg_core.errors import CameraError, FormatError, LadarregError, UnderspecifiedError
 from ladarreg_core.formats import describe, read_photo, recognise
+from ladarreg_core.foundations import opened_image
 from tests.formats.test_photo_files import save
 
 RAMP = np.linspace(0, 1, 48 * 64).reshape(48, 64)
@@ -184,3 +185,16 @@ def test_focal_lengths_of_cameras_with_lenses(tmp_path: Path) -> None:
     exif.get_ifd(0x8769).update({0x920A: 24.0, 0xA002: 6000, 0xA003: 4000})
     image.save(tmp_path / "e.jpg", exif=exif)  # 4:3 of 3:2
     assert "cropped" in read_photo(tmp_path / "e.jpg", sensor_mm=36).notes[-1]
+
+
+def test_pillows_limit_is_ours_only_while_a_file_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.png"
+    Image.new("RGB", (40, 30)).save(path)
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)  # of whoever else uses Pillow: twice as many are refused
+    with pytest.raises(Image.DecompressionBombError):
+        Image.open(path)
+    assert read_photo(path, focal_px=50.0).camera.size == (40, 30)
+    assert Image.MAX_IMAGE_PIXELS == 100
+    monkeypatch.setattr(opened_image, "MAX_PIXELS", 1000)
+    with pytest.raises(FormatError, match="pixels"):
+        read_photo(path, focal_px=50.0)

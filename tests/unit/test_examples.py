@@ -9,6 +9,8 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import laspy
+import nbclient
+import nbformat
 import numpy as np
 import pytest
 
@@ -126,3 +128,18 @@ def test_compared_with_solvepnp(files: SimpleNamespace, tmp_path: Path, capsys: 
     off = {name: float(mm) for name, mm in re.findall(r"(ladarreg|solvePnP): ([\d.]+) mm", said)}
     assert off["ladarreg"] < 20
     assert off["solvePnP"] < 20
+
+
+@pytest.mark.slow
+def test_the_notebook_runs_and_shows_pictures_verdict_and_progress() -> None:
+    book = nbformat.read(FOLDER / "notebook.ipynb", as_version=4)
+    assert not any(cell.get("outputs") for cell in book.cells), "outputs are not kept in the repository"
+    nbclient.NotebookClient(book, timeout=300, kernel_name="python3").execute()
+    shown = [output for cell in book.cells for output in cell.get("outputs", ())]
+    html = [output.data["text/html"] for output in shown if "text/html" in output.get("data", {})]
+    assert [any(word in one for one in html) for word in ("Scan office", "Photo office", "Accepted: verified")] == [
+        True
+    ] * 3
+    assert sum("image/png" in output.get("data", {}) for output in shown) == 1, "one figure, shown once"
+    text = "".join(output.get("text", "") for output in shown)
+    assert re.search(r"[1-9]\d% of the returns have a colour", text)

@@ -202,7 +202,7 @@ def test_texts_are_one_line_with_the_verdict_first(case: SimulatedCase, accepted
     for value in shown:
         assert "\n" not in repr(value)
         assert len(repr(value)) < 200, repr(value)
-    assert repr(accepted).startswith("Registration(accepted by statistics; ")
+    assert repr(accepted).startswith("Registration(accepted by the images; ")
     assert " px" in repr(accepted)
     assert repr(shown[-1]).startswith("Registration(given, not verified; ")
     refused = replace(accepted, accepted=False, evidence="none")

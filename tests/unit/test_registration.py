@@ -230,11 +230,17 @@ def test_a_first_guess_is_tried_first(room: PaintedRoom) -> None:
     assert room.error_px(result.camera_from_scanner) < 0.4
 
 
-def test_points_put_down_by_hand_are_solved_and_judged_by_statistics(room: PaintedRoom) -> None:
-    result = register(room.scan, room.photo, picks=point_picks(room))
+def test_points_put_down_by_hand_are_solved_and_refined_against_the_image(room: PaintedRoom) -> None:
+    picks = point_picks(room)
+    result = register(room.scan, room.photo, picks=picks)
     assert result.method == "manual"
     assert result.accepted, result.reasons
-    assert result.evidence == "statistics"
+    assert result.evidence == "image"
+    drawn = register(room.scan, room.photo, picks=picks, options=RegisterOptions(proposal="drawn"))
+    assert drawn.evidence == "image"
+    assert drawn.diagnostics["statistics"]["evidence"] == "statistics"
+    assert result.diagnostics["drawn"]["camera_from_scanner"] == drawn.camera_from_scanner.matrix.tolist()
+    assert 0 < drawn.camera_from_scanner.distance_to(result.camera_from_scanner) < 3 * drawn.sigma_position_m
     assert room.error_px(result.camera_from_scanner) < 0.6
     assert result.matches.pick_ids[0].startswith("p")
 

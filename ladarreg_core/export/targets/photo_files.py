@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from ladarreg_core.atomic_write import write_bytes, write_chunks
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.foundations.opened_image import opened_image
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.surface.remap import look_up
@@ -137,8 +137,7 @@ def has_pixels(path: Path, pixels: ByteArray, *, modes: Collection[str] = ("RGB"
     try:
         if path.stat().st_size > _LARGEST_FILE_BYTES:
             return False
-        with warnings.catch_warnings(), Image.open(path, formats=("JPEG", "PNG")) as image:
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # it has been read before
+        with opened_image(path, ("JPEG", "PNG")) as image:
             width, height = image.size
             if (height, width) != pixels.shape[:2] or image.mode not in modes:
                 return False

@@ -3,9 +3,11 @@
 import { requestForPhoto } from "../net/requests.js";
 import { store } from "../net/store.js";
 import { isRunning } from "../state/pipeline.js";
+import { progressNow } from "../state/progress.js";
 import { button } from "../ui/controls.js";
 import { element, newId, setChildren, setText } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
+import { lightOf } from "../ui/lights.js";
 import { notice } from "../ui/notices.js";
 import { sentences } from "../ui/numbers.js";
 
@@ -24,14 +26,19 @@ const FILES = [
 const OFFSET = ["offset.json", "what was subtracted from the coordinates of the world", true];
 const FOLDER_KEY = "ladarreg-folder";
 
-const listed = (accepted, any, posed, frame) =>
+/** What each file is; it has a tick once it was exported from the present pose. */
+const listed = (accepted, any, posed, frame, exported) =>
   [...FILES, ...(frame === "world" ? [OFFSET] : [])].map(([name, description, needsAcceptance]) => {
     const known = posed || (name === MATCHES && store.picksOf().length > 0);
     const written = any && known && (accepted || !needsAcceptance);
     return element(
       "li",
       { class: written ? "" : "left-out" },
-      element("span", { class: `sign ${written ? "ok" : "dim"}` }, icon(written ? "tick" : "cross")),
+      element(
+        "span",
+        { class: `sign ${written && exported ? "ok" : "dim"}` },
+        icon(!written ? "cross" : exported ? "tick" : "file"),
+      ),
       element("code", {}, name),
       element("span", { class: "dim" }, written ? description : `${description} (not written)`),
     );
@@ -181,6 +188,8 @@ export const mountExport = () => {
   const show = () => {
     const stage = store.stageOf();
     const accepted = Boolean(stage?.accepted);
+    const exported = Boolean(progressNow().steps.find(({ name }) => name === "export")?.done);
+    const light = lightOf(stage?.summary?.light);
     const busy = isRunning(store.get("job"));
     const stale = stage?.stale ?? "";
     const world = store.get("scan")?.world;
@@ -201,20 +210,21 @@ export const mountExport = () => {
       : stale
         ? `${stage.label}: out of date. ${stale}, or export the last solved state.`
       : accepted
-        ? `${stage.label}: accepted. All files are written.`
-        : `${stage.label}: not accepted. Only the data files are written, with the reasons; no coloured output.`;
+        ? `${stage.label}: ${stage.summary.words}. ${exported ? "Exported." : "All files will be written."}`
+        : `${stage.label}: ${stage.summary.words}. Only the data files will be written, with the reasons; no coloured ` +
+          "output.";
     setChildren(
       verdict,
       element(
         "div",
-        { class: `verdict ${stale ? "warn" : accepted ? "ok" : stage ? "bad" : "none"}` },
-        icon(stale ? "warn" : accepted ? "tick" : stage ? "bad" : "info"),
+        { class: `verdict ${light.level}` },
+        icon(stage ? light.sign : "info"),
         element("p", {}, text, stage && !accepted && !stale ? ` ${sentences(stage.reasons ?? [])}` : ""),
       ),
     );
-    setChildren(files, ...listed(accepted, !outdated, Boolean(stage), frame.value));
+    setChildren(files, ...listed(accepted, !outdated, Boolean(stage), frame.value, exported));
   };
-  store.watch(["poses:*", "shown", "job", "picks:*", "scan"], show);
+  store.watch(["poses:*", "shown", "job", "picks:*", "scan", "progress:*"], show);
   show();
   return [left, right];
 };

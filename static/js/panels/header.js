@@ -16,7 +16,7 @@ import { namesOf } from "./file_kinds.js";
 import { openFiles } from "./files.js";
 import { mountHistory } from "./history.js";
 import { openKeys } from "./key_reference.js";
-import { mountPhotoTabs } from "./photo_tabs.js";
+import { mountPhotoList } from "./photo_list.js";
 import { openProjects } from "./start_page.js";
 import { mountStepTabs } from "./step_tabs.js";
 
@@ -178,7 +178,7 @@ export const mountHeader = (header) => {
       ),
       projectName(),
       scanChip(),
-      mountPhotoTabs(),
+      mountPhotoList(),
     ),
     mountStepTabs(),
     element(
@@ -191,7 +191,7 @@ export const mountHeader = (header) => {
       element("span", { class: "read-only-mark", title: "This page may look at everything, but change nothing" }, "Read only"),
       clients,
       themeButton(),
-      button({ label: "Keyboard reference (?)", icon: "help", bare: true, act: openKeys }),
+      button({ label: "Keyboard reference (?)", icon: "help", bare: true, "data-needs": "keyboard", act: openKeys }),
     ),
   );
   mountHistory(history);

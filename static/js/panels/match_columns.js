@@ -32,7 +32,7 @@ const switchCell = () => {
     box.checked = row.on;
     setAttribute(box, "aria-label", `Match ${row.number} enabled`);
   };
-  return { content: [box], show };
+  return { content: [element("label", { class: "row-check" }, box)], show }; // the whole cell switches
 };
 
 const numberCell = () => {
@@ -81,7 +81,7 @@ export const COLUMNS = [
     title: "Whether the match is enabled",
     value: (row) => (row.on ? 1 : 0),
     control: switchCell,
-    width: "2.2rem",
+    width: "var(--column-on, 2.2rem)",
   },
   {
     id: "number",

@@ -2,7 +2,7 @@
 
 import { requestForPhoto } from "../net/requests.js";
 import { store } from "../net/store.js";
-import { nextAction } from "../state/progress.js";
+import { progressNow } from "../state/progress.js";
 import { view } from "../state/view.js";
 import { button } from "../ui/controls.js";
 import { element, setAttribute, setText } from "../ui/dom.js";
@@ -162,12 +162,9 @@ export const mountMatchTable = () => {
     empty.hidden = all.length > 0 && rows.length > 0;
     setText(
       empty,
-      all.length ? (rows.length ? "" : "No match passes the filters; click them again to show all.") : nextAction({
-        scan: store.get("scan"),
-        photo: store.photo(),
-        picks: [],
-        poses: store.posesOf(),
-      }),
+      all.length
+        ? (rows.length ? "" : "No match passes the filters; click them again to show all.")
+        : progressNow().next_action,
     );
     draw();
   };
@@ -212,7 +209,7 @@ export const mountMatchTable = () => {
 
   spacer.addEventListener("click", (event) => {
     const id = rowAt(event.target);
-    if (!id || event.target.closest("input")) return;
+    if (!id || event.target.closest("input, .row-check")) return;
     pickRow(id, { shift: event.shiftKey, more: event.ctrlKey || event.metaKey });
   });
   spacer.addEventListener(
@@ -284,7 +281,7 @@ export const mountMatchTable = () => {
     else keys[event.key](event);
   });
 
-  store.watch(["picks:*", "judged:*", "shown", "scan", "photos", "poses:*"], read);
+  store.watch(["picks:*", "judged:*", "shown", "poses:*", "progress", "progress:*"], read);
   view.on((state, changed) => {
     if (changed.has("filter") || changed.has("sort")) read();
     else if (changed.has("selected")) {

@@ -5,12 +5,14 @@ import { store } from "../net/store.js";
 import { button } from "../ui/controls.js";
 import { element, setChildren } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
+import { lightOf } from "../ui/lights.js";
 import { duration, fixed, NONE, parameterName, typeset } from "../ui/numbers.js";
 
 const FIGURES = [
-  ["inliers", (stage) => (stage.matches === undefined ? NONE : `${stage.inliers} of ${stage.matches}`)],
-  ["median px", (stage) => fixed(stage.median_px, 2)],
-  ["depth rms m", (stage) => fixed(stage.rms_depth_m, 3)],
+  ["matches that agree", (stage) => (stage.matches === undefined ? NONE : `${stage.inliers} of ${stage.matches}`)],
+  ["σ of position", (stage) => stage.summary?.position || NONE],
+  ["residual, median px", (stage) => fixed(stage.median_px, 2)],
+  ["depth error, rms m", (stage) => fixed(stage.rms_depth_m, 3)],
   ["focal length px", (stage) => fixed(stage.focal_px, 1)],
   ["time", (stage) => duration(stage.seconds)],
 ];
@@ -31,8 +33,8 @@ const parameterRows = (stages) => {
 const table = (stages, shown) => {
   const heads = stages.map((stage) => {
     const present = stage.stage === shown;
-    const word = stage.stale ? `out of date: ${stage.stale}` : stage.accepted ? "accepted" : "not accepted";
-    const [sign, level] = stage.stale ? ["warn", "warn"] : stage.accepted ? ["tick", "ok"] : ["cross", "bad"];
+    const word = stage.stale ? `out of date: ${stage.stale}` : stage.summary?.words ?? "";
+    const { sign, level } = lightOf(stage.summary?.light);
     const opener = button({
       label: stage.label,
       kind: "stage plain",
@@ -72,17 +74,8 @@ const selfTest = (found) =>
     { class: "self-test", "aria-label": "Self-test" },
     element("h3", {}, "Self-test"),
     element("p", {}, found.sentence, found.advice ? element("span", { class: "dim" }, ` ${found.advice}`) : null),
-    found.rows?.length ? element("p", { class: "dim" }, selfTestCounts(found.rows)) : null,
+    found.counts ? element("p", { class: "dim" }, found.counts) : null,
   );
-
-const selfTestCounts = (rows) => {
-  const kinds = [...new Set(rows.map(({ kind }) => kind))];
-  return kinds.map((kind) => {
-    const cases = rows.filter((row) => row.kind === kind);
-    const [right, accepted] = ["right", "accepted"].map((name) => cases.filter((row) => row[name]).length);
-    return `${kind}: ${right} of ${cases.length} correct, ${accepted} accepted`;
-  }).join("; ");
-};
 
 /** @returns {HTMLElement} */
 export const mountStages = () => {

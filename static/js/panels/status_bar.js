@@ -87,7 +87,7 @@ const jobBar = () => {
 export const mountStatusBar = (footer) => {
   const readout = element("span", { class: "readout figures" });
   const hint = element("span", { class: "hint clip" });
-  const keys = button({ label: "Keys ?", kind: "plain small", title: "Keyboard reference (?)", act: openKeys });
+  const keys = button({ label: "Keys ?", kind: "plain small", title: "Keyboard reference (?)", "data-needs": "keyboard", act: openKeys });
   const saved = element("span", { class: "saved" });
   const sign = element("span", { class: "sign" });
   const label = element("span", {});

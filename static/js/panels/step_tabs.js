@@ -9,26 +9,11 @@ import { element, newId, setChildren, setText } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
 import { markChosen, navigateByArrows } from "../ui/tablist.js";
 
-/** The pose that was exported last, of each photograph. */
-const exported = new Map();
-
-/** @returns {string} identifies the shown pose of a photograph: a later pose of the same stage has not been exported */
-const poseNow = (photo) => {
-  const stage = store.stageOf(photo);
-  return JSON.stringify([stage?.stage, stage?.parameters, stage?.accepted]);
-};
-
 /** @returns {import("../state/progress.js").WorkStep[]} of the shown photograph */
 export const stepsNow = () => [
   acquireStep(),
   stationsStep(),
-  ...workSteps({
-    scan: store.get("scan"),
-    photo: store.photo(),
-    picks: store.picksOf(),
-    poses: store.posesOf(),
-    exported: exported.get(store.shown()) === poseNow(store.shown()),
-  }),
+  ...workSteps(),
 ];
 
 /** @returns {HTMLElement} */
@@ -67,11 +52,7 @@ export const mountStepTabs = () => {
     }
     markChosen([...tabs.values()].map(({ tab }) => tab), tabs.get(view.get().step).tab);
   };
-  store.watch(["scan", "photos", "shown", "picks:*", "poses:*", "acquisition", "stations"], show);
-  store.onEvent("export_ready", ({ photo }) => {
-    exported.set(photo, poseNow(photo));
-    show();
-  });
+  store.watch(["shown", "progress", "progress:*", "acquisition", "stations"], show);
   view.on((_, changed) => changed.has("step") && show());
   show();
   return list;

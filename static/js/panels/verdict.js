@@ -3,20 +3,21 @@
 import { requestForPhoto } from "../net/requests.js";
 import { store } from "../net/store.js";
 import { isRunning } from "../state/pipeline.js";
-import { missingMatches, nextAction } from "../state/progress.js";
+import { progressNow } from "../state/progress.js";
 import { view } from "../state/view.js";
 import { button } from "../ui/controls.js";
 import { element, setChildren } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
+import { lightOf } from "../ui/lights.js";
 import { parameterName, sentences, typeset } from "../ui/numbers.js";
 import { openFiles } from "./files.js";
 import { ABOUT_FRAMES } from "./scan_clouds.js";
 
+const FROM_IMAGES = new Set(["auto", "carried"]);
 const LEVELS = { good: ["tick", "Good", "ok"], fair: ["warn", "Fair", "warn"], poor: ["bad", "Poor", "bad"] };
 const EMPTY =
   "Once there is a pose, its verdict is shown here: accepted or not, with reasons, six parameters with their " +
   "uncertainty, and suggestions.";
-const WORST_FIRST = ["poor", "fair", "good"];
 
 /** Solving from the matches, where a verdict is missing or out of date. */
 const solveButton = (enabled) =>
@@ -24,12 +25,12 @@ const solveButton = (enabled) =>
     label: "Solve from matches",
     kind: "small edits",
     icon: "play",
-    title: "Solve robustly from the enabled matches, and verify the pose against the images",
+    title: "Solve robustly from the enabled matches, and refine the pose against the image",
     disabled: !enabled,
     act: () => requestForPhoto("run", { job: "solve" }),
   });
 
-/** Finding the pose in the images again, where the scan has got further clouds. */
+/** Finding the pose in the images alone. */
 const registerButton = (enabled) =>
   button({
     label: "Register automatically",
@@ -39,8 +40,6 @@ const registerButton = (enabled) =>
     disabled: !enabled,
     act: () => requestForPhoto("run", { job: "auto" }),
   });
-
-const FROM_IMAGES = new Set(["auto", "carried"]);
 
 /** Where the reasons advise to accumulate longer. */
 const framesButton = () =>
@@ -52,30 +51,48 @@ const framesButton = () =>
     act: () => openFiles("frames"),
   });
 
-const head = (stage, { busy, missing, solving, why }) => {
-  const again = FROM_IMAGES.has(stage.stage);
-  const lacks = again ? "" : missing;
-  if (stage.stale) return element(
-    "div",
-    { class: "verdict warn", role: "status" },
-    icon("warn"),
-    element(
-      "p",
-      {},
-      element("strong", {}, "Out of date: "),
-      solving ? "solving after the last edit." :
-        `${stage.stale}. ${lacks || why || "What follows is the last solved state."}`,
-      lacks || solving ? null : again ? registerButton(!busy) : solveButton(!busy),
-    ),
-  );
-  const level = stage.accepted ? "ok" : "bad";
-  const [first, ...rest] = (stage.verdict ?? "").split(/(?<=[.:]) /);
+const exportButton = () =>
+  button({ label: "Export", kind: "small", icon: "download", title: "Open the step Export", act: () => view.set({ step: "export" }) });
+
+const stageButton = (label, stage, kind) =>
+  button({ label, kind: `small edits ${kind}`, act: () => requestForPhoto("use_stage", { stage }) });
+
+/** The button of a next step. */
+const ACTIONS = {
+  solve: (_, enabled) => solveButton(enabled),
+  register: (_, enabled) => registerButton(enabled),
+  frames: () => framesButton(),
+  export: () => exportButton(),
+  use_stage: ({ stage }) => stageButton("Use the images' pose", stage, "primary"),
+};
+
+const figure = (value, name, title) =>
+  value ? element("div", { class: "verdict-figure", title }, element("strong", { class: "figures" }, value), element("span", {}, name)) : null;
+
+/** One line with its light, two figures, and the next step. */
+const head = (stage, { busy, lacks, solving, why }) => {
+  const { light, line, position, pixels, next_step: next, other } = stage.summary;
+  const { sign, level } = lightOf(light);
+  const waits = light === "out_of_date" && (solving ? "Solving after the last edit." : lacks || why);
+  const act = waits && (solving || lacks) ? null : ACTIONS[next.action]?.(next, !busy);
   return element(
     "div",
     { class: `verdict ${level}`, role: "status" },
-    icon(stage.accepted ? "tick" : "bad"),
-    element("p", {}, element("strong", {}, first), ` ${sentences(rest)}`, ` ${sentences(stage.reasons ?? [])}`,
-      stage.wants_frames ? element("span", { class: "verdict-act" }, framesButton()) : null),
+    icon(sign),
+    element(
+      "div",
+      { class: "verdict-lines" },
+      element("p", { class: "verdict-line" }, element("strong", {}, line)),
+      element(
+        "div",
+        { class: "verdict-figures" },
+        figure(position, "position, 1 σ", "Standard deviation of the camera's position"),
+        figure(pixels, "pixels, median 1 σ", "Median standard deviation of the photograph's pixels on the scan"),
+        stage.summary.matches ? element("span", { class: "dim verdict-count" }, stage.summary.matches) : null,
+      ),
+      element("p", { class: "verdict-next" }, waits || next.sentence, " ", act, " ",
+        other ? stageButton(other.sentence, other.stage, "plain") : null),
+    ),
   );
 };
 
@@ -154,15 +171,17 @@ export const mountVerdict = () => {
     body,
   );
   let drawn = "";
+  let unfolded = true;
   const show = () => {
     const stage = store.stageOf();
     const judged = store.judgedOf();
     // for a verified pose the limits of the thesis's methods do not matter
     const limits = { losses: judged?.losses ?? [], cautions: stage?.evidence === "image" ? [] : judged?.cautions ?? [] };
     const [scan, photo] = [store.get("scan"), store.photo()];
-    const next = stage || !store.picksOf().length ? "" : nextAction({ scan, photo, picks: store.picksOf(), poses: store.posesOf() });
+    const progress = progressNow();
+    const next = stage || !store.picksOf().length ? "" : progress.next_action;
     const busy = isRunning(store.get("job"));
-    const missing = missingMatches(store.picksOf());
+    const missing = progress.needed;
     const automatic = store.get(`solving:${store.shown()}`);
     const solving = Boolean(automatic?.busy);
     const why = automatic?.sentence ?? "";
@@ -182,22 +201,23 @@ export const mountVerdict = () => {
       );
       return;
     }
-    const findings = (stage.findings ?? []).toSorted(
-      (a, b) => WORST_FIRST.indexOf(a.level) - WORST_FIRST.indexOf(b.level),
-    );
-    setChildren(
-      body,
-      head(stage, { busy, missing, solving, why }),
-      stage.stale ? element("p", { class: "dim" }, sentences([stage.verdict, ...(stage.reasons ?? [])])) : null,
+    const evidence = element(
+      "details",
+      { class: "evidence", open: unfolded },
+      element("summary", {}, "Evidence and parameters"),
+      stage.stale ? element("p", { class: "dim" }, sentences([stage.verdict])) : null,
+      stage.reasons?.length ? element("p", {}, sentences(stage.reasons)) : null,
       stage.note ? element("p", { class: "dim" }, stage.note) : null,
       stage.parameters?.length ? six(stage.parameters) : null,
       stage.in_world ? element("p", { class: "dim" }, `In the world: ${stage.in_world}.`) : null,
       stage.uncertainty ? element("p", { class: "dim" }, stage.uncertainty) : null,
-      element("ul", { class: "findings" }, ...advices(stage), check(stage), ...findings.map(finding(stage.stale))),
+      element("ul", { class: "findings" }, ...advices(stage), check(stage), ...(stage.findings ?? []).map(finding(stage.stale))),
       ...warnings(limits),
     );
+    evidence.addEventListener("toggle", () => (unfolded = evidence.open));
+    setChildren(body, head(stage, { busy, lacks: stage.stale && !FROM_IMAGES.has(stage.stage) ? missing : "", solving, why }), evidence);
   };
-  store.watch(["poses:*", "judged:*", "shown", "scan", "photos", "picks:*", "job", "solving:*"], show);
+  store.watch(["poses:*", "judged:*", "shown", "scan", "photos", "picks:*", "job", "solving:*", "progress:*"], show);
   show();
   return part;
 };

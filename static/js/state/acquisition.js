@@ -85,9 +85,9 @@ export const acquireStep = () => {
     off: "Scan all around with a pan/tilt unit.",
     connecting: "Connecting.",
     disconnecting: "Disconnecting.",
-    ready: "Connected.",
+    ready: now?.devices?.simulated ? "Connected to simulated devices." : "Connected.",
     jogging: "The unit moves.",
-    running: `${now?.done} of ${now?.total} pieces.`,
+    running: `${now?.done} of ${now?.total} pieces${now?.devices?.simulated ? ", simulated" : ""}.`,
     paused: "Paused.",
     fault: now?.said,
   }[now?.state ?? "off"];

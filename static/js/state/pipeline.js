@@ -143,11 +143,11 @@ const verifyState = (shown) => {
   return { state, text: shown.image.sentence };
 };
 
-/** @returns {string} inliers, median residual and time of a stage, such as `128 of 134, 0.42 px, 1.2 s` */
+/** @returns {string} matches that agree, median residual and time of a stage, such as `128 of 134 agree, median 0.42 px, 1.2 s` */
 export const stageSummary = (stage) =>
   [
-    stage.matches === undefined ? "" : `${stage.inliers} of ${stage.matches}`,
-    Number.isFinite(stage.median_px) ? `${fixed(stage.median_px, 2)} px` : "",
+    stage.matches === undefined ? "" : `${stage.inliers} of ${stage.matches} agree`,
+    Number.isFinite(stage.median_px) ? `median ${fixed(stage.median_px, 2)} px` : "",
     stage.seconds ? duration(stage.seconds) : "",
   ].filter(Boolean).join(", ");
 

@@ -1,7 +1,7 @@
 /** The stations as this page sees them. No DOM here. */
 
 import { store } from "../net/store.js";
-import { counted, fixed } from "../ui/numbers.js";
+import { fixed } from "../ui/numbers.js";
 import { scanName } from "./scan_name.js";
 
 /** @typedef {{id: string | null, name: string, index: number, colour: string | null, state: string, sigma_mm: number | null,
@@ -46,10 +46,12 @@ export const placeText = ({ place }) => {
 
 /** @returns {import("./progress.js").WorkStep} the tab's state */
 export const stationsStep = () => {
-  const { stations } = stationsNow();
-  const status = !stations.length
-    ? "Scans of the same place from elsewhere."
-    : isRegistered() ? `${counted(stations.length, "station")} registered.` : `${counted(stations.length, "station")}.`;
-  const missing = stations.length && !isRegistered() ? "Register them to each other." : "";
-  return { name: "stations", label: "Stations", done: stations.length > 0 && isRegistered(), missing, status };
+  const { stations, done, status, missing } = stationsNow();
+  return {
+    name: "stations",
+    label: "Stations",
+    done: stations.length > 0 && Boolean(done),
+    missing: missing ?? "",
+    status: status ?? "Scans of the same place from elsewhere.",
+  };
 };

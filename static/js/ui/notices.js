@@ -16,13 +16,26 @@ const urgent = element("div", { class: "notice-list", role: "alert", "aria-live"
 /** @returns {HTMLElement} the area in which notices appear */
 export const noticeArea = () => element("div", { class: "notices", "aria-label": "Notices" }, urgent, polite);
 
+/** What the shown notices speak of, by their elements. */
+const subjects = new Map();
+
+/** Remove the notices whose subject has changed, or that are gone anyway. */
+export const dropOutdated = () => {
+  for (const [shown, { about, value }] of subjects) {
+    if (shown.isConnected && JSON.stringify(about()) === value) continue;
+    shown.remove();
+    subjects.delete(shown);
+  }
+};
+
 /**
  * Show a notice.
  * @param {string} text one or more sentences
  * @param {"info" | "warn" | "bad"} [level]
  * @param {{label: string, act: () => void}} [offer] a button beside the text
+ * @param {() => unknown} [about] what it speaks of: the notice disappears once this has another value
  */
-export const notice = (text, level = "info", offer) => {
+export const notice = (text, level = "info", offer, about) => {
   const kind = ICONS[level] ? level : "info";
   const list = kind === "bad" ? urgent : polite;
   for (const old of list.children) if (old.dataset.text === text) old.remove();
@@ -36,6 +49,7 @@ export const notice = (text, level = "info", offer) => {
     button({ label: "Close this notice", icon: "close", kind: "plain small", bare: true, act: close }),
   );
   list.append(shown);
+  if (about) subjects.set(shown, { about, value: JSON.stringify(about()) });
   while (list.children.length > MOST) list.firstElementChild.remove();
   if (!SECONDS[kind]) return;
   let timer = setTimeout(close, 1000 * SECONDS[kind]);

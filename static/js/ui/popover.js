@@ -12,6 +12,7 @@ const place = (panel, opener) => {
   panel.style.setProperty("left", onLeft ? `${Math.max(MARGIN_PX, box.left)}px` : "auto");
   panel.style.setProperty("right", onLeft ? "auto" : `${Math.max(MARGIN_PX, room - box.right)}px`);
   panel.style.setProperty("top", `${box.bottom + 6}px`);
+  panel.style.setProperty("--popover-top", `${box.bottom + 6}px`);
 };
 
 /**

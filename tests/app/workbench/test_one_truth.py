@@ -201,7 +201,7 @@ def test_what_the_statistics_of_a_verified_pose_lack_is_a_note_and_no_reason(fre
     told = stage(fresh)
     assert (told["accepted"], told["evidence"]) == (True, "image")
     assert not [reason for reason in told["reasons"] if "needed" in reason]
-    assert "only 6 distinct inliers" in told["note"]
+    assert "too few matches agree" in told["note"]
     assert stage(fresh)["stale"] == ""
 
 

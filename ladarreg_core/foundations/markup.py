@@ -11,7 +11,7 @@ from typing import TypeAlias
 import cv2
 
 from ladarreg_core.arrays import ByteArray
-from ladarreg_core.export.encoded_image import encoded_image
+from ladarreg_core.foundations.encoded_image import encoded_image
 
 _VOID = frozenset({"br", "hr", "img", "meta", "link"})
 _JPEG_QUALITY = 88

@@ -1,0 +1,1 @@
+"""What every package rests on: markup and encoded images."""
