@@ -13,12 +13,9 @@ from typing import TYPE_CHECKING, Any
 from ladarreg_core.version import VERSION
 
 if TYPE_CHECKING:
-<<<<<<< HEAD
+    from ladarreg_core import views as views
     from ladarreg_core.batch.photo_run import register_photos as register_photos
     from ladarreg_core.batch.photo_summary import PhotosResult as PhotosResult
-=======
-    from ladarreg_core import views as views
->>>>>>> main
     from ladarreg_core.camera import Camera as Camera
     from ladarreg_core.camera import EquirectangularCamera as EquirectangularCamera
     from ladarreg_core.camera import FisheyeCamera as FisheyeCamera
