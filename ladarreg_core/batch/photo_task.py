@@ -22,10 +22,10 @@ from ladarreg_core.batch.pooled_camera import (
 )
 from ladarreg_core.camera.model import CameraModel
 from ladarreg_core.camera.uncertainty import CameraPrior
-from ladarreg_core.export.encoded_image import encoded_image
 from ladarreg_core.export.folder import export_registration
 from ladarreg_core.export.output_frame import FrameName
 from ladarreg_core.formats import read_photo, read_scan
+from ladarreg_core.foundations.encoded_image import encoded_image
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.kept_channels import Channels
 from ladarreg_core.photo import Photo
