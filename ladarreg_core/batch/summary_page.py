@@ -9,7 +9,7 @@ from typing import Any
 
 from ladarreg_core.atomic_write import write_bytes
 from ladarreg_core.checksums import sealed_page
-from ladarreg_core.export.html import Content, DataUri, Html, joined, section, table, tag
+from  import Content, DataUri, Html, joined, section, table, tag
 from ladarreg_core.export.replacement import REPORT_FILE
 from ladarreg_core.export.report_style import STYLE, SUMMARY_STYLE
 from ladarreg_core.formatting import format_angle, format_length
