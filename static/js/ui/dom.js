@@ -42,18 +42,6 @@ export const setAttribute = (target, name, value) => {
   else if (target.getAttribute(name) !== String(value)) target.setAttribute(name, String(value));
 };
 
-/**
- * Scroll a strip as little as shows one of its children whole. `scrollIntoView` would also begin the next Tab there, in
- * newer browsers, so that whatever stands before would be passed over.
- * @param {Element} strip
- * @param {Element} child
- */
-export const scrollAcross = (strip, child) => {
-  const [outer, inner] = [strip.getBoundingClientRect(), child.getBoundingClientRect()];
-  if (inner.left < outer.left) strip.scrollLeft -= outer.left - inner.left;
-  else if (inner.right > outer.right) strip.scrollLeft += Math.min(inner.right - outer.right, inner.left - outer.left);
-};
-
 let count = 0;
 /** @returns {string} an id that is unique in the page */
 export const newId = (prefix) => `${prefix}-${++count}`;
