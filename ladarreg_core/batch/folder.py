@@ -76,7 +76,7 @@ class BatchFolder:
         self.clear_leftovers()
         self.journal.close()
         self._lock.discard()
-        if self._made and not self.journal:  # nothing was finished
+        if self._made and not self.journal and not (self.folder / SUMMARY_FILE).exists():  # nothing was finished
             with contextlib.suppress(OSError):
                 self.photos.rmdir()
                 for name in (JOURNAL_FILE, MANIFEST_FILE):

@@ -193,6 +193,14 @@ def test_bad_input_of_the_whole_leaves_nothing(
     assert not (tmp_path / "out").exists()
 
 
+def test_where_all_fail_the_summary_says_so_and_the_run_can_be_repeated(site: Site, tmp_path: Path) -> None:
+    for _ in range(2):
+        result = site.register(tmp_path / "out", [site.folder / f"{DAMAGED}.jpg"])
+        assert not result.accepted
+        assert (tmp_path / "out" / PAGE_FILE).is_file()
+        assert not check_integrity(tmp_path / "out").damaged
+
+
 def test_a_scan_that_is_none_leaves_nothing(site: Site, tmp_path: Path) -> None:
     with pytest.raises(FormatError):
         lr.register_photos(site.photos[1], [site.photos[2]], tmp_path / "out")
