@@ -8,11 +8,12 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Optional, TypeAlias, TypeVar, Union
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Optional, Protocol, TypeAlias, TypeVar, Union
 
 import tyro
 
 if TYPE_CHECKING:
+    from ladarreg_core.camera.uncertainty import CameraPrior
     from ladarreg_core.registration import RegisterOptions
 
 # tyro checks a default of None against `X | None` by typeguard, which imports asyncio and a mock library and
@@ -277,20 +278,42 @@ def _of_percent(value: float | None) -> float | None:
     return None if value is None else value / 100
 
 
-def register_options(arguments: RegisterArguments) -> RegisterOptions:
-    """Return the options of a registration."""
-    from ladarreg_core.camera.uncertainty import CameraPrior
-    from ladarreg_core.matching.thesis.chain import ThesisOptions
-    from ladarreg_core.registration import RegisterOptions
+class PriorArguments(Protocol):
+    """Arguments that state how well the camera of a photo without a camera file is known."""
 
-    default = ThesisOptions()
-    prior = CameraPrior(
+    @property
+    def focal_sigma_percent(self) -> float | None:
+        """Of the focal length."""
+
+    @property
+    def centre_sigma_percent(self) -> float | None:
+        """Of the principal point."""
+
+    @property
+    def k1_sigma(self) -> float | None:
+        """Of the distortion."""
+
+
+def register_prior(arguments: PriorArguments) -> CameraPrior:
+    """Return what is known of a camera before its photo is registered."""
+    from ladarreg_core.camera.uncertainty import CameraPrior
+
+    return CameraPrior(
         **_given(
             centre_of_width=_of_percent(arguments.centre_sigma_percent),
             k1=arguments.k1_sigma,
             focal=_of_percent(arguments.focal_sigma_percent),
         )
     )
+
+
+def register_options(arguments: RegisterArguments) -> RegisterOptions:
+    """Return the options of a registration."""
+    from ladarreg_core.matching.thesis.chain import ThesisOptions
+    from ladarreg_core.registration import RegisterOptions
+
+    default = ThesisOptions()
+    prior = register_prior(arguments)
     culling = _option_name(arguments.culling)
     thesis = replace(
         default,

@@ -70,6 +70,10 @@ class ProgressBar(Protocol):
         """Report the progress of writing."""
         ...
 
+    def work(self, progress: Progress) -> None:
+        """Report the progress of a whole command."""
+        ...
+
 
 def progress_bar(*, quiet: bool, stream: TextIO | None = None) -> ProgressBar:
     """Return the kind of progress display that suits the stream; None: stderr."""
@@ -93,6 +97,9 @@ class _Silent:
         """Ignore it."""
 
     def progress(self, progress: Progress) -> None:
+        """Ignore it."""
+
+    def work(self, progress: Progress) -> None:
         """Ignore it."""
 
 
@@ -126,6 +133,13 @@ class _Lines(_Silent):
         if progress.label != self._label:
             self._label = progress.label
             print(progress.label, file=self._out, flush=True)
+
+    def work(self, progress: Progress) -> None:
+        """Print each new label with its number."""
+        if progress.label != self._label:
+            self._label = progress.label
+            counted = f" ({progress.done} of {progress.total})" if progress.done and progress.total else ""
+            print(f"{progress.label}{counted}", file=self._out, flush=True)
 
 
 class _Bar(_Silent):
@@ -166,6 +180,11 @@ class _Bar(_Silent):
         """Advance the bar within the exports."""
         share = progress.done / progress.total if progress.total else 0.0
         self._show(progress.label, _EXPORTS_FROM + (1 - _EXPORTS_FROM) * share, f"{self._steps} steps")
+
+    def work(self, progress: Progress) -> None:
+        """Advance the bar to the share that is done."""
+        share = progress.done / progress.total if progress.total else 0.0
+        self._show(progress.label, share, f"{progress.done} of {progress.total}" if progress.total else "")
 
     def _show(self, label: str, share: float, note: str) -> None:
         from rich.markup import escape

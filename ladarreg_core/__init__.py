@@ -14,6 +14,8 @@ from ladarreg_core.version import VERSION
 
 if TYPE_CHECKING:
     from ladarreg_core import views as views
+    from ladarreg_core.batch.photo_run import register_photos as register_photos
+    from ladarreg_core.batch.photo_summary import PhotosResult as PhotosResult
     from ladarreg_core.camera import Camera as Camera
     from ladarreg_core.camera import EquirectangularCamera as EquirectangularCamera
     from ladarreg_core.camera import FisheyeCamera as FisheyeCamera
@@ -90,6 +92,7 @@ _HOMES = {
     "Photo": "photo",
     "PhotoPoints": "surface.photo_points",
     "PhotoPointsWithNormals": "surface.photo_points",
+    "PhotosResult": "batch.photo_summary",
     "Pick": "matches",
     "PoseOptions": "pose.estimate",
     "PoseResult": "results",
@@ -125,6 +128,7 @@ _HOMES = {
     "read_registration": "formats",
     "read_scan": "formats",
     "register": "registration",
+    "register_photos": "batch.photo_run",
     "register_rig": "rig.registration",
     "register_scans": "stations.registration",
     "simulate_case": "simulate",

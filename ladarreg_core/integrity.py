@@ -15,7 +15,8 @@ from ladarreg_core.manifest import DOCUMENTS, MANIFEST_FILE, read_manifest
 
 _RESULTS = {
     "registration.json": "result", "stations.json": "stations", "rig.json": "rig", "export.json": "export",
-    "comparison.json": "comparison", "panorama.json": "panorama", "truth.json": "simulation",
+    "adjustment.json": "result", "comparison.json": "comparison", "panorama.json": "panorama",
+    "truth.json": "simulation",
 }  # fmt: skip
 _NO_MANIFEST = f"no manifest ({MANIFEST_FILE}), as of earlier versions: sizes and SHA-256 of the files are unknown"
 
@@ -59,7 +60,19 @@ def check_integrity(path: str | Path) -> Integrity:
         return Integrity("project", sum(1 for _ in files_below(place)), tuple(damaged), tuple(notes))
     if kind is None and not (place / MANIFEST_FILE).is_file():
         raise FormatError(f"{place} is no project, result, run or export of ladarreg; give the folder of one")
-    return _of_results(place, kind or "result")
+    found = _of_results(place, kind or "result")
+    return _with_photos(found, place) if (place / "adjustment.json").is_file() else found
+
+
+def _with_photos(summary: Integrity, folder: Path) -> Integrity:
+    """Return what was found of the summary of many photographs together with what was of each one's folder."""
+    files, damaged, notes = summary.files, [*summary.damaged], [*summary.notes]
+    for each in sorted((folder / "photos").glob("*/")):
+        of_photo = _of_results(each, "result")
+        files += of_photo.files
+        damaged += [f"photos/{each.name}/{line}" for line in of_photo.damaged]
+        notes += [f"photos/{each.name}: {line}" for line in of_photo.notes]
+    return Integrity(summary.kind, files, tuple(damaged), tuple(notes))
 
 
 def _of_file(path: Path) -> Integrity:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = (
     "ladarreg export results --to colmap,laz,report -o handover",
-    "# several photos on the same scan, or all of a project, go out together:",
+    "# several photos on the same scan, or all that were accepted, together:",
     "ladarreg export results-1 results-2 --to e57 -o handover --root data",
     "ladarreg export my-project --to e57,ros -o handover --frame world",
     "ladarreg export --list",
@@ -42,7 +42,7 @@ class Arguments(ScanArguments):
     """Arguments of `export`."""
 
     results: Annotated[tyro.conf.Positional[_Paths], tyro.conf.arg(metavar="RESULT")] = field(default_factory=list)
-    """Folder of results, several on the same scan, a project, or a folder of stations."""
+    """Folder of results, several on the same scan or a folder of many photos, a project, or a folder of stations."""
     to: Annotated[str | None, tyro.conf.arg(metavar="TARGETS")] = None
     """Targets, separated by commas; list prints them."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="OUT")] = None
@@ -98,6 +98,7 @@ def run(arguments: Arguments) -> ExitCode:
     ]
     if missing:
         raise OptionError(f"missing {', '.join(missing)}; see ladarreg export --help, or --list for the targets")
+    arguments = _with_accepted_photos(arguments)
     assert arguments.to is not None
     assert arguments.out is not None
     started = time.perf_counter()
@@ -135,6 +136,19 @@ def run(arguments: Arguments) -> ExitCode:
         print(f"Wrote    {', '.join(target.name for target in targets)} in {arguments.out}")
         print(f"Took     {time.perf_counter() - started:.1f} s")
     return ExitCode.ACCEPTED
+
+
+def _with_accepted_photos(arguments: Arguments) -> Arguments:
+    """Return arguments with the accepted photos of a folder with many in place of that folder."""
+    from ladarreg_core.batch.folder import is_batch_folder
+    from ladarreg_core.batch.photo_summary import accepted_folders
+
+    results = [
+        found
+        for path in arguments.results
+        for found in (accepted_folders(path, trust_edited=arguments.trust_edited) if is_batch_folder(path) else [path])
+    ]
+    return replace(arguments, results=results)
 
 
 def _stations(arguments: Arguments, folder: Path, targets: Sequence[str]) -> ExitCode:

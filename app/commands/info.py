@@ -17,6 +17,8 @@ from ..messages import one_line
 EXAMPLES = (
     "ladarreg info room.e57",
     "ladarreg info results/registration.json",
+    "# a folder of scans and photos, and what register would do with it:",
+    "ladarreg info site",
     "# the images that a scanner took, with their cameras and poses:",
     "ladarreg info room.e57 --scan 1 --extract images",
 )
@@ -28,7 +30,8 @@ class Arguments(ScanArguments):
     """Arguments of `info`."""
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
-    """A scan, photo, camera, pose, matches or results file, or a folder of results or of a run."""
+    """A scan, photo, camera, pose, matches or results file, a folder of results or of a run, or one of scans and
+    photos."""
     extract: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Extract the images of an E57 file to this folder, with their cameras, and their poses relative to the
     scan (--scan) for --initial."""
@@ -52,6 +55,8 @@ def run(arguments: Arguments) -> ExitCode:
         from ladarreg_core.panorama import describe_run
 
         return _print(describe_run(file), as_json=arguments.json)
+    elif file.is_dir():
+        return _print(_of_folder(file), as_json=arguments.json)
     info = read_confined(describe, file, trust_edited=arguments.trust_edited, **arguments.scan_options)
     facts = list(_facts(info))
     extracted: list[str] = []
@@ -67,6 +72,19 @@ def run(arguments: Arguments) -> ExitCode:
         return ExitCode.ACCEPTED
     _print_facts(facts)
     return ExitCode.ACCEPTED
+
+
+def _of_folder(folder: Path) -> Mapping[str, Any]:
+    """Return what a folder contains: the results of many photos, or scans and photos."""
+    from ladarreg_core.batch.folder import is_batch_folder
+    from ladarreg_core.batch.folder_info import describe_folder
+    from ladarreg_core.batch.photo_summary import describe_photos
+    from ladarreg_core.formats.isolated.forked import confined_reads
+
+    if is_batch_folder(folder):
+        return describe_photos(folder)
+    with confined_reads():
+        return describe_folder(folder)
 
 
 def _print(info: Mapping[str, Any], *, as_json: bool) -> ExitCode:

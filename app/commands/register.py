@@ -1,4 +1,4 @@
-"""`ladarreg register SCAN PHOTO [SCAN ...] -o OUT`."""
+"""`ladarreg register SCAN PHOTO [SCAN ...] -o OUT`, and its variants for a rig and for many photos."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ladarreg_core.results import Registration
     from ladarreg_core.scan import Scan
 
+    from ..photos import PhotosArguments
     from ..rig import RigArguments
 
 EXAMPLES = (
@@ -35,6 +36,8 @@ EXAMPLES = (
     "ladarreg register 1.pcd 2.pcd 3.pcd photo.png --camera cam.json -o out",
     "# pairs of a scanner and a camera that are mounted together:",
     "ladarreg register --rig pairs.csv --camera cam.json -o rig",
+    "# several photos, or a folder of them: one camera, one summary:",
+    "ladarreg register room.e57 1.jpg 2.jpg 3.jpg -o results",
     "# from matches drawn by hand:",
     "ladarreg register room.e57 photo.jpg --matches matches.json -o results",
     "# the pose of these matches as they are, not refined against the image:",
@@ -65,20 +68,23 @@ class Arguments(RegisterArguments):
 
     @classmethod
     def chosen_by(cls, words: Sequence[str]) -> type:
-        """Return the arguments that words are of: those of a rig, if there is one."""
-        if not any(word.split("=")[0] == "--rig" for word in words):
-            return cls
-        from ..rig import RigArguments
+        """Return the arguments that words are of: those of a rig, of several photos, or of one pair."""
+        if any(word.split("=")[0] == "--rig" for word in words):
+            from ..rig import RigArguments
 
-        return RigArguments
+            return RigArguments
+        from ..photos import PhotosArguments, flags_of, is_about_several
+
+        return PhotosArguments if is_about_several(words, flags_of(cls)) else cls
 
 
-def run(arguments: Arguments | RigArguments) -> ExitCode:
+def run(arguments: Arguments | RigArguments | PhotosArguments) -> ExitCode:
     """Read, register, export, and print the verdict."""
     if not isinstance(arguments, Arguments):
+        from ..photos import PhotosArguments, run_photos
         from ..rig import run_rig
 
-        return run_rig(arguments)
+        return run_photos(arguments) if isinstance(arguments, PhotosArguments) else run_rig(arguments)
     import ladarreg_core as lr
     from ladarreg_core.camera import require_pinhole
     from ladarreg_core.export.folder import check_folder, prepare_export

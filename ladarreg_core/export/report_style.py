@@ -58,3 +58,10 @@ th { color: var(--dim); font-weight: 500; border-bottom: 1px solid var(--line); 
 }
 """
 """The style sheet; nothing in it refers to another file."""
+
+SUMMARY_STYLE = """
+.photos td { padding: 10px 14px 10px 0; border-bottom: 1px solid var(--line); }
+.photos img { width: 140px; } .photos ul { font-size: 13px; } .photos td:first-child { width: 154px; }
+.photos p { margin: 2px 0; } .photos td:last-child { white-space: nowrap; padding-right: 0; }
+"""
+"""What the summary page of many photographs has besides."""

@@ -115,7 +115,7 @@ def clear_leftovers(folder: Path, *, more_names: Collection[str] = ()) -> None:
 def _clear(path: Path, target: Path, state: str, pid: str | None, more_names: Collection[str]) -> None:
     held = _lock(path)  # raises if its program is running
     try:
-        if held is None and (pid is None or _is_running(int(pid))):
+        if held is None and (pid is None or is_running(int(pid))):
             return
         if state == "part":
             remove_results(path, more_names=more_names)
@@ -203,7 +203,7 @@ def _unlock(held: int | None) -> None:
             os.close(held)
 
 
-def _is_running(pid: int) -> bool:
+def is_running(pid: int) -> bool:
     """Return whether a process with that id is running."""
     if sys.platform == "win32":
         import ctypes

@@ -5,7 +5,8 @@ from __future__ import annotations
 import importlib
 import mmap
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -190,13 +191,33 @@ def image_size(path: Path) -> tuple[int, int, str]:
         FormatError: if it is not an image.
     """
 
-    try:
-        with open(path, "rb") as stream:
-            kind = image_format(stream.read(64))
+    with _header_of(path) as kind:
         if kind == "TIFF":
             return *tiff_size(path), "TIFF"
         with opened_image(path, _formats_for(kind)) as image:
             return image.width, image.height, image.format or "image"
+
+
+def image_header(path: Path) -> tuple[tuple[int, int], dict[int, Any]]:
+    """Return (width, height) and the EXIF tags from an image's header, without decoding it.
+
+    Raises:
+        FormatError: if it is not an image.
+    """
+    with _header_of(path) as kind:
+        if kind == "TIFF":
+            return tiff_size(path), _tags_in(path)
+        with opened_image(path, _formats_for(kind)) as image:
+            return image.size, _tags_of(image)
+
+
+@contextmanager
+def _header_of(path: Path) -> Iterator[str | None]:
+    """Give the kind of an image, and turn what goes wrong with its header into a `FormatError`."""
+    try:
+        with open(path, "rb") as stream:
+            kind = image_format(stream.read(64))
+        yield kind
     except FormatError:
         raise
     except Exception as error:

@@ -31,6 +31,7 @@ FORBIDDEN = {
     "export": {"features", "matching", "pose", "registration", "formats", "simulate"},
     "simulate": {"features", "matching", "pose", "registration", "export"},
     "registration": {"formats", "export", "simulate", "inspection", "project"},
+    "batch": {"simulate", "inspection", "project", "acquisition", "pose/thesis", "matching/thesis"},
     "inspection": {"formats", "simulate", "project", "registration"},
     "project": {"inspection", "simulate"},
 }

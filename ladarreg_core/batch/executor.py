@@ -1,0 +1,309 @@
+"""An executor of processes in which a process that dies costs one task: it is named, and the others go on.
+
+`concurrent.futures.ProcessPoolExecutor` gives up all tasks when a process is killed, and does not say which it was.
+Here every process has a pipe of its own and one task at a time, so that whose task was lost is known, and another
+process takes its place. Processes are spawned, never forked: the same on all systems, and safe beside threads. Each
+imports once and works with one thread. Anything that takes a `concurrent.futures.Executor` can use it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import pickle
+import signal
+import sys
+import threading
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
+from typing import Any, ParamSpec, TypeVar
+
+from ladarreg_core.errors import LadarregError
+from ladarreg_core.validation import require_int
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+_MOST_PROCESSES = 256
+_JOIN_S = 10.0
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+log = logging.getLogger(__name__)
+
+
+class WorkerLostError(LadarregError):
+    """A process ended before it had finished its task."""
+
+
+class WorkerProcesses(Executor):
+    """Processes that work on tasks, one each at a time; use it in a `with` statement.
+
+    At the end of the statement all tasks are waited for. If an exception leaves it, as of Ctrl-C, the processes are
+    killed at once and no task is begun any more; nothing of them is left.
+
+    Args:
+        count: number of processes; None: one for each processor core that this process may use.
+
+    Raises:
+        OptionError: if the count is not a number from 1 to 256.
+    """
+
+    def __init__(self, count: int | None = None) -> None:
+        self.count = require_int(usable_cores() if count is None else count, "processes", least=1, most=_MOST_PROCESSES)
+        self._tasks: deque[_Task] = deque()
+        self._lock = threading.Lock()
+        self._waker, self._woken = get_context("spawn").Pipe()
+        self._is_woken = self._closed = self._killed = False
+        self._dispatcher: threading.Thread | None = None
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """Have a function called in one of the processes.
+
+        Args:
+            fn: a function of a module; it, its arguments and its result are pickled.
+            args: positional arguments.
+            kwargs: keyword arguments.
+
+        Returns:
+            Its future, which raises what the function raised, or `WorkerLostError` if its process was killed.
+
+        Raises:
+            RuntimeError: after `shutdown`.
+        """
+        future: Future[T] = Future()
+        with self._lock:
+            if self._closed:
+                raise RuntimeError("no task can be submitted after the processes were shut down")
+            self._tasks.append(_Task(future, fn, args, kwargs))
+            if self._dispatcher is None:
+                self._dispatcher = threading.Thread(target=self._dispatch, name="worker processes", daemon=True)
+                self._dispatcher.start()
+            self._wake()
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the processes when they have worked off their tasks.
+
+        Args:
+            wait: return only then.
+            cancel_futures: begin none of the tasks that wait.
+        """
+        with self._lock:
+            self._closed = True
+            for task in self._tasks if cancel_futures else ():
+                task.future.cancel()
+            self._wake()
+        if wait and self._dispatcher is not None:
+            self._dispatcher.join()
+
+    def kill(self) -> None:
+        """End the processes at once, whatever they do, and cancel all tasks."""
+        self._killed = True
+        self.shutdown(cancel_futures=True)
+
+    def __exit__(self, kind: type[BaseException] | None, error: object, at: object) -> None:
+        if kind is None:
+            self.shutdown()
+        else:
+            self.kill()
+
+    def _wake(self) -> None:
+        """Have the dispatcher look at the tasks; to be called with the lock."""
+        if not self._is_woken:
+            self._is_woken = True
+            self._waker.send_bytes(b"!")
+
+    def _dispatch(self) -> None:
+        """Hand out tasks and take in results until all is done; in a thread of its own."""
+        workers: list[_Worker] = []
+        try:
+            while not self._killed:
+                self._hand_out(workers)
+                busy = {worker.connection: worker for worker in workers if worker.task is not None}
+                with self._lock:
+                    if not busy and not self._tasks and self._closed:
+                        return
+                for ready in wait([self._woken, *busy]):
+                    if ready is self._woken:
+                        with self._lock:
+                            self._woken.recv_bytes()
+                            self._is_woken = False
+                    elif not busy[ready].finish():  # type: ignore[index]
+                        workers.remove(busy[ready])  # type: ignore[index]
+        except Exception as error:  # as if no process can be started
+            log.debug("the worker processes ended: %s", traceback.format_exc())
+            with self._lock:
+                self._closed = True
+                for task in self._tasks:
+                    if task.future.set_running_or_notify_cancel():
+                        task.future.set_exception(error)
+        finally:
+            for worker in workers:
+                worker.end()
+
+    def _hand_out(self, workers: list[_Worker]) -> None:
+        """Give every free process a task, and start processes while there are tasks left."""
+        while self._tasks:
+            free = next((worker for worker in workers if worker.task is None), None)
+            if free is None and len(workers) >= self.count:
+                return
+            if free is None:
+                free = _Worker()
+                workers.append(free)
+            with self._lock:
+                task = self._tasks.popleft()
+            if task.future.set_running_or_notify_cancel() and not free.begin(task):
+                workers.remove(free)
+
+
+def usable_cores() -> int:
+    """Return the number of processor cores that this process may use."""
+    if sys.platform == "linux":
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Task:
+    future: Future[Any]
+    function: Callable[..., Any]
+    args: tuple[Any, ...]
+    kwargs: dict[str, Any]
+
+
+class _Worker:
+    """One process, as its parent sees it."""
+
+    def __init__(self) -> None:
+        context = get_context("spawn")
+        self.connection, theirs = context.Pipe()
+        self.task: _Task | None = None
+        self._process: SpawnProcess = context.Process(
+            target=_serve, args=(theirs, os.getpid()), name="ladarreg worker", daemon=True
+        )
+        with _environment(dict.fromkeys(_ONE_THREAD, "1")):
+            _block_interrupts()
+            self._process.start()
+        theirs.close()
+
+    def begin(self, task: _Task) -> bool:
+        """Send a task; False: its process has ended, and the task is lost."""
+        self.task = task
+        try:
+            message = pickle.dumps((task.function, task.args, task.kwargs))
+        except Exception as error:  # whatever cannot be pickled; the process is as good as before
+            self.task = None
+            task.future.set_exception(error)
+            return True
+        try:
+            self.connection.send_bytes(message)
+        except OSError:
+            return self._lost()
+        return True
+
+    def finish(self) -> bool:
+        """Take in what the process sent, and return whether it is still there."""
+        try:
+            message = self.connection.recv_bytes()
+        except (EOFError, OSError):
+            return self._lost()
+        assert self.task is not None
+        future, self.task = self.task.future, None
+        try:
+            value, error = pickle.loads(message)  # of a process of this program
+        except Exception as failure:
+            value, error = None, failure
+        if error is None:
+            future.set_result(value)
+        else:
+            future.set_exception(error)
+        return True
+
+    def end(self) -> None:
+        """Kill the process: it has nothing to do, or is not to do it."""
+        self._process.kill()
+        self._process.join(_JOIN_S)
+        self.connection.close()
+        if self.task is not None:
+            self.task.future.set_exception(WorkerLostError("the work was cancelled"))
+
+    def _lost(self) -> bool:
+        self._process.join(_JOIN_S)
+        code = self._process.exitcode
+        self.connection.close()
+        assert self.task is not None
+        self.task.future.set_exception(WorkerLostError(_why_it_ended(code)))
+        return False
+
+
+def _why_it_ended(code: int | None) -> str:
+    if code is not None and code < 0:
+        name = signal.strsignal(-code) or f"signal {-code}"
+        if -code == getattr(signal, "SIGKILL", None):
+            return f"its process was killed ({name}), perhaps because memory ran out; run again, with fewer `processes`"
+        return f"its process crashed ({name}); run again, and report it if that repeats"
+    return f"its process ended with code {code} before it had finished; run again, and report it if that repeats"
+
+
+def _block_interrupts() -> None:
+    """Block Ctrl-C in this thread and in the processes that it starts: it is for the main thread alone."""
+    if sys.platform != "win32":
+        from multiprocessing import resource_tracker
+
+        resource_tracker.ensure_running()  # which unblocks it, but only once
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+
+
+@contextlib.contextmanager
+def _environment(values: dict[str, str]) -> Iterator[None]:
+    """Set environment variables for the processes that are started meanwhile."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _serve(connection: Connection, parent: int) -> None:
+    """Work off the tasks of the parent, one after the other, until it closes the pipe or ends."""
+    from threadpoolctl import threadpool_limits
+
+    from ladarreg_core.formats.isolated.forked import confined_reads
+    from ladarreg_core.formats.isolated.worker import end_with
+    from ladarreg_core.side_by_side import one_thread
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # where signals cannot be blocked
+    if sys.platform == "linux":  # elsewhere it ends after its task
+        end_with(parent)
+    with one_thread(), threadpool_limits(1), confined_reads():
+        while True:
+            try:
+                function, args, kwargs = pickle.loads(connection.recv_bytes())
+            except (EOFError, OSError):
+                return
+            connection.send_bytes(_answer(function, args, kwargs))
+
+
+def _answer(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> bytes:
+    try:
+        return pickle.dumps((function(*args, **kwargs), None))
+    except Exception as error:
+        log.debug("a task failed: %s", traceback.format_exc())
+        try:
+            answer = pickle.dumps((None, error))
+            pickle.loads(answer)  # some exceptions can be written and not read
+        except Exception:
+            return pickle.dumps((None, RuntimeError(f"{type(error).__name__}: {error}")))
+        return answer

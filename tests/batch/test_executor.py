@@ -1,0 +1,97 @@
+"""Worker processes: a lost one costs one task, Ctrl-C leaves nothing, and each works with one thread."""
+
+from __future__ import annotations
+
+import contextlib
+import operator
+import os
+import signal
+import sys
+import time
+from concurrent.futures import Future
+
+import pytest
+
+from ladarreg_core.batch.executor import WorkerLostError, WorkerProcesses
+from ladarreg_core.errors import FormatError, OptionError
+
+
+class _TwoArgumentsError(FormatError):
+    """Can be pickled, but not read again."""
+
+    def __init__(self, one: str, two: str) -> None:
+        super().__init__(one + two)
+
+
+def refuse() -> None:
+    raise FormatError("no scan")
+
+
+def refuse_oddly() -> None:
+    raise _TwoArgumentsError("a", "b")
+
+
+def settings() -> tuple[str | None, int, bool]:
+    import cv2
+
+    ignored = sys.platform == "win32" or signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    return os.environ.get("OMP_NUM_THREADS"), cv2.getNumThreads(), ignored
+
+
+def test_results_and_errors_come_back_and_a_lost_process_costs_its_task_alone() -> None:
+    with WorkerProcesses(1) as workers:
+        before = workers.submit(operator.mul, 6, 7)
+        lost = workers.submit(os._exit, 3)
+        refused, odd = workers.submit(refuse), workers.submit(refuse_oddly)
+        unsendable = workers.submit(operator.not_, lambda: None)
+        after = workers.submit(settings)
+    assert before.result() == 42
+    with pytest.raises(WorkerLostError, match="code 3"):
+        lost.result()
+    with pytest.raises(FormatError, match="no scan"):
+        refused.result()
+    with pytest.raises(RuntimeError, match="_TwoArgumentsError: ab"):
+        odd.result()
+    assert isinstance(unsendable.exception(), Exception)
+    assert after.result() == ("1", 1, True)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_a_killed_process_says_so() -> None:
+    with WorkerProcesses(1) as workers:
+        pid = workers.submit(os.getpid).result()
+        working = workers.submit(time.sleep, 60)
+        while not working.running():
+            time.sleep(0.01)
+        os.kill(pid, signal.SIGKILL)
+        with pytest.raises(WorkerLostError, match=r"was killed \(Killed\).*`processes`"):
+            working.result(30)
+        assert workers.submit(os.getpid).result() != pid
+
+
+def interrupted_while_working(workers: WorkerProcesses) -> tuple[int, Future[None], Future[None]]:
+    pid = workers.submit(os.getpid).result()
+    futures = workers.submit(time.sleep, 60), workers.submit(time.sleep, 60)
+    with contextlib.suppress(KeyboardInterrupt), workers:
+        raise KeyboardInterrupt
+    return pid, *futures
+
+
+def test_an_interruption_ends_the_processes_at_once_and_begins_nothing_more() -> None:
+    started = time.monotonic()
+    workers = WorkerProcesses(1)
+    pid, working, waiting = interrupted_while_working(workers)
+    assert time.monotonic() - started < 30
+    assert working.cancelled() or isinstance(working.exception(), WorkerLostError)
+    assert waiting.cancelled()
+    if sys.platform != "win32":
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
+    with pytest.raises(RuntimeError, match="shut down"):
+        workers.submit(os.getpid)
+
+
+@pytest.mark.parametrize("count", [0, 1000, 1.5, True])
+def test_an_impossible_number_is_refused(count: int) -> None:
+    with pytest.raises(OptionError, match="processes"):
+        WorkerProcesses(count)
