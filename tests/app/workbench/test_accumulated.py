@@ -250,7 +250,7 @@ def test_a_pose_says_that_it_was_solved_on_fewer_clouds(bench: WorkbenchDriver, 
     job = bench.job("robust")
     assert job.state == "done", job.message
     bench.do("open_served", path="sweep1.npz", what="scan", scan="frames")
-    (stage,) = bench.slice("poses:p1")["stages"]
+    stage, *_ = bench.slice("poses:p1")["stages"]
     assert stage["stale"] == "solved on fewer clouds: solve again"
     assert bench.slice("photos")[0]["state"] == "stale"
     assert "fewer clouds" in bench.refused("export_folder", photo="p1", folder=str(tmp_path / "a"), force=False)
