@@ -52,7 +52,9 @@ def verdict(result: PoseResult) -> str:
 
 def position(result: PoseResult) -> str:
     """Return the camera position relative to the scanner, with its standard deviation."""
-    sigma = f"{1000 * result.sigma_position_m:.1f} mm" if math.isfinite(result.sigma_position_m) else "unknown"
+    from ladarreg_core.formatting import format_length
+
+    sigma = format_length(result.sigma_position_m) if math.isfinite(result.sigma_position_m) else "unknown"
     return f"{result.thesis_parameters.describe_position()} (sigma {sigma})"
 
 
@@ -73,7 +75,7 @@ def matches(result: PoseResult) -> str:
     if not len(result.matches):
         return "no matches"
     inliers, count = count_picks(result.matches, result.inliers)
-    text = f"{inliers} of {count} matches are inliers"
+    text = f"{inliers} of {count} matches agree"
     if result.inliers.any():
         squares = (result.residuals_px[result.inliers] ** 2).sum(axis=-1)
         text += f", {float(squares.mean()) ** 0.5:.2f} px rms"

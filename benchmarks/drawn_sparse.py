@@ -24,7 +24,6 @@ from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Pick
-from ladarreg_core.matching.image_check import with_image_check
 from ladarreg_core.photo import Photo
 from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.scan import Scan
@@ -142,7 +141,6 @@ def outcome(
     matches, _ = matches_from_picks(scan, picks, camera=photo.camera)
     try:
         result = lr.register(scan, photo, method="manual", picks=picks)
-        result = with_image_check(result, lr.verify_pose(scan, photo, result))  # as the page does after solving
     except LadarregError as error:
         return Outcome(name, len(matches), np.nan, False, limit_px, str(error))
     error_px = _error_px(scan, photo.camera, result.camera_from_scanner, truth)

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from ladarreg_core.arrays import read_only
 from ladarreg_core.errors import DegenerateGeometryError, OptionError, ShapeError
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matches import Matches, Pick, picks_of_arrays
+from ladarreg_core.matches import Matches, Pick, count_picks, picks_of_arrays
 from ladarreg_core.matching.auto import AutoOptions
 from ladarreg_core.matching.from_images import no_pose, pose_from_images, with_shape_alone_said
 from ladarreg_core.matching.image_check import Proposal, check_against_images, refined_pose, with_image_check
@@ -163,8 +163,16 @@ class MatchesRegistered:
 
     @property
     def contradicted(self) -> bool:
-        """Whether the images verify a pose that the matches exclude."""
-        return self.refined is not None and self.drawn.diagnostics["verification"]["outcome"] == "contradicted"
+        """Whether the images verify a pose that the matches exclude.
+
+        Matches that would not be accepted by themselves do not know their own pose well enough to exclude another one,
+        if most of them agree with that.
+        """
+        found = self.drawn.diagnostics
+        if self.refined is None or found["verification"]["outcome"] != "contradicted":
+            return False
+        agree, total = count_picks(self.refined.matches, self.refined.inliers)
+        return bool(found["statistics"]["accepted"]) or 2 * agree < total
 
     def proposed(self, proposal: Proposal = "refined") -> Registration:
         """Return the pose to propose; see `RegisterOptions.proposal`."""

@@ -15,7 +15,7 @@ from ladarreg_core.camera.uncertainty import CameraUncertainty, pose_jacobian
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.formatting import format_angle, format_length
 from ladarreg_core.frames import Rigid, ThesisParameters, describe_direction, describe_position, rotation_from_rotvec
-from ladarreg_core.matches import Matches
+from ladarreg_core.matches import Matches, count_picks
 from ladarreg_core.palette import BAD, OK, WARN
 from ladarreg_core.progress import Step
 from ladarreg_core.validation import require_number
@@ -228,7 +228,7 @@ class PoseResult:
         if len(self.matches):
             off = np.hypot(*self.residuals_px[self.inliers].T)
             rms = f", residual {np.sqrt(np.nanmean(off**2)):.2f} px rms" if np.isfinite(off).any() else ""
-            words.append(f"{int(self.inliers.sum())} of {len(self.matches)} matches are inliers{rms}")
+            words.append("{} of {} matches agree".format(*count_picks(self.matches, self.inliers)) + rms)
         return f"{name}({'; '.join(words)})"
 
     def _repr_html_(self) -> str:
@@ -237,7 +237,7 @@ class PoseResult:
 
         good = self.accepted and self.evidence == "image" and not self.is_coarse
         words = verdict_words(self.accepted, self.evidence, self.diagnostics, coarse=self.is_coarse)
-        facts = [("matches", f"{int(self.inliers.sum())} of {len(self.matches)} agree")]
+        facts = [("matches", "{} of {} agree".format(*count_picks(self.matches, self.inliers)))]
         if self.is_determined:
             rounded = self.thesis_parameters.rounded(self.thesis_sigmas)
             facts += [(one.name, f"{one.value} \u00b1 {one.sigma} {one.unit}") for one in rounded]

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
     from ..scene import StationShown
 
-_PLACED = ("registered", "kept")
-"""States of a station that has a verified place beside the fixed one."""
 _MOST_POINTS = 200_000
 """Most points of all stations together in a 3-D view."""
 
@@ -177,22 +175,12 @@ class Stations:
 
 
 def _progress(document: Document, listed: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return whether the stations are all registered as they are now, how many are, and what is missing."""
-    from ladarreg_core.project.work_steps import counted
+    """Return the tick of the step with its sentences."""
+    from ladarreg_core.project.work_steps import stations_step
 
     current = document.survey is not None and not is_stale(document)
-    others = sum(one["state"] in _PLACED for one in listed)
-    placed = others + 1 if others else 0  # the fixed one is registered with another one
-    every = counted(len(listed), "station")
-    if not current:
-        return {"done": False, "status": f"{every}.", "missing": "Register them to each other."}
-    if placed == len(listed):
-        return {"done": True, "status": f"{every} registered.", "missing": ""}
-    return {
-        "done": False,
-        "status": f"{placed} of {every} registered." if placed else f"None of {every} registered.",
-        "missing": "Some are not registered: see why, and give them a rough place or further stations between.",
-    }
+    done, status, missing = stations_step([one["state"] for one in listed], current=current)
+    return {"done": done, "status": status, "missing": missing}
 
 
 def _station(

@@ -40,10 +40,9 @@ def main(words: list[str] | None = None) -> int:
     scan, photo = lr.read_scan(asked.scan), lr.read_photo(asked.photo, camera=asked.camera)
     cells, uv = matched(scan, photo)
     print(f"{len(uv)} matches")
+    # Few of such matches are right, too few for a verdict on matches alone; but the pose is refined against the images,
+    # which can still confirm it.
     result = lr.register(scan, photo, cells=cells, uv=uv)
-    print(result)
-    # Few of such matches are right, too few for a verdict on statistics alone; the pixels can still confirm the pose.
-    result = lr.with_image_check(result, lr.verify_pose(scan, photo, result))
     print(result)
     print("\n".join(result.reasons))
     if asked.json:

@@ -305,7 +305,7 @@ def _inlier_summary(result: PoseResult) -> str:
     if not len(result.matches):
         return "no matches"
     rms = rms_px(result)
-    text = "{} of {} matches are inliers".format(*count_picks(result.matches, result.inliers))
+    text = "{} of {} matches agree".format(*count_picks(result.matches, result.inliers))
     return f"{text}, {rms:.2f} px rms" if np.isfinite(rms) else text
 
 

@@ -185,7 +185,7 @@ class _Report:
         rows = []
         if len(r.matches):
             rms = f", {format_number(found.rms_px)} px rms" if np.isfinite(found.rms_px) else ""
-            rows.append(("Matches", f"{found.inliers} of {found.matches} are inliers{rms}"))
+            rows.append(("Matches", f"{found.inliers} of {found.matches} agree{rms}"))
         rows.append(
             (
                 "Position",

@@ -14,10 +14,11 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from ladarreg_core.arrays import BoolArray
 from ladarreg_core.camera.uncertainty import DEFAULT_CAMERA_PRIOR, CameraPrior
 from ladarreg_core.formatting import format_length, format_number
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
-from ladarreg_core.matches import count_picks
+from ladarreg_core.matches import across_lines, count_picks
 from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.auto import AutoOptions
 from ladarreg_core.matching.face_registration import is_wide, verify_faces
@@ -47,6 +48,8 @@ drawn, or that of the images even where they contradict the matches."""
 ResultT = TypeVar("ResultT", bound=PoseResult)
 _THREE_SIGMAS = 20.06  # chi^2 of 6 degrees of freedom, exceeded as rarely as 3 sigma by one number
 _SAMPLES = 10_000
+_MEDIAN_OF_RAYLEIGH = 1.1774
+_MOST_NOISE_BESIDE = 2.5
 _GATE_CHI2 = 9.21  # of a match that agrees with a pose, as `PoseOptions.gate_chi2`
 
 
@@ -189,9 +192,8 @@ def refined_pose(result: PoseResult, check: ImageCheck) -> PoseResult | None:
     found = check.placement
     if found is None:
         return None
-    pose, matches = found.camera_from_scanner, result.matches
-    sigma = {"sigma_px": result.sigma_px, "sigma_range_m": result.sigma_range_m}
-    agree = inliers_at(pose, matches, found.camera, **sigma, gate_chi2=_GATE_CHI2)
+    pose, matches, agree = found.camera_from_scanner, result.matches, _agreeing(found, result)
+    sigma = {"sigma_px": _noise_beside(found, result), "sigma_range_m": result.sigma_range_m}
     described = describe_pose(pose, matches, agree, found.camera, **sigma, covariance=found.covariance)
     count, total = count_picks(matches, agree)
     statistics = result.diagnostics.get("statistics") or _statistics_of(result)
@@ -219,6 +221,26 @@ def refined_pose(result: PoseResult, check: ImageCheck) -> PoseResult | None:
     return refused_by_lengths(refined)
 
 
+def _agreeing(found: PoseResult, result: PoseResult) -> BoolArray:
+    """Return which matches (M,) of a result agree with the pose that the images verify."""
+    sigma = {"sigma_px": _noise_beside(found, result), "sigma_range_m": result.sigma_range_m}
+    return inliers_at(found.camera_from_scanner, result.matches, found.camera, **sigma, gate_chi2=_GATE_CHI2)
+
+
+def _noise_beside(found: PoseResult, result: PoseResult) -> float:
+    """Return the noise of drawn matches beside a pose that was not fitted to them, px.
+
+    It is larger than that beside their own pose, which follows the errors of few lines, but only within reason.
+    """
+    matches = result.matches
+    if not len(matches):
+        return result.sigma_px
+    off = found.camera.difference(matches.uv, found.camera.project(found.camera_from_scanner @ matches.points))
+    lengths = np.hypot(*across_lines(matches, off).T)
+    scatter = float(np.median(np.where(np.isfinite(lengths), lengths, np.inf))) / _MEDIAN_OF_RAYLEIGH
+    return float(np.clip(scatter, result.sigma_px, _MOST_NOISE_BESIDE * result.sigma_px))
+
+
 def _judged(scan: Scan, result: PoseResult, found: Verification, placement: PoseResult) -> ImageCheck:
     if not placement.accepted:
         if found.accepted:
@@ -233,15 +255,26 @@ def _judged(scan: Scan, result: PoseResult, found: Verification, placement: Pose
     far = _is_far(result, placement)
     if result.evidence == "given":
         return _judged_as_given(found, placement, where, contradicted=far and apart_px > GateOptions().same_pose_px)
+    agree, total = count_picks(result.matches, _agreeing(placement, result))
+    if not far and 2 * agree < total:  # as where another principal point makes up for another pose
+        sentence = (
+            f"The images verify another placement, {where}, with which only {agree} of {total} matches agree: use that "
+            "pose, or correct the matches."
+        )
+        return ImageCheck("contradicted", sentence, found, placement)
     if far:
         sentence = (
             f"The images verify another placement, {where}, which is more than three standard deviations: use that "
             "pose, or correct the matches."
         )
         return ImageCheck("contradicted", sentence, found, placement)
-    own = " ".join(found.reasons) if found.accepted else ""
     near = f"The images verify a pose {where}, within its uncertainty."
-    return ImageCheck("verified", " ".join(filter(None, [own, near])), found, placement)
+    if found.accepted:
+        return ImageCheck("verified", " ".join([*found.reasons, near]), found, placement)
+    statistics = result.diagnostics.get("statistics") or _statistics_of(result)
+    # what its matches do not support may be as uncertain as anything: that another pose lies within it confirms nothing
+    outcome: Outcome = "verified" if statistics["accepted"] else "undecidable"
+    return ImageCheck(outcome, near, found, placement)
 
 
 def _judged_as_given(found: Verification, placement: PoseResult, where: str, *, contradicted: bool) -> ImageCheck:

@@ -44,8 +44,8 @@ _WRONG_CAMERA = (
 )
 _MOST_FALSE_ALARM_WITH_CAMERA = 0.05  # a wall of the same bricks .26, a real capture .004, most 1e-7 and less
 _BY_CHANCE = (
-    "With the camera estimated as well, as many regions agree by chance, as in a repeated pattern: probability {:.1g}, "
-    f"and at most {_MOST_FALSE_ALARM_WITH_CAMERA:g} is allowed. Give a camera file."
+    "With the camera estimated as well, as many regions agree by chance, as in a repeated pattern: probability {:.1g}. "
+    "Give a camera file."
 )
 _MAX_LOG_FOCAL_SIGMA = 0.02
 _ROUNDS = 4

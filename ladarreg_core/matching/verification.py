@@ -225,28 +225,22 @@ def verify(coarse: Agreement, fine: Agreement | None, options: GateOptions | Non
     reasons = []
     if n < o.least_regions and not (n and beyond_accident):
         reasons.append(
-            f"Only {n} image regions have enough structure in the scan for a comparison; at least "
-            f"{o.least_regions} are needed, or fewer if nearly all of them agree."
+            f"Only {n} image regions have enough structure in the scan for a comparison: too few, unless nearly all of "
+            "them agree."
         )
     else:
         if f < o.fraction:
-            reasons.append(f"{a} of {n} image regions agree ({f:.0%}); at least {o.fraction:.0%} is needed.")
+            reasons.append(f"Only {a} of {n} image regions agree ({f:.0%}).")
         if zb < o.contrast:
             reasons.append(
-                f"The agreement is not distinct from that of shifted images: {zb:.1f} standard deviations; at least "
-                f"{o.contrast:.1f} are needed."
+                f"The agreement is not distinct enough from that of shifted images: {zb:.1f} standard deviations."
             )
         if not (enough or beyond_accident) and f >= o.fraction:
             reasons.append(
-                f"Too few image regions agree: {a}; at least {o.many} are needed, or fewer if "
-                f"{min(o.few_fraction, o.fewest_fraction):.0%} agree at {o.few_contrast:.1f} standard deviations and "
-                "chance agreement is ruled out."
+                f"Too few image regions agree: {a} of {n}; so few count only where nearly all agree beyond chance."
             )
         if f0 is not None and f0 < o.fine_fraction:
-            reasons.append(
-                f"At full resolution only {f0:.0%} of the image regions agree within {o.fine_near_px:g} px; at least "
-                f"{o.fine_fraction:.0%} is needed."
-            )
+            reasons.append(f"At full resolution only {f0:.0%} of the image regions agree within {o.fine_near_px:g} px.")
     accepted = not reasons
     if accepted:
         reasons.append(f"{a} of {n} image regions agree with the scan ({f:.0%}).")
@@ -289,8 +283,7 @@ def beside_wrong_poses(
     if false_alarm > options.own_false_alarm or highest * options.own_margin > 1:
         reason = (
             f"It does not stand out from {what}: they correlate up to {highest:.0%} as well, and one as good has a "
-            f"probability of {false_alarm:.1g}; at most {1 / options.own_margin:.0%} and "
-            f"{options.own_false_alarm:.1g} are allowed."
+            f"probability of {false_alarm:.1g}."
         )
         reasons = verdict.reasons if verdict.accepted else (*verdict.reasons, reason)
         return replace(verdict, reasons=reasons, wrong_poses=count)
@@ -341,8 +334,7 @@ def check_precision(
     sigma_px = float(np.nanmedian(pixel_sigma(pose @ some, camera, pose.rotation, covariance)))
     if sigma_px <= most:
         return verdict
-    digits = 1 if f"{sigma_px:.1f}" != f"{most:.1f}" else 2
-    known = f"is known to {sigma_px:.{digits}f} px of the photo only, and {most:.{digits}f} px are needed"
+    known = f"is known to {sigma_px:.1f} px of the photo only, {_times(sigma_px / most)} what is accepted"
     if not sigma_px <= _MEANINGFUL * max(camera.size):
         known = "is not determined"
     if coarse and not verdict.by_few:
@@ -354,6 +346,11 @@ def check_precision(
         remedy = "Give a camera file, or draw a few matches."
     reason = f"The image regions agree, but {why}: the pose {known}. {remedy}"
     return replace(verdict, accepted=False, reasons=(reason,))
+
+
+def _times(ratio: float) -> str:
+    """Return a factor above 1 with enough digits to tell it from 1."""
+    return f"{ratio:.2g} times" if ratio >= 1.1 else "slightly more than"
 
 
 def region_markers(

@@ -28,17 +28,20 @@ from ladarreg_core.pose.covariance import guarded_inverse
 
 _SHARED_BY_ENDS = 0.8
 _BETWEEN_LINES = 2.0
+_LEAST_SIGMA_PX = 0.5
+"""Noise of the most careful hand, px."""
 _LEAST_LEFT = 0.02
 """Least information that the other lines count as having in any direction, as a share of that of all."""
 
 
-def scatter_between_lines(at: Evaluation, matches: Matches, inliers: BoolArray) -> FloatArray:
+def scatter_between_lines(at: Evaluation, matches: Matches, inliers: BoolArray, *, sigma_px: float) -> FloatArray:
     """Return what is to be added to the covariance (6, 6) of a pose that was fitted to drawn lines.
 
     Args:
         at: all matches at the pose.
         matches: the same matches; those of one pick are left out together.
         inliers: (M,) bool, the matches that the pose was fitted to.
+        sigma_px: the noise that was estimated from them, px; below a floor, it is that of a lucky hand.
     """
     J, K = parts_of_information(at, inliers)
     H, unit, inverse = information_of(J, K)
@@ -54,4 +57,5 @@ def scatter_between_lines(at: Evaluation, matches: Matches, inliers: BoolArray) 
         moves.append(guarded_inverse((H - A) * square, least=_LEAST_LEFT) * square @ g)
     d = np.array(moves).reshape(-1, 6)
     between = d.T @ d * (len(used) - 1) / max(len(used), 1)
-    return np.asarray(_SHARED_BY_ENDS * inverse * square + _BETWEEN_LINES * between)
+    below_floor = max((_LEAST_SIGMA_PX / sigma_px) ** 2 - 1, 0.0)
+    return np.asarray((_SHARED_BY_ENDS + below_floor) * inverse * square + _BETWEEN_LINES * between)

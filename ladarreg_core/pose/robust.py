@@ -129,7 +129,9 @@ def _result(
     if covariance is None:
         covariance = pose_covariance(solution.fit.at.information(solution.fit.inliers))
     if solution.matches.has_lines and options.sigma_px is None:
-        scatter = scatter_between_lines(solution.fit.at, solution.matches, solution.fit.inliers)
+        scatter = scatter_between_lines(
+            solution.fit.at, solution.matches, solution.fit.inliers, sigma_px=solution.sigma[0]
+        )
         covariance = covariance + scatter
         if camera_uncertainty is not None:
             camera_uncertainty = camera_uncertainty.with_scatter(scatter)

@@ -12,6 +12,8 @@ from ladarreg_core.results import STAGE_LABELS, verdict_words
 StepName = Literal["match", "solve", "judge", "export"]
 LEAST_POINTS = 4
 """Fewest points of a pose; a line counts as its two ends."""
+_PLACED = ("registered", "kept")
+"""States of a station that has a verified place beside the fixed one."""
 _SOLVE = "Solve from the matches, or register automatically."
 _DRAW = "draw a line along an edge in one picture, then along the same edge in the other"
 _NO_COLOURS = "Only registration data can be exported: nothing is coloured by a pose that is not accepted."
@@ -147,3 +149,24 @@ def _to_judge(entry: PhotoEntry) -> str:
     if entry.pose is None:
         return "Solve first."
     return "" if entry.pose.accepted else "The shown pose is not accepted: see the reasons and suggestions."
+
+
+def stations_step(states: Sequence[str], *, current: bool) -> tuple[bool, str, str]:
+    """Return whether all stations are registered to each other, and what is so and missing, as sentences.
+
+    Args:
+        states: of each station, the one that is shown first: `fixed`, `registered`, `kept`, or another one.
+        current: whether they were registered as they are now.
+    """
+    every = counted(len(states), "station")
+    if not current:
+        return False, f"{every}.", "Register them to each other."
+    others = sum(state in _PLACED for state in states)
+    placed = others + 1 if others else 0  # the fixed one is registered only to another one
+    if placed == len(states):
+        return True, f"{every} registered.", ""
+    return (
+        False,
+        f"{placed} of {every} registered." if placed else f"None of {every} registered.",
+        "See why the others are not registered; give them a rough place, or scan from a station in between.",
+    )

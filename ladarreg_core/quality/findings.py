@@ -18,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ladarreg_core.formatting import format_length, format_number
+from ladarreg_core.matches import count_picks
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, count_distinct
 from ladarreg_core.pose.diagnostics import diagnose
 from ladarreg_core.pose.thesis.linear import LEAST_PLANARITY
@@ -108,6 +109,7 @@ def findings(result: PoseResult) -> tuple[Finding, ...]:
 
 def _matches(result: PoseResult) -> Finding:
     inliers = result.matches.subset(result.inliers)
+    agree, _ = count_picks(result.matches, result.inliers)
     different = count_distinct(inliers.points, inliers.uv) if len(inliers) else 0
     by_pick: dict[str, list[int]] = {}
     for name, known in zip(inliers.pick_ids, inliers.dimensions.tolist(), strict=True):
@@ -115,13 +117,12 @@ def _matches(result: PoseResult) -> Finding:
     # The two ends of a line were drawn independently; further samples share their errors, and add by their square root.
     as_points = sum(max(min(len(known), 2), np.sqrt(len(known))) * np.mean(known) / 2 for known in by_pick.values())
     count = min(different, int(as_points + 1e-9))
-    lines = "" if count == different else f", equivalent to {count} points"
     level = _below(count, FEW_MATCHES)
     return Finding(
         "matches",
         level,
-        f"{different} distinct matches agree with the pose{lines}.",
-        _unless_good(level, f"Add matches: a good pose needs {FEW_MATCHES[0]} or more."),
+        f"{agree} {'match agrees' if agree == 1 else 'matches agree'} with the pose.",
+        _unless_good(level, "Draw more matches, far apart: they make the pose more certain, and mistakes show."),
         {"different": different, "as_points": count, "picks": len(by_pick)},
     )
 
@@ -136,7 +137,7 @@ def _inliers(result: PoseResult) -> Finding | None:
     drawn = _are_drawn(result)
     if level == "good" and (suspects.by_robust or (drawn and _rejected_by_chance(result) < _CHANCE)):
         level = "fair"
-    words = f"{share:.0%} of {count} matches are inliers"
+    words = "{} of {} matches agree".format(*count_picks(result.matches, result.inliers))
     advice = "Check the outliers; correct or remove the wrong ones."
     if suspects.pick_ids and drawn:
         named = list(suspects.pick_ids[:_MOST_NAMED])

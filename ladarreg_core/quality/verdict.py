@@ -93,7 +93,7 @@ def verdict_of(
     count, total = count_picks(result.matches, result.inliers)
     return Verdict(
         light=light,
-        line=f"Out of date: {stale}." if stale else words,
+        line=f"Out of date: {stale.partition(':')[0]}." if stale else words,  # what to do is the next step
         position=format_length(result.sigma_position_m) if known else "",
         pixels=f"{format_number(uncertainty.median_px)} px" if known and uncertainty is not None else "",
         matches=f"{count} of {total} matches agree" if total else "",

@@ -264,8 +264,7 @@ def _against_sight(evidence: PairEvidence, o: PairOptions) -> list[str]:
     against = []
     if not evidence.overlap >= o.least_overlap:
         against.append(
-            f"Only {evidence.overlap:.1%} of the surfaces were measured from both stations; {o.least_overlap:.1%} "
-            "are needed. Put a station in between."
+            f"Only {evidence.overlap:.1%} of the surfaces were measured from both stations. Put a station in between."
         )
     if not evidence.contradicted <= o.most_contradicted:
         against.append(
@@ -280,9 +279,7 @@ def _verdict(
 ) -> tuple[PairVerdict, tuple[str, ...]]:
     against, unsure = _against_sight(evidence, o), []
     if evidence.held_out_planes < o.least_held_out:
-        against.append(
-            f"{evidence.held_out_planes} surfaces were left to check the alignment by; {o.least_held_out} are needed."
-        )
+        against.append(f"Only {evidence.held_out_planes} surfaces were left to check the alignment by.")
     elif not evidence.held_out_ratio <= o.most_held_out_ratio:
         against.append(
             f"On surfaces that were kept from the alignment the scans are {evidence.held_out_ratio:.1f} times as far "

@@ -72,7 +72,7 @@ def test_frames_are_added_and_matches_stay(browser: Browser, workbench: SharedWo
     dialog.wait_for(state="hidden")
     assert files_of(page) == ["sweep9.npz", "sweep10.npz", "sweep11.npz"]
     assert len(page.evaluate(SLICE, "picks:p1")) == len(room_matches())
-    verdict.get_by_text("Out of date: solved on fewer clouds: solve again.").wait_for()
+    verdict.get_by_text("Out of date: solved on fewer clouds.").wait_for()
     shot(page, "frames-stale")
     page.get_by_role("button", name="Undo: Add frame sweep11.npz").click()
     verdict.get_by_text("Out of date:").wait_for(state="hidden")

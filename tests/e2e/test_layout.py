@@ -16,7 +16,7 @@ from testing.workbench.shared import SharedWorkbench
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-WIDTHS = {390: 844, 768: 1024, 1024: 768, 1280: 800, 1440: 900, 1920: 1080}
+WIDTHS = {390: 844, 768: 1024, 1024: 768, 1280: 800, 1440: 900, 1600: 900, 1920: 1080}
 STEPS = ("Acquire", "Stations", "Match", "Solve", "Judge", "Export")
 THEMES = ("dark", "light")
 
@@ -71,3 +71,25 @@ def test_every_part_and_panel_fits(busy: Operator) -> None:
         busy.page.get_by_role("navigation", name="Shown part").get_by_role("button", name=part, exact=True).click()
         found += faults_at(busy, 390, part.lower())
     assert not found, "\n".join(found)
+
+
+DRAWN = """(side) => {
+  const canvas = document.querySelector(`#${side}-pane .pane-matches`);
+  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  let count = 0;
+  for (let k = 3; k < data.length; k += 4) count += data[k] > 0;
+  return count;
+}"""
+
+
+@pytest.mark.slow
+def test_matches_can_be_hidden_in_the_pictures(busy: Operator) -> None:
+    page = busy.page
+    busy.wait(lambda: min(page.evaluate(DRAWN, side) for side in ("scan", "photo")) > 100, "matches are drawn")
+    page.locator("#photo-pane .pane-body").focus()
+    page.keyboard.press("x")
+    busy.wait(lambda: not any(page.evaluate(DRAWN, side) for side in ("scan", "photo")), "matches are hidden")
+    eye = page.get_by_role("button", name="Matches in the pictures").first
+    assert eye.get_attribute("aria-pressed") == "false"
+    eye.click()
+    busy.wait(lambda: min(page.evaluate(DRAWN, side) for side in ("scan", "photo")) > 100, "matches are drawn again")

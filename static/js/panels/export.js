@@ -211,8 +211,8 @@ export const mountExport = () => {
         ? `${stage.label}: out of date. ${stale}, or export the last solved state.`
       : accepted
         ? `${stage.label}: ${stage.summary.words}. ${exported ? "Exported." : "All files will be written."}`
-        : `${stage.label}: ${stage.summary.words}. Only the data files will be written, with the reasons; no coloured ` +
-          "output.";
+        : `${stage.label}: ${stage.summary.words}. Only the data files ${exported ? "were" : "will be"} written, with the ` +
+          "reasons; no coloured output.";
     setChildren(
       verdict,
       element(

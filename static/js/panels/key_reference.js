@@ -27,6 +27,7 @@ const KEYS = [
   { group: "View", keys: "Space or right drag", what: "Pan" },
   { group: "View", keys: "0, double click", what: "Fit the picture" },
   { group: "View", keys: "1", what: "One image pixel per screen pixel" },
+  { group: "View", keys: "X", what: "Hide or show the matches in the pictures" },
   { group: "View", keys: "C", what: "Show or hide detected corners" },
   { group: "View", keys: "K", what: "Link both pictures" },
   { group: "View", keys: "Page Up, Page Down", what: "Previous, next view of the scan" },

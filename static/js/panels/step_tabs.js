@@ -7,7 +7,11 @@ import { stationsStep } from "../state/stations.js";
 import { view } from "../state/view.js";
 import { element, newId, setChildren, setText } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
+import { lightOf } from "../ui/lights.js";
 import { markChosen, navigateByArrows } from "../ui/tablist.js";
+
+/** Steps whose tick rests on the verdict. */
+const JUDGED = new Set(["solve", "judge"]);
 
 /** @returns {import("../state/progress.js").WorkStep[]} of the shown photograph */
 export const stepsNow = () => [
@@ -46,13 +50,15 @@ export const mountStepTabs = () => {
     for (const { name, done, missing, status } of stepsNow()) {
       const { tab, described, sign } = tabs.get(name);
       tab.classList.toggle("done", done);
-      setChildren(sign, done ? icon("tick") : null);
+      const onMatches = JUDGED.has(name) && store.photo()?.light === "matches_only"; // never the green of what is verified
+      sign.classList.toggle("only", onMatches);
+      setChildren(sign, done ? icon(onMatches ? lightOf("matches_only").sign : "tick") : null);
       tab.title = [status, missing].filter(Boolean).join("\n");
       setText(described, `${done ? "Done. " : ""}${status} ${missing}`);
     }
     markChosen([...tabs.values()].map(({ tab }) => tab), tabs.get(view.get().step).tab);
   };
-  store.watch(["shown", "progress", "progress:*", "acquisition", "stations"], show);
+  store.watch(["shown", "photos", "progress", "progress:*", "acquisition", "stations"], show);
   view.on((_, changed) => changed.has("step") && show());
   show();
   return list;

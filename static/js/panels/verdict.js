@@ -171,7 +171,7 @@ export const mountVerdict = () => {
     body,
   );
   let drawn = "";
-  let unfolded = true;
+  let unfolded = false;
   const show = () => {
     const stage = store.stageOf();
     const judged = store.judgedOf();

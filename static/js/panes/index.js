@@ -115,7 +115,7 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
       controller.handle("nothing");
     }
     if (["hovered", "selected", "end", "loupe", "snap"].some((name) => changed.has(name))) controller.redraw("live");
-    if (changed.has("corners")) controller.redraw("matches");
+    if (changed.has("corners") || changed.has("marks")) controller.redraw("matches");
   });
   applyFilters(view.get());
   showSlices();

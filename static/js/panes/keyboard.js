@@ -14,7 +14,7 @@ const PRESSABLE = "button, a, summary, label";
 const PRESS_KEYS = new Set(["Enter", " ", "Tab"]);
 
 /** Keys that work even where a control uses other keys itself. */
-const EVERYWHERE = new Set(["l", "p", "v", "s", "o", "n", "k", "c", "escape"]);
+const EVERYWHERE = new Set(["l", "p", "v", "s", "o", "n", "k", "c", "x", "escape"]);
 
 /**
  * What keys do to matches and to the crosshair; most return whether there was anything to do.
@@ -172,6 +172,7 @@ export const listenToKeys = (controller, tools, space) => {
     1: () => (pane().zoomTo(1, "hand"), true),
     o: () => (view.set({ loupe: !view.get().loupe }), true),
     c: () => (view.set({ corners: view.get().corners === false }), true),
+    x: () => (view.set({ marks: view.get().marks === false }), true),
     n: () => (view.set({ snap: !view.get().snap }), true),
     k: () => (controller.posed ? (view.set({ linked: !view.get().linked }), true) : false),
     "[": () => chooseEnd(-1),

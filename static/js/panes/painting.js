@@ -68,7 +68,8 @@ export class Painting {
     const controller = this.#controller;
     const { look } = this;
     const draggedId = this.#tools.dragged?.id;
-    const marks = this.#sideOf.extent ? controller.marks(this.#side).filter(({ id }) => id !== draggedId) : [];
+    const shown = this.#sideOf.extent && controller.view.get().marks !== false;
+    const marks = shown ? controller.marks(this.#side).filter(({ id }) => id !== draggedId) : [];
     return {
       viewport: { ...viewport }, size, look,
       corners: this.#sideOf.extent && controller.showsCorners ? controller.corners(this.#side) : [],

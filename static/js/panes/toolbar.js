@@ -11,6 +11,7 @@ const TOOLS = [
 const AIDS = [
   ["snap", "Snap to edges and corners", "Snap lines to the edge under them and points to a corner (N); hold Shift to suspend"],
   ["loupe", "Loupe", "Show the loupe before drawing, too (O); while drawing it is always shown"],
+  ["marks", "Matches in the pictures", "Show the matches in the pictures (X)"],
   ["corners", "Detected corners", "Show detected corners (C)"],
 ];
 
@@ -51,7 +52,7 @@ export const mountToolbar = (controller, pane) => {
     aids.at(-1)[1].hidden = !controller.store.get(`corners:${controller.store.shown()}`);
     pane.body.dataset.tool = state.tool;
   };
-  view.on((_, changed) => (changed.has("tool") || changed.has("snap") || changed.has("loupe") || changed.has("corners")) && show());
+  view.on((_, changed) => (changed.has("tool") || changed.has("snap") || changed.has("loupe") || changed.has("marks") || changed.has("corners")) && show());
   controller.store.watch(["corners:*", "shown"], show);
   show();
 };

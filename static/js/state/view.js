@@ -13,6 +13,7 @@
  * @property {boolean} snap lines snap to the edge under them, points to a corner
  * @property {boolean} loupe
  * @property {boolean} corners detected corners are shown
+ * @property {boolean} marks matches are shown in the pictures; a selected one, and that under the pointer, always
  * @property {{show: string, low: number, high: number, equalise: boolean, gamma: number, brightness: number,
  *             contrast: number, view: number}} scan
  * @property {boolean} stretching a slider of the scan's contrast is being dragged: its picture is previewed, not loaded
@@ -45,6 +46,7 @@ const defaults = () => ({
   snap: true,
   loupe: true,
   corners: true,
+  marks: true,
   scan: { show: "intensity", low: 1, high: 99.5, equalise: false, gamma: 0.6, brightness: 1, contrast: 1, view: 0 },
   stretching: false,
   photo: { brightness: 1, contrast: 1, overlay: "none", blend: 0.5, swipe: 0.5 },

@@ -225,7 +225,8 @@ def test_manual_matches_get_a_few_lines_of_advice(
     block = [head for head in heads if head in ("Image", "Poor", "Fair", "Check", "Next", "Smooth")]
     assert len(block) <= 8
     assert heads.count("Next") == heads.count("Smooth") == 1
-    assert (code == ExitCode.ACCEPTED) == ("Image" in block) == (count >= 12)
+    assert code == ExitCode.ACCEPTED
+    assert "Image" in block
     document = json.loads((tmp_path / "out" / "registration.json").read_text())
     worse = [finding for finding in document["findings"] if finding["level"] != "good"]
     if spread < 1:
