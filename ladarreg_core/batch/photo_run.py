@@ -242,8 +242,7 @@ class _Run:
                 results[entry.id] = _failed(entry.fault)
                 continue
             pooled = camera_of[entry.id]
-            fields = None if pooled is None else pooled.as_fields()
-            whole[entry.id] += "/" + ContentCache.key(camera=fields, frame=self.frame)
+            whole[entry.id] += "/" + ContentCache.key(camera=_camera_fields(pooled, entry), frame=self.frame)
             known = self.folder.journal.find(_DONE, entry.id, whole[entry.id])
             if known is not None and self.folder.has_results(entry.id):
                 results[entry.id] = dict(known)
@@ -297,6 +296,14 @@ class _Run:
         for name in self.folder.journal.names(_DONE):
             if name not in ids:
                 self.folder.remove(name)
+
+
+def _camera_fields(pooled: PooledCamera | None, entry: PhotoEntry) -> dict[str, Any] | None:
+    """Return what the result of a photograph depends on of the pooled camera."""
+    if pooled is None:
+        return None
+    how = {"agrees": entry.id in pooled.photos, "disagrees": entry.id in pooled.disagreeing}
+    return {"values": pooled.values.tolist(), "covariance": pooled.covariance.tolist(), **how}
 
 
 def _failed(why: str) -> dict[str, Any]:

@@ -183,10 +183,11 @@ def _with_camera(task: PhotoTask, scan: Scan, photo: Photo, pooled: PooledCamera
     else:
         result = _registered(task, scan, seen, options)
     result = with_pooled_camera(result, pooled, task.orientation)
-    sentence = _pooled_sentence(pooled)
-    if task.id in pooled.disagreeing:
-        sentence = _disagreed_sentence(pooled, accepted=result.accepted)
-    return replace(result, reasons=(*result.reasons, sentence)), seen
+    if task.id not in pooled.disagreeing:
+        return replace(result, reasons=(*result.reasons, _pooled_sentence(pooled))), seen
+    sentence = _disagreed_sentence(pooled, accepted=result.accepted)
+    reasons = (*result.reasons, sentence) if result.accepted else (sentence, *result.reasons)
+    return replace(result, reasons=reasons), seen
 
 
 def _with_prior(options: RegisterOptions, pooled: PooledCamera, camera: CameraModel) -> RegisterOptions:

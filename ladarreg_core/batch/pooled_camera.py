@@ -110,15 +110,6 @@ class PooledCamera:
         turn = _turn(orientation)
         return np.asarray(turn @ self.covariance @ turn.T)
 
-    def as_fields(self) -> dict[str, Any]:
-        """Return the fields as JSON-ready values."""
-        return {
-            "values": self.values.tolist(),
-            "covariance": self.covariance.tolist(),
-            "photos": list(self.photos),
-            "disagreeing": list(self.disagreeing),
-        }
-
 
 def may_be_turned(orientation: int) -> bool:
     """Return whether a camera can be pooled over photographs of an EXIF orientation: whether it is not mirrored."""

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import ladarreg_core as lr
 from ladarreg_core.batch import photo_run
@@ -144,6 +145,22 @@ def test_what_is_missing_or_was_added_is_done_and_nothing_else(site: Site, again
     after = written(again)
     assert {name for name in after if after[name] != before.get(name)} == {"IMG_0002"}
     assert summary(again) == was, "the same with another number of processes"
+
+
+def test_a_zoomed_photograph_with_the_same_exif_is_refused_and_changes_no_other(site: Site, again: Path) -> None:
+    with Image.open(site.photos[3]) as image:
+        width, height = image.size
+        part = (0.03 * width, 0.03 * height, 0.97 * width, 0.97 * height)
+        pixels = np.asarray(image.resize(image.size, Image.Resampling.BICUBIC, box=part))
+    zoomed = again.parent / "zoomed.jpg"
+    write_phone_photo(zoomed, pixels, site.truth.camera, focal_error=0.02)
+    before = written(again)
+    result = site.register(again, [*site.photos, zoomed])
+    assert result.cameras["camera-1"]["disagreeing"] == ["zoomed"]
+    assert not result.photos["zoomed"]["accepted"]
+    assert "zoomed or cropped" in result.photos["zoomed"]["reasons"][0]
+    after = written(again)
+    assert {name for name in after if after[name] != before.get(name)} == {"zoomed"}
 
 
 def test_other_options_are_refused_unless_they_may_replace(site: Site, again: Path) -> None:

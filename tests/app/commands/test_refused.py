@@ -90,10 +90,10 @@ def test_the_overlay_says_refused_across_the_picture(refused: Path, other_scene:
 
 
 def test_a_result_without_any_candidate_still_has_a_picture(other_scene: Path) -> None:
-    from ladarreg_core.registration import _no_pose
+    from ladarreg_core.matching.from_images import no_pose
 
     scan, photo = read_scan(SAMPLE / "scan.npz"), read_photo(other_scene, focal_px=974.0)
-    result = _no_pose(scan, photo)
+    result = no_pose(scan, photo)
     assert not result.has_pose
     assert rejected_overlay(scan, photo, result).shape[1] == photo.camera.width
 
