@@ -66,7 +66,7 @@ class Channels:
             return tuple(self._entries)
 
     def arrays(self, key: str) -> dict[str, NDArray[Any]]:
-        """Return an entry as plain arrays, by name: bool, float32 and one int64, without objects, as `np.savez` takes.
+        """Return an entry as plain arrays, by name, without objects, as `np.savez` takes.
 
         What was made of the channels, such as the descriptors of corners, is not among them, but made again.
 
@@ -128,7 +128,7 @@ class Channels:
             if isinstance(found, ScanLevels):
                 levels = found if found.view.scan is scan else _of_scan(found, scan)
             else:
-                levels = _view_of(found, scan, camera, direction, channel_set, coarse, harmonics)  # type: ignore[arg-type]
+                levels = _view_of(found, scan, direction, channel_set, coarse, harmonics)  # type: ignore[arg-type]
             self._put(key, levels)
         return levels
 
@@ -228,7 +228,7 @@ def _rays_digest(scan: Scan) -> str:
 
 _PHOTO_ARRAYS = {f"{name} {L}" for name in ("usable", "channels") for L in LEVELS} | {f"planes {L}.0" for L in LEVELS}
 _SCAN_ARRAYS = {f"{name} {L}" for name in ("gray", "channels") for L in LEVELS} | {
-    "view intensity", "view cells", "smooth ranges", "ranges", "edge", "block_px",
+    "view intensity", "view cells", "smooth ranges", "ranges", "edge", "block_px", "view camera",
 }  # fmt: skip
 
 
@@ -255,6 +255,8 @@ def _arrays_of(entry: PhotoLevels | ScanLevels | Arrays) -> dict[str, NDArray[An
         found |= {"view intensity": entry.view.intensity, "view cells": entry.view.cells}
         found |= {"smooth ranges": entry.smooth_ranges, "ranges": entry.ranges, "edge": entry.edge}
         found["block_px"] = np.array(entry.block_px, np.int64)
+        c = entry.view.camera  # not that of the photograph, whose principal point may be elsewhere
+        found["view camera"] = np.array([c.width, c.height, c.fx, c.fy, c.cx, c.cy], np.float64)
         found |= {} if entry.structured is None else {"structured": entry.structured}
         return found | ({_FINE: entry.made[_FINE]} if _FINE in entry.made else {})
     return dict(entry)
@@ -276,8 +278,10 @@ def _photo_of(arrays: Arrays, source: Camera, working: Camera, harmonics: int) -
 
 
 def _view_of(
-    arrays: Arrays, scan: Scan, camera: Camera, direction: Rigid, channel_set: ChannelSet, coarse: bool, harmonics: int
+    arrays: Arrays, scan: Scan, direction: Rigid, channel_set: ChannelSet, coarse: bool, harmonics: int
 ) -> ScanLevels:
+    width, height, *intrinsics = arrays["view camera"].tolist()
+    camera = Camera(int(width), int(height), *intrinsics)
     levels = ScanLevels(
         View(scan, camera, direction, arrays["view intensity"], arrays["view cells"]),
         (camera, *(camera.scaled(0.5**level) for level in LEVELS[1:])),

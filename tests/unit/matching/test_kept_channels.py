@@ -107,6 +107,18 @@ def test_they_go_through_plain_arrays_without_loss(
             np.testing.assert_array_equal(array, theirs[name], strict=True)
 
 
+def test_a_principal_point_beside_the_middle_survives_plain_arrays(room: PaintedRoom) -> None:
+    """The view of a scan is centred, whatever the photograph's camera."""
+    camera = replace(room.photo.pinhole, cx=room.photo.pinhole.cx + 3, cy=room.photo.pinhole.cy - 5)
+    photo = replace(room.photo, camera=camera)
+    alone, channels, loaded = lr.register(room.scan, photo), lr.Channels(), lr.Channels()
+    kept_view.forget()
+    lr.register(room.scan, photo, channels=channels)
+    for key in channels.keys:
+        loaded.add(key, channels.arrays(key))
+    assert_same(lr.register(*again(room)[:1], photo, channels=loaded), alone)
+
+
 def test_keys_are_of_all_that_matters(room: PaintedRoom) -> None:
     scan, photo = room.scan, room.photo
     pair = PairLevels(scan, photo)
