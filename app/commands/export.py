@@ -176,7 +176,7 @@ def _state(photo: RegisteredPhoto) -> str:
     result = photo.registration
     if not result.accepted:
         return photo.mark or "not accepted"
-    evidence = "verified on the image" if result.evidence == "image" else result.evidence
+    evidence = {"image": "verified on the image", "statistics": "on matches only"}.get(result.evidence, result.evidence)
     return f"{result.caveat or 'accepted'}, {evidence}"
 
 

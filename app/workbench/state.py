@@ -185,7 +185,7 @@ def progress_slice(loader: Loader, document: Document, entry: PhotoEntry | None,
         loader.photo(entry)
     except CameraError:
         missing = True
-    except Exception:  # noqa: BLE001: the slice `photos` states it
+    except Exception:  # the slice `photos` states it
         missing = False
     return asdict(progress_of(document, entry, missing_camera=missing, stale=stale, exported=exported))
 

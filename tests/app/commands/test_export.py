@@ -95,7 +95,7 @@ def test_a_project_goes_out_with_all_its_registered_photographs(
     out = tmp_path / "out"
     words = ["export", str(project), "--to", "opencv", "-o", str(out), "--photo", "Größe 2.png"]
     assert main(words) == ExitCode.ACCEPTED
-    assert "Photo    Gr-e-2: accepted, statistics" in capsys.readouterr().out
+    assert "Photo    Gr-e-2: accepted, verified on the image" in capsys.readouterr().out
     assert ids(out) == ["Gr-e-2"]
     assert "Gr-e-2.yaml" in {path.name for path in (out / "opencv").iterdir()}
     said = complaint(capsys, str(project), "--to", "report", "-o", str(out), "--force", "--photo", "p3")
