@@ -43,11 +43,12 @@ def parse(kind: type[T], words: Sequence[str], *, prog: str, description: str) -
 
     from .help import examples_of, help_text, misspelt
 
+    plain: type = kind
     kind = getattr(kind, "chosen_by", lambda _: kind)(words)
     if "-h" in words or "--help" in words:
         print(help_text(kind, prog=prog, summary=description, examples=examples_of(kind)))
         raise SystemExit(0)
-    wrong = misspelt(kind, words)
+    wrong = misspelt(kind, words, plain=plain)
     if wrong is not None:
         raise OptionError(f"{wrong} (see {prog} --help)")
     errors = io.StringIO()

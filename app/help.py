@@ -98,14 +98,23 @@ def examples_of(kind: type) -> tuple[str, ...]:
     return tuple(getattr(sys.modules[kind.__module__], "EXAMPLES", ()))
 
 
-def misspelt(kind: type, words: Iterable[str]) -> str | None:
-    """Return a sentence on the first word that is no option of a command; None if all are."""
+def misspelt(kind: type, words: Iterable[str], *, plain: type | None = None) -> str | None:
+    """Return a sentence on the first word that is no option of a command; None if all are.
+
+    Args:
+        kind: the arguments of the command, or of the variant that the words choose.
+        words: the words.
+        plain: the arguments of the command itself, whose other options the variant does not take.
+    """
+    others = set() if plain is None else {flag for one in arguments_of(plain, with_texts=False) for flag in one.flags}
     flags = [flag for one in arguments_of(kind, with_texts=False) for flag in one.flags] + ["--help", "-h"]
     for word in words:
         if word == "--":
             return None
         given = word.split("=", 1)[0]
         if given.startswith("--") and given.replace("_", "-") not in flags:
+            if given.replace("_", "-") in others:
+                return f"{given} is for one photo and one scan; register that pair by itself"
             return f"{given} is not an option{suggestion(given.replace('_', '-'), flags)}"
     return None
 

@@ -255,11 +255,12 @@ def _judged(scan: Scan, result: PoseResult, found: Verification, placement: Pose
     far = _is_far(result, placement)
     if result.evidence == "given":
         return _judged_as_given(found, placement, where, contradicted=far and apart_px > GateOptions().same_pose_px)
-    agree, total = count_picks(result.matches, _agreeing(placement, result))
-    if not far and 2 * agree < total:  # as where another principal point makes up for another pose
+    own, _ = count_picks(result.matches, result.inliers)
+    agree, _ = count_picks(result.matches, result.inliers & _agreeing(placement, result))
+    if not far and 2 * agree < own:  # as where another principal point makes up for another pose
         sentence = (
-            f"The images verify another placement, {where}, with which only {agree} of {total} matches agree: use that "
-            "pose, or correct the matches."
+            f"The images verify another placement, {where}, with which {agree} of the {own} matches agree that the pose "
+            "rests on: use that placement, or correct the matches."
         )
         return ImageCheck("contradicted", sentence, found, placement)
     if far:
