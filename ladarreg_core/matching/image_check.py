@@ -259,8 +259,8 @@ def _judged(scan: Scan, result: PoseResult, found: Verification, placement: Pose
     agree, _ = count_picks(result.matches, result.inliers & _agreeing(placement, result))
     if not far and 2 * agree < own:  # as where another principal point makes up for another pose
         sentence = (
-            f"The images verify another placement, {where}, with which {agree} of the {own} matches agree that the pose "
-            "rests on: use that placement, or correct the matches."
+            f"The images verify another placement, {where}, with which {agree} of the {own} matches agree that support "
+            "this pose: use that placement, or correct the matches."
         )
         return ImageCheck("contradicted", sentence, found, placement)
     if far:
