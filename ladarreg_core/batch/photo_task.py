@@ -177,7 +177,7 @@ def _with_camera(task: PhotoTask, scan: Scan, photo: Photo, pooled: PooledCamera
     if task.start is not None:
         near = replace(options, auto=replace(options.auto, reach="near_start"))
         result = _registered(task, scan, seen, near, task.start)
-        if not result.accepted:  # the images of one photograph may tell less than those of all
+        if not result.accepted:  # one photograph may constrain the camera less than all together
             alone = task.found or _register_alone(task)
             return replace(alone, reasons=(*alone.reasons, _kept_alone(pooled))), photo
     else:

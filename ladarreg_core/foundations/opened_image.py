@@ -33,7 +33,7 @@ def opened_image(source: Any, formats: Sequence[str]) -> Iterator[Image]:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow warns about large images
-        with _limit_lock:  # Pillow's limit is the process's, and belongs to whoever else uses Pillow there
+        with _limit_lock:  # Pillow's limit is global to the process, and is restored for its other users
             before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, MAX_PIXELS // 2  # twice as many are refused
             try:
                 image = Image.open(source, formats=list(formats))

@@ -24,7 +24,7 @@ from ladarreg_core.progress import StepLog
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 
-_DISTINCT_SIGMA = 3.0  # of focal lengths that the images tell apart
+_DISTINCT_SIGMA = 3.0  # standard deviations between focal lengths that the images distinguish
 _SHOWN_BY_BLOCKS = 0.37  # of an offset of the principal point; the pose has absorbed the rest of what blocks can show
 _SHAPE_ALONE = "The scan has no intensity, so that only its shape was compared with the photo."
 _UNKNOWN = np.diag([np.pi**2] * 3 + [100.0**2] * 3)

@@ -349,7 +349,7 @@ def check_precision(
 
 
 def _times(ratio: float) -> str:
-    """Return a factor above 1 with enough digits to tell it from 1."""
+    """Return a factor above 1 with enough digits to distinguish it from 1."""
     return f"{ratio:.2g} times" if ratio >= 1.1 else "slightly more than"
 
 
