@@ -135,7 +135,7 @@ def read_frames(
                     raise FormatError(f"it has no {what}, but {has}; pairs of clouds and photographs need both")
             chosen = chosen_topic(clouds, cloud, what="clouds", option="cloud")
             topics = list(dict.fromkeys(
-                chosen_topic(pictures, name, what="pictures", option="image") for name in (images or (None,))
+                chosen_topic(pictures, name, what="pictures", option="images") for name in (images or (None,))
             ))  # fmt: skip
             names = _camera_names(topics)
             reader = _FrameReader(

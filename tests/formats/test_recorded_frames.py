@@ -141,7 +141,7 @@ def test_several_cameras_have_their_own_pairs_and_intrinsics(tmp_path: Path) -> 
     fisheye = FisheyeCamera(*SIZE, 40.0, 40.0, 47.5, 31.5, (0.01, 0.002, 0.0, 0.0))
     other = {"/rear/image_raw": pictures({20: 5, 1020: 6}), "/rear/camera_info": info(fisheye)}
     file = recording(tmp_path, **other)
-    with pytest.raises(UnderspecifiedError, match=r"/cam/image_raw, /rear/image_raw.*`image`"):
+    with pytest.raises(UnderspecifiedError, match=r"/cam/image_raw, /rear/image_raw.*`images`"):
         lr.read_rig(file)
     pairs = lr.read_rig(file, images=["rear/image_raw", "/cam/image_raw"])
     assert [pair.camera_name for pair in pairs] == ["rear", "rear", "cam", "cam"]
