@@ -46,6 +46,7 @@ export const mountDock = (dock) => {
     programs: mountHandOver(),
     files,
   };
+  files.querySelector(".part-body").tabIndex = 0; // scrolled by keys: nothing in it takes the focus
   const row = element("div", { class: "dock-row" }, ...Object.values(parts));
   dock.append(row);
   dock.setAttribute("role", "tabpanel");

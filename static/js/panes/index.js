@@ -27,7 +27,7 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
   const controller = new Controller({ store, view, ask });
   const tools = new Tools(controller);
   const space = { held: false, used: false };
-  const preview = new SimplexPreview(store, (began) => {
+  const preview = new SimplexPreview((began) => {
     controller.panes.photo?.invalidate("live");
     if (began) controller.panes.photo?.invalidate("matches");
   });
