@@ -15,7 +15,7 @@ _DEGREES = "give the degrees to move, of pan and of tilt"
 Degrees = Annotated[float, Meta(ge=-1e6, le=1e6, title=_DEGREES)]
 
 
-class AcquirePorts(WorkbenchCommand):
+class AcquirePorts(WorkbenchCommand, frozen=True):
     """the server's serial ports `{port, said}`, a plan with simulated devices, and the plan that was being edited last,
     or null
     """
@@ -27,7 +27,7 @@ class AcquirePorts(WorkbenchCommand):
         return context.acquisition.ports()
 
 
-class AcquireCheck(WorkbenchCommand):
+class AcquireCheck(WorkbenchCommand, frozen=True):
     """all faults of a plan, `{field, said}` with the field as in plan.json, such as `scanner.folder`, and `{stops,
     pieces, cells, seconds, overlap}`
     """
@@ -40,7 +40,7 @@ class AcquireCheck(WorkbenchCommand):
         return context.acquisition.check(self.plan)
 
 
-class AcquireKeep(WorkbenchCommand):
+class AcquireKeep(WorkbenchCommand, frozen=True):
     """keeps a plan that is being edited, right or not, in the project's folder `runs`"""
 
     plan: Plan
@@ -51,7 +51,7 @@ class AcquireKeep(WorkbenchCommand):
         return {}
 
 
-class AcquireConnect(WorkbenchCommand):
+class AcquireConnect(WorkbenchCommand, frozen=True):
     """connects to the devices of a plan; only ports that the server has, or simulated devices"""
 
     plan: Plan
@@ -62,7 +62,7 @@ class AcquireConnect(WorkbenchCommand):
         return {}
 
 
-class AcquireDisconnect(WorkbenchCommand):
+class AcquireDisconnect(WorkbenchCommand, frozen=True):
     """stops everything at once, and disconnects when what was asked of the devices has ended"""
 
     def execute(self, context: Context, client: Client) -> Reply:
@@ -71,7 +71,7 @@ class AcquireDisconnect(WorkbenchCommand):
         return {}
 
 
-class AcquireJog(WorkbenchCommand):
+class AcquireJog(WorkbenchCommand, frozen=True):
     """moves the unit by some degrees, at most 30; halted if the client disconnects"""
 
     pan_deg: Degrees
@@ -83,7 +83,7 @@ class AcquireJog(WorkbenchCommand):
         return {}
 
 
-class AcquireStart(WorkbenchCommand):
+class AcquireStart(WorkbenchCommand, frozen=True):
     """begins a run in the project's folder `runs`, or resumes the one that `resume` names, by its own plan"""
 
     plan: Plan | None = None
@@ -95,7 +95,7 @@ class AcquireStart(WorkbenchCommand):
         return {}
 
 
-class AcquirePause(WorkbenchCommand):
+class AcquirePause(WorkbenchCommand, frozen=True):
     """pauses the run after the piece that is being measured"""
 
     def execute(self, context: Context, client: Client) -> Reply:
@@ -104,7 +104,7 @@ class AcquirePause(WorkbenchCommand):
         return {}
 
 
-class AcquireResume(WorkbenchCommand):
+class AcquireResume(WorkbenchCommand, frozen=True):
     """resumes a paused run, also after a fault"""
 
     def execute(self, context: Context, client: Client) -> Reply:
@@ -113,7 +113,7 @@ class AcquireResume(WorkbenchCommand):
         return {}
 
 
-class AcquireStop(WorkbenchCommand):
+class AcquireStop(WorkbenchCommand, frozen=True):
     """halts the unit and switches the laser off at once, from the client's own thread"""
 
     urgent: ClassVar[bool] = True
@@ -124,7 +124,7 @@ class AcquireStop(WorkbenchCommand):
         return {}
 
 
-class AcquireTakeOver(WorkbenchCommand):
+class AcquireTakeOver(WorkbenchCommand, frozen=True):
     """this client drives from now on"""
 
     def execute(self, context: Context, client: Client) -> Reply:
@@ -133,7 +133,7 @@ class AcquireTakeOver(WorkbenchCommand):
         return {}
 
 
-class AcquireOpen(WorkbenchCommand):
+class AcquireOpen(WorkbenchCommand, frozen=True):
     """opens the panorama of a finished run as the project's scan; of the latest without a name"""
 
     run: str | None = None
@@ -144,7 +144,7 @@ class AcquireOpen(WorkbenchCommand):
         return {}
 
 
-class AcquirePhotos(WorkbenchCommand):
+class AcquirePhotos(WorkbenchCommand, frozen=True):
     """adds the photographs of a run to the project; their number"""
 
     replies: ClassVar[str] = "photos"

@@ -94,7 +94,7 @@ class Command(msgspec.Struct, frozen=True, kw_only=True, tag_field="do", tag=sna
             raise OptionError("a field contains no text or number that can be read; enter it again") from None
 
 
-class WorkbenchCommand(Command):
+class WorkbenchCommand(Command, frozen=True):
     """A command on the open project."""
 
     def execute(self, context: Context, client: Client) -> Reply:
@@ -137,12 +137,9 @@ class Context(Protocol):
 
 def commands_in(namespace: Mapping[str, Any], kind: Any) -> dict[str, Any]:
     """Return the commands of a kind that a module defines, by name; classes that others extend do not execute."""
-    return {
-        found.command_name(): found
-        for found in namespace.values()
-        if isinstance(found, type) and issubclass(found, kind) and found.__module__ == namespace["__name__"]
-        if found.execute is not kind.execute
-    }
+    found: list[Any] = [one for one in namespace.values() if isinstance(one, type) and issubclass(one, kind)]
+    here = [one for one in found if one.__module__ == namespace["__name__"]]
+    return {one.command_name(): one for one in here if one.execute is not kind.execute}
 
 
 def quoted(value: object) -> str:

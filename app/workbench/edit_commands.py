@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 Name = Annotated[str, Meta(title="give a name")]
 
 
-class SetCamera(PhotoCommand):
+class SetCamera(PhotoCommand, frozen=True):
     """sets the focal length (`focal_35mm`, or `focal_mm` and `sensor_mm`, or `focal_px`), or that the photograph is a
     panorama
     """
@@ -63,7 +63,7 @@ class SetCamera(PhotoCommand):
         return self.edit(context, client, f"Camera of {entry.source.name}", lambda p: edits.with_camera(p, camera))
 
 
-class SetSettings(WorkbenchCommand):
+class SetSettings(WorkbenchCommand, frozen=True):
     """changes settings, by their names in the slice `settings`"""
 
     values: dict[str, Any]
@@ -85,7 +85,7 @@ class SetSettings(WorkbenchCommand):
         return step_reply(context.session.commit(f"Set {names}", edit, author=client.author, merge_key=merge_key))
 
 
-class Rename(WorkbenchCommand):
+class Rename(WorkbenchCommand, frozen=True):
     """renames the project"""
 
     name: Name
@@ -100,7 +100,7 @@ class Rename(WorkbenchCommand):
         return step_reply(context.session.commit(f"Rename to {name}", edit, author=client.author))
 
 
-class RemovePhoto(PhotoCommand):
+class RemovePhoto(PhotoCommand, frozen=True):
     """removes a photograph"""
 
     def execute(self, context: Context, client: Client) -> Reply:
@@ -112,7 +112,7 @@ class RemovePhoto(PhotoCommand):
         )
 
 
-class UseStage(PhotoCommand):
+class UseStage(PhotoCommand, frozen=True):
     """selects the stage whose pose is shown and exported"""
 
     stage: Annotated[str, Meta(title="that stage has no pose yet; solve first")]
@@ -123,7 +123,7 @@ class UseStage(PhotoCommand):
         return self.edit(context, client, label, lambda p: edits.with_stage(p, self.stage))
 
 
-class Undo(WorkbenchCommand):
+class Undo(WorkbenchCommand, frozen=True):
     """takes back this client's own last edit; `n` is the step that is meant"""
 
     n: StepNumber | None = None
@@ -134,7 +134,7 @@ class Undo(WorkbenchCommand):
         return {}
 
 
-class Redo(WorkbenchCommand):
+class Redo(WorkbenchCommand, frozen=True):
     """restores this client's own edit that was taken back last; `n` is the step that is meant"""
 
     n: StepNumber | None = None
@@ -145,7 +145,7 @@ class Redo(WorkbenchCommand):
         return {}
 
 
-class GoTo(WorkbenchCommand):
+class GoTo(WorkbenchCommand, frozen=True):
     """moves to a step of the history, for all clients, and tells the others who did it"""
 
     n: StepNumber
@@ -160,7 +160,7 @@ class GoTo(WorkbenchCommand):
         return {}
 
 
-class ShowPhoto(PhotoCommand):
+class ShowPhoto(PhotoCommand, frozen=True):
     """shows another photograph to this client"""
 
     looks: ClassVar[bool] = True
@@ -171,7 +171,7 @@ class ShowPhoto(PhotoCommand):
         return {}
 
 
-class SetModel(WorkbenchCommand):
+class SetModel(WorkbenchCommand, frozen=True):
     """changes the display of the model for this client"""
 
     looks: ClassVar[bool] = True
@@ -191,7 +191,7 @@ class SetModel(WorkbenchCommand):
         return {}
 
 
-class CallMe(WorkbenchCommand):
+class CallMe(WorkbenchCommand, frozen=True):
     """renames this client"""
 
     looks: ClassVar[bool] = True
@@ -204,7 +204,7 @@ class CallMe(WorkbenchCommand):
         return {"you": client.name}
 
 
-class Look(WorkbenchCommand):
+class Look(WorkbenchCommand, frozen=True):
     """moves this client's 3-D view to a viewpoint; without an accepted pose there is none of the camera"""
 
     looks: ClassVar[bool] = True
@@ -217,7 +217,7 @@ class Look(WorkbenchCommand):
         return {}
 
 
-class ReadOnlyLink(WorkbenchCommand):
+class ReadOnlyLink(WorkbenchCommand, frozen=True):
     """the token of the link with which others may look"""
 
     replies: ClassVar[str] = "token"

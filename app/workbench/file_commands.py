@@ -22,7 +22,7 @@ Reading = Annotated[dict[str, Any], Meta(title="how the scan is to be read is no
 _NO_FILE = "give the file to open and its kind"
 
 
-class ListServed(WorkbenchCommand):
+class ListServed(WorkbenchCommand, frozen=True):
     """lists the served folder again"""
 
     def execute(self, context: Context, client: Client) -> Reply:
@@ -31,7 +31,7 @@ class ListServed(WorkbenchCommand):
         return {}
 
 
-class OpenServed(WorkbenchCommand):
+class OpenServed(WorkbenchCommand, frozen=True):
     """opens a file of the served folder, `path`, or several scans together, `paths`, which is a step of the history;
     `what` is `scan`, `photo`, `camera`, `matches` or `station`; `reading` and `scan` as for `open_files`
     """
@@ -69,7 +69,7 @@ class OpenServed(WorkbenchCommand):
         return {"opened": files.open(path, name, self.what, self.photo, client, reading)}
 
 
-class OpenFiles(WorkbenchCommand):
+class OpenFiles(WorkbenchCommand, frozen=True):
     """opens uploaded files together, and the waiting ones that they complete; `scan`: what becomes of the scans among
     them (see below); cameras and matches belong to `photo`, if given; `reading` states what the file of the scan does
     not
@@ -88,7 +88,7 @@ class OpenFiles(WorkbenchCommand):
         return context.batches.open(self.files, scans=self.scan, photo=photo, reading=reading, client=client)
 
 
-class AddEmbedded(WorkbenchCommand):
+class AddEmbedded(WorkbenchCommand, frozen=True):
     """adds pictures of the scan's file as photographs, with the cameras that it states"""
 
     replies: ClassVar[str] = "photos"
@@ -99,7 +99,7 @@ class AddEmbedded(WorkbenchCommand):
         return {"photos": context.embedded.add(self.images, client)}
 
 
-class DiscardFiles(WorkbenchCommand):
+class DiscardFiles(WorkbenchCommand, frozen=True):
     """deletes uploaded files that wait"""
 
     files: FileIds

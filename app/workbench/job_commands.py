@@ -22,7 +22,7 @@ TargetNames = Annotated[list[str], Meta(max_length=1000, title="the targets are 
 PhotoIds = Annotated[list[str], Meta(max_length=10_000, title="the photographs are a list of names")]
 
 
-class Run(WorkbenchCommand):
+class Run(WorkbenchCommand, frozen=True):
     """starts a job, and returns its id"""
 
     replies: ClassVar[str] = "job"
@@ -34,7 +34,7 @@ class Run(WorkbenchCommand):
         return {"job": context.jobs.run(self.job, self.photo, client.author)}
 
 
-class Refine(WorkbenchCommand):
+class Refine(WorkbenchCommand, frozen=True):
     """registers from the images, starting from a rough pose: the matrix (4 rows), or where this client looks from in
     the 3-D view
     """
@@ -55,7 +55,7 @@ class Refine(WorkbenchCommand):
         return {"job": context.jobs.run_refine(self.photo, client.author, initial)}
 
 
-class JobControl(WorkbenchCommand):
+class JobControl(WorkbenchCommand, frozen=True):
     """controls the running job: `pause`, `resume`, `stop`, `step`, or `speed` with its value"""
 
     action: Annotated[str, Meta(title="give an action: pause, resume, stop, step or speed")]
@@ -67,7 +67,7 @@ class JobControl(WorkbenchCommand):
         return {}
 
 
-class ExportTargets(WorkbenchCommand):
+class ExportTargets(WorkbenchCommand, frozen=True):
     """what can be exported: all targets `{name, title, purpose, refusal}`, whose `refusal` says why one cannot be
     written (null: it can); `photos` are ids (null: all), the reply's `{id, name}` are exported to `targets` and those
     of `left_out`, `{id, name, why, is_stale}`, are not
@@ -94,7 +94,7 @@ class ExportTargets(WorkbenchCommand):
         return context.jobs.exports.table(self.wanted)
 
 
-class Export(ExportTargets):
+class Export(ExportTargets, frozen=True):
     """exports photographs and stations to targets by their names, as a zip or, with `folder`, into one of the server's
     machine, where `force` replaces an earlier export (see Exports); `frame` of points, models and poses; `full`: whole
     meshes; `crop: "photo"`: models only where a photograph covers them
@@ -111,7 +111,7 @@ class Export(ExportTargets):
         return {"job": context.jobs.run_export(export, client.author)}
 
 
-class WriteReport(WorkbenchCommand):
+class WriteReport(WorkbenchCommand, frozen=True):
     """writes a photograph's report as a page to be opened in a tab"""
 
     replies: ClassVar[str] = "job"

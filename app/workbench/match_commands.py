@@ -23,7 +23,7 @@ PickId = Annotated[str, Meta(title="no match is selected; select one")]
 Enabled = Annotated[bool, Meta(title="a match is enabled with true and disabled with false")]
 
 
-class PhotoCommand(WorkbenchCommand):
+class PhotoCommand(WorkbenchCommand, frozen=True):
     """A command on a photograph."""
 
     photo: PhotoId
@@ -52,8 +52,8 @@ def step_reply(number: int | None) -> Reply:
     return {} if number is None else {"n": number}
 
 
-class AddPick(PhotoCommand):
-    """adds a match; a point has one coordinate on each side, a line two"""
+class AddPick(PhotoCommand, frozen=True):
+    """adds a point or line: one coordinate on each side, or two"""
 
     replies: ClassVar[str] = "pick"
     kind: Annotated[Literal["point", "line"], Meta(title="a match is a 'point' or a 'line'")]
@@ -77,8 +77,8 @@ class AddPick(PhotoCommand):
         return {"pick": made[0], **step}
 
 
-class SetPick(PhotoCommand):
-    """moves, enables, disables or weights a match; moves of the same match within 1.5 s are one step"""
+class SetPick(PhotoCommand, frozen=True):
+    """moves, enables, disables or weights a match; quick successive moves of one end become one step"""
 
     pick: PickId
     scan: Rays | None = None
@@ -110,7 +110,7 @@ class SetPick(PhotoCommand):
         return self.edit(context, client, label, change, merge_key=merge_key)
 
 
-class RemovePicks(PhotoCommand):
+class RemovePicks(PhotoCommand, frozen=True):
     """removes matches"""
 
     picks: Picks
@@ -121,7 +121,7 @@ class RemovePicks(PhotoCommand):
         return self.edit(context, client, f"Remove {_count(ids)}", lambda p: edits.without_picks(p, ids))
 
 
-class SwitchPicks(PhotoCommand):
+class SwitchPicks(PhotoCommand, frozen=True):
     """enables or disables matches"""
 
     picks: Picks
@@ -134,8 +134,10 @@ class SwitchPicks(PhotoCommand):
         return self.edit(context, client, label, lambda p: edits.switched(p, dict.fromkeys(there, self.on)))
 
 
-class Reject(PhotoCommand):
-    """disables the matches whose error under the shown pose is larger, enables all others"""
+class Reject(PhotoCommand, frozen=True):
+    """disables the matches whose error under the shown pose exceeds `above`, and enables the others; `by` is `depth` by
+    default
+    """
 
     replies: ClassVar[str] = "off"
     above: Positive
@@ -153,7 +155,7 @@ class Reject(PhotoCommand):
         return {"off": off, **self.edit(context, client, label, lambda p: edits.switched(p, on))}
 
 
-class HoverPick(WorkbenchCommand):
+class HoverPick(WorkbenchCommand, frozen=True):
     """highlights a match in the 3-D scene; null: none"""
 
     looks: ClassVar[bool] = True
@@ -166,7 +168,7 @@ class HoverPick(WorkbenchCommand):
         return {}
 
 
-class Predict(PhotoCommand):
+class Predict(PhotoCommand, frozen=True):
     """the other side of a match under the shown pose, of `scan` or of `photo_uv`; null where undefined"""
 
     looks: ClassVar[bool] = True
@@ -183,7 +185,7 @@ class Predict(PhotoCommand):
         return {"scan": _finite_rows(partners.on_scan(edits.pixels(self.photo_uv)).tolist())}
 
 
-class Where(PhotoCommand):
+class Where(PhotoCommand, frozen=True):
     """a ray projected into the photograph"""
 
     looks: ClassVar[bool] = True
@@ -196,7 +198,7 @@ class Where(PhotoCommand):
         return {"photo_uv": _finite_rows(rows.tolist())[0]}
 
 
-class Snap(WorkbenchCommand):
+class Snap(WorkbenchCommand, frozen=True):
     """one end: the corner within 4 pixels of the screen; two: both ends moved onto the straight edge under the line,
     across it, by at most 6 pixels of the screen; sub-pixel, unchanged where nothing is `found`
     """
@@ -216,7 +218,7 @@ class Snap(WorkbenchCommand):
         return {"ends": [list(end) for end in ends] if found is None else found, "found": found is not None}
 
 
-class SampleLine(WorkbenchCommand):
+class SampleLine(WorkbenchCommand, frozen=True):
     """samples of a line, as under `judged`"""
 
     looks: ClassVar[bool] = True
@@ -228,7 +230,7 @@ class SampleLine(WorkbenchCommand):
         return context.queries.sample_line(edits.rays(self.scan))
 
 
-class Probe(WorkbenchCommand):
+class Probe(WorkbenchCommand, frozen=True):
     """the measurement along a ray; the range is null without a return"""
 
     looks: ClassVar[bool] = True

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 _ZOOM = "the zoom must be a positive number, relative to the whole picture"
 
 
-class Follow(WorkbenchCommand):
+class Follow(WorkbenchCommand, frozen=True):
     """shows this client the photograph that another one sees, and, by events, the part of the pictures; null: nobody's;
     `show_photo` ends it
     """
@@ -30,7 +30,7 @@ class Follow(WorkbenchCommand):
         return {}
 
 
-class PictureCommand(WorkbenchCommand):
+class PictureCommand(WorkbenchCommand, frozen=True):
     """A command on a place in a picture."""
 
     side: Side
@@ -43,7 +43,7 @@ class PictureCommand(WorkbenchCommand):
         return {"side": self.side, "view": self.view, "photo": self.photo, name: uv}
 
 
-class Point(PictureCommand):
+class Point(PictureCommand, frozen=True):
     """shows this client's pointer to the others; null: none"""
 
     looks: ClassVar[bool] = True
@@ -57,7 +57,7 @@ class Point(PictureCommand):
         return {}
 
 
-class ShowView(PictureCommand, kw_only=True):
+class ShowView(PictureCommand, frozen=True, kw_only=True):
     """shows this client's part of a picture to those who follow; the zoom is relative to the whole picture"""
 
     looks: ClassVar[bool] = True

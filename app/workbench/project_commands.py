@@ -48,7 +48,7 @@ class Projects(Protocol):
         """Return the folder of a project of the list."""
 
 
-class ProjectCommand(Command):
+class ProjectCommand(Command, frozen=True):
     """A command on projects as a whole."""
 
     def execute(self, projects: Projects, client: Client) -> Reply:
@@ -56,7 +56,7 @@ class ProjectCommand(Command):
         raise NotImplementedError
 
 
-class ListProjects(ProjectCommand):
+class ListProjects(ProjectCommand, frozen=True):
     """the recent projects; `anywhere`: whether any folder may be opened"""
 
     looks: ClassVar[bool] = True
@@ -67,7 +67,7 @@ class ListProjects(ProjectCommand):
         return projects.listed()
 
 
-class NewProject(ProjectCommand):
+class NewProject(ProjectCommand, frozen=True):
     """begins a project, and opens waiting files in it"""
 
     replies: ClassVar[str] = "opened | asks: [sentence, ..]"
@@ -83,7 +83,7 @@ class NewProject(ProjectCommand):
         return projects.new(name.strip(), self.files or (), client, sure=self.sure)
 
 
-class OpenProject(ProjectCommand):
+class OpenProject(ProjectCommand, frozen=True):
     """opens a project of the list, `wanted`, or of a folder of the server's machine"""
 
     replies: ClassVar[str] = "opened | asks"
@@ -104,7 +104,7 @@ class OpenProject(ProjectCommand):
         return projects.open_path(path, client, sure=self.sure)
 
 
-class OpenSample(ProjectCommand):
+class OpenSample(ProjectCommand, frozen=True):
     """opens the sample, and registers it unless there is work on it"""
 
     replies: ClassVar[str] = "opened | asks"
@@ -115,7 +115,7 @@ class OpenSample(ProjectCommand):
         return projects.open_sample(client, sure=self.sure)
 
 
-class DuplicateProject(ProjectCommand):
+class DuplicateProject(ProjectCommand, frozen=True):
     """copies a project with its history and the files in its folder"""
 
     replies: ClassVar[str] = "duplicate: ID"
@@ -126,7 +126,7 @@ class DuplicateProject(ProjectCommand):
         return projects.duplicate(self.wanted)
 
 
-class ForgetProject(ProjectCommand):
+class ForgetProject(ProjectCommand, frozen=True):
     """removes a project from the list; its folder stays"""
 
     wanted: Wanted

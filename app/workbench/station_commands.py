@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from .clients import Client
 
 
-class RegisterStations(WorkbenchCommand):
+class RegisterStations(WorkbenchCommand, frozen=True):
     """registers all stations to each other; the scan that is shown is fixed; `poses` as
     [`--poses`](stations.md#poses-in-the-files)
     """
@@ -27,7 +27,7 @@ class RegisterStations(WorkbenchCommand):
         return {"job": context.stations.register(self.poses, client.author)}
 
 
-class CheckAtStations(WorkbenchCommand):
+class CheckAtStations(WorkbenchCommand, frozen=True):
     """verifies the registered photographs, their poses carried over, by the scans of the other stations"""
 
     replies: ClassVar[str] = "job"
@@ -37,7 +37,7 @@ class CheckAtStations(WorkbenchCommand):
         return {"job": context.stations.check_photos(client.author)}
 
 
-class PlaceStation(WorkbenchCommand):
+class PlaceStation(WorkbenchCommand, frozen=True):
     """says roughly where a station stands in the frame of the scan that is shown, `{x, y, z, yaw_deg}`, m and degrees;
     null: nobody knows
     """
@@ -52,7 +52,7 @@ class PlaceStation(WorkbenchCommand):
         return {}
 
 
-class ShowStation(WorkbenchCommand):
+class ShowStation(WorkbenchCommand, frozen=True):
     """shows another station's scan, to which photographs are registered from now on; the matches and poses at each
     station are kept
     """
@@ -65,7 +65,7 @@ class ShowStation(WorkbenchCommand):
         return {}
 
 
-class RemoveStation(WorkbenchCommand):
+class RemoveStation(WorkbenchCommand, frozen=True):
     """removes a station from the project"""
 
     station: StationId
