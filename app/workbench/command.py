@@ -11,6 +11,7 @@ from typing import (
     ClassVar,
     Literal,
     Protocol,
+    TypeVar,
     Union,
     get_args,
     get_origin,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from .stations import Stations
 
 Reply = dict[str, Any]
+Kind = TypeVar("Kind", bound=msgspec.Struct)
 _MAX_QUOTE = 40
 _PLACE = re.compile(r" - at `\$\.(\w+)[^`]*`$")
 _MISSING = re.compile(r"missing required field `(\w+)`")
@@ -86,12 +88,7 @@ class Command(msgspec.Struct, frozen=True, kw_only=True, tag_field="do", tag=sna
             OptionError: if a field is missing, or is not of its type or range.
         """
         fields = {name: message[name] for name in cls.__struct_fields__ if name in message}
-        try:
-            return msgspec.convert({"do": cls.command_name(), **fields}, cls)
-        except msgspec.ValidationError as error:
-            raise OptionError(_fault(cls, fields, str(error))) from None
-        except (UnicodeEncodeError, OverflowError, RecursionError):
-            raise OptionError("a field contains no text or number that can be read; enter it again") from None
+        return decoded(cls, {"do": cls.command_name(), **fields})
 
 
 class WorkbenchCommand(Command, frozen=True):
@@ -135,6 +132,20 @@ class Context(Protocol):
         """Show a sentence to all other clients."""
 
 
+def decoded(kind: type[Kind], fields: Mapping[str, Any]) -> Kind:
+    """Return a struct of fields.
+
+    Raises:
+        OptionError: if a field is missing, or is not of its type or range.
+    """
+    try:
+        return msgspec.convert(fields, kind)
+    except msgspec.ValidationError as error:
+        raise OptionError(_fault(kind, fields, str(error))) from None
+    except (UnicodeEncodeError, OverflowError, RecursionError):
+        raise OptionError("a field contains no text or number that can be read; enter it again") from None
+
+
 def commands_in(namespace: Mapping[str, Any], kind: Any) -> dict[str, Any]:
     """Return the commands of a kind that a module defines, by name; classes that others extend do not execute."""
     found: list[Any] = [one for one in namespace.values() if isinstance(one, type) and issubclass(one, kind)]
@@ -153,8 +164,8 @@ def quoted(value: object) -> str:
     return words.get(type(value), "not a finite number")
 
 
-def types_of(kind: type[Command]) -> dict[str, Any]:
-    """Return the types of a command's fields, with their annotations, in the order in which they are stated."""
+def types_of(kind: type[msgspec.Struct]) -> dict[str, Any]:
+    """Return the types of a struct's fields, with their annotations, in the order in which they are stated."""
     hints = get_type_hints(kind, include_extras=True)
     return {name: hints[name] for name in kind.__struct_fields__}
 
@@ -174,7 +185,7 @@ def is_union(kind: Any) -> bool:
     return get_origin(kind) is Union or type(kind).__name__ == "UnionType"
 
 
-def _fault(kind: type[Command], fields: Mapping[str, Any], error: str) -> str:
+def _fault(kind: type[msgspec.Struct], fields: Mapping[str, Any], error: str) -> str:
     """Return what was found and what is needed, in place of the decoder's words."""
     place = _PLACE.search(error) or _MISSING.search(error)
     if place is None:
@@ -184,7 +195,8 @@ def _fault(kind: type[Command], fields: Mapping[str, Any], error: str) -> str:
     if meta is not None and meta.title:
         return meta.title
     needed = (meta.description if meta is not None else None) or _needed(bare)
-    return f"{name} is {quoted(fields.get(name))}; it must be {needed}"
+    called = name if issubclass(kind, Command) else f"`{name}`"  # arguments of the core have labels
+    return f"{called} is {quoted(fields.get(name))}; it must be {needed}"
 
 
 def _needed(kind: Any) -> str:

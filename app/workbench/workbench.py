@@ -15,6 +15,7 @@ from ladarreg_core.project import edits
 from ladarreg_core.project.edits import MOST_PHOTOS
 from ladarreg_core.project.history import NOBODY
 
+from ..argument_names import reading_slice
 from ..jobs.export import Ending
 from ..jobs.inputs import Workspace
 from ..jobs.registry import JobRegistry
@@ -288,6 +289,7 @@ class Workbench:
             "served": self.files.served_slice(),
             "waiting": self.batches.slice(),
             "formats": formats_slice(),
+            "reading": reading_slice(),
             "embedded": self.embedded.slice(),
             "acquisition": self.acquisition.slice(),
             "stations": self.stations.slice(),

@@ -50,7 +50,8 @@ def test_two_targets_in_a_zip_are_read_by_other_programs(operator: Operator, tmp
     for point in true_points(20):
         assert operator.socket.ask("add_pick", photo="p1", **point)["ok"]
     assert operator.socket.ask("run", photo="p1", job="robust")["ok"]
-    panel.get_by_text("Exported: photo").wait_for()
+    page.wait_for_function(f"{ENABLED_BOXES} > 9", timeout=120_000)
+    panel.get_by_text("To be exported: photo").wait_for()
     for scheme in ("light", "dark"):
         page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
         assert hard_to_read(page) == []

@@ -25,8 +25,8 @@ TARGETS: tuple[Target, ...] = (
     Target(
         name="results",
         title="Results",
-        purpose="Pose, report, matches, pictures, model and cloud of a photograph, as `ladarreg register` writes them "
-        "and as they are opened again.",
+        purpose="Pose, report, matches, pictures, coloured cloud and model of a photograph, to look at and to open "
+        "again.",
         files=results_files,
         stands_alone=True,
         shows_refused=True,
@@ -123,8 +123,7 @@ TARGETS: tuple[Target, ...] = (
     Target(
         name="stations",
         title="Stations",
-        purpose="All scans that were registered to each other, each with its pose, and how well they fit, as "
-        "`ladarreg register-scans` writes them.",
+        purpose="All scans that were registered to each other, each with its pose, and how well they fit.",
         files=stations_files,
         reads=(StationScans,),
         needs="stations that are registered to each other",

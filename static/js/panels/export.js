@@ -327,7 +327,7 @@ export const mountExport = () => {
     const [go, out] = [table.photos, table.left_out];
     const names = go.length > 3 ? `${go.length} photographs` : go.map(({ name }) => name).join(", ");
     const left = out.map(({ name, why }) => `${name}: ${why}`).join("; ");
-    return [go.length ? `Exported: ${names}.` : "", out.length ? `Left out: ${left}.` : ""].filter(Boolean).join(" ");
+    return [go.length ? `To be exported: ${names}.` : "", out.length ? `Left out: ${left}.` : ""].filter(Boolean).join(" ");
   };
 
   const show = () => {
