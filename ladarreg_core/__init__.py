@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from ladarreg_core.rig.registration import register_rig as register_rig
     from ladarreg_core.rig.results import RigPair as RigPair
     from ladarreg_core.rig.results import RigResult as RigResult
+    from ladarreg_core.rig_folder import read_rig as read_rig
     from ladarreg_core.scan import Scan as Scan
     from ladarreg_core.simulate import simulate_case as simulate_case
     from ladarreg_core.stations.registration import register_scans as register_scans
@@ -126,6 +127,7 @@ _HOMES = {
     "read_photo": "formats",
     "read_pose": "formats",
     "read_registration": "formats",
+    "read_rig": "rig_folder",
     "read_scan": "formats",
     "register": "registration",
     "register_photos": "batch.photo_run",

@@ -132,13 +132,13 @@ class ExportJobs:
         names = list(dict.fromkeys(wanted.targets))
         for photo in wanted.photos or ():
             require_photo(document, photo)
+        if folder is not None:
+            self.check_folder(folder, document, force=force)
         chosen = self._chosen(document, wanted, targets)
         if not chosen.entries and any(StationScans not in target.reads for target in targets):
             raise OptionError(f"no photograph can be exported ({chosen.reasons or 'there is none'})")
         if not chosen.entries and (fault := stations_fault(document)):
             raise OptionError(fault)
-        if folder is not None:
-            self.check_folder(folder, document, force=force)
         scan = self._workspace.loader.scan(document)
         if scan is None:
             raise OptionError("there is no scan; open one")

@@ -20,7 +20,8 @@ from . import (
     people_commands,
     station_commands,
 )
-from .command import Command, Context, Reply, WorkbenchCommand, commands_in, quoted
+from .command import Command, Context, Reply, WorkbenchCommand, commands_in
+from .decoding import quoted
 from .former_commands import present_form
 from .project_commands import PROJECT_COMMANDS
 

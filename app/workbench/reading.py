@@ -11,7 +11,7 @@ from msgspec import Meta
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project.document import Source
 
-from .command import decoded
+from .decoding import decoded
 
 
 class _OfOthers(msgspec.Struct):
@@ -21,7 +21,7 @@ class _OfOthers(msgspec.Struct):
     camera_name: Annotated[str, Meta(description="one of the file's cameras")] | None = None
 
 
-def reading_of(value: Mapping[str, Any] | None) -> Mapping[str, Any]:
+def reading_of(value: object) -> Mapping[str, Any]:
     """Return the checked options in the field `reading` of a message; none where it is missing.
 
     They are those of `read_scan`, `temperature_unit` and `camera_name`.
@@ -31,12 +31,14 @@ def reading_of(value: Mapping[str, Any] | None) -> Mapping[str, Any]:
     """
     from ladarreg_core.formats.scan_request import SCAN_OPTIONS, ScanOptions
 
+    if value is not None and not isinstance(value, Mapping):
+        raise OptionError("how the scan is to be read is not a list of options; reload the page")
     given = dict(value or {})
     others = {name: given.pop(name) for name in _OfOthers.__struct_fields__ if name in given}
     unknown = sorted(given.keys() - {*SCAN_OPTIONS})
     if unknown:
         raise OptionError(f"a scan cannot be read with {unknown[0][:40]!r}; it takes {', '.join(SCAN_OPTIONS)}")
-    options, of_others = decoded(ScanOptions, given), decoded(_OfOthers, others)
+    options, of_others = decoded(ScanOptions, given, arguments=True), decoded(_OfOthers, others, arguments=True)
     chosen = {name: options.scan_index for name in ("scan_index",) if name in given}  # the first one, too
     stated = {name: one for name in others if (one := getattr(of_others, name)) is not None}
     return {**options.given(), **chosen, **stated}

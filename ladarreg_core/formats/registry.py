@@ -17,7 +17,7 @@ import msgspec
 
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
 from ladarreg_core.formats.accumulated import read_accumulated
-from ladarreg_core.formats.bag import read_bag, sniff_bag
+from ladarreg_core.formats.bag import read_bag
 from ladarreg_core.formats.begun_read import BegunRead
 from ladarreg_core.formats.camera_calibration import is_calibration
 from ladarreg_core.formats.camera_file import CAMERA_FORMATS, CameraFormat
@@ -51,6 +51,7 @@ from ladarreg_core.formats.pcd import read_pcd, sniff_pcd
 from ladarreg_core.formats.ply import read_ply, sniff_ply
 from ladarreg_core.formats.pose_file import POSE_FIELD, WORLD_FIELD
 from ladarreg_core.formats.ptx import read_ptx, sniff_ptx
+from ladarreg_core.formats.recording import sniff_recording
 from ladarreg_core.formats.results_info import describe_results
 from ladarreg_core.formats.scan_request import IntensitySource, ScanRequest
 from ladarreg_core.formats.text_cloud import read_text_cloud, sniff_pts, sniff_text_cloud
@@ -222,7 +223,7 @@ FORMATS: tuple[FileFormat, ...] = (
         scan_describer("Ouster PCAP", _read_ouster), _read_ouster, takes=("scan_index",),
     ),
     FileFormat(
-        "ROS bag", "scan", (".bag", ".db3", ".mcap"), lambda head, _: sniff_bag(head), describe_bag, _read_bag,
+        "ROS bag", "scan", (".bag", ".db3", ".mcap"), lambda head, _: sniff_recording(head), describe_bag, _read_bag,
         takes=("topic", "seconds", "origin", "intensity"), examples=("ROS bag", "MCAP"),
     ),
     FileFormat(

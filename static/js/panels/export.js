@@ -369,7 +369,12 @@ export const mountExport = () => {
     ready.hidden = true;
   });
   last.addEventListener("change", () => show());
-  view.on((_, names) => names.has("step") && refresh());
+  view.on((_, names) => {
+    if (!names.has("step")) return;
+    if (!isOpen()) table = null; // what it says would be out of date
+    show();
+    refresh();
+  });
   store.on("shown", () => {
     written.hidden = true;
     if (ofShown()) ready.hidden = true;
