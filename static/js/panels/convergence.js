@@ -2,7 +2,7 @@
 
 import { stemColour, store } from "../net/store.js";
 import { isRunning } from "../state/pipeline.js";
-import { followSimplex, simplexRun } from "../state/simplex_run.js";
+import { simplexRun } from "../state/simplex_run.js";
 import { makeCanvas } from "../ui/canvas.js";
 import { button } from "../ui/controls.js";
 import { element, setChildren, setText } from "../ui/dom.js";
@@ -50,7 +50,6 @@ const curve = (context, values, x, y) => {
 
 /** @returns {HTMLElement} */
 export const mountConvergence = () => {
-  followSimplex();
   const xOf = (steps, left, right) => {
     const [first, last] = [steps[0]?.iteration ?? 0, steps.at(-1)?.iteration ?? 1];
     return (index) => left + ((steps[index].iteration - first) / Math.max(1, last - first)) * (right - left);

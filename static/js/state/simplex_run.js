@@ -1,7 +1,5 @@
 /** The newest run of the simplex on the shown photograph: what is shown of it, live or replayed. No DOM here. */
 
-import { store } from "../net/store.js";
-
 const MOST_FRAMES = 600;
 const EXPIRES_AFTER_MS = 2500;
 const TICK_MS = 40;
@@ -133,8 +131,11 @@ export class SimplexRun {
 /** The run on this page. */
 export const simplexRun = new SimplexRun();
 
-/** Follow the solver: its frames are shown as they come, and until it has ended. */
-export const followSimplex = () => {
+/**
+ * Follow the solver: its frames are shown as they come, and until it has ended.
+ * @param {import("../net/store.js").Store} store
+ */
+export const followSimplex = (store) => {
   let live = false;
   let timer = 0;
   const end = () => {
