@@ -137,7 +137,7 @@ def _require_names(words: Sequence[str]) -> None:
         OptionError: if a word is not text.
     """
     from ladarreg_core.errors import OptionError
-    from ladarreg_core.formats.untrusted import one_line
+    from ladarreg_core.formats.parsing.untrusted import one_line
 
     for word in words:
         if not _is_text(word):

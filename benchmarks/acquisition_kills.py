@@ -23,12 +23,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.bars import Row
+from ladarreg_core.acquisition.composition.panorama import compose
 from ladarreg_core.acquisition.plan import Axis, Plan, ScannerPlan, UnitPlan, read_plan, write_plan
-from ladarreg_core.acquisition.run_folder import RunFolder, RunWriter
-from ladarreg_core.acquisition.runner import Paused, PieceKept, RunEvent
-from ladarreg_core.panorama import compose
-from ladarreg_core.twins.devices import TwinDevices
-from ladarreg_core.twins.world import LINE_MOUNT
+from ladarreg_core.acquisition.runs.run_folder import RunFolder, RunWriter
+from ladarreg_core.acquisition.runs.runner import Paused, PieceKept, RunEvent
+from ladarreg_core.acquisition.simulated.devices import TwinDevices
+from ladarreg_core.acquisition.simulated.world import LINE_MOUNT
 
 LONGEST_S = 1.0
 """How long a device may go on after a kill."""
@@ -123,8 +123,8 @@ class Driver:
 
 def drive(plan: Path, run: Path, *, guarded: bool) -> None:
     """Run a plan, or go on with it, as the process that is killed."""
-    from ladarreg_core.acquisition.connected import connected
-    from ladarreg_core.acquisition.ports import Ports
+    from ladarreg_core.acquisition.devices.ports import Ports
+    from ladarreg_core.acquisition.runs.connected import connected
 
     def say(event: RunEvent) -> None:
         if isinstance(event, PieceKept):

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.bars import Row
-from ladarreg_core.twins.devices import TwinDevices
+from ladarreg_core.acquisition.simulated.devices import TwinDevices
 from testing.workbench.served import Page, Served, random_pick, served, with_camera_and_picks
 
 _STOPS, _QUICK_STOPS = 50, 5

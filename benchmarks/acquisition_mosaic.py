@@ -27,16 +27,16 @@ from typing import Any
 import numpy as np
 
 from benchmarks.bars import Row
-from ladarreg_core.acquisition.devices import PanTilt
-from ladarreg_core.acquisition.mosaic_piece import LoadedPiece, PlacedPiece
-from ladarreg_core.acquisition.panorama_grid import footprint_of, grid_around
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.acquisition.alignment.mosaic_piece import LoadedPiece, PlacedPiece
+from ladarreg_core.acquisition.alignment.piece_refinement import refine_pieces
+from ladarreg_core.acquisition.alignment.refined_pieces import Refinement
+from ladarreg_core.acquisition.composition.panorama_grid import footprint_of, grid_around
+from ladarreg_core.acquisition.interfaces import PanTilt
+from ladarreg_core.acquisition.simulated.recordings import simulate_mosaic
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid, rotation_about, rotvec_from_rotation
-from ladarreg_core.range_alignment.piece_refinement import refine_pieces
-from ladarreg_core.range_alignment.refined_pieces import Refinement
 from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid, TabulatedGrid
 from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
-from ladarreg_core.twins.recordings import simulate_mosaic
 
 _PIECES = (7, 4)
 """Columns and rows of the large mosaic."""
@@ -215,9 +215,9 @@ def large(*, cells_millions: Sequence[float] = (2.0, 7.0, 28.0)) -> list[dict[st
 def _make(folder: Path, millions: float) -> None:
     """Write a photograph, and the pieces of a mosaic of 7 x 4 with a list, into a folder."""
     from benchmarks.dome import CAMERA, POSE, SCENE
-    from ladarreg_core.formats.camera_file import write_camera
-    from ladarreg_core.formats.json_file import write_json
-    from ladarreg_core.formats.npz import write_npz_panorama
+    from ladarreg_core.formats.cameras.camera_file import write_camera
+    from ladarreg_core.formats.parsing.json_file import write_json
+    from ladarreg_core.formats.scans.npz import write_npz_panorama
     from ladarreg_core.photo import Photo
     from ladarreg_core.scan import Scan
     from ladarreg_core.simulate.case import case_world, png_of
@@ -268,10 +268,10 @@ def chain(folder: Path) -> dict[str, Any]:
     from ladarreg.process_resources import keep_heap_small
 
     import ladarreg_core as lr
-    from ladarreg_core.formats.pose_file import read_pose
-    from ladarreg_core.panorama import compose, write_panorama
-    from ladarreg_core.surface.photo_model import ModelPhoto, photo_model
-    from ladarreg_core.surface.texture import texture_scan
+    from ladarreg_core.acquisition.composition.panorama import compose, write_panorama
+    from ladarreg_core.formats.documents.pose_file import read_pose
+    from ladarreg_core.surface.texture.photo_model import ModelPhoto, photo_model
+    from ladarreg_core.surface.texture.registered_texture import texture_scan
 
     keep_heap_small()
     told: list[float] = []

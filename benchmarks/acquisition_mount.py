@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.bars import Row, table
+from ladarreg_core.acquisition.alignment.mount_calibration import calibrate_mount
+from ladarreg_core.acquisition.alignment.mount_result import MountCalibration
+from ladarreg_core.acquisition.simulated.recordings import Continuous, SimulatedSweep, simulate_sweep
+from ladarreg_core.acquisition.simulated.world import LINE_MOUNT
 from ladarreg_core.frames import Rigid, rotation_about, rotvec_from_rotation
-from ladarreg_core.range_alignment.mount_calibration import calibrate_mount
-from ladarreg_core.range_alignment.mount_result import MountCalibration
-from ladarreg_core.twins.recordings import Continuous, SimulatedSweep, simulate_sweep
-from ladarreg_core.twins.world import LINE_MOUNT
 
 SCENES = ("boxes", "desk", "office", "people")
 HARD_SCENES = ("plain", "corridor")

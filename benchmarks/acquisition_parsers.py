@@ -21,10 +21,10 @@ import numpy as np
 
 from benchmarks import acquisition_oracle as oracle
 from benchmarks.bars import Row
-from ladarreg_core.acquisition import flir_protocol, scip_protocol
-from ladarreg_core.acquisition.flir_unit import FlirUnit
-from ladarreg_core.acquisition.link import Link
-from ladarreg_core.acquisition.scip_clock import ClockSample, LineTimes, ScannerClock
+from ladarreg_core.acquisition.devices.flir_unit import FlirUnit
+from ladarreg_core.acquisition.devices.link import Link
+from ladarreg_core.acquisition.devices.scip_clock import ClockSample, LineTimes, ScannerClock
+from ladarreg_core.acquisition.interfaces import flir_protocol, scip_protocol
 from ladarreg_core.acquisition.serial_port import Port
 from ladarreg_core.errors import DeviceError
 

@@ -17,16 +17,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
-from ladarreg_core.formats.camera_file import write_camera
-from ladarreg_core.formats.json_file import write_json
-from ladarreg_core.formats.pose_file import POSE_FIELD
+from ladarreg_core.formats.cameras.camera_file import write_camera
+from ladarreg_core.formats.documents.pose_file import POSE_FIELD
+from ladarreg_core.formats.parsing.json_file import write_json
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import ThesisParameters
 from ladarreg_core.simulate.case import case_world
 from ladarreg_core.simulate.photograph import Lighting, take_photograph
 from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.simulate.world import Viewpoint, World
+from ladarreg_core.simulate.worlds.world import Viewpoint, World
 
 SCENE = "office"
 CAMERA = Camera.from_focal(2400, 1600, 1700.0)

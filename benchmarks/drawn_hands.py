@@ -18,8 +18,8 @@ import numpy as np
 
 import ladarreg_core as lr
 from benchmarks.snapping_lines import DrawnScene, drawn_scene
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.errors import LadarregError
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Pick
 from ladarreg_core.results import Registration

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.formats.e57_records import read_records
-from ladarreg_core.formats.e57_tree import open_e57
+from ladarreg_core.formats.e57.records import read_records
+from ladarreg_core.formats.e57.tree import open_e57
 
 _AT_ONCE = 131_072
 _COLOURS = ("colorRed", "colorGreen", "colorBlue")

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
-from ladarreg_core.arrays import ByteArray, FloatArray
 from ladarreg_core.camera import CameraModel
+from ladarreg_core.foundations.arrays import ByteArray, FloatArray
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 
 _SEED = 17

@@ -28,8 +28,8 @@ MOST_SECONDS, MOST_BYTES = 15.0, 1.5e9
 def handed_over(folder: Path) -> Any:
     """Read the dome and return it with its photograph at the true pose."""
     import ladarreg_core as lr
-    from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
-    from ladarreg_core.formats.pose_file import read_pose
+    from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
+    from ladarreg_core.formats.documents.pose_file import read_pose
     from ladarreg_core.matches import Matches
 
     scan = lr.read_scan(folder / "scan.e57")

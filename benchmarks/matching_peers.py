@@ -8,17 +8,17 @@ from numpy.typing import NDArray
 
 import ladarreg_core as lr
 from benchmarks.nid import NidPair
-from ladarreg_core.arrays import FloatArray
-from ladarreg_core.features.correlation import edge_image
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import look_along
-from ladarreg_core.matching.thesis.chain import ThesisOptions
-from ladarreg_core.matching.thesis.densify import DensifyOptions
-from ladarreg_core.matching.thesis.matcher import ThesisMatchOptions
+from ladarreg_core.matching.features.correlation import edge_image
 from ladarreg_core.pose.estimate import PoseOptions
-from ladarreg_core.pose.ransac import ransac_pose
-from ladarreg_core.pose.thesis.stereo_simplex import SimplexOptions
+from ladarreg_core.pose.estimators.ransac import ransac_pose
 from ladarreg_core.simulate import SimulatedCase
 from ladarreg_core.surface.ranges import surface_range
+from ladarreg_core.thesis.estimators.stereo_simplex import SimplexOptions
+from ladarreg_core.thesis.matching.chain import ThesisOptions
+from ladarreg_core.thesis.matching.densify import DensifyOptions
+from ladarreg_core.thesis.matching.matcher import ThesisMatchOptions
 
 THESIS = {
     "thesis": ThesisOptions(),

@@ -17,7 +17,7 @@ from benchmarks.sparse_peers import PEERS_SET, peer_rows
 from benchmarks.sparse_sets import SPARSE_SETS
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.auto import AutoOptions
-from ladarreg_core.registration import RegisterOptions
+from ladarreg_core.registration.register import RegisterOptions
 from ladarreg_core.simulate import SCENES, simulate_case
 
 _LENSES: tuple[dict[str, float], ...] = (

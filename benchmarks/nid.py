@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 
-from ladarreg_core.arrays import BoolArray, FloatArray, read_only
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, read_only
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.surface.remap import look_up
 

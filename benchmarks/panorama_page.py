@@ -64,9 +64,9 @@ if (window.top === window) setInterval(() => { try { look(); } catch {} }, 100);
 def make_panorama(folder: Path, shape: tuple[int, int]) -> None:
     """Write the simulator's office, all around, with a photograph, its camera and the true pose, into a folder."""
     from benchmarks.dome import CAMERA, POSE, SCENE
-    from ladarreg_core.formats.camera_file import write_camera
-    from ladarreg_core.formats.json_file import write_json
-    from ladarreg_core.formats.npz import write_npz_panorama
+    from ladarreg_core.formats.cameras.camera_file import write_camera
+    from ladarreg_core.formats.parsing.json_file import write_json
+    from ladarreg_core.formats.scans.npz import write_npz_panorama
     from ladarreg_core.photo import Photo
     from ladarreg_core.scan import Scan
     from ladarreg_core.scanner.grids import SphericalGrid

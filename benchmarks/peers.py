@@ -10,7 +10,7 @@ import numpy as np
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.pose.ransac import ransac_pose
+from ladarreg_core.pose.estimators.ransac import ransac_pose
 from testing.scenes.accuracy import Answer, Solver, default, known_inliers
 from testing.scenes.pose_case import Case
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ladarreg_core.export.layout import beside, boxed, padded, placed, stacked, text_block, text_width
-from ladarreg_core.palette import ACCENT, BACKGROUND, BAD, DIM, INK, LINE, PANEL, WARN, Colour
+from ladarreg_core.export.pictures.layout import beside, boxed, padded, placed, stacked, text_block, text_width
+from ladarreg_core.foundations.palette import ACCENT, BACKGROUND, BAD, DIM, INK, LINE, PANEL, WARN, Colour
 
 Range = tuple[float, float]
 

@@ -11,8 +11,8 @@ import numpy as np
 from benchmarks.peers import HAS_POSELIB, PEERS, opencv_peer, poselib_peer
 from benchmarks.pose_report import Bar, Section, first_third, number, percent, table
 from ladarreg_core.frames import Rigid
-from ladarreg_core.pose.thesis.epipolar import epipolar_cost
-from ladarreg_core.pose.thesis.stereo import StereoPairs, stereo_cost
+from ladarreg_core.thesis.estimators.epipolar import epipolar_cost
+from ladarreg_core.thesis.estimators.stereo import StereoPairs, stereo_cost
 from testing.scenes.accuracy import Answers, Solver, ask, default, figures_of, length_in_sigmas, measure
 from testing.scenes.pose_case import Case, difference
 from testing.scenes.room import room_case

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.export.comparison_table import Table, markdown_table
+from ladarreg_core.export.comparison.table import Table, markdown_table
 
 LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "poselib")
 NOTHING = "-"

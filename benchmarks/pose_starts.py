@@ -13,7 +13,7 @@ from ladarreg_core.errors import LadarregError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.multistart import probe_basin
-from ladarreg_core.pose.thesis.stereo_simplex import SimplexOptions
+from ladarreg_core.thesis.estimators.stereo_simplex import SimplexOptions
 from testing.scenes.accuracy import SUCCESS_SIGMAS, Answer, default, length_in_sigmas
 from testing.scenes.pose_case import Case, difference, start_near
 from testing.scenes.room import plane_case, repeated_case, room_case

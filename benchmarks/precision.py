@@ -162,7 +162,7 @@ def pump_cases(count: int) -> Iterator[Case]:
 
     import ladarreg_core as lr
     from ladarreg_core.frames import look_along, rotation_from_rotvec
-    from ladarreg_core.surface.render import render_scan_colors
+    from ladarreg_core.surface.visibility.render import render_scan_colors
 
     path = _data() / "pump" / "pumpAVisualReferenceImage.e57"
     if not path.is_file():

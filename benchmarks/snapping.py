@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.snapping_lines import DrawnScene, drawn_scene, normals_of
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.errors import LadarregError
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.inspection.corners import gray_of_photo, gray_of_view
 from ladarreg_core.inspection.snapping import PhotoSnapper, ViewSnapper
 from ladarreg_core.matches import Pick

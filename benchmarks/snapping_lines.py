@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.inspection.pictures import inspection_views, scan_picture
 from ladarreg_core.simulate.case import SimulatedCase, case_world, simulate_case
 from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.simulate.world import World
+from ladarreg_core.simulate.worlds.world import World
 from ladarreg_core.surface.perspective import View
 
 LEAST_PX, MOST_PX = 40.0, 400.0

@@ -15,10 +15,10 @@ from benchmarks.edge_aligner import align_by_edges
 from benchmarks.nid import NidPair
 from benchmarks.register import Row, timed
 from benchmarks.sparse_sets import error_px, off_by, outdoor_case, real_cases
-from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import Rigid
-from ladarreg_core.simulate.outdoors import OUTDOORS
 from ladarreg_core.simulate.robot_lidar import LidarName
+from ladarreg_core.simulate.worlds.outdoors import OUTDOORS
 
 OURS = "auto"
 PEERS_SET = "sparse peers"

@@ -17,8 +17,8 @@ from benchmarks.register import Row, timed
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.simulate.outdoor_case import OutdoorCase, simulate_outdoors
-from ladarreg_core.simulate.outdoors import OUTDOORS
 from ladarreg_core.simulate.robot_lidar import LidarName
+from ladarreg_core.simulate.worlds.outdoors import OUTDOORS
 
 GUESS_DEG, GUESS_M = 5.0, 0.3
 """How far off a rough guess is."""

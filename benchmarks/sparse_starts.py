@@ -19,9 +19,9 @@ from benchmarks.register import timed
 from benchmarks.sparse_sets import off_by, outdoor_case
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.auto import AutoOptions
-from ladarreg_core.registration import RegisterOptions
-from ladarreg_core.simulate.outdoors import OUTDOORS
+from ladarreg_core.registration.register import RegisterOptions
 from ladarreg_core.simulate.robot_lidar import LidarName
+from ladarreg_core.simulate.worlds.outdoors import OUTDOORS
 
 _GUESS_DEG, _GUESS_M = 3.0, 0.2
 _SAME_SIGMAS, _RIGHT_SIGMAS = 0.3, 3.0

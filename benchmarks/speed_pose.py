@@ -13,7 +13,7 @@ import ladarreg_core as lr
 from benchmarks.speed_clock import Measure, compared, duration, in_turn
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, ThesisParameters
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.thesis.stereo import StereoPairs, stereo_cost
+from ladarreg_core.thesis.estimators.stereo import StereoPairs, stereo_cost
 
 _CAMERA = lr.Camera.from_focal(768, 512, 974.0)
 _POSE = lr.Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, (0.1, -0.4, 0.1))

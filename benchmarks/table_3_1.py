@@ -12,10 +12,10 @@ from benchmarks.peers import PEERS, linear
 from benchmarks.plots import ACCENT, BAD, DIM, INK, PINK, VIOLET, YELLOW, columns, field_width
 from benchmarks.pose_report import Bar, Section, first_third, number, table
 from benchmarks.thesis_apple import markdown, stated
-from ladarreg_core.export.comparison_table import NOTHING
+from ladarreg_core.export.comparison.table import NOTHING
 from ladarreg_core.frames import Rigid
 from ladarreg_core.pose.estimate import solve_pose
-from ladarreg_core.pose.thesis.stereo_simplex import Residual
+from ladarreg_core.thesis.estimators.stereo_simplex import Residual
 from testing.scenes.accuracy import Solver, default
 from testing.scenes.apple import APPLE_READINGS, apple_case, apple_error_percent, median_and_p95, simplex_poses
 from testing.scenes.pose_case import Case

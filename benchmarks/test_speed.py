@@ -9,10 +9,10 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER
-from ladarreg_core.pose.ransac import ransac_pose
+from ladarreg_core.pose.estimators.ransac import ransac_pose
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.simulate import sample_folder
-from ladarreg_core.surface.texture import texture_scan
+from ladarreg_core.surface.texture.registered_texture import texture_scan
 
 CAMERA = lr.Camera.from_focal(768, 512, 974.0)
 POSE = lr.Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, (0.1, -0.4, 0.1))

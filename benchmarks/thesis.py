@@ -34,8 +34,8 @@ from benchmarks.thesis_descents import convergence, convergence_picture, depth_e
 from benchmarks.thesis_scenes import printed_text, scene_run, scene_text, scenes_picture, scenes_text, simplex_of_scene
 from benchmarks.thesis_smoothing import poles_text, smoothing, smoothing_picture, smoothing_text
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.pose.thesis.stereo_simplex import fit_simplex
 from ladarreg_core.simulate import SCENES
+from ladarreg_core.thesis.estimators.stereo_simplex import fit_simplex
 from testing.scenes.apple import APPLE_TRUTH, THESIS_START, apple_case
 
 

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks import thesis_printed as printed
-from ladarreg_core.export.comparison_table import Table, markdown_table
+from ladarreg_core.export.comparison.table import Table, markdown_table
 from ladarreg_core.frames import Rigid, ThesisParameters
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.pose.thesis.stereo_simplex import Residual, SimplexFit, SimplexOptions
+from ladarreg_core.thesis.estimators.stereo_simplex import Residual, SimplexFit, SimplexOptions
 from testing.scenes.apple import APPLE_TRUTH
 from testing.scenes.pose_case import Case
 

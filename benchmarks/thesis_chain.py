@@ -11,10 +11,10 @@ import argparse
 import numpy as np
 
 import ladarreg_core as lr
-from ladarreg_core.matching.thesis.chain import ThesisOptions, solve_thesis
 from ladarreg_core.pose.estimate import solve_pose
 from ladarreg_core.progress import StepLog
 from ladarreg_core.simulate import SCENES, SimulatedCase, simulate_case
+from ladarreg_core.thesis.matching.chain import ThesisOptions, solve_thesis
 
 
 def apart_px(case: SimulatedCase, first: lr.Rigid, second: lr.Rigid) -> float:

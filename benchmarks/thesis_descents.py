@@ -14,8 +14,8 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.diagnostics import stereo_depth_error
-from ladarreg_core.pose.thesis.stereo import StereoPairs
-from ladarreg_core.pose.thesis.stereo_simplex import DescentStep, SimplexFit, SimplexOptions, descend
+from ladarreg_core.thesis.estimators.stereo import StereoPairs
+from ladarreg_core.thesis.estimators.stereo_simplex import DescentStep, SimplexFit, SimplexOptions, descend
 from testing.scenes.pose_case import Case
 
 

@@ -16,10 +16,10 @@ import numpy as np
 
 import ladarreg_core as lr
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
-from ladarreg_core.matching.thesis.matcher import FoundMatches, ThesisMatchOptions, ThesisSearch
-from ladarreg_core.matching.thesis.search import FilterSide
+from ladarreg_core.matching.images.pyramid import photo_levels, scan_levels, working_camera
 from ladarreg_core.simulate import SCENES, SimulatedCase, simulate_case
+from ladarreg_core.thesis.matching.matcher import FoundMatches, ThesisMatchOptions, ThesisSearch
+from ladarreg_core.thesis.matching.search import FilterSide
 
 RIGHT_PX = 3.0
 LEAST_RATIO = 0.9

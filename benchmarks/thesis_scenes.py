@@ -12,8 +12,8 @@ from benchmarks.plots import ACCENT, DIM, PINK, VIOLET, YELLOW, Bar, columns, fi
 from benchmarks.register import errors as scene_errors
 from benchmarks.thesis_apple import PARAMETERS, markdown, simplex_options, six
 from benchmarks.thesis_descents import Convergence, convergence
-from ladarreg_core.comparison import Column, Comparison, compare
-from ladarreg_core.export.comparison_table import NOTHING, comparison_table, title_of
+from ladarreg_core.export.comparison.table import NOTHING, comparison_table, title_of
+from ladarreg_core.registration.comparison import Column, Comparison, compare
 from ladarreg_core.simulate import SimulatedCase, simulate_case
 
 

@@ -13,8 +13,8 @@ from benchmarks.table_3_1 import THRESHOLD_M
 from benchmarks.thesis_apple import SHOWN_SEED, SMOOTHED_READING, markdown, stated
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_about
 from ladarreg_core.pose.estimate import solve_pose
-from ladarreg_core.pose.thesis.stereo import StereoPairs
 from ladarreg_core.quality.smoothing import SmoothOptions, smooth_ranges
+from ladarreg_core.thesis.estimators.stereo import StereoPairs
 from testing.scenes.apple import APPLE_READINGS, apple_case, apple_points
 from testing.scenes.pose_case import Case
 from testing.scenes.room import room_case

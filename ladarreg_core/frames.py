@@ -19,8 +19,8 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.errors import DegenerateGeometryError, ShapeError
+from ladarreg_core.foundations.arrays import FloatArray, read_only
 
 CAMERA_AXES_FROM_SCANNER = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 """Rotation of a camera that looks along the scanner's X: x_camera = -Y, y_camera = -Z, z_camera = X."""

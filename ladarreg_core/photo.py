@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ladarreg_core.arrays import ByteArray, FloatArray, read_only
 from ladarreg_core.camera import Camera, CameraModel, describe_in_short, require_camera, require_pinhole
 from ladarreg_core.errors import OptionError, ShapeError
-from ladarreg_core.source import Source
-from ladarreg_core.validation import require_number, require_positive
+from ladarreg_core.foundations.arrays import ByteArray, FloatArray, read_only
+from ladarreg_core.foundations.source import Source
+from ladarreg_core.foundations.validation import require_number, require_positive
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -9,16 +9,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray, read_only
 from ladarreg_core.camera import CameraModel, camera_from_model_fields, require_pinhole
 from ladarreg_core.camera.uncertainty import CameraUncertainty, pose_jacobian
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.formatting import format_angle, format_length
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, read_only
+from ladarreg_core.foundations.formatting import format_angle, format_length
+from ladarreg_core.foundations.palette import BAD, OK, WARN
+from ladarreg_core.foundations.validation import require_number
 from ladarreg_core.frames import Rigid, ThesisParameters, describe_direction, describe_position, rotation_from_rotvec
 from ladarreg_core.matches import Matches, count_picks
-from ladarreg_core.palette import BAD, OK, WARN
 from ladarreg_core.progress import Step
-from ladarreg_core.validation import require_number
 
 Evidence = Literal["image", "statistics", "given", "none"]
 ThesisStage = Literal["linear", "constrained_linear", "simplex", "simplex_outliers_removed"]

@@ -7,9 +7,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import ShapeError
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.photo import Photo
 
 CENTIKELVIN_K = 0.01

@@ -9,17 +9,17 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ladarreg_core.atomic_write import write_bytes
 from ladarreg_core.errors import ExportError, OptionError
 from ladarreg_core.project.station_edits import scans_of
+from ladarreg_core.storage.atomic_write import write_bytes
 
 from ..session.exported import ExportedPose, exported_pose
 from .inputs import Inputs, Workspace
 from .runner import JobContext
 
 if TYPE_CHECKING:
-    from ladarreg_core.export.folder import FileJob
     from ladarreg_core.export.output_frame import FrameName
+    from ladarreg_core.export.targets.folder import FileJob
     from ladarreg_core.project.document import Document, PhotoEntry, Source
 
 log = logging.getLogger(__name__)
@@ -87,7 +87,7 @@ class ExportJobs:
 
     def export(self, inputs: Inputs, context: JobContext, *, frame: FrameName = "scanner") -> str:
         """Write a zip."""
-        from ladarreg_core.export.zip_file import write_zip
+        from ladarreg_core.export.targets.zip_file import write_zip
 
         target = self.zip_path(inputs.entry.id)
         write_zip(target, lambda: self._files(inputs, frame), report=context.progress)
@@ -112,7 +112,7 @@ class ExportJobs:
         Raises:
             LadarregError: naming the reason.
         """
-        from ladarreg_core.export.folder import check_folder
+        from ladarreg_core.export.targets.folder import check_folder
 
         if not folder.is_absolute():
             raise OptionError(f"{folder} is not an absolute path; give one")
@@ -120,8 +120,8 @@ class ExportJobs:
 
     def into_folder(self, folder: Path, *, force: bool, frame: FrameName = "scanner") -> Work:
         """Return the work of a job that exports into a folder."""
-        from ladarreg_core.export.folder import write_folder
-        from ladarreg_core.manifest import visible_files
+        from ladarreg_core.export.targets.folder import write_folder
+        from ladarreg_core.storage.manifest import visible_files
 
         def work(inputs: Inputs, context: JobContext) -> str:
             write_folder(
@@ -138,9 +138,9 @@ class ExportJobs:
         return work
 
     def _files(self, inputs: Inputs, frame: FrameName, folder: Path | None = None) -> list[FileJob]:
-        from ladarreg_core.export.folder import registration_files
-        from ladarreg_core.export.replacement import MATCHES_FILE
-        from ladarreg_core.formats.matches_file import write_matches
+        from ladarreg_core.export.targets.folder import registration_files
+        from ladarreg_core.formats.documents.matches_file import write_matches
+        from ladarreg_core.storage.replacement import MATCHES_FILE
 
         if inputs.entry.pose is None:
             drawn = [pick.as_pick() for pick in inputs.entry.picks]

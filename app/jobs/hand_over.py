@@ -15,7 +15,7 @@ from .inputs import Workspace
 from .runner import JobContext
 
 if TYPE_CHECKING:
-    from ladarreg_core.export.targets.registered_scan import RegisteredScan
+    from ladarreg_core.export.registered_scan import RegisteredScan
     from ladarreg_core.export.targets.target import ExportOptions, Target
     from ladarreg_core.progress import Report
     from ladarreg_core.project.document import Document, PhotoEntry
@@ -114,7 +114,7 @@ class HandOverJobs:
         from ladarreg_core.export.output_frame import OutputFrame
         from ladarreg_core.export.targets.hand_over import export_files, export_to
         from ladarreg_core.export.targets.registry import targets_of
-        from ladarreg_core.export.zip_file import write_zip
+        from ladarreg_core.export.targets.zip_file import write_zip
 
         targets, document, options = targets_of(names), self._workspace.session.document, wanted.options
         chosen = self._chosen(document, wanted, with_refused=all(target.shows_refused for target in targets))

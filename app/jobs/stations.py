@@ -22,8 +22,8 @@ from .inputs import Workspace
 from .runner import JobContext
 
 if TYPE_CHECKING:
+    from ladarreg_core.registration.stations.registration import PoseUse
     from ladarreg_core.scan import Scan
-    from ladarreg_core.stations.registration import PoseUse
 
 STATIONS = "station-scans"
 """Name of the zip among the exports; ids of photographs have no hyphen."""
@@ -142,13 +142,13 @@ class StationJobs:
 
     def export(self, context: JobContext) -> str:
         """Write a zip of what `register-scans` writes, and all stations in one E57."""
+        from ladarreg_core.export.e57.tree import library
         from ladarreg_core.export.json import write_result
-        from ladarreg_core.export.replacement import STATIONS_FILE
         from ladarreg_core.export.targets.e57_stations import write_stations_e57
-        from ladarreg_core.export.targets.e57_tree import library
-        from ladarreg_core.export.zip_file import write_zip
-        from ladarreg_core.formats.npz import write_npz_xyz
-        from ladarreg_core.station_folder import stations_document
+        from ladarreg_core.export.targets.zip_file import write_zip
+        from ladarreg_core.formats.scans.npz import write_npz_xyz
+        from ladarreg_core.outputs.station_folder import stations_document
+        from ladarreg_core.storage.replacement import STATIONS_FILE
 
         document, survey = self.require_survey()
         folder = self._workspace.session.folder

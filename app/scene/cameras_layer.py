@@ -6,20 +6,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ladarreg_core.export.viser_colors import line_colours_for_viewer
+from ladarreg_core.export.models.viser_colors import line_colours_for_viewer
+from ladarreg_core.foundations.palette import ACCENT, REFUSED, SCANNER
 from ladarreg_core.inspection.model_textures import small_picture, view_picture
 from ladarreg_core.inspection.scene_geometry import camera_outline, dashed, for_both_ends, repeated
 from ladarreg_core.inspection.viewpoints import field_of_view
-from ladarreg_core.palette import ACCENT, REFUSED, SCANNER
-from ladarreg_core.surface.texture import intensity_picture
+from ladarreg_core.surface.texture.registered_texture import intensity_picture
 
 if TYPE_CHECKING:
     import viser
 
-    from ladarreg_core.arrays import ByteArray
     from ladarreg_core.camera import CameraModel
+    from ladarreg_core.foundations.arrays import ByteArray
+    from ladarreg_core.foundations.palette import Colour
     from ladarreg_core.frames import Rigid
-    from ladarreg_core.palette import Colour
 
     from .place import Place
     from .subject import Subject

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ladarreg_core.export.viser_colors import line_colours_for_viewer
+from ladarreg_core.export.models.viser_colors import line_colours_for_viewer
+from ladarreg_core.foundations.palette import BACKGROUND, HIGHLIGHT, MATCHES, UNKNOWN, ramp_colours
 from ladarreg_core.inspection.scene_geometry import Marks, for_both_ends, marks_of_result, rays_to, repeated, spread
-from ladarreg_core.palette import BACKGROUND, HIGHLIGHT, MATCHES, UNKNOWN, ramp_colours
 
 if TYPE_CHECKING:
     import viser
     from numpy.typing import ArrayLike
 
-    from ladarreg_core.arrays import ByteArray, FloatArray
+    from ladarreg_core.foundations.arrays import ByteArray, FloatArray
     from ladarreg_core.results import PoseResult
 
     from .model_view import ModelChoice

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ladarreg_core.export.viser_colors import line_colours_for_viewer
+from ladarreg_core.export.models.viser_colors import line_colours_for_viewer
+from ladarreg_core.foundations.palette import ACCENT, BACKGROUND, REFUSED
 from ladarreg_core.inspection.scene_geometry import (
     camera_outline,
     camera_outlines,
@@ -13,17 +14,16 @@ from ladarreg_core.inspection.scene_geometry import (
     for_both_ends,
     repeated,
 )
-from ladarreg_core.palette import ACCENT, BACKGROUND, REFUSED
 
 from .cameras_layer import add_camera, viser_pose
 
 if TYPE_CHECKING:
     import viser
 
-    from ladarreg_core.arrays import FloatArray
     from ladarreg_core.camera import CameraModel
+    from ladarreg_core.foundations.arrays import FloatArray
+    from ladarreg_core.foundations.palette import Colour
     from ladarreg_core.frames import Rigid
-    from ladarreg_core.palette import Colour
 
     from .place import Place
     from .simplex_frame import SimplexFrame

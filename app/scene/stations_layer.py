@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     import viser
     from numpy.typing import NDArray
 
+    from ladarreg_core.foundations.palette import Colour
     from ladarreg_core.frames import Rigid
-    from ladarreg_core.palette import Colour
 
     from .place import Place
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ladarreg_core.matches import Pick
     from ladarreg_core.photo import Photo
     from ladarreg_core.project.document import Document, PhotoEntry
-    from ladarreg_core.project.folder import ProjectFolder
+    from ladarreg_core.project.storage.folder import ProjectFolder
     from ladarreg_core.quality.assessment import Assessment
     from ladarreg_core.results import Registration
     from ladarreg_core.scan import Scan
@@ -58,8 +58,8 @@ class ExportedPose:
         Raises:
             LadarregError: if an input cannot be read again, or the file cannot be written.
         """
-        from ladarreg_core.atomic_write import replaced_file
-        from ladarreg_core.export.report import write_report
+        from ladarreg_core.export.report.page import write_report
+        from ladarreg_core.storage.atomic_write import replaced_file
 
         document = self.document()
         with replaced_file(path) as new:

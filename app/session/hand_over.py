@@ -14,9 +14,9 @@ from .loader import Loader
 
 if TYPE_CHECKING:
     from ladarreg_core.export.output_frame import FrameName
-    from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
+    from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
     from ladarreg_core.project.document import Document, PhotoEntry
-    from ladarreg_core.project.folder import ProjectFolder
+    from ladarreg_core.project.storage.folder import ProjectFolder
     from ladarreg_core.scan import Scan
 
 
@@ -116,7 +116,7 @@ def project_scan(
         LadarregError: if a file can no longer be read.
     """
     from ladarreg_core.export.output_frame import OutputFrame
-    from ladarreg_core.export.targets.registered_scan import RegisteredScan
+    from ladarreg_core.export.registered_scan import RegisteredScan
 
     if document.scan is None:
         raise OptionError("the project has no scan; open one in the workbench")
@@ -143,7 +143,7 @@ def project_scan(
 def _photo(
     loader: Loader, folder: ProjectFolder, document: Document, entry: PhotoEntry, scan: Scan, taken: Sequence[str]
 ) -> RegisteredPhoto:
-    from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, photo_id
+    from ladarreg_core.export.registered_scan import RegisteredPhoto, photo_id
 
     pose, camera = entry.pose, entry.camera.file
     assert pose is not None, "only photographs with a pose are chosen"

@@ -207,7 +207,7 @@ def reject(context: Context, client: Client, fields: Fields) -> Reply:
 
 def set_camera(context: Context, client: Client, fields: Fields) -> Reply:
     """Set a photograph's focal length, or that it is a panorama."""
-    from ladarreg_core.formats.exif import focal_of_35mm
+    from ladarreg_core.formats.photos.exif import focal_of_35mm
 
     given = {name: _positive(fields[name], what) for name, what in _FOCALS.items() if fields.get(name) is not None}
     model = fields.get("model")

@@ -14,6 +14,7 @@ from urllib.parse import quote
 import numpy as np
 
 from ladarreg_core.errors import LadarregError, OptionError, ShapeError
+from ladarreg_core.foundations.palette import as_css
 from ladarreg_core.inspection.model_textures import (
     ModelTexture,
     model_texture,
@@ -22,7 +23,6 @@ from ladarreg_core.inspection.model_textures import (
     texture_choices,
     usable_texture,
 )
-from ladarreg_core.palette import as_css
 
 from ..gateway.protocol import Picture
 from ..scene.model_view import DETAILS
@@ -30,15 +30,15 @@ from ..session.loader import Loader
 from ..session.session import Session
 
 if TYPE_CHECKING:
-    from ladarreg_core.arrays import ByteArray
+    from ladarreg_core.foundations.arrays import ByteArray
     from ladarreg_core.inspection.model_textures import Legend
     from ladarreg_core.photo import Photo
     from ladarreg_core.project.document import Document, PhotoEntry
     from ladarreg_core.results import PoseResult
     from ladarreg_core.scan import Scan
-    from ladarreg_core.surface.grid_block import GridBlock
-    from ladarreg_core.surface.mesh import Mesh
-    from ladarreg_core.surface.texture import RegisteredTexture
+    from ladarreg_core.surface.mesh.grid_block import GridBlock
+    from ladarreg_core.surface.mesh.grid_mesh import Mesh
+    from ladarreg_core.surface.texture.registered_texture import RegisteredTexture
 
 NO_PHOTO = "none"
 """Stands for the id of a photograph where there is none."""
@@ -196,13 +196,13 @@ def legend_entries(legend: Legend) -> dict[str, Any]:
 
 
 def _mesh_part(scan: Scan, most_vertices: int) -> Picture:
-    from ladarreg_core.export.packed_mesh import packed_mesh
+    from ladarreg_core.export.models.packed_mesh import packed_mesh
 
     return _packed(packed_mesh(surface_or_facets(scan, most_vertices)))
 
 
 def _block_of(text: str) -> GridBlock:
-    from ladarreg_core.surface.grid_block import GridBlock
+    from ladarreg_core.surface.mesh.grid_block import GridBlock
 
     try:
         level, row, column = (int(number) for number in text[:_LONGEST_BLOCK].split("."))
@@ -213,8 +213,8 @@ def _block_of(text: str) -> GridBlock:
 
 def _block_part(scan: Scan, block: GridBlock) -> Picture:
     """Return the surface of a block; without data if it has none."""
-    from ladarreg_core.export.packed_mesh import packed_mesh
-    from ladarreg_core.surface.grid_block import block_mesh
+    from ladarreg_core.export.models.packed_mesh import packed_mesh
+    from ladarreg_core.surface.mesh.grid_block import block_mesh
 
     try:
         mesh = block_mesh(scan, block, max_vertices=BLOCK_VERTICES)
@@ -225,9 +225,9 @@ def _block_part(scan: Scan, block: GridBlock) -> Picture:
 
 def _layer_part(scan: Scan, photo: Photo, result: PoseResult, labels: ByteArray, level: Detail) -> Picture:
     """Return the mesh that the photograph is drawn on; without data if it would show no more than the texture does."""
-    from ladarreg_core.export.packed_mesh import packed_mesh
-    from ladarreg_core.surface.photo_layer import photo_layer, shows_more_detail
-    from ladarreg_core.surface.photo_model import ModelPhoto
+    from ladarreg_core.export.models.packed_mesh import packed_mesh
+    from ladarreg_core.surface.texture.photo_layer import photo_layer, shows_more_detail
+    from ladarreg_core.surface.texture.photo_model import ModelPhoto
 
     if not shows_more_detail(scan, result.camera, photo_px=level.photo_px, texture_px=level.texture_px):
         return _packed(b"")
@@ -258,8 +258,8 @@ def _photo_picture(photo: Photo, longest_px: int) -> Picture:
 
 def surface_or_facets(scan: Scan, most_vertices: int) -> Mesh:
     """Return the surface of a scan; if it has none, its points as small triangles."""
-    from ladarreg_core.surface.facets import point_facets
-    from ladarreg_core.surface.mesh import scan_mesh
+    from ladarreg_core.surface.mesh.facets import point_facets
+    from ladarreg_core.surface.mesh.grid_mesh import scan_mesh
 
     mesh = scan_mesh(scan, max_vertices=most_vertices, closed=True)
     return mesh if len(mesh.faces) else point_facets(scan, max_vertices=most_vertices)

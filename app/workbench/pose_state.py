@@ -131,7 +131,7 @@ def stage_state(loader: Loader, pose: PoseEntry, *, stale: str, stages: Sequence
         stages: all stages that the photograph has a pose of.
     """
     from ladarreg_core.matching.image_check import statistics_note
-    from ladarreg_core.matching.views import would_clouds_help
+    from ladarreg_core.matching.images.views import would_clouds_help
     from ladarreg_core.quality.verdict import LIGHT_WORDS, verdict_of
 
     try:

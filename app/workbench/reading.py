@@ -22,7 +22,7 @@ def reading_of(value: object) -> Mapping[str, Any]:
     Raises:
         OptionError: if an option is unknown, or its value is not of its type or range.
     """
-    from ladarreg_core.formats.scan_request import ScanRequest
+    from ladarreg_core.formats.scans.scan_request import ScanRequest
     from ladarreg_core.thermal import TemperatureUnit
 
     if value is None:

@@ -178,8 +178,8 @@ class SceneSync:
         return subject
 
     def _picks_of(self, scan: Scan, subject: Subject, entry: PhotoEntry, with_residuals: bool) -> Picks:
+        from ladarreg_core.foundations.palette import MATCHES
         from ladarreg_core.inspection.picks import pick_points
-        from ladarreg_core.palette import MATCHES
 
         from ..scene import Picks, residual_colours
 

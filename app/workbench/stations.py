@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.palette import STATIONS as COLOURS
+from ladarreg_core.foundations.palette import STATIONS as COLOURS
+from ladarreg_core.foundations.validation import require_choice
 from ladarreg_core.project import station_edits
 from ladarreg_core.project.station_edits import is_stale, place_of, stated_station
-from ladarreg_core.validation import require_choice
 
 from ..argument_names import as_fields
 from ..jobs.inputs import Workspace
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ladarreg_core.frames import Rigid
     from ladarreg_core.project.document import Document, PhotoCheck, Source, StationEntry
     from ladarreg_core.project.history import Author
-    from ladarreg_core.stations.registration import PoseUse
+    from ladarreg_core.registration.stations.registration import PoseUse
 
     from ..scene import StationShown
 
@@ -115,7 +115,7 @@ class Stations:
 
     def register(self, poses: object, author: Author) -> str:
         """Start registering the stations and return the job's id; raises `LadarregError` if it cannot begin."""
-        from ladarreg_core.stations.registration import POSE_USES
+        from ladarreg_core.registration.stations.registration import POSE_USES
 
         self._jobs.require_stations()
         require_choice(poses, POSE_USES, "'Poses in the files'")

@@ -101,7 +101,7 @@ def _sample(server: Server, work: _Work) -> dict[str, Any]:
 
 
 def _focal() -> float:
-    from ladarreg_core.formats.camera_file import read_camera
+    from ladarreg_core.formats.cameras.camera_file import read_camera
 
     return read_camera(sample_folder() / "camera.json").focal_px
 

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray, IntArray
 from ladarreg_core.errors import ShapeError
+from ladarreg_core.foundations.arrays import FloatArray, IntArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scanner.pan_tilt import rays_of_line, turned_by_unit
 

@@ -15,11 +15,11 @@ import numpy as np
 from ladarreg_core.acquisition.mount_fields import mount_as_fields, mount_from_fields
 from ladarreg_core.acquisition.trigger import TriggerPlan
 from ladarreg_core.acquisition.twin_address import check_twin, is_twin
-from ladarreg_core.atomic_write import replaced_file, write_bytes
 from ladarreg_core.errors import DeviceError, FormatError, LadarregError, OptionError
-from ladarreg_core.formats.json_file import read_json_object
-from ladarreg_core.formats.untrusted import shown_name
+from ladarreg_core.formats.parsing.json_file import read_json_object
+from ladarreg_core.formats.parsing.untrusted import shown_name
 from ladarreg_core.frames import Rigid
+from ladarreg_core.storage.atomic_write import replaced_file, write_bytes
 
 Mode = Literal["sweep", "mosaic"]
 """`sweep`: a line scanner, every pan step is a column; `mosaic`: a scanner with a field of view, pieces overlap."""

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.acquisition.devices import PanTilt
+from ladarreg_core.acquisition.interfaces import PanTilt
 from ladarreg_core.errors import FormatError
-from ladarreg_core.formats.json_file import read_json_object
-from ladarreg_core.formats.untrusted import inside_folder, one_line, reading
-from ladarreg_core.validation import is_int, is_number
+from ladarreg_core.formats.parsing.json_file import read_json_object
+from ladarreg_core.formats.parsing.untrusted import inside_folder, one_line, reading
+from ladarreg_core.foundations.validation import is_int, is_number
 
 RECORDS, CLOSURE = "run.jsonl", "closure.json"
 _MOST_BYTES = 64 << 20

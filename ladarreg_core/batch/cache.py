@@ -10,12 +10,12 @@ import secrets
 from pathlib import Path
 from typing import IO, Any
 
-from ladarreg_core.atomic_write import make_folder
-from ladarreg_core.checksums import checksum
-from ladarreg_core.export.staging import is_running
 from ladarreg_core.formats.isolated.messages import MessageError, message_parts, read_message
-from ladarreg_core.validation import require_int
-from ladarreg_core.version import VERSION
+from ladarreg_core.foundations.validation import require_int
+from ladarreg_core.foundations.version import VERSION
+from ladarreg_core.storage.atomic_write import make_folder
+from ladarreg_core.storage.checksums import checksum
+from ladarreg_core.storage.staging import is_running
 
 MOST_BYTES = 4_000_000_000
 """Default size of a cache."""

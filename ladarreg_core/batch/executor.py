@@ -26,7 +26,7 @@ from multiprocessing.context import SpawnProcess
 from typing import Any, ParamSpec, TypeVar
 
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.validation import require_int
+from ladarreg_core.foundations.validation import require_int
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -282,7 +282,7 @@ def _serve(connection: Connection, parent: int) -> None:
 
     from ladarreg_core.formats.isolated.forked import confined_reads
     from ladarreg_core.formats.isolated.worker import end_with
-    from ladarreg_core.side_by_side import one_thread
+    from ladarreg_core.foundations.parallel import one_thread
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # where signals cannot be blocked
     if sys.platform == "linux":  # elsewhere it ends after its task

@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.camera import Camera
 from ladarreg_core.camera.uncertainty import INTRINSICS, CameraUncertainty, pose_jacobian
+from ladarreg_core.foundations.arrays import FloatArray, read_only
 from ladarreg_core.results import Registration
 
 _DISAGREES = 23.5  # chi squared with 4 degrees of freedom, exceeded once in 10,000

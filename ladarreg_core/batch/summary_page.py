@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ladarreg_core.atomic_write import write_bytes
-from ladarreg_core.checksums import sealed_page
-from ladarreg_core.export.replacement import REPORT_FILE
-from ladarreg_core.export.report_style import STYLE, SUMMARY_STYLE
-from ladarreg_core.formatting import format_angle, format_length
+from ladarreg_core.export.report.style import STYLE, SUMMARY_STYLE
+from ladarreg_core.foundations.formatting import format_angle, format_length
 from ladarreg_core.foundations.markup import Content, DataUri, Html, joined, section, table, tag
+from ladarreg_core.storage.atomic_write import write_bytes
+from ladarreg_core.storage.checksums import sealed_page
+from ladarreg_core.storage.replacement import REPORT_FILE
 
 _MOST_REASONS = 4
 _BADGES = (("bad", "failed"), ("bad", "not accepted"), ("warn", "accepted, coarse"), ("ok", "accepted"))

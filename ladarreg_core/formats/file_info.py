@@ -11,14 +11,17 @@ import numpy as np
 
 from ladarreg_core.camera import Camera, EquirectangularCamera
 from ladarreg_core.errors import CameraError, FormatError, OptionError, ShapeError, UnderspecifiedError
-from ladarreg_core.formats.bag import bag_topics, read_bag
-from ladarreg_core.formats.camera_file import camera_format, describe_camera, read_cameras
-from ladarreg_core.formats.camera_in_file import FileCamera
-from ladarreg_core.formats.e57 import read_e57
-from ladarreg_core.formats.e57_header import E57ImageInfo, E57Info, E57ScanInfo, read_e57_info
+from ladarreg_core.formats.cameras.camera_file import camera_format, describe_camera, read_cameras
+from ladarreg_core.formats.cameras.camera_in_file import FileCamera
+from ladarreg_core.formats.documents.matches_file import csv_rows
+from ladarreg_core.formats.documents.pose_file import POSE_FIELD, WORLD_FIELD, read_pose
+from ladarreg_core.formats.e57.header import E57ImageInfo, E57Info, E57ScanInfo, read_e57_info
+from ladarreg_core.formats.e57.pages import require_intact_pages
+from ladarreg_core.formats.e57.reader import read_e57
 from ladarreg_core.formats.e57_images import camera_of_image
-from ladarreg_core.formats.e57_pages import require_intact_pages
-from ladarreg_core.formats.exif import (
+from ladarreg_core.formats.parsing.json_file import begins_with_brace, parsed_once, read_json_object
+from ladarreg_core.formats.parsing.untrusted import one_line, reading, shown_name
+from ladarreg_core.formats.photos.exif import (
     edited_since,
     exif_facts,
     focal_from_exif,
@@ -26,17 +29,14 @@ from ladarreg_core.formats.exif import (
     orientation_of,
     upright,
 )
-from ladarreg_core.formats.gpano import WHICH_CAMERA, looks_like_panorama, panorama_of_xmp
-from ladarreg_core.formats.image_file import ImageData, read_image
-from ladarreg_core.formats.json_file import begins_with_brace, parsed_once, read_json_object
-from ladarreg_core.formats.las import las_facts, read_las
-from ladarreg_core.formats.las_header import read_las_header
-from ladarreg_core.formats.matches_file import csv_rows
-from ladarreg_core.formats.pose_file import POSE_FIELD, WORLD_FIELD, read_pose
-from ladarreg_core.formats.ptx import PtxBlock, ptx_blocks, read_ptx
-from ladarreg_core.formats.radiometric import radiometric_maker
-from ladarreg_core.formats.scan_request import ScanRequest
-from ladarreg_core.formats.untrusted import one_line, reading, shown_name
+from ladarreg_core.formats.photos.gpano import WHICH_CAMERA, looks_like_panorama, panorama_of_xmp
+from ladarreg_core.formats.photos.image_file import ImageData, read_image
+from ladarreg_core.formats.photos.radiometric import radiometric_maker
+from ladarreg_core.formats.scans.bag import bag_topics, read_bag
+from ladarreg_core.formats.scans.las import las_facts, read_las
+from ladarreg_core.formats.scans.las_header import read_las_header
+from ladarreg_core.formats.scans.ptx import PtxBlock, ptx_blocks, read_ptx
+from ladarreg_core.formats.scans.scan_request import ScanRequest
 from ladarreg_core.frames import ThesisParameters, describe_direction, describe_position, describe_world
 from ladarreg_core.scan import Scan
 from ladarreg_core.thermal import kelvin_of, needs_unit, shown_values

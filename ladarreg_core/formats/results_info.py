@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 
 from ladarreg_core.camera import CameraModel
-from ladarreg_core.checksums import CHECKSUM_FIELD
 from ladarreg_core.errors import FormatError
-from ladarreg_core.formats.camera_file import camera_from_fields, describe_camera
+from ladarreg_core.formats.cameras.camera_file import camera_from_fields, describe_camera
+from ladarreg_core.formats.documents.own_results import TRUST_OPTION, checksum_words, edited_fault, was_edited
+from ladarreg_core.formats.documents.panorama_info import panorama_lines
+from ladarreg_core.formats.documents.pose_file import GUESS_FIELD, POSE_FIELD, WORLD_FIELD, read_pose
+from ladarreg_core.formats.documents.registration_file import as_given
+from ladarreg_core.formats.documents.stations_info import station_lines
 from ladarreg_core.formats.file_info import FileInfo
-from ladarreg_core.formats.json_file import begins_with_brace, parsed_once, read_json_object
-from ladarreg_core.formats.own_results import TRUST_OPTION, checksum_words, edited_fault, was_edited
-from ladarreg_core.formats.panorama_info import panorama_lines
-from ladarreg_core.formats.pose_file import GUESS_FIELD, POSE_FIELD, WORLD_FIELD, read_pose
-from ladarreg_core.formats.registration_file import as_given
-from ladarreg_core.formats.stations_info import station_lines
-from ladarreg_core.formats.untrusted import one_line, reading, shown_name
+from ladarreg_core.formats.parsing.json_file import begins_with_brace, parsed_once, read_json_object
+from ladarreg_core.formats.parsing.untrusted import one_line, reading, shown_name
 from ladarreg_core.frames import Rigid, ThesisParameters, describe_direction, describe_position
-from ladarreg_core.manifest import DOCUMENTS
 from ladarreg_core.results import verdict_words
+from ladarreg_core.storage.checksums import CHECKSUM_FIELD
+from ladarreg_core.storage.manifest import DOCUMENTS
 
 _MOST_LISTED = 50
 _LONGEST = 400

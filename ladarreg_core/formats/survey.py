@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.formats.camera_file import read_cameras
-from ladarreg_core.formats.descriptor import named_files
+from ladarreg_core.formats.cameras.camera_file import read_cameras
 from ladarreg_core.formats.file_info import FileKind, scans_in
-from ladarreg_core.formats.image_file import image_size
-from ladarreg_core.formats.json_file import parsed_once, read_json_object
+from ladarreg_core.formats.parsing.json_file import parsed_once, read_json_object
+from ladarreg_core.formats.parsing.untrusted import PathLike
+from ladarreg_core.formats.photos.image_file import image_size
 from ladarreg_core.formats.registry import recognise
-from ladarreg_core.formats.untrusted import PathLike
+from ladarreg_core.formats.scans.descriptor import named_files
 
 _MOST_SIZES = 100
 _MOST_SCANS = 1000

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray
+from ladarreg_core.foundations.arrays import BoolArray, ByteArray, FloatArray
 from ladarreg_core.foundations.markup import Html, joined, map_uri, photograph_uri, tag
-from ladarreg_core.palette import Colour
+from ladarreg_core.foundations.palette import Colour
 
 PICTURE_PX = 320
 """Longest side of the picture, px."""

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ladarreg_core.arrays import FloatArray
-from ladarreg_core.features.corners import CornerOptions, find_corners
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.inspection.pictures import Stretch, compensated, stretched
+from ladarreg_core.matching.features.corners import CornerOptions, find_corners
 from ladarreg_core.photo import Photo
 from ladarreg_core.surface.perspective import View
 

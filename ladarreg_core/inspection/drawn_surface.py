@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 import cv2
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.surface.perspective import View
 from ladarreg_core.surface.ranges import measured_ranges
 

@@ -10,23 +10,38 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import ByteArray, FloatArray, read_only
 from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.foundations.arrays import ByteArray, FloatArray, read_only
+from ladarreg_core.foundations.palette import (
+    UNKNOWN,
+    VISIBILITY,
+    Colour,
+    as_css,
+    diverging_colours,
+    paint,
+    ramp_colours,
+    scale_end,
+)
 from ladarreg_core.inspection.surface_fields import (
     depth_error_field,
     residual_field,
     resolution_field,
     without_pepper,
 )
-from ladarreg_core.palette import UNKNOWN, VISIBILITY, Colour, as_css, diverging_colours, paint, ramp_colours, scale_end
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import View
 from ladarreg_core.surface.remap import look_up
-from ladarreg_core.surface.texture import Label, RegisteredTexture, intensity_picture, model_picture, texture_scan
+from ladarreg_core.surface.texture.registered_texture import (
+    Label,
+    RegisteredTexture,
+    intensity_picture,
+    model_picture,
+    texture_scan,
+)
 from ladarreg_core.surface.uncertainty import picture_sigma
-from ladarreg_core.surface.visibility import LARGEST_WHOLE_SCAN
+from ladarreg_core.surface.visibility.visible_points import LARGEST_WHOLE_SCAN
 
 TextureKind = Literal["colour", "intensity", "range", "residual", "depth_error", "uncertainty", "resolution", "label"]
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import OptionError
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.inspection.pictures import Stretch, stretched
 from ladarreg_core.inspection.viewpoints import typical_range

@@ -10,9 +10,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import FloatArray, IntArray
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import LadarregError
+from ladarreg_core.foundations.arrays import FloatArray, IntArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.photo import Photo
@@ -23,7 +23,12 @@ from ladarreg_core.quality.influence import influence
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.ranges import measured_ranges
-from ladarreg_core.surface.visibility import LARGEST_WHOLE_SCAN, ScanProjection, project_scan, projected_tiles
+from ladarreg_core.surface.visibility.visible_points import (
+    LARGEST_WHOLE_SCAN,
+    ScanProjection,
+    project_scan,
+    projected_tiles,
+)
 
 _MOST_CACHED = 4_000  # some kilobytes each
 _REACH_PX = 6

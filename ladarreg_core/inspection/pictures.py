@@ -12,19 +12,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.foundations.palette import ACCENT, uniform
+from ladarreg_core.foundations.validation import require_choice
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.inspection.drawn_surface import drawn_surface
 from ladarreg_core.inspection.viewpoints import is_all_around
-from ladarreg_core.matching.views import viewing_directions
-from ladarreg_core.palette import ACCENT, uniform
+from ladarreg_core.matching.images.views import viewing_directions
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import View, check_viewable, most_view_pixels, native_focal_px, perspective_view
-from ladarreg_core.surface.render import LARGEST_DRAWN_SCAN, render_scan_picture
-from ladarreg_core.surface.texture import RegisteredTexture, intensity_picture
-from ladarreg_core.validation import require_choice
+from ladarreg_core.surface.texture.registered_texture import RegisteredTexture, intensity_picture
+from ladarreg_core.surface.visibility.render import LARGEST_DRAWN_SCAN, render_scan_picture
 
 Show = Literal["intensity", "raw", "range", "shape", "normals", "edges", "color"]
 OverlayShow = Literal["intensity", "edges", "range"]

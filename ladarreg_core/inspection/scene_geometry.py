@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, IntArray, read_only
 from ladarreg_core.camera import CameraModel
+from ladarreg_core.foundations.arrays import BoolArray, ByteArray, FloatArray, IntArray, read_only
 from ladarreg_core.frames import Rigid
 from ladarreg_core.inspection.viewpoints import field_of_view
 from ladarreg_core.results import PoseResult

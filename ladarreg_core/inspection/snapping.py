@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera, CameraModel
-from ladarreg_core.features.edges import EdgeOptions, edge_under
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.inspection.corners import gray_of_photo, gray_of_view, nearest_corner
+from ladarreg_core.matching.features.edges import EdgeOptions, edge_under
 from ladarreg_core.photo import Photo
 from ladarreg_core.surface.perspective import View
 from ladarreg_core.surface.remap import look_up

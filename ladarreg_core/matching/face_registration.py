@@ -13,16 +13,16 @@ import numpy as np
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.aligner import Aligner
-from ladarreg_core.matching.ambiguity import KnownPoses, ambiguity_sentence, competes
 from ladarreg_core.matching.auto import ADVICE, AutoOptions, reason_against_scan
 from ladarreg_core.matching.auto_result import AutoResult
-from ladarreg_core.matching.face_alignment import JointAligner, face_view, joint_aligner
-from ladarreg_core.matching.face_search import FaceHypothesis, FaceSearch
-from ladarreg_core.matching.faces import Face, FaceSet
-from ladarreg_core.matching.laser_images import CleanedScan
-from ladarreg_core.matching.pyramid import working_camera
-from ladarreg_core.matching.verification import GateOptions, Verification, check_precision
+from ladarreg_core.matching.images.faces import Face, FaceSet
+from ladarreg_core.matching.images.laser_images import CleanedScan
+from ladarreg_core.matching.images.pyramid import working_camera
+from ladarreg_core.matching.refine.aligner import Aligner
+from ladarreg_core.matching.refine.face_alignment import JointAligner, face_view, joint_aligner
+from ladarreg_core.matching.search.ambiguity import KnownPoses, ambiguity_sentence, competes
+from ladarreg_core.matching.search.face_search import FaceHypothesis, FaceSearch
+from ladarreg_core.matching.verify.verification import GateOptions, Verification, check_precision
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import StepLog
 from ladarreg_core.scan import Scan

@@ -14,13 +14,13 @@ from functools import partial
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.foundations.parallel import side_by_side
 from ladarreg_core.frames import Rigid, rotation_about
-from ladarreg_core.matching.agreement import Agreement
-from ladarreg_core.matching.aligner import Aligner
-from ladarreg_core.matching.pyramid import PhotoLevels
-from ladarreg_core.matching.verification import Verification, beside_wrong_poses, rests_on_number
-from ladarreg_core.side_by_side import side_by_side
+from ladarreg_core.matching.images.pyramid import PhotoLevels
+from ladarreg_core.matching.refine.aligner import Aligner
+from ladarreg_core.matching.verify.agreement import Agreement
+from ladarreg_core.matching.verify.verification import Verification, beside_wrong_poses, rests_on_number
 
 TURNED, MIRRORED = 12, 12
 """Number of wrong poses in the photo and in its mirror image."""

@@ -13,8 +13,8 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray
-from ladarreg_core.formatting import format_length
+from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.foundations.formatting import format_length
 from ladarreg_core.matches import Pick
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M
 from ladarreg_core.results import PoseResult

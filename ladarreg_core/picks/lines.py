@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray, IntArray
+from ladarreg_core.foundations.arrays import FloatArray, IntArray
 from ladarreg_core.frames import look_along
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.ranges import EDGE_FRACTION, MeasuredRanges, measured_ranges, range_quality

@@ -10,14 +10,14 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera, CameraModel
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray
+from ladarreg_core.foundations.validation import require_choice, require_int
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.picks.lines import along_line, fraction_in_photo, kappa_of, line_on_scan
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.ranges import measured_ranges, range_quality, usual_noise_m
-from ladarreg_core.validation import require_choice, require_int
 
 LineUse = Literal["ends", "equal", "kappa"]
 """`ends`: the two ends, with ranges from the whole line; `equal`: samples at constant intervals in both images, as in

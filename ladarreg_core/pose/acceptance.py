@@ -14,13 +14,13 @@ from math import hypot, lgamma, log, log10
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray, IntArray, median
 from ladarreg_core.camera import CameraModel
-from ladarreg_core.formatting import format_length
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray, median
+from ladarreg_core.foundations.formatting import format_length
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, count_picks
-from ladarreg_core.pose.bundle import UNSEEN, Evaluation
-from ladarreg_core.pose.covariance import LEAST_EIGENVALUE, guarded_inverse
+from ladarreg_core.pose.estimators.bundle import UNSEEN, Evaluation
+from ladarreg_core.pose.estimators.covariance import LEAST_EIGENVALUE, guarded_inverse
 from ladarreg_core.results import is_determined
 
 _PLANE_SAMPLES = 80  # of three points each: the chance (1 - .7^3)^80 of missing a plane of 70 % is negligible

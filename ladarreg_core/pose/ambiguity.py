@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera, CameraModel
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import Rigid, principal_extents, rotation_from_rotvec, rotvec_from_rotation
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, AcceptanceOptions
-from ladarreg_core.pose.bundle import (
+from ladarreg_core.pose.estimators.bundle import (
     Descent,
     Measurements,
     States,
@@ -26,9 +26,9 @@ from ladarreg_core.pose.bundle import (
     residuals,
     rotations_from_rotvecs,
 )
-from ladarreg_core.pose.gnc import graduate, narrow_scales, truncated_score
-from ladarreg_core.pose.ransac import sample_pose
-from ladarreg_core.pose.ray_ransac import sample_pose_of_rays
+from ladarreg_core.pose.estimators.gnc import graduate, narrow_scales, truncated_score
+from ladarreg_core.pose.estimators.ransac import sample_pose
+from ladarreg_core.pose.estimators.ray_ransac import sample_pose_of_rays
 
 _ORBIT_RAD = np.deg2rad(20.0)
 _ORBITS = 3

@@ -19,13 +19,20 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera, require_pinhole
 from ladarreg_core.camera.uncertainty import INTRINSICS, CameraPrior, CameraUncertainty
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.covariance import pose_covariance
-from ladarreg_core.pose.intrinsics import Anchor, Descent, IntrinsicsFit, Noise, estimate_intrinsics, intrinsic
+from ladarreg_core.pose.estimators.covariance import pose_covariance
+from ladarreg_core.pose.estimators.intrinsics import (
+    Anchor,
+    Descent,
+    IntrinsicsFit,
+    Noise,
+    estimate_intrinsics,
+    intrinsic,
+)
 from ladarreg_core.results import PoseResult
 
 MOST_PRIOR_SIGMAS = 3.0

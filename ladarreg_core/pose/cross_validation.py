@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.camera import Camera
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose import bundle
-from ladarreg_core.pose.bundle import Evaluation, Measurements, States, adjust_ranges
-from ladarreg_core.pose.intrinsics import (
+from ladarreg_core.pose.estimators import bundle
+from ladarreg_core.pose.estimators.bundle import Evaluation, Measurements, States, adjust_ranges
+from ladarreg_core.pose.estimators.intrinsics import (
     PARAMETERS,
     Descent,
     Intrinsics,

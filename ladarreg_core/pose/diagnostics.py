@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray, median
 from ladarreg_core.camera import CameraModel
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, median
 from ladarreg_core.frames import Rigid, principal_extents
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.thesis.stereo import STEREO_AXES_FROM_SCANNER, StereoPairs, rectify, stereo_frame
+from ladarreg_core.thesis.estimators.stereo import STEREO_AXES_FROM_SCANNER, StereoPairs, rectify, stereo_frame
 
 _LEAST_DISPARITY_SIGMA = 3.0
 

@@ -20,11 +20,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.acceptance import information_of, parts_of_information
-from ladarreg_core.pose.bundle import Evaluation
-from ladarreg_core.pose.covariance import guarded_inverse
+from ladarreg_core.pose.estimators.bundle import Evaluation
+from ladarreg_core.pose.estimators.covariance import guarded_inverse
 
 _SHARED_BY_ENDS = 0.8
 _BETWEEN_LINES = 2.0

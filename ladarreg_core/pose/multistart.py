@@ -15,9 +15,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
-from ladarreg_core.formatting import format_length
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
+from ladarreg_core.foundations.formatting import format_length
+from ladarreg_core.foundations.validation import require_int
 from ladarreg_core.frames import Rigid
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, AcceptanceOptions
 from ladarreg_core.pose.ambiguity import (
@@ -32,7 +33,7 @@ from ladarreg_core.pose.ambiguity import (
     poses_towards_mirrored,
     refine_generalised,
 )
-from ladarreg_core.pose.bundle import (
+from ladarreg_core.pose.estimators.bundle import (
     Measurements,
     States,
     adjust_ranges,
@@ -40,12 +41,18 @@ from ladarreg_core.pose.bundle import (
     residuals,
     rotations_from_rotvecs,
 )
-from ladarreg_core.pose.covariance import LEAST_EIGENVALUE, guarded_inverse
-from ladarreg_core.pose.gnc import DEFAULT_GNC, graduate, graduate_merging, group_by_leader, narrow_scales, near_pairs
+from ladarreg_core.pose.estimators.covariance import LEAST_EIGENVALUE, guarded_inverse
+from ladarreg_core.pose.estimators.gnc import (
+    DEFAULT_GNC,
+    graduate,
+    graduate_merging,
+    group_by_leader,
+    narrow_scales,
+    near_pairs,
+)
 from ladarreg_core.pose.options import PoseOptions
 from ladarreg_core.pose.preconditions import LEAST_MATCHES
 from ladarreg_core.results import PoseResult
-from ladarreg_core.validation import require_int
 
 BasinVerdict = Literal["unique", "ambiguous", "failed"]
 

@@ -7,12 +7,12 @@ from typing import Any, Literal, get_args
 
 from ladarreg_core.camera.uncertainty import DEFAULT_CAMERA_PRIOR, CameraPrior
 from ladarreg_core.errors import OptionError
+from ladarreg_core.foundations.validation import LARGEST_INT, require_choice, require_int
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, AcceptanceOptions
-from ladarreg_core.pose.gnc import DEFAULT_GNC, GncOptions
-from ladarreg_core.pose.intrinsics import Intrinsics
-from ladarreg_core.pose.ransac import Backend
-from ladarreg_core.pose.thesis.stereo_simplex import DEFAULT_SIMPLEX, SimplexOptions
-from ladarreg_core.validation import LARGEST_INT, require_choice, require_int
+from ladarreg_core.pose.estimators.gnc import DEFAULT_GNC, GncOptions
+from ladarreg_core.pose.estimators.intrinsics import Intrinsics
+from ladarreg_core.pose.estimators.ransac import Backend
+from ladarreg_core.thesis.estimators.stereo_simplex import DEFAULT_SIMPLEX, SimplexOptions
 
 Method = Literal["robust", "linear", "stereo_simplex", "epipolar_simplex"]
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray, median
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.camera.uncertainty import CameraUncertainty
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, median
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, across_lines
 from ladarreg_core.pose.acceptance import (
@@ -20,8 +20,8 @@ from ladarreg_core.pose.acceptance import (
     log10_false_alarms,
 )
 from ladarreg_core.pose.ambiguity import find_second_pose, is_planar, second_pose_of_outliers
-from ladarreg_core.pose.bundle import UNSEEN, Evaluation, Measurements, States, adjust_ranges
 from ladarreg_core.pose.diagnostics import diagnose, stereo_depth_error, stereo_disparities
+from ladarreg_core.pose.estimators.bundle import UNSEEN, Evaluation, Measurements, States, adjust_ranges
 from ladarreg_core.pose.noise import estimate_noise
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M, PoseOptions
 from ladarreg_core.results import PoseResult

@@ -16,15 +16,17 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray, median
 from ladarreg_core.camera import Camera, CameraModel, require_pinhole
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import DegenerateGeometryError
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, median
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.ambiguity import is_planar, likelihood_scores, mirrored
 from ladarreg_core.pose.assumed_camera import fit_assumed_camera, with_assumed_camera
-from ladarreg_core.pose.bundle import (
+from ladarreg_core.pose.cross_validation import choose_intrinsics, describe_intrinsics, worse_when_held_out
+from ladarreg_core.pose.drawn_scatter import scatter_between_lines
+from ladarreg_core.pose.estimators.bundle import (
     UNSEEN,
     Evaluation,
     Measurements,
@@ -34,16 +36,14 @@ from ladarreg_core.pose.bundle import (
     linearise,
     residuals,
 )
-from ladarreg_core.pose.covariance import pose_covariance
-from ladarreg_core.pose.cross_validation import choose_intrinsics, describe_intrinsics, worse_when_held_out
-from ladarreg_core.pose.drawn_scatter import scatter_between_lines
-from ladarreg_core.pose.gnc import graduate, narrow_scales, truncated_score, wide_scales
-from ladarreg_core.pose.intrinsics import IntrinsicsFit, Noise, estimate_intrinsics
+from ladarreg_core.pose.estimators.covariance import pose_covariance
+from ladarreg_core.pose.estimators.gnc import graduate, narrow_scales, truncated_score, wide_scales
+from ladarreg_core.pose.estimators.intrinsics import IntrinsicsFit, Noise, estimate_intrinsics
+from ladarreg_core.pose.estimators.ransac import sample_pose
+from ladarreg_core.pose.estimators.ray_ransac import sample_pose_of_rays
 from ladarreg_core.pose.line_ends import repair_ends
 from ladarreg_core.pose.options import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions
 from ladarreg_core.pose.preconditions import LEAST_MATCHES
-from ladarreg_core.pose.ransac import sample_pose
-from ladarreg_core.pose.ray_ransac import sample_pose_of_rays
 from ladarreg_core.pose.result import Fit, build_result, noise_of_inliers
 from ladarreg_core.results import PoseResult
 

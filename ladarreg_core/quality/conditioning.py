@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.camera.uncertainty import pose_jacobian
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, information_matrix, residuals
+from ladarreg_core.pose.estimators.bundle import UNSEEN, Measurements, States, information_matrix, residuals
 from ladarreg_core.pose.preconditions import LEAST_MATCHES
 from ladarreg_core.results import PoseResult
 

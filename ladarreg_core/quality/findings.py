@@ -17,11 +17,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ladarreg_core.formatting import format_length, format_number
+from ladarreg_core.foundations.formatting import format_length, format_number
 from ladarreg_core.matches import count_picks
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, count_distinct
 from ladarreg_core.pose.diagnostics import diagnose
-from ladarreg_core.pose.thesis.linear import LEAST_PLANARITY
 from ladarreg_core.quality.camera_finding import camera_in_words
 from ladarreg_core.quality.conditioning import Conditioning, assess_conditioning
 from ladarreg_core.quality.lens_check import check_lens
@@ -34,6 +33,7 @@ from ladarreg_core.quality.limits import (
 )
 from ladarreg_core.quality.suspects import suspect_matches
 from ladarreg_core.results import PoseResult, Registration
+from ladarreg_core.thesis.estimators.linear import LEAST_PLANARITY
 
 Level = Literal["good", "fair", "poor"]
 LEVELS: tuple[Level, ...] = ("good", "fair", "poor")

@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray, IntArray, read_only
 from ladarreg_core.camera.uncertainty import pose_jacobian
 from ladarreg_core.errors import DegenerateGeometryError
-from ladarreg_core.formatting import format_length
-from ladarreg_core.pose.bundle import (
+from ladarreg_core.foundations.arrays import FloatArray, IntArray, read_only
+from ladarreg_core.foundations.formatting import format_length
+from ladarreg_core.pose.estimators.bundle import (
     UNSEEN,
     Measurements,
     States,

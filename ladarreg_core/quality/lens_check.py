@@ -15,8 +15,8 @@ from typing import Literal
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray
-from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, adjust_ranges, linearise
+from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.pose.estimators.bundle import UNSEEN, Measurements, States, adjust_ranges, linearise
 from ladarreg_core.results import PoseResult
 
 LEAST_MATCHES_OF_LENS = 12

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import CameraModel
+from ladarreg_core.foundations.arrays import FloatArray
 
 MOST_SIGMA_Z_OVER_Z = 0.05
 """Relative uncertainty of a stereo depth above which it cannot be compared with the laser's."""

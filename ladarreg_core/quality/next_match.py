@@ -15,15 +15,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray, IntArray, read_only
 from ladarreg_core.camera import CameraModel
-from ladarreg_core.formatting import format_number
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray, read_only
+from ladarreg_core.foundations.formatting import format_number
+from ladarreg_core.foundations.validation import require_int, require_number
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.ranges import surface_range
 from ladarreg_core.surface.uncertainty import covariance_factor
-from ladarreg_core.surface.visibility import LARGEST_WHOLE_SCAN, project_scan
-from ladarreg_core.validation import require_int, require_number
+from ladarreg_core.surface.visibility.visible_points import LARGEST_WHOLE_SCAN, project_scan
 
 _CANDIDATES = 900
 _MOST_SUGGESTIONS = 100

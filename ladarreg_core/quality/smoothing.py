@@ -19,18 +19,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ladarreg_core.arrays import BoolArray, FloatArray, read_only
 from ladarreg_core.camera import CameraModel, require_camera, require_pinhole
 from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, read_only
+from ladarreg_core.foundations.validation import require_positive
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, linearise, residuals
 from ladarreg_core.pose.diagnostics import diagnose
+from ladarreg_core.pose.estimators.bundle import UNSEEN, Measurements, States, linearise, residuals
 from ladarreg_core.quality.limits import MOST_SIGMA_Z_OVER_Z
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.spikes import SPIKE_FRACTION, median_range
-from ladarreg_core.validation import require_positive
 
 _UNKNOWN_RANGE_SIGMA_M = 1e6  # so large that the pixel alone determines the range
 _MOST_FACTOR = 100.0  # larger than any scanner's error; without a baseline, rounding may yield any range

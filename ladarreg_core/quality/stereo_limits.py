@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera, CameraModel, require_camera
+from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.foundations.validation import require_positive, require_type
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters, principal_extents
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, count_distinct
-from ladarreg_core.pose.ransac import ransac_pose
-from ladarreg_core.pose.thesis.linear import LEAST_PLANARITY
-from ladarreg_core.pose.thesis.starts import picture_roll
-from ladarreg_core.pose.thesis.stereo import StereoPairs
+from ladarreg_core.pose.estimators.ransac import ransac_pose
 from ladarreg_core.quality.limits import (
     LARGE_ROLL_RAD,
     LITTLE_SPREAD,
@@ -24,7 +22,9 @@ from ladarreg_core.quality.limits import (
     has_usable_parallax,
     is_forward_baseline,
 )
-from ladarreg_core.validation import require_positive, require_type
+from ladarreg_core.thesis.estimators.linear import LEAST_PLANARITY
+from ladarreg_core.thesis.estimators.starts import picture_roll
+from ladarreg_core.thesis.estimators.stereo import StereoPairs
 
 _RANSAC_SIGMA, _LEAST_AGREEING, _LEAST_AGREEING_SHARE = 6.0, 8, 0.3
 _MOST_SIGMA_PX = 1e6

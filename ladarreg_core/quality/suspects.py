@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray
 from ladarreg_core.errors import LadarregError
+from ladarreg_core.foundations.arrays import BoolArray
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.results import PoseResult
 

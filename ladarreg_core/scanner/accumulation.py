@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import ByteArray, FloatArray
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.formatting import format_percent
+from ladarreg_core.foundations.arrays import ByteArray, FloatArray
+from ladarreg_core.foundations.formatting import format_percent
 from ladarreg_core.scanner.gridding import GriddedCloud, grid_points
 
 _MOST_ELSEWHERE = 0.15

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import ByteArray, FloatArray, read_only
 from ladarreg_core.errors import ShapeError, UnderspecifiedError
-from ladarreg_core.formatting import format_percent
+from ladarreg_core.foundations.arrays import ByteArray, FloatArray, read_only
+from ladarreg_core.foundations.formatting import format_percent
 from ladarreg_core.frames import Rigid, describe_position
 from ladarreg_core.scanner.gridding import LARGEST_GRID, LEAST_POINTS, GriddedCloud, grid_points
 from ladarreg_core.scanner.origin import FARTHEST_ZERO_M, estimate_origin

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray, IntArray
+from ladarreg_core.foundations.arrays import FloatArray, IntArray
 
 _LEAST_AROUND = 5
 _GAP_CELLS = 6

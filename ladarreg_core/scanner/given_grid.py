@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.foundations.arrays import FloatArray, read_only
 from ladarreg_core.scanner.grid_order import GridOrder, is_scan_grid, order_of
 from ladarreg_core.scanner.grids import TabulatedGrid
 

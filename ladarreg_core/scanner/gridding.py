@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, IntArray, read_only
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.formatting import format_percent
+from ladarreg_core.foundations.arrays import BoolArray, ByteArray, FloatArray, IntArray, read_only
+from ladarreg_core.foundations.formatting import format_percent
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, rotation_from_rotvec, wrap_angle
 from ladarreg_core.scanner.filling import fill_silence, range_tolerance
 from ladarreg_core.scanner.grids import RotatedGrid, ScanGeometry, SphericalGrid, TabulatedGrid

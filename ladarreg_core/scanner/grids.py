@@ -13,9 +13,9 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import FloatArray, IntArray, read_only
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.foundations.arrays import FloatArray, IntArray, read_only
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, wrap_angle
 from ladarreg_core.scanner.ray_table import (
     RayTableInverse,

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
 
 _SEED = 31
 _POOL = 150_000  # points among which neighbours are searched

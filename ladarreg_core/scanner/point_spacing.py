@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.foundations.arrays import FloatArray
 
 LARGE_CLOUD = 1_000_000
 """Points; of larger clouds, a part shows the structure."""

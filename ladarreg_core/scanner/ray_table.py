@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.errors import ShapeError
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import wrap_angle
 
 _LEAST_RAYS = 12

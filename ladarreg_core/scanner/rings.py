@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray, IntArray
+from ladarreg_core.foundations.arrays import FloatArray, IntArray
 from ladarreg_core.frames import wrap_angle
 from ladarreg_core.scanner.grids import RingGrid
 from ladarreg_core.scanner.point_spacing import LARGE_CLOUD

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray, IntArray
+from ladarreg_core.foundations.arrays import FloatArray, IntArray
 from ladarreg_core.scan import Scan
 
 _ROWS, _COLUMNS = (-1, 0, 1, 2), (-3, -2, -1, 0, 1, 2, 3, 4)

@@ -10,15 +10,15 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError, OptionError, ShapeError
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray
+from ladarreg_core.foundations.validation import require_type
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grid_window import grid_rays
 from ladarreg_core.surface.ranges import EDGE_FRACTION
 from ladarreg_core.surface.remap import look_up
-from ladarreg_core.validation import require_type
 
 WIDEST_VIEW_RAD = np.deg2rad(120.0)
 """Largest field of view of a perspective image."""

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.between_lines import ranges_between_lines
 

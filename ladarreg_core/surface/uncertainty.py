@@ -14,14 +14,14 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.camera import Camera, CameraModel, require_camera
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import ShapeError
+from ladarreg_core.foundations.arrays import FloatArray, read_only
+from ladarreg_core.foundations.validation import require_choice, require_number
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.remap import look_up
-from ladarreg_core.validation import require_choice, require_number
 
 Measure = Literal["longer_axis", "total"]
 """`longer_axis`: root of the larger eigenvalue of the pixel's covariance; `total`: root of its trace."""

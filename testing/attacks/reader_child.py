@@ -19,10 +19,10 @@ from typing import Any
 
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.formats import FORMATS, describe, extract_images, read_photo, read_scan
-from ladarreg_core.formats.camera_file import read_cameras
-from ladarreg_core.formats.matches_file import read_matches
-from ladarreg_core.formats.pose_file import read_initial, read_pose
-from ladarreg_core.formats.registration_file import read_offset, read_registration
+from ladarreg_core.formats.cameras.camera_file import read_cameras
+from ladarreg_core.formats.documents.matches_file import read_matches
+from ladarreg_core.formats.documents.pose_file import read_initial, read_pose
+from ladarreg_core.formats.documents.registration_file import read_offset, read_registration
 from ladarreg_core.frames import Rigid
 from testing.attacks.mutations import mutated
 from testing.files.seed_files import REFERENCE_SCAN, seeds_in

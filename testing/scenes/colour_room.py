@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ladarreg_core.camera import CameraModel
-from ladarreg_core.export.targets.registered_scan import RegisteredPhoto
+from ladarreg_core.export.registered_scan import RegisteredPhoto
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan

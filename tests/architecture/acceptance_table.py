@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.matching.verification import COARSE_GATE, GateOptions
+from ladarreg_core.matching.verify.verification import COARSE_GATE, GateOptions
 from ladarreg_core.pose.acceptance import AcceptanceOptions
 
 PAGE = Path(__file__).parents[2] / "docs" / "quality.md"

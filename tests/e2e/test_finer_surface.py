@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from ladarreg_core.formats.npz import write_npz_panorama
+from ladarreg_core.formats.scans.npz import write_npz_panorama
 from testing.workbench.pages import LONGEST_MS
 from testing.workbench.shared import SharedWorkbench
 from tests.unit.surface.test_grid_block import room_scan

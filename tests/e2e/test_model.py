@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ladarreg_core.palette import VISIBILITY
+from ladarreg_core.foundations.palette import VISIBILITY
 from ladarreg_core.simulate.sample import sample_folder
 from testing.scenes.true_matches import true_points
 from testing.workbench.pages import LONGEST_MS, two_frames

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from ladarreg.gateway.viser_backend import close_server
 
-from ladarreg_core.export.glb import glb_bytes
-from ladarreg_core.palette import BACKGROUND
+from ladarreg_core.export.models.glb import glb_bytes
+from ladarreg_core.foundations.palette import BACKGROUND
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.surface.mesh import scan_mesh
+from ladarreg_core.surface.mesh.grid_mesh import scan_mesh
 from testing.workbench.open_viser import address, open_server
 from testing.workbench.pages import SIZE, wait_for_pixels
 

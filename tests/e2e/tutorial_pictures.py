@@ -68,7 +68,7 @@ def _tutorial(folder: Path, chromium: Browser, target: Path) -> None:
     results = folder / "results"
     scan = lr.read_scan(pair / "scan.npz")
     photo = lr.read_photo(pair / "photo.png", camera=pair / "camera.json")
-    from ladarreg_core.export.folder import export_registration
+    from ladarreg_core.export.targets.folder import export_registration
 
     export_registration(results, lr.register(scan, photo), scan, photo)
     page = chromium.new_page(viewport={"width": 1100, "height": 900})

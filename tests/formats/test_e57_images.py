@@ -12,9 +12,9 @@ import pytest
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera
 from ladarreg_core.errors import FormatError, OptionError
 from ladarreg_core.formats import describe, extract_images, read_scan
-from ladarreg_core.formats.camera_file import read_camera
+from ladarreg_core.formats.cameras.camera_file import read_camera
+from ladarreg_core.formats.documents.pose_file import read_pose
 from ladarreg_core.formats.e57_images import embedded_images
-from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from testing.files.small_scans import e57_fields, make_scan

@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ladarreg_core.errors import FormatError
-from ladarreg_core.formats import e57_records
-from ladarreg_core.formats.e57_header import contents_of
-from ladarreg_core.formats.e57_records import fields_of, read_records, unpacked
-from ladarreg_core.formats.e57_tree import E57Node, open_e57
+from ladarreg_core.formats.e57.header import contents_of
+from ladarreg_core.formats.e57.reader import records as e57_records
+from ladarreg_core.formats.e57.records import fields_of, read_records, unpacked
+from ladarreg_core.formats.e57.tree import E57Node, open_e57
 from ladarreg_core.scan import Scan
 from testing.attacks.bombs import e57_with_xml
 from testing.files.small_scans import make_scan

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ladarreg_core.errors import FormatError, LadarregError, ShapeError
-from ladarreg_core.formats.npz import read_npz, write_npz_counts, write_npz_xyz
+from ladarreg_core.formats.scans.npz import read_npz, write_npz_counts, write_npz_xyz
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 

@@ -9,7 +9,7 @@ import pytest
 
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
 from ladarreg_core.formats import describe, listed_kind, read_scan, recognise
-from ladarreg_core.formats.ptx import ptx_blocks, read_ptx
+from ladarreg_core.formats.scans.ptx import ptx_blocks, read_ptx
 from ladarreg_core.scan import Scan
 from testing.files.small_scans import make_scan
 

@@ -1,6 +1,6 @@
 """The thesis's equations as printed and their errors, each with the number that shows it.
 
-Source: thesis 2.2.1, 2.4.1, 2.4.2 and 3.1; the corrections are those of `ladarreg_core.pose.thesis.stereo`
+Source: thesis 2.2.1, 2.4.1, 2.4.2 and 3.1; the corrections are those of `ladarreg_core.thesis.estimators.stereo`
 and `ladarreg_core.frames`.
 """
 
@@ -12,8 +12,8 @@ import pytest
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_about
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.thesis.linear import linear_pose
-from ladarreg_core.pose.thesis.stereo import (
+from ladarreg_core.thesis.estimators.linear import linear_pose
+from ladarreg_core.thesis.estimators.stereo import (
     STEREO_AXES_FROM_SCANNER,
     StereoPairs,
     equal_baseline,

@@ -14,17 +14,15 @@ import numpy as np
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import ExportError, FormatError, LadarregError
-from ladarreg_core.export.folder import FileJob
-from ladarreg_core.export.json import software_document
-from ladarreg_core.export.targets.e57_colours import (
+from ladarreg_core.export.e57.colors import (
     COLOURS,
     PLAIN,
     PointPainter,
     add_colour_fields,
     colour_limits,
 )
-from ladarreg_core.export.targets.e57_new import write_new_scan
-from ladarreg_core.export.targets.e57_nodes import (
+from ladarreg_core.export.e57.new_file import write_new_scan
+from ladarreg_core.export.e57.nodes import (
     NOTE,
     declare_note,
     new_guid,
@@ -35,14 +33,16 @@ from ladarreg_core.export.targets.e57_nodes import (
     software_name,
     time_node,
 )
-from ladarreg_core.export.targets.e57_pictures import Picture, pictures
-from ladarreg_core.export.targets.e57_tree import E57Copy, Made, library, new_e57
-from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan, photo_id
+from ladarreg_core.export.e57.pictures import Picture, pictures
+from ladarreg_core.export.e57.tree import E57Copy, Made, library, new_e57
+from ladarreg_core.export.json import software_document
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan, photo_id
+from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions
-from ladarreg_core.formats.e57_header import E57ScanInfo, contents_of, read_e57_info, sniff_e57
-from ladarreg_core.formats.e57_records import fields_of
-from ladarreg_core.formats.e57_tree import SIGNATURE, E57File, E57Node, open_e57
-from ladarreg_core.formats.untrusted import one_line, reading
+from ladarreg_core.formats.e57.header import E57ScanInfo, contents_of, read_e57_info, sniff_e57
+from ladarreg_core.formats.e57.records import fields_of
+from ladarreg_core.formats.e57.tree import SIGNATURE, E57File, E57Node, open_e57
+from ladarreg_core.formats.parsing.untrusted import one_line, reading
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
 

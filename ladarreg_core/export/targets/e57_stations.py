@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.folder import write_folder
+from ladarreg_core.export.e57.new_file import append_scan, start_tree
+from ladarreg_core.export.e57.tree import library, new_e57
 from ladarreg_core.export.json import software_document, write_result
-from ladarreg_core.export.replacement import EXPORT_FILE
-from ladarreg_core.export.targets.e57_new import append_scan, start_tree
-from ladarreg_core.export.targets.e57_tree import library, new_e57
+from ladarreg_core.export.targets.folder import write_folder
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
+from ladarreg_core.storage.replacement import EXPORT_FILE
 
 ScanReader = Callable[[], Scan]
 """Reads a scan: one is in memory at a time."""

@@ -14,15 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.export.folder import FileJob
 from ladarreg_core.export.json import write_document
+from ladarreg_core.export.registered_scan import RegisteredScan
+from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.las_file import LasWriter, extra_bytes_entry, extra_bytes_record, variable_record
-from ladarreg_core.export.targets.registered_scan import RegisteredScan
 from ladarreg_core.export.targets.target import ExportOptions
-from ladarreg_core.formats.las_header import sniff_las
-from ladarreg_core.formats.las_records import (
+from ladarreg_core.formats.scans.las_header import sniff_las
+from ladarreg_core.formats.scans.las_records import (
     EXTRA_BYTES_RECORD,
     GEOTIFF_RECORD,
     LASZIP_RECORD,
@@ -31,12 +30,13 @@ from ladarreg_core.formats.las_records import (
     extra_bytes_of,
     point_dtype,
 )
+from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.foundations.version import VERSION
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.best_photo import NO_PHOTO
-from ladarreg_core.surface.texture import Label, dimmed_gray, dimmed_levels
-from ladarreg_core.version import VERSION
+from ladarreg_core.surface.texture.best_photo import NO_PHOTO
+from ladarreg_core.surface.texture.registered_texture import Label, dimmed_gray, dimmed_levels
 
 EXTRA_BYTES = {
     "photo_id": ("<u2", "photograph, see legend; 0: none"),

@@ -7,14 +7,14 @@ from pathlib import Path
 from weakref import WeakKeyDictionary
 
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.folder import FileJob
-from ladarreg_core.export.glb import write_model_glb
-from ladarreg_core.export.obj import texture_names, write_materials, write_obj, write_texture
-from ladarreg_core.export.replacement import OFFSET_FILE
-from ladarreg_core.export.targets.registered_scan import RegisteredScan
+from ladarreg_core.export.models.glb import write_model_glb
+from ladarreg_core.export.models.obj import texture_names, write_materials, write_obj, write_texture
+from ladarreg_core.export.registered_scan import RegisteredScan
+from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.progress import Report
-from ladarreg_core.surface.photo_model import ModelPhoto, PhotoModel, photo_model
+from ladarreg_core.storage.replacement import OFFSET_FILE
+from ladarreg_core.surface.texture.photo_model import ModelPhoto, PhotoModel, photo_model
 
 _MATERIALS = "model.mtl"
 _latest: WeakKeyDictionary[RegisteredScan, tuple[ExportOptions, PhotoModel]] = WeakKeyDictionary()

@@ -20,21 +20,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.atomic_write import cannot_write, write_chunks
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera
 from ladarreg_core.camera.equirectangular import FULL_WINDOW
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.colmap_files import colmap_parameters
-from ladarreg_core.export.folder import FileJob
 from ladarreg_core.export.json import write_document
-from ladarreg_core.export.replacement import OFFSET_FILE
+from ladarreg_core.export.photo_files import WrittenPhoto, on_one_line
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.colmap import model_files
-from ladarreg_core.export.targets.photo_files import WrittenPhoto, on_one_line
+from ladarreg_core.export.targets.colmap_files import colmap_parameters
+from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.reconstruction import Reconstruction
-from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.progress import Progress, Report
-from ladarreg_core.surface.depth_map import depth_map
+from ladarreg_core.storage.atomic_write import cannot_write, write_chunks
+from ladarreg_core.storage.replacement import OFFSET_FILE
+from ladarreg_core.surface.visibility.depth_map import depth_map
 
 _MODELS = {"pinhole": "OPENCV", "fisheye": "OPENCV_FISHEYE", "equirectangular": "EQUIRECTANGULAR"}
 _TERMS = 5

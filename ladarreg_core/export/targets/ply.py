@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from ladarreg_core.export.folder import FileJob
-from ladarreg_core.export.ply import write_ply
-from ladarreg_core.export.replacement import OFFSET_FILE
-from ladarreg_core.export.targets.registered_scan import RegisteredScan
+from ladarreg_core.export.models.ply import write_ply
+from ladarreg_core.export.registered_scan import RegisteredScan
+from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.progress import Report
+from ladarreg_core.storage.replacement import OFFSET_FILE
 
 
 def ply_files(handed: RegisteredScan, options: ExportOptions, report: Report | None) -> Sequence[FileJob]:

@@ -8,13 +8,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import CameraModel, FisheyeCamera
-from ladarreg_core.export.colmap_files import ColmapImage, ColmapModel
-from ladarreg_core.export.targets.photo_files import WrittenPhoto
-from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.photo_files import WrittenPhoto
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.targets.colmap_files import ColmapImage, ColmapModel
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.progress import Progress, Report
-from ladarreg_core.surface.texture import COLOURED, Label
+from ladarreg_core.surface.texture.registered_texture import COLOURED, Label
 
 MOST_POINTS = 200_000
 """Points at most, of all photographs together."""

@@ -220,7 +220,7 @@ class FileState:
         called = f"{function.__module__}.{function.__qualname__}"
         if not args or not isinstance(args[0], str | os.PathLike):  # without a path nothing is remembered
             return FileState(function.__qualname__, "", called, 0, 0)
-        from ladarreg_core.formats.untrusted import shown_name
+        from ladarreg_core.formats.parsing.untrusted import shown_name
 
         path = os.path.abspath(os.fspath(args[0]))
         try:
@@ -409,7 +409,7 @@ class _Exchange:
     def _exchange(self) -> None:
         from ladarreg_core.formats.isolated.messages import MessageError, read_message, write_message
         from ladarreg_core.formats.isolated.pieces import Turn
-        from ladarreg_core.formats.untrusted import one_line
+        from ladarreg_core.formats.parsing.untrusted import one_line
 
         requests = self._popen.stdin
         assert requests is not None
@@ -476,7 +476,7 @@ def _hung(file: FileState, seconds: float) -> str:
 
 def error_in(answer: dict[str, Any], file: FileState) -> LadarregError | None:
     """Return the error in an answer; None where it contains a result."""
-    from ladarreg_core.formats.untrusted import one_line
+    from ladarreg_core.formats.parsing.untrusted import one_line
 
     if "answer" in answer:
         return None

@@ -7,7 +7,7 @@ import socket
 from ladarreg.gateway.pages import static_folder, static_text
 from ladarreg.gateway.viser_backend import HOST, close_server, open_locked_server
 
-from ladarreg_core.palette import MATCHES
+from ladarreg_core.foundations.palette import MATCHES
 
 
 def test_it_listens_on_loopback_only() -> None:

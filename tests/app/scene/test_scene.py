@@ -21,9 +21,9 @@ from ladarreg.scene.picks_layer import residual_colours
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
+from ladarreg_core.foundations.palette import ACCENT, BACKGROUND, MATCHES, as_css
 from ladarreg_core.frames import Rigid, ThesisParameters
 from ladarreg_core.matches import Matches
-from ladarreg_core.palette import ACCENT, BACKGROUND, MATCHES, as_css
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
@@ -336,7 +336,7 @@ def test_a_simplex_of_another_photograph_or_without_result_leaves_nothing(
 
 
 def test_frames_agree_with_the_descent() -> None:
-    from ladarreg_core.pose.thesis.stereo_simplex import SimplexOptions, descend
+    from ladarreg_core.thesis.estimators.stereo_simplex import SimplexOptions, descend
 
     rng = np.random.default_rng(4)
     result = pose()

@@ -15,7 +15,7 @@ from ladarreg.gateway.protocol import Visitor
 from ladarreg.workbench.watchable import Watchable
 from PIL import Image
 
-from ladarreg_core import panorama
+from ladarreg_core.acquisition.composition import panorama
 from ladarreg_core.progress import Report
 from testing.workbench.workbench_driver import WorkbenchDriver, open_bench
 

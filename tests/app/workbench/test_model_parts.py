@@ -15,7 +15,7 @@ from ladarreg.workbench.model_parts import LEVELS, MOST_VERTICES
 from PIL import Image
 
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.palette import VISIBILITY
+from ladarreg_core.foundations.palette import VISIBILITY
 from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 
 
@@ -63,7 +63,7 @@ def test_surface_and_photograph_together_stay_within_what_a_page_shows(
         return vertices_of(part(bench, "layer", detail="standard", photo="p1")[0])
 
     # The sample's photograph is hardly finer than its scan.
-    monkeypatch.setattr("ladarreg_core.surface.photo_layer.shows_more_detail", lambda *_, **__: True)
+    monkeypatch.setattr("ladarreg_core.surface.texture.photo_layer.shows_more_detail", lambda *_, **__: True)
     standard = LEVELS["standard"].vertices
     assert vertices_of(part(bench, "mesh", detail="standard")[0]) <= standard
     freely = layer_vertices()

@@ -13,9 +13,9 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import SphericalGrid
-from ladarreg_core.surface.render import render_scan_colors
-from ladarreg_core.surface.texture import Label, texture_scan
+from ladarreg_core.surface.texture.registered_texture import Label, texture_scan
 from ladarreg_core.surface.uncertainty import pixel_sigma
+from ladarreg_core.surface.visibility.render import render_scan_colors
 
 FISHEYE = FisheyeCamera(1200, 1200, 350, 350, 599.5, 599.5, (0.02, -0.003, 0, 0))  # 190 degrees
 PANORAMA = EquirectangularCamera(2048, 1024)

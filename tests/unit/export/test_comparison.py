@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ladarreg_core.comparison import Comparison
 from ladarreg_core.errors import Cancelled, ExportError, ShapeError
-from ladarreg_core.export.comparison import comparison_document, export_comparison, table_text
-from ladarreg_core.export.comparison_table import comparison_table, differences, markdown_table, rms_depth_m, rms_px
+from ladarreg_core.export.comparison.folder import comparison_document, export_comparison, table_text
+from ladarreg_core.export.comparison.table import comparison_table, differences, markdown_table, rms_depth_m, rms_px
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.manifest import MANIFEST_FILE, visible_files
+from ladarreg_core.registration.comparison import Comparison
+from ladarreg_core.storage.manifest import MANIFEST_FILE, visible_files
 from testing.scenes.small_registration import POSE, sample_photo, sample_scan
 from tests.unit.export.comparisons import NOTE, comparison_of
 from tests.unit.export.test_contact_sheet import hostile

@@ -11,21 +11,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ladarreg_core import palette
 from ladarreg_core.camera import Camera
-from ladarreg_core.comparison import Comparison
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.export.contact_sheet import SHEET_WIDTH, contact_sheet, write_contact_sheet
-from ladarreg_core.export.detail import detail_window, edge_lines, seen_window, whole_window
-from ladarreg_core.export.layout import legible, shortened, text_block, text_width, wrapped
-from ladarreg_core.export.match_panels import best_enlargement, match_panel
+from ladarreg_core.export.comparison.contact_sheet import SHEET_WIDTH, contact_sheet, write_contact_sheet
+from ladarreg_core.export.pictures.detail import detail_window, edge_lines, seen_window, whole_window
+from ladarreg_core.export.pictures.layout import legible, shortened, text_block, text_width, wrapped
+from ladarreg_core.export.pictures.match_panels import best_enlargement, match_panel
+from ladarreg_core.foundations import palette
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.photo import Photo
+from ladarreg_core.registration.comparison import Comparison
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.surface.texture import Label, RegisteredTexture, texture_scan
+from ladarreg_core.surface.texture.registered_texture import Label, RegisteredTexture, texture_scan
 from testing.scenes.small_registration import POSE
 from tests.unit.export.comparisons import STAGES, comparison_of, stage_result
 

@@ -5,12 +5,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ladarreg_core.errors import ExportError, ShapeError
-from ladarreg_core.export.glb import glb_bytes, write_model_glb
-from ladarreg_core.export.viser_colors import VISER_BASE_COLOUR, shown_colours, texture_for_viewer
+from ladarreg_core.export.models.glb import glb_bytes, write_model_glb
+from ladarreg_core.export.models.viser_colors import VISER_BASE_COLOUR, shown_colours, texture_for_viewer
 from ladarreg_core.photo import Photo
-from ladarreg_core.surface.mesh import Mesh, scan_mesh
-from ladarreg_core.surface.photo_model import ModelPhoto, PhotoModel, photo_model
-from ladarreg_core.surface.texture import texture_scan
+from ladarreg_core.surface.mesh.grid_mesh import Mesh, scan_mesh
+from ladarreg_core.surface.texture.photo_model import ModelPhoto, PhotoModel, photo_model
+from ladarreg_core.surface.texture.registered_texture import texture_scan
 from testing.files.gltf_checks import Glb
 from testing.scenes.small_registration import POSE
 

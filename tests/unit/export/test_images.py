@@ -6,14 +6,14 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from ladarreg_core.errors import ExportError, LadarregError, OptionError, ShapeError
-from ladarreg_core.export.images import (
+from ladarreg_core.export.pictures.images import (
     uncertainty_picture,
     write_labels_png,
     write_registered_png,
     write_uncertainty_png,
 )
-from ladarreg_core.palette import UNKNOWN, VISIBILITY, scale_end
-from ladarreg_core.surface.texture import Label, RegisteredTexture
+from ladarreg_core.foundations.palette import UNKNOWN, VISIBILITY, scale_end
+from ladarreg_core.surface.texture.registered_texture import Label, RegisteredTexture
 
 
 def test_the_registered_picture_is_upright_and_lossless(tmp_path, texture):

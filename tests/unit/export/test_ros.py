@@ -17,15 +17,15 @@ from scipy.spatial.transform import Rotation
 from ladarreg_core.camera import Camera, EquirectangularCamera, FisheyeCamera
 from ladarreg_core.errors import Cancelled, ExportError
 from ladarreg_core.export.output_frame import OutputFrame
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.hand_over import export_to
-from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.formats import read_scan
-from ladarreg_core.formats.camera_file import read_camera
+from ladarreg_core.formats.cameras.camera_file import read_camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.texture import Label
+from ladarreg_core.surface.texture.registered_texture import Label
 from testing.scenes.small_registration import POSE, sample_registration, sample_scan
 
 PINHOLE = (120, 90, 100.0, 101.0, 59.0, 45.0)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.foundations.palette import UNKNOWN, VISIBILITY
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.inspection.model_textures import (
     model_texture,
@@ -28,12 +29,11 @@ from ladarreg_core.inspection.surface_fields import (
     without_pepper,
 )
 from ladarreg_core.matches import Matches
-from ladarreg_core.palette import UNKNOWN, VISIBILITY
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.surface.texture import Label, texture_scan
+from ladarreg_core.surface.texture.registered_texture import Label, texture_scan
 from testing.scenes.painted_room import PaintedRoom, painted_room
 
 KINDS = ("colour", "intensity", "range", "residual", "depth_error", "uncertainty", "resolution", "label")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.export.viser_colors import line_colours_for_viewer, shown_colours
+from ladarreg_core.export.models.viser_colors import line_colours_for_viewer, shown_colours
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, look_along
 from ladarreg_core.inspection.scene_geometry import (
     Marks,

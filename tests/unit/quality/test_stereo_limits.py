@@ -11,9 +11,9 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, OptionError
 from ladarreg_core.frames import Rigid, rotation_about
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.thesis.starts import picture_roll
-from ladarreg_core.pose.thesis.stereo import StereoPairs
 from ladarreg_core.quality.stereo_limits import stereo_cautions
+from ladarreg_core.thesis.estimators.starts import picture_roll
+from ladarreg_core.thesis.estimators.stereo import StereoPairs
 from testing.scenes.room import room_case
 
 BIG = Camera.from_focal(1400, 1400, 974.0)

@@ -8,9 +8,9 @@ from ladarreg_core.errors import Cancelled
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.surface.photo_model import UV_ERROR_PX, ModelPhoto, photo_model
-from ladarreg_core.surface.texture import Label, texture_scan
-from ladarreg_core.surface.textured_triangles import TexturedTriangles
+from ladarreg_core.surface.texture.photo_model import UV_ERROR_PX, ModelPhoto, photo_model
+from ladarreg_core.surface.texture.registered_texture import Label, texture_scan
+from ladarreg_core.surface.texture.textured_triangles import TexturedTriangles
 from testing.scenes.painted_room import painted_room
 from testing.scenes.panorama import panorama
 

@@ -10,8 +10,8 @@ from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.surface.render import render_scan_colors, render_scan_picture
-from ladarreg_core.surface.texture import intensity_picture
+from ladarreg_core.surface.texture.registered_texture import intensity_picture
+from ladarreg_core.surface.visibility.render import render_scan_colors, render_scan_picture
 from testing.scenes.simulated import simulated
 
 LENSES = [(), (0.12, -0.04, 0.002, -0.001), (-0.25, 0.08, 0.001, 0.0005, -0.01)]

@@ -7,14 +7,14 @@ from hypothesis import strategies as st
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.formats import read_scan
+from ladarreg_core.foundations.palette import UNSEEN
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
-from ladarreg_core.palette import UNSEEN
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.surface.render import render_scan_colors
-from ladarreg_core.surface.texture import Label, model_picture, pixel_sigma, texture_scan
-from ladarreg_core.surface.visibility import project_scan
+from ladarreg_core.surface.texture.registered_texture import Label, model_picture, pixel_sigma, texture_scan
+from ladarreg_core.surface.visibility.render import render_scan_colors
+from ladarreg_core.surface.visibility.visible_points import project_scan
 
 LENSES = [(), (0.12, -0.04, 0.002, -0.001), (-0.25, 0.08, 0.001, 0.0005, -0.01)]
 
