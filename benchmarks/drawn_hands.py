@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import ladarreg_core as lr
-from benchmarks.snapping_lines import DrawnScene, drawn_scene
+from benchmarks.page.snapping_lines import DrawnScene, drawn_scene
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import ladarreg_core as lr
-from benchmarks.sparse_sets import REAL_LIMITS_PX, RIGHT_PX, real_cases
+from benchmarks.matching.sparse_sets import REAL_LIMITS_PX, RIGHT_PX, real_cases
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.frames import Rigid

@@ -17,7 +17,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 import ladarreg_core as lr
-from benchmarks.sparse_sets import off_by, outdoor_case
+from benchmarks.matching.sparse_sets import off_by, outdoor_case
 from ladarreg_core.matching.auto import AutoOptions
 from ladarreg_core.matching.verify.verification import GateOptions
 from ladarreg_core.registration.register import RegisterOptions

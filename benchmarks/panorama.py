@@ -1,6 +1,6 @@
 """Stations registered to each other by their ranges: accuracy, false acceptance, loops, and a peer.
 
-Row `page_28m` is a panorama of 28 million cells in the page (benchmarks/panorama_page.py).
+Row `page_28m` is a panorama of 28 million cells in the page (benchmarks/page/panorama_page.py).
 
 Run it as `python -m benchmarks.panorama [--quick] [ROW ...]`. The rooms and seeds are kept aside: none was used for
 tuning.
@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.bars import Row, table
-from benchmarks.panorama_page import page_rows
+from benchmarks.page.panorama_page import page_rows
+from benchmarks.shared.bars import Row, table
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.registration.stations.network import adjusted

@@ -211,7 +211,7 @@ def dense_cases(count: int) -> Iterator[Case]:
 def real_cases(count: int) -> Iterator[Case]:
     """Real captures, from guesses that are 5 degrees and .3 m off; of the Kinect, from none."""
     import ladarreg_core as lr
-    from benchmarks.sparse_sets import off_by
+    from benchmarks.matching.sparse_sets import off_by
 
     captures = (
         ("kinect", "scan.json", "color_1.jpg"),

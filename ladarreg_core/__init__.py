@@ -147,7 +147,7 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     home = importlib.import_module(f"{__name__}.{_HOMES[name]}")
-    value = home if name == _HOMES[name].rpartition(".")[2] else getattr(home, name)
+    value = getattr(home, name, home)  # `views` is a module
     globals()[name] = value
     return value
 

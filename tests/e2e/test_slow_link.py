@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.throttling_proxy import ThrottlingProxy
+from benchmarks.page.throttling_proxy import ThrottlingProxy
 from testing.workbench.pages import LONGEST_MS, two_frames, without_model
 from testing.workbench.served import Served
 from testing.workbench.shared import SharedWorkbench

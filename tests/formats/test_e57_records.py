@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ladarreg_core.errors import FormatError
+from ladarreg_core.formats.e57 import records as e57_records
 from ladarreg_core.formats.e57.header import contents_of
-from ladarreg_core.formats.e57.reader import records as e57_records
 from ladarreg_core.formats.e57.records import fields_of, read_records, unpacked
 from ladarreg_core.formats.e57.tree import E57Node, open_e57
 from ladarreg_core.scan import Scan

@@ -95,7 +95,14 @@ def test_a_registration_imports_what_it_uses_alone(tmp_path: Path) -> None:
         "uvicorn",
         "rich",
     }
-    rooms = {"acquisition", "project", "registration.stations", "registration.rig", "registration.self_test", "simulate"}
+    rooms = {
+        "acquisition",
+        "project",
+        "registration.stations",
+        "registration.rig",
+        "registration.self_test",
+        "simulate",
+    }
     files = {"registration.comparison", "export.comparison", "quality.smoothing", "outputs"}
     unused = others | {f"ladarreg_core.{name}" for name in rooms | files}
     code = (

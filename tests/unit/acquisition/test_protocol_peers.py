@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from ladarreg_core.acquisition.devices import flir_protocol, scip_protocol
 from ladarreg_core.acquisition.devices.flir_protocol import FlirError, command, parse_reply
 from ladarreg_core.acquisition.devices.scip_protocol import (
     CLOCK_MS,
@@ -21,7 +22,6 @@ from ladarreg_core.acquisition.devices.scip_protocol import (
     parse_line,
     parse_status,
 )
-from ladarreg_core.acquisition.interfaces import flir_protocol, scip_protocol
 from ladarreg_core.acquisition.simulated.flir_twin import FlirTwin
 from ladarreg_core.acquisition.simulated.scip_twin import ScipTwin
 from testing.devices import ptu_peer, scip_peer

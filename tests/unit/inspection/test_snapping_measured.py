@@ -1,11 +1,11 @@
-"""Snapping on simulated rooms, whose true edges are known; `benchmarks/snapping.py` measures all four at length."""
+"""Snapping on simulated rooms, whose true edges are known; `benchmarks.page.snapping` measures all four."""
 
 from __future__ import annotations
 
 import pytest
 
-from benchmarks.snapping import MOST_ALONG_PX, MOST_SHARE, far_lines, measure, panes_of
-from benchmarks.snapping_lines import drawn_scene
+from benchmarks.page.snapping import MOST_ALONG_PX, MOST_SHARE, far_lines, measure, panes_of
+from benchmarks.page.snapping_lines import drawn_scene
 
 LINES = 12
 

@@ -12,9 +12,9 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
+from ladarreg_core.surface.texture import registered_texture as texture
 from ladarreg_core.surface.texture.best_photo import NO_PHOTO, PointColourer, PosedPhoto, best_photo
 from ladarreg_core.surface.texture.registered_texture import Label, texture_scan
-from ladarreg_core.surface.texture.registered_texture import registered_texture as texture
 
 COVARIANCE = np.diag([1e-8] * 3 + [1e-8] * 3)
 

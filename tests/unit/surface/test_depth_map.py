@@ -9,8 +9,8 @@ from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, Fis
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
+from ladarreg_core.surface.visibility import depth_map as module
 from ladarreg_core.surface.visibility.depth_map import depth_map
-from ladarreg_core.surface.visibility.visible_points import depth_map as module
 
 WALL_M, BOX_M = 4.0, 2.5
 POSE = Rigid.from_rotvec((0.05, -0.1, 0.2)) @ Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, (0.2, 0.3, -0.1))
