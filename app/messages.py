@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from ladarreg_core.scan import Scan
 
 _HEAD_WIDTH = 16
-_MOST_FINDINGS = 4
-_MOST_LENGTHS = 40
+_MAX_FINDINGS = 4
+_MAX_LENGTHS = 40
 _IN_REASONS = {"matches", "inliers", "residuals", "lengths"}
 """Findings that the reasons of a refusal already state."""
 _IN_CAUTIONS = {"matches", "spread", "relief", "baseline", "disparity"}
@@ -111,12 +111,12 @@ def length_lines(result: PoseResult) -> list[str]:
             f"{one['tolerance_m']:.3f}",
             "beyond" if one["beyond"] else "" if one["state"] == "compared" else one["state"],
         )
-        for one in listed[:_MOST_LENGTHS]
+        for one in listed[:_MAX_LENGTHS]
     ]
     lines = ["Lengths of the matches and the scan's own ranges, m:"]
     lines += aligned(Table(heads=("length", "scan", "difference", "tolerance", ""), rows=tuple(rows))).splitlines()
-    if len(listed) > _MOST_LENGTHS:
-        lines.append(f"and {len(listed) - _MOST_LENGTHS} more in registration.json")
+    if len(listed) > _MAX_LENGTHS:
+        lines.append(f"and {len(listed) - _MAX_LENGTHS} more in registration.json")
     return [line.rstrip() for line in lines]
 
 
@@ -126,10 +126,10 @@ def assessment_lines(assessment: Assessment, result: Registration) -> list[str]:
     if result.accepted and assessment.uncertainty is not None:
         lines.append(f"Image    {assessment.uncertainty.summary()}")
     shown = notable_findings(assessment, result)
-    for finding in shown[:_MOST_FINDINGS]:
+    for finding in shown[:_MAX_FINDINGS]:
         lines.append(f"{finding.level.capitalize():<8} {one_line(f'{finding.sentence} {finding.what_to_do}')}")
-    if len(shown) > _MOST_FINDINGS:
-        lines.append(f"         and {len(shown) - _MOST_FINDINGS} more in registration.json")
+    if len(shown) > _MAX_FINDINGS:
+        lines.append(f"         and {len(shown) - _MAX_FINDINGS} more in registration.json")
     if result.method == "manual":
         if assessment.match_to_check:
             lines.append(f"Check    {one_line(assessment.match_to_check)}")

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-MOST_SECONDS, MOST_BYTES = 15.0, 1.5e9
+MAX_SECONDS, MAX_BYTES = 15.0, 1.5e9
 
 
 def handed_over(folder: Path) -> Any:
@@ -192,7 +192,7 @@ def main() -> None:
         ]
         for one in (each for each in stopped if each["cancelled"]):
             print(f"cancelled: ended after {one['after_cancel_s']:.2f} s, left {one['left'] or 'nothing new'}")
-        for text, value, most in (("seconds", wall, MOST_SECONDS), ("bytes", best["peak_bytes"], MOST_BYTES)):
+        for text, value, most in (("seconds", wall, MAX_SECONDS), ("bytes", best["peak_bytes"], MAX_BYTES)):
             print(f"{text}: {value:.4g}; asked: at most {most:.4g}: {'met' if value <= most else 'not met'}")
 
 

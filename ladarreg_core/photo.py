@@ -147,7 +147,7 @@ class Photo:
 
 
 _USUAL_WHITE = {"u1": 255.0, "u2": 65535.0, "f": 1.0}
-_MOST_BEYOND = 0.5
+_MAX_BEYOND = 0.5
 
 
 def _eight_bit(pixels: ArrayLike, white: float | None, black: float) -> tuple[ByteArray, str | None]:
@@ -163,7 +163,7 @@ def _eight_bit(pixels: ArrayLike, white: float | None, black: float) -> tuple[By
     require_number(black, "black")
     if white is None:
         white = _USUAL_WHITE[kind]
-        if kind == "f" and np.mean(values > white) > _MOST_BEYOND:
+        if kind == "f" and np.mean(values > white) > _MAX_BEYOND:
             raise OptionError(
                 f"the pixels are floating point and reach {np.nanmax(values):g}, and it is not said which value is "
                 "white; give it as `white`, e.g. 255"

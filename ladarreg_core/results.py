@@ -53,8 +53,8 @@ STATED_OFFSET_SIGMA_RAD = float(np.radians(0.2))
 STATED_OFFSET_SIGMA_M = 0.005
 """Standard deviation assumed for the translation of an offset if none is given."""
 
-_MOST_ANGLE_RAD = float(np.radians(10.0))
-_MOST_POSITION_OF_RANGE = 0.5
+_MAX_ANGLE_RAD = float(np.radians(10.0))
+_MAX_POSITION_OF_RANGE = 0.5
 _USUAL_RANGE_M = 10.0
 
 
@@ -89,7 +89,7 @@ def is_determined(sigma_angle_rad: float, sigma_position_m: float, ranges_m: Flo
         ranges_m: (M,) ranges of the matches, m; the position is compared with their median.
     """
     reach = float(np.median(ranges_m)) if len(ranges_m) else _USUAL_RANGE_M
-    return sigma_angle_rad <= _MOST_ANGLE_RAD and sigma_position_m <= _MOST_POSITION_OF_RANGE * reach
+    return sigma_angle_rad <= _MAX_ANGLE_RAD and sigma_position_m <= _MAX_POSITION_OF_RANGE * reach
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ladarreg_core.export.models.viser_colors import line_colours_for_viewer
+from ladarreg_core.export.models.viser_colors import line_colors_for_viewer
 from ladarreg_core.foundations.palette import ACCENT, BACKGROUND, REFUSED
 from ladarreg_core.inspection.scene_geometry import (
     camera_outline,
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from ladarreg_core.camera import CameraModel
     from ladarreg_core.foundations.arrays import FloatArray
-    from ladarreg_core.foundations.palette import Colour
+    from ladarreg_core.foundations.palette import Color
     from ladarreg_core.frames import Rigid
 
     from .place import Place
@@ -85,8 +85,8 @@ class SimplexLayer:
         placement = viser_pose(pose)
         frustum.wxyz, frustum.position = placement["wxyz"], placement["position"]
 
-    def _lines(self, name: str, lines: FloatArray, colour: Colour, thickness: float) -> viser.LineSegmentsHandle:
-        shades = line_colours_for_viewer(for_both_ends(repeated(colour, len(lines))))
+    def _lines(self, name: str, lines: FloatArray, color: Color, thickness: float) -> viser.LineSegmentsHandle:
+        shades = line_colors_for_viewer(for_both_ends(repeated(color, len(lines))))
         return self._place.scene.add_line_segments(
             name,
             points=lines,

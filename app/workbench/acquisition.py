@@ -42,7 +42,7 @@ RUNS = "runs"
 """Folder of the runs in a project's folder."""
 _POSITION_EVERY_S = 0.25
 _PICTURE_EVERY_S = 0.25
-_MOST_JOG_DEG = 30.0
+_MAX_JOG_DEG = 30.0
 
 
 @dataclass(slots=True)
@@ -178,9 +178,9 @@ class Acquisition:
         from ladarreg_core.acquisition.interfaces import PanTilt
 
         self._require_driver(client)
-        if max(abs(pan_deg), abs(tilt_deg)) > _MOST_JOG_DEG:
+        if max(abs(pan_deg), abs(tilt_deg)) > _MAX_JOG_DEG:
             raise OptionError(
-                f"a step of more than {_MOST_JOG_DEG:g} deg is too far to move at once; take a smaller one"
+                f"a step of more than {_MAX_JOG_DEG:g} deg is too far to move at once; take a smaller one"
             )
         with self._lock:
             devices = self._require_ready()

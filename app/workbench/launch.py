@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from .workbench import Workbench
 
 log = logging.getLogger(__name__)
-_SCRATCH, _MOST_SCRATCH = "untitled", 50
+_SCRATCH, _MAX_SCRATCH = "untitled", 50
 _VISER_OPENS_S = 60.0
 _SAVED_WITHIN_S = 10.0
 
@@ -352,7 +352,7 @@ def _scratch_folder() -> ProjectFolder:
     from ladarreg_core.project.summary import read_summary
 
     place = data_folder() / "projects"
-    for number in range(1, _MOST_SCRATCH):
+    for number in range(1, _MAX_SCRATCH):
         path = place / (_SCRATCH if number == 1 else f"{_SCRATCH}-{number}")
         try:
             if not is_project(path) or (read_summary(path).is_empty and not any((path / "inputs").iterdir())):

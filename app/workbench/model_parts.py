@@ -48,7 +48,7 @@ _OF_CODES = ("label",)
 _NEED_VISIBILITY = ("resolution", "label")
 _LOSSY_QUALITY = 84
 _PHOTO_QUALITY = 90
-MOST_VERTICES = 400_000
+MAX_VERTICES = 400_000
 """Most vertices that a page shows of the model at once."""
 BLOCK_VERTICES = 37_500
 """Most vertices of a block of the mesh; the page shows at most four, so that there are 400,000 with the dense mesh."""
@@ -190,8 +190,8 @@ def legend_entries(legend: Legend) -> dict[str, Any]:
     """Return a legend with its colours as CSS."""
     return {
         **asdict(legend),
-        "entries": [{"colour": as_css(colour), "label": label} for colour, label in legend.entries],
-        "ramp": [as_css(colour) for colour in legend.ramp],
+        "entries": [{"colour": as_css(color), "label": label} for color, label in legend.entries],
+        "ramp": [as_css(color) for color in legend.ramp],
     }
 
 
@@ -236,7 +236,7 @@ def _layer_part(scan: Scan, photo: Photo, result: PoseResult, labels: ByteArray,
     while True:
         mesh = surface_or_facets(scan, vertices)
         layer = photo_layer(scan, mesh, seen_by, shown_px=level.photo_px, most_faces=_FACES_PER_VERTEX * vertices)
-        if len(layer.vertices) <= MOST_VERTICES - level.vertices or vertices <= LEVELS[DETAILS[0]].vertices:
+        if len(layer.vertices) <= MAX_VERTICES - level.vertices or vertices <= LEVELS[DETAILS[0]].vertices:
             break
         vertices //= 2  # a photograph of all that surrounds it is seen by the whole surface
     return _packed(packed_mesh(layer) if len(layer.faces) else b"")

@@ -13,7 +13,7 @@ from .clients import Client, Clients
 Fields = Mapping[str, Any]
 Reply = dict[str, Any]
 _SIDES = ("scan", "photo")
-_MOST_VIEWS = 1000
+_MAX_VIEWS = 1000
 
 
 class People(Protocol):
@@ -57,7 +57,7 @@ def _position(fields: Fields, name: str) -> Reply:
     side, view, photo = fields.get("side"), fields.get("view", 0), fields.get("photo")
     if side not in _SIDES:
         raise OptionError("the side is 'scan' or 'photo'")
-    if isinstance(view, bool) or not isinstance(view, int) or not 0 <= view < _MOST_VIEWS:
+    if isinstance(view, bool) or not isinstance(view, int) or not 0 <= view < _MAX_VIEWS:
         raise OptionError("the view is the number of one of the scan's views")
     at = fields.get(name)
     uv = None if at is None else list(edits.pixels([at])[0])

@@ -13,7 +13,7 @@ from .commands import file_ids
 
 Fields = Mapping[str, Any]
 Reply = dict[str, Any]
-_MOST_LETTERS, _LONGEST_PATH = 80, 4000
+_MAX_LETTERS, _LONGEST_PATH = 80, 4000
 
 
 class Projects(Protocol):
@@ -55,8 +55,8 @@ def list_projects(projects: Projects, client: Client, fields: Fields) -> Reply:
 def new_project(projects: Projects, client: Client, fields: Fields) -> Reply:
     """Begin a project."""
     name = fields.get("name") or ""
-    if not isinstance(name, str) or len(name.strip()) > _MOST_LETTERS or not name.isprintable():
-        raise OptionError(f"the name of a project has at most {_MOST_LETTERS} letters")
+    if not isinstance(name, str) or len(name.strip()) > _MAX_LETTERS or not name.isprintable():
+        raise OptionError(f"the name of a project has at most {_MAX_LETTERS} letters")
     files = file_ids(fields) if "files" in fields else []
     return projects.new(name.strip(), files, client, sure=fields.get("sure") is True)
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 PANORAMA = "scan.npz"
 DRAFT = "draft.json"
-_MOST_BYTES_OF_A_PLAN = 100_000
+_MAX_BYTES_OF_A_PLAN = 100_000
 
 
 class Runs:
@@ -68,8 +68,8 @@ class Runs:
             ExportError: if it cannot be written.
         """
         data = json.dumps(fields, indent=1).encode()
-        if len(data) > _MOST_BYTES_OF_A_PLAN:
-            raise OptionError(f"the plan has {len(data):,} bytes; a plan has at most {_MOST_BYTES_OF_A_PLAN:,}")
+        if len(data) > _MAX_BYTES_OF_A_PLAN:
+            raise OptionError(f"the plan has {len(data):,} bytes; a plan has at most {_MAX_BYTES_OF_A_PLAN:,}")
         self._folder.mkdir(parents=True, exist_ok=True)
         with replaced_file(self._folder / DRAFT) as new:
             write_bytes(new, data)

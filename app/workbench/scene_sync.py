@@ -181,14 +181,14 @@ class SceneSync:
         from ladarreg_core.foundations.palette import MATCHES
         from ladarreg_core.inspection.picks import pick_points
 
-        from ..scene import Picks, residual_colours
+        from ..scene import Picks, residual_colors
 
         points, ids, on = pick_points(scan, self._loader.picks(entry))
         numbers = {pick.id: pick.number for pick in entry.picks}
-        colours = [MATCHES[(numbers[name] - 1) % len(MATCHES)] for name in ids]
+        colors = [MATCHES[(numbers[name] - 1) % len(MATCHES)] for name in ids]
         by_residual = None
         if with_residuals:
             errors = judged_slice(self._loader, scan, subject.photo, entry)["by_pick"]
             px = [errors.get(name, {}).get("px") for name in ids]
-            by_residual = residual_colours([float("nan") if value is None else value for value in px])
-        return Picks.of(points, colours, on, ids, by_residual=by_residual)
+            by_residual = residual_colors([float("nan") if value is None else value for value in px])
+        return Picks.of(points, colors, on, ids, by_residual=by_residual)

@@ -28,23 +28,23 @@ from ladarreg_core.frames import Rigid, rotation_from_rotvec
 
 _SEED = 17
 _VOXEL_SHARE, _VOXEL_M = 0.06, (0.4, 1.5)
-_LEAST_POINTS, _MOST_POINTS = 25, 800
+_MIN_POINTS, _MAX_POINTS = 25, 800
 _PLANES, _TRIPLES = 4, 40
-_LEAST_SHARE = 0.15  # of a voxel's points: trees have thin slices, too
+_MIN_SHARE = 0.15  # of a voxel's points: trees have thin slices, too
 _THICK_M = 0.03
-_MOST_COS = np.cos(np.radians(30))
+_MAX_COS = np.cos(np.radians(30))
 _SIZES, _SHIFTS = (1.0, 2.0, 4.0), (0.0, 0.5)  # of voxels: far away, points are sparse
 _STEPS = 40  # a voxel
 _SPACINGS = 3.0
-_APART_RAD, _MOST_SAMPLES = 0.004, 6000
-_CANNY, _LEAST_EDGE_PX = (20, 50), 40
+_APART_RAD, _MAX_SAMPLES = 0.004, 6000
+_CANNY, _MIN_EDGE_PX = (20, 50), 40
 _NEIGHBOURS = 6
 _SIDEWAYS_COS = np.cos(np.radians(25))
 _SEARCHES_DEG = ((5.0, 0.5), (1.0, 0.25))
 _SEARCHED, _SEARCH_PX = 1500, 6.0
 _RADII_PX = (16.0, 12.0, 10.0, 8.0, 6.0, 5.0, 4.0)
 _ROUNDS = 3
-_LEAST_MATCHES = 30
+_MIN_MATCHES = 30
 _SIGMA_PX, _INDEPENDENT, _GUESS_M = 2.0, 150, 0.3
 
 
@@ -69,7 +69,7 @@ def cloud_edges(points: FloatArray) -> CloudEdges:
     found: list[tuple[FloatArray, FloatArray]] = []
     for size, shift in product(_SIZES, _SHIFTS):
         for voxel in _voxels(points + shift * size * side, size * side):
-            mine = voxel if len(voxel) <= _MOST_POINTS else voxel[rng.choice(len(voxel), _MOST_POINTS, replace=False)]
+            mine = voxel if len(voxel) <= _MAX_POINTS else voxel[rng.choice(len(voxel), _MAX_POINTS, replace=False)]
             planes = list(_planes(mine - shift * size * side, rng))
             for one, two in combinations(planes, 2):
                 found += [(edge, way) for edge, way in [_intersection(one, two, size * side)] if len(edge)]
@@ -80,7 +80,7 @@ def cloud_edges(points: FloatArray) -> CloudEdges:
     # One point in each direction: near edges, and those of several voxels, must not outnumber all others.
     rays = np.round(every / np.linalg.norm(every, axis=1, keepdims=True) / _APART_RAD)
     order = rng.permutation(len(every))
-    chosen = order[np.unique(rays[order], axis=0, return_index=True)[1]][:_MOST_SAMPLES]
+    chosen = order[np.unique(rays[order], axis=0, return_index=True)[1]][:_MAX_SAMPLES]
     return CloudEdges(every[chosen], ways[chosen])
 
 
@@ -94,13 +94,13 @@ def align_by_edges(points: FloatArray, pixels: ByteArray, camera: CameraModel, s
         start: the guess, `camera_from_scanner`.
     """
     edges, photo = cloud_edges(points), _PhotoEdges.of(pixels)
-    if len(edges.points) < _LEAST_MATCHES or photo is None:
+    if len(edges.points) < _MIN_MATCHES or photo is None:
         return None
     pose = _turned(edges, photo, camera, start)
     for radius in _RADII_PX:
         for _ in range(_ROUNDS):
             matched = photo.matches(edges, camera, pose, radius)
-            if len(matched[0]) < _LEAST_MATCHES:
+            if len(matched[0]) < _MIN_MATCHES:
                 return None
             pose = _solved(edges, matched, camera, pose, start)
     return pose
@@ -112,7 +112,7 @@ def _voxels(points: FloatArray, side: float) -> Iterator[FloatArray]:
     at = at.ravel()
     ordered = points[np.argsort(at, kind="stable")]
     ends = np.cumsum(counts)
-    for k in np.flatnonzero(counts >= 2 * _LEAST_POINTS):
+    for k in np.flatnonzero(counts >= 2 * _MIN_POINTS):
         yield ordered[ends[k] - counts[k] : ends[k]]
 
 
@@ -120,7 +120,7 @@ def _planes(points: FloatArray, rng: np.random.Generator) -> Iterator[tuple[Floa
     """Yield the planes of a voxel: normal, distance, points."""
     left = points
     for _ in range(_PLANES):
-        if len(left) < _LEAST_POINTS:
+        if len(left) < _MIN_POINTS:
             return
         a, b, c = left[rng.integers(len(left), size=(3, _TRIPLES))]
         normals = np.cross(b - a, c - a)
@@ -131,7 +131,7 @@ def _planes(points: FloatArray, rng: np.random.Generator) -> Iterator[tuple[Floa
         off = np.abs(left @ normals.T - (a[length > 1e-9] * normals).sum(1))
         best = int(np.argmax((off < _THICK_M).sum(0)))
         mine = off[:, best] < _THICK_M
-        if mine.sum() < max(_LEAST_POINTS, _LEAST_SHARE * len(points)):
+        if mine.sum() < max(_MIN_POINTS, _MIN_SHARE * len(points)):
             return
         middle = left[mine].mean(0)
         _, spread, axes = np.linalg.svd(left[mine] - middle, full_matrices=False)
@@ -145,7 +145,7 @@ def _intersection(
 ) -> tuple[FloatArray, FloatArray]:
     """Return points on the intersection of two planes that both reach, (N, 3) m, and its direction."""
     nothing = np.zeros((0, 3)), np.zeros(3)
-    if abs(float(one[0] @ two[0])) >= _MOST_COS:
+    if abs(float(one[0] @ two[0])) >= _MAX_COS:
         return nothing
     way = np.cross(one[0], two[0])
     way /= np.linalg.norm(way)
@@ -173,10 +173,10 @@ class _PhotoEdges:
         gray = cv2.GaussianBlur(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), (0, 0), 1.2)
         edges = cv2.Canny(gray, *_CANNY)
         _, labels, figures, _ = cv2.connectedComponentsWithStats(edges, connectivity=8)
-        long = figures[:, cv2.CC_STAT_AREA] >= _LEAST_EDGE_PX
+        long = figures[:, cv2.CC_STAT_AREA] >= _MIN_EDGE_PX
         long[0] = False
         v, u = np.nonzero(long[labels])
-        if len(u) < _LEAST_MATCHES:
+        if len(u) < _MIN_MATCHES:
             return None
         uv = np.column_stack([u, v]).astype(np.float64)
         return _PhotoEdges(uv, cKDTree(uv))

@@ -19,8 +19,8 @@ from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.surface.remap import look_up
 
 BINS = 16
-_LEAST_POINTS = 200
-_MOST_EVALUATIONS = 400
+_MIN_POINTS = 200
+_MAX_EVALUATIONS = 400
 
 
 def rank_bins(values: ArrayLike, *, bins: int = BINS) -> NDArray[np.intp]:
@@ -111,7 +111,7 @@ class NidPair:
         inside = self.camera.contains(uv, border=1)
         if visible is not None:
             inside &= visible
-        if np.count_nonzero(inside) < _LEAST_POINTS:
+        if np.count_nonzero(inside) < _MIN_POINTS:
             return 1.0
         u, v = (uv[inside, k].astype(np.float32) for k in (0, 1))
         return nid(self.values[inside], look_up(self.gray, u[:, None], v[:, None])[:, 0])
@@ -143,7 +143,7 @@ class NidPair:
             lambda x: self.score(pose(x), visible=visible),
             np.zeros(6),
             method="Nelder-Mead",
-            options={"initial_simplex": first, "maxfev": _MOST_EVALUATIONS, "xatol": 1e-2, "fatol": 1e-6},
+            options={"initial_simplex": first, "maxfev": _MAX_EVALUATIONS, "xatol": 1e-2, "fatol": 1e-6},
         )
         best, here = float(found.fun), self.score(start, visible=visible)
         return (pose(found.x), best) if best < here else (start, here)

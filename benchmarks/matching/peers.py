@@ -33,7 +33,7 @@ THESIS = {
 }
 """Forms of the thesis's chain: with the additions, and without."""
 _NID_POINTS = 20_000
-_LEAST_MATCHES = 6
+_MIN_MATCHES = 6
 
 
 def by_sift(case: SimulatedCase) -> lr.Rigid | None:
@@ -68,7 +68,7 @@ def _by_sift(case: SimulatedCase, *, of_gradients: bool) -> lr.Rigid | None:
         return None
     pairs = cv2.BFMatcher().knnMatch(scan_features, photo_features, k=2)
     good = [first for first, second in pairs if first.distance < 0.85 * second.distance]
-    if len(good) < _LEAST_MATCHES:
+    if len(good) < _MIN_MATCHES:
         return None
     rays = view.rays_at(np.array([scan_keys[m.queryIdx].pt for m in good]))
     ranges = surface_range(case.scan, rays)

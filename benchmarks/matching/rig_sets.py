@@ -19,7 +19,7 @@ from ladarreg_core.simulate.robot_lidar import LidarName
 PAIRS = 5
 _SWAPPED, _SHUFFLED = "two photos swapped", "all photos moved on"
 _HOWS = (ROUGH, NONE, _SHUFFLED, _SWAPPED)
-_LEAST_RIGHT = 95
+_MIN_RIGHT = 95
 _SIGMAS = (0.8, 1.2)
 _NOTE = (
     f"One scanner and camera in {PAIRS} places, streets and courtyards by turns, with one pose; right: accepted, and "
@@ -92,7 +92,7 @@ def rig_section(rows: Sequence[Row]) -> Section | None:
             right = [row for row in mine if _is_right(row)]
             sigmas = _rms_sigmas(right)
             bars += [
-                Bar(f"rigs, {how}: right, %", 100 * len(right) / len(mine), least=_LEAST_RIGHT),
+                Bar(f"rigs, {how}: right, %", 100 * len(right) / len(mine), least=_MIN_RIGHT),
                 Bar(f"rigs, {how}: sigmas", sigmas, least=_SIGMAS[0]),
                 Bar(f"rigs, {how}: sigmas, at most", sigmas, most=_SIGMAS[1]),
             ]

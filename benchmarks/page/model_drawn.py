@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from testing.workbench.served import Page, Served
 
 _FINE_INDICES = 100_000
-_COLOURFUL = 5.0
+_COLORFUL = 5.0
 _PATIENCE_S, _SETTLING_S = 40.0, 12.0
 _WATCH_DRAWING = """
 window.drawn = [];
@@ -79,7 +79,7 @@ _SEEN = {"model drawn after its pose, s": _FINE_INDICES}
 
 
 def _first_seen(drawn: list[Any], posed: float) -> dict[str, float]:
-    gray = max((colour for when, _, colour in drawn if when < posed), default=0.0)
-    coloured = [(when, count) for when, count, colour in drawn if when > posed and colour > gray + _COLOURFUL]
-    found = {name: [when for when, count in coloured if count >= least] for name, least in _SEEN.items()}
+    gray = max((color for when, _, color in drawn if when < posed), default=0.0)
+    colored = [(when, count) for when, count, color in drawn if when > posed and color > gray + _COLORFUL]
+    found = {name: [when for when, count in colored if count >= least] for name, least in _SEEN.items()}
     return {name: whens[0] - posed for name, whens in found.items() if whens}

@@ -32,7 +32,7 @@ SHAPE = (4000, 7000)
 _QUICK_SHAPE = (1000, 1750)
 _CLIENTS = 10
 _TURNS = 4
-_MOST_MB, _MOST_VERTICES = 2500, 400_000
+_MAX_MB, _MAX_VERTICES = 2500, 400_000
 _PATIENCE_S = 900.0
 _PART_PX = 256
 _NAIVE_BYTES_PER_VERTEX, _NAIVE_BYTES_PER_FACE = 20, 12  # position and texture place as float32; three indices
@@ -433,7 +433,7 @@ def page_rows(quick: bool, show: Callable[[str], None]) -> list[Row]:
     show(json.dumps(figures))
     size, most = f"{shape[0] * shape[1] / 1e6:.1f} M cells", figures["together_mb"]
     rows = [
-        Row(f"{size}, ten clients: server and its readers, peak", "<= 2500 MB", f"{most:.0f} MB", most <= _MOST_MB),
+        Row(f"{size}, ten clients: server and its readers, peak", "<= 2500 MB", f"{most:.0f} MB", most <= _MAX_MB),
         Row("the server alone; at rest", "reported",
             f"{figures['server_mb']:.0f}; {figures['at_rest_mb']:.0f} MB", True),
         Row("from the start to the first picture; the coarse model", "reported",
@@ -443,12 +443,12 @@ def page_rows(quick: bool, show: Callable[[str], None]) -> list[Row]:
         Row("the photograph", "accepted", figures["photograph"], figures["photograph"] == "accepted"),
         Row("errors", "0", str(len(figures["errors"])), not figures["errors"]),
         Row("control: the whole mesh with its texture, for each page", "> 400000 vertices",
-            f"{shape[0] * shape[1] / 1e6:.1f} M vertices, {naive / 1e6:.0f} MB", shape[0] * shape[1] > _MOST_VERTICES),
+            f"{shape[0] * shape[1] / 1e6:.1f} M vertices, {naive / 1e6:.0f} MB", shape[0] * shape[1] > _MAX_VERTICES),
     ]  # fmt: skip
     if "vertices" in figures:
         held = figures["vertices"]["model"]
         rows[1:1] = [
-            Row("vertices that the page in Chromium holds at once", "<= 400000", str(held), held <= _MOST_VERTICES),
+            Row("vertices that the page in Chromium holds at once", "<= 400000", str(held), held <= _MAX_VERTICES),
             Row("from turning to the finer parts, in Chromium", "reported", f"{figures['finer_s']:.1f} s", True),
         ]
     return rows

@@ -30,9 +30,9 @@ from ladarreg_core.simulate import SCENES
 
 LINES = 20
 NOISES_PX = (0.5, 2.0)
-MOST_SHARE = {0.5: 2 / 3, 2.0: 0.5}
+MAX_SHARE = {0.5: 2 / 3, 2.0: 0.5}
 """Largest median error with snapping over the one without, by noise."""
-MOST_ALONG_PX = 0.05
+MAX_ALONG_PX = 0.05
 FAR_PX = 8.0
 """An end this far from every edge stays where it is."""
 _FLAT_PX, _FLAT_LEVELS = 6.5, 2.5
@@ -173,9 +173,9 @@ def failures(figures: Sequence[SnappingFigures], far_moved: int) -> list[str]:
     missed = []
     for f in figures:
         where = f"{f.scene} at {f.noise_px:g} px"
-        if f.share > MOST_SHARE[f.noise_px]:
+        if f.share > MAX_SHARE[f.noise_px]:
             missed.append(f"{where}: the median error is {f.share:.2f} of the drawn one")
-        if f.worst_along_px > MOST_ALONG_PX:
+        if f.worst_along_px > MAX_ALONG_PX:
             missed.append(f"{where}: an end moved {f.worst_along_px:.2f} px along its edge")
         if not f.snapped_mm <= f.drawn_mm:
             missed.append(f"{where}: the pose got worse, {f.drawn_mm:.1f} to {f.snapped_mm:.1f} mm")

@@ -15,8 +15,8 @@ from ladarreg_core.simulate.ray_cast import RayCaster
 from ladarreg_core.simulate.worlds.world import World
 from ladarreg_core.surface.perspective import View
 
-LEAST_PX, MOST_PX = 40.0, 400.0
-LEAST_STEP = 12.0
+MIN_PX, MAX_PX = 40.0, 400.0
+MIN_STEP = 12.0
 """Gray levels by which the sides of a legible edge differ."""
 TWIN_PX = 3.0
 """An edge closer than this to another one, in either pane, is not drawn: nobody could say which of them is meant."""
@@ -50,7 +50,7 @@ def drawn_scene(scene: str, seed: int, *, lines: int) -> DrawnScene:
     scan, photo = _without_copies(scan, photo)
     gray_scan = scan_picture(view, "intensity")[..., 0].astype(np.float32)
     gray_photo = cv2.cvtColor(case.photo.pixels, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    legible = (_steps(gray_scan, scan) >= LEAST_STEP) & (_steps(gray_photo, photo) >= LEAST_STEP)
+    legible = (_steps(gray_scan, scan) >= MIN_STEP) & (_steps(gray_photo, photo) >= MIN_STEP)
     alone = ~(_has_twin(scan) | _has_twin(photo))
     rows = np.flatnonzero(legible & alone)
     rng = np.random.default_rng([seed, 77])
@@ -107,7 +107,7 @@ def _projected(
 
 def _long(ends: FloatArray) -> NDArray[np.bool_]:
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
-    return np.asarray((length >= LEAST_PX) & (length <= MOST_PX))
+    return np.asarray((length >= MIN_PX) & (length <= MAX_PX))
 
 
 def _inside(ends: FloatArray, shape: tuple[int, ...]) -> NDArray[np.bool_]:

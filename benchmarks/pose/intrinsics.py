@@ -26,7 +26,7 @@ PAIRS: dict[str, tuple[Camera, Camera, str | None]] = {
 }
 """True camera, stated camera, and the wrong parameter."""
 OWN_SIGMAS = 3.0
-LEAST_WITHIN, MOST_FALSE = 98.0, 1.0
+MIN_WITHIN, MAX_FALSE = 98.0, 1.0
 
 
 @dataclass(frozen=True)
@@ -83,11 +83,9 @@ def intrinsics_section(seeds: Sequence[int]) -> Section:
                 "fixed_mm": fixed, "estimated_mm": chosen, "within_3_sigmas": within, "adopted": adopted
             }  # fmt: skip
             if wrong == "focal_px":
-                bars.append(
-                    Bar(f"{name}, {where}: f within 3 own sigmas, %", 100 * within, least=LEAST_WITHIN, digits=1)
-                )
+                bars.append(Bar(f"{name}, {where}: f within 3 own sigmas, %", 100 * within, least=MIN_WITHIN, digits=1))
             if wrong is None:
-                bars.append(Bar(f"{name}, {where}: adopted falsely, %", 100 * adopted, most=MOST_FALSE, digits=1))
+                bars.append(Bar(f"{name}, {where}: adopted falsely, %", 100 * adopted, most=MAX_FALSE, digits=1))
         tables.append((name, table(heads, rows)))
     return Section(
         "intrinsics",

@@ -129,7 +129,7 @@ SETTINGS: dict[str, dict[str, float]] = {
     "baseline .5 m, three of them slid along themselves": {"baseline_m": 0.5, "slid": 3},
     "baseline .5 m, two of them the other way round": {"baseline_m": 0.5, "swapped": 2},
 }
-MOST_MM = 10.0
+MAX_MM = 10.0
 _WITH_BARS = 2  # settings that have bars
 DEFAULT_USE = "ends, ranges of the line (default)"
 
@@ -153,7 +153,7 @@ def lines_section(seeds: Sequence[int]) -> Section:
             )
         )
     bars = [
-        Bar(f"eight lines, {name}: median mm", figures[name][DEFAULT_USE]["position_mm"], most=MOST_MM)
+        Bar(f"eight lines, {name}: median mm", figures[name][DEFAULT_USE]["position_mm"], most=MAX_MM)
         for name in list(SETTINGS)[:_WITH_BARS]
     ]
     return Section(

@@ -14,7 +14,7 @@ from ladarreg_core.pose.estimators.ransac import ransac_pose
 from testing.scenes.accuracy import Answer, Solver, default, known_inliers
 from testing.scenes.pose_case import Case
 
-MOST_ITERATIONS = 5000
+MAX_ITERATIONS = 5000
 THRESHOLD_SIGMA = 6.0
 
 
@@ -44,7 +44,7 @@ def poselib_peer(case: Case) -> Answer | None:
 
     c = case.camera
     lens = {"model": "PINHOLE", "width": c.width, "height": c.height, "params": [c.fx, c.fy, c.cx, c.cy]}
-    how = {"max_reproj_error": THRESHOLD_SIGMA * case.sigma_px, "max_iterations": MOST_ITERATIONS}
+    how = {"max_reproj_error": THRESHOLD_SIGMA * case.sigma_px, "max_iterations": MAX_ITERATIONS}
     pose, _ = poselib.estimate_absolute_pose(case.uv, case.matches.points, lens, how)
     return Rigid(pose.R, pose.t), None
 
@@ -53,7 +53,7 @@ def opencv_peer(case: Case) -> Answer | None:
     cv2.setRNGSeed(0)
     points, K = np.array(case.matches.points), case.camera.matrix
     found, turn, shift, inliers = cv2.solvePnPRansac(
-        points, case.uv, K, None, iterationsCount=MOST_ITERATIONS,
+        points, case.uv, K, None, iterationsCount=MAX_ITERATIONS,
         reprojectionError=THRESHOLD_SIGMA * case.sigma_px, confidence=0.9999,
     )  # fmt: skip
     if not found:

@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 
 from ladarreg_core.export.pictures.layout import beside, boxed, padded, placed, stacked, text_block, text_width
-from ladarreg_core.foundations.palette import ACCENT, BACKGROUND, BAD, DIM, INK, LINE, PANEL, WARN, Colour
+from ladarreg_core.foundations.palette import ACCENT, BACKGROUND, BAD, DIM, INK, LINE, PANEL, WARN, Color
 
 Range = tuple[float, float]
 
-YELLOW: Colour = (0xFF, 0xD3, 0x4D)
-PINK: Colour = (0xFF, 0x8F, 0xAB)
-VIOLET: Colour = (0xC9, 0xA7, 0xFF)
-FAINT: Colour = (0x4A, 0x55, 0x66)
+YELLOW: Color = (0xFF, 0xD3, 0x4D)
+PINK: Color = (0xFF, 0x8F, 0xAB)
+VIOLET: Color = (0xC9, 0xA7, 0xFF)
+FAINT: Color = (0x4A, 0x55, 0x66)
 WIDTH = 1600
 """Width of a whole picture, px."""
 GAP, MARGIN = 18, 26
@@ -71,7 +71,7 @@ class Plot:
     """Names of the rows instead of numbers along y; row k is at y = k."""
     left: int = _LEFT
     image: np.ndarray = field(init=False)
-    legend: list[tuple[str, Colour]] = field(default_factory=list)
+    legend: list[tuple[str, Color]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.image = np.full((self.height, self.width, 3), PANEL, np.uint8)
@@ -103,51 +103,51 @@ class Plot:
         py = (1 - scaled(y, self.y, self.log_y)) * (self.height - 1)
         return np.stack(np.broadcast_arrays(px, py), axis=-1)
 
-    def lines(self, points: np.ndarray, colour: Colour, thickness: int = 2) -> None:
+    def lines(self, points: np.ndarray, color: Color, thickness: int = 2) -> None:
         """Draw a polyline through pixels."""
         fixed = np.rint(points * (1 << _SHIFT)).astype(np.int32)
-        cv2.polylines(self.image, [fixed[:, None]], False, colour, thickness, cv2.LINE_AA, _SHIFT)
+        cv2.polylines(self.image, [fixed[:, None]], False, color, thickness, cv2.LINE_AA, _SHIFT)
 
-    def curve(self, x: np.ndarray, y: np.ndarray, colour: Colour, *, name: str = "", thickness: int = 2) -> None:
-        self.lines(self.at(x, y), colour, thickness)
-        self.named(name, colour)
+    def curve(self, x: np.ndarray, y: np.ndarray, color: Color, *, name: str = "", thickness: int = 2) -> None:
+        self.lines(self.at(x, y), color, thickness)
+        self.named(name, color)
 
-    def stems(self, x: np.ndarray, y: np.ndarray, colour: Colour, *, name: str = "", base: float = 0.0) -> None:
+    def stems(self, x: np.ndarray, y: np.ndarray, color: Color, *, name: str = "", base: float = 0.0) -> None:
         """Draw a line from the base to each value, with a dot; values beyond the field become an arrow at its edge."""
         low, high = self.y
         for a, b in zip(self.at(x, np.clip(y, low, high)), self.at(x, np.full(len(x), base)), strict=True):
-            self.lines(np.stack([a, b]), tuple(int(0.55 * c + 0.45 * p) for c, p in zip(colour, PANEL, strict=True)), 1)
-        self.dots(x, np.clip(y, low, high), colour, radius=3.4)
-        self.named(name, colour)
+            self.lines(np.stack([a, b]), tuple(int(0.55 * c + 0.45 * p) for c, p in zip(color, PANEL, strict=True)), 1)
+        self.dots(x, np.clip(y, low, high), color, radius=3.4)
+        self.named(name, color)
 
-    def dots(self, x: object, y: object, colour: Colour, *, radius: float = 4.0, name: str = "") -> None:
+    def dots(self, x: object, y: object, color: Color, *, radius: float = 4.0, name: str = "") -> None:
         for point in self.at(x, y):
             centre = tuple(np.rint(point * (1 << _SHIFT)).astype(int).tolist())
-            cv2.circle(self.image, centre, round(radius * (1 << _SHIFT)), colour, -1, cv2.LINE_AA, _SHIFT)
-        self.named(name, colour)
+            cv2.circle(self.image, centre, round(radius * (1 << _SHIFT)), color, -1, cv2.LINE_AA, _SHIFT)
+        self.named(name, color)
 
-    def horizontal(self, y: float, colour: Colour, thickness: int = 2, *, dashed: bool = False, name: str = "") -> None:
+    def horizontal(self, y: float, color: Color, thickness: int = 2, *, dashed: bool = False, name: str = "") -> None:
         row = round(float(self.at(self.x[0], y)[0, 1]))
-        self._straight((0, row), (self.width - 1, row), colour, thickness, dashed)
-        self.named(name, colour)
+        self._straight((0, row), (self.width - 1, row), color, thickness, dashed)
+        self.named(name, color)
 
-    def vertical(self, x: float, colour: Colour, thickness: int = 2, *, dashed: bool = False, name: str = "") -> None:
+    def vertical(self, x: float, color: Color, thickness: int = 2, *, dashed: bool = False, name: str = "") -> None:
         column = round(float(self.at(x, self.y[0])[0, 0]))
-        self._straight((column, 0), (column, self.height - 1), colour, thickness, dashed)
-        self.named(name, colour)
+        self._straight((column, 0), (column, self.height - 1), color, thickness, dashed)
+        self.named(name, color)
 
-    def _straight(self, a: tuple[int, int], b: tuple[int, int], colour: Colour, thickness: int, dashed: bool) -> None:
+    def _straight(self, a: tuple[int, int], b: tuple[int, int], color: Color, thickness: int, dashed: bool) -> None:
         if not dashed:
-            cv2.line(self.image, a, b, colour, thickness)
+            cv2.line(self.image, a, b, color, thickness)
             return
         across = b[0] != a[0]
         for start in range(0, self.width if across else self.height, 14):
             first, last = ((start, a[1]), (start + 7, a[1])) if across else ((a[0], start), (a[0], start + 7))
-            cv2.line(self.image, first, last, colour, thickness)
+            cv2.line(self.image, first, last, color, thickness)
 
-    def named(self, name: str, colour: Colour) -> None:
-        if name and (name, colour) not in self.legend:
-            self.legend.append((name, colour))
+    def named(self, name: str, color: Color) -> None:
+        if name and (name, color) not in self.legend:
+            self.legend.append((name, color))
 
     def block(self, *, number: Callable[[float], str] = "{:.4g}".format) -> np.ndarray:
         """Return the panel: title and legend above, the field with its labels below."""
@@ -158,17 +158,17 @@ class Plot:
             *((k, name, INK) for k, name in enumerate(self.row_names)),
             *((v, number(v), DIM) for v in self.y_ticks),
         ]
-        for value, label, colour in rows:
-            words = text_block(label, size=_TICK if not self.row_names else _TEXT, colour=colour, ground=PANEL)
+        for value, label, color in rows:
+            words = text_block(label, size=_TICK if not self.row_names else _TEXT, color=color, ground=PANEL)
             row = float(self.at(self.x[0], value)[0, 1])
             _put(canvas, words, self.left - 10 - words.shape[1], row - words.shape[0] / 2)
         for value in self.x_ticks:
-            words = text_block(number(value), size=_TICK, colour=DIM, ground=PANEL)
+            words = text_block(number(value), size=_TICK, color=DIM, ground=PANEL)
             _put(
                 canvas, words, self.left + float(self.at(value, self.y[0])[0, 0]) - words.shape[1] / 2, self.height + 6
             )
         if self.x_label:
-            words = text_block(self.x_label, size=_TICK, colour=DIM, ground=PANEL)
+            words = text_block(self.x_label, size=_TICK, color=DIM, ground=PANEL)
             canvas = stacked([canvas, placed(words, width=canvas.shape[1], height=words.shape[0] + 2, ground=PANEL)])
         title = text_block(self.title, size=_TITLE, ground=PANEL, weight=0.5)
         keys = self._keys()
@@ -185,10 +185,10 @@ class Plot:
 
     def _keys(self) -> np.ndarray | None:
         parts = []
-        for name, colour in self.legend:
+        for name, color in self.legend:
             mark = np.full((round(_TICK * 1.36), 22, 3), PANEL, np.uint8)
-            cv2.line(mark, (2, mark.shape[0] // 2), (19, mark.shape[0] // 2), colour, 5, cv2.LINE_AA)
-            parts.append(beside([mark, text_block(name, size=_TICK, colour=DIM, ground=PANEL)], gap=4, ground=PANEL))
+            cv2.line(mark, (2, mark.shape[0] // 2), (19, mark.shape[0] // 2), color, 5, cv2.LINE_AA)
+            parts.append(beside([mark, text_block(name, size=_TICK, color=DIM, ground=PANEL)], gap=4, ground=PANEL))
         return beside(parts, gap=18, ground=PANEL) if parts else None
 
 
@@ -231,7 +231,7 @@ def page(title: str, note: str, rows: Sequence[np.ndarray]) -> np.ndarray:
     inner = WIDTH - 2 * MARGIN
     lines = int(np.ceil(text_width(note, size=_TEXT) / inner)) + 1
     head = stacked(
-        [text_block(title, size=34, weight=0.7), text_block(note, size=_TEXT, width=inner, lines=lines, colour=DIM)],
+        [text_block(title, size=34, weight=0.7), text_block(note, size=_TEXT, width=inner, lines=lines, color=DIM)],
         gap=4,
     )
     sheet = stacked([head, *rows], gap=GAP)
@@ -245,7 +245,7 @@ class Bar:
     name: str
     median: float
     p95: float
-    colour: Colour
+    color: Color
 
 
 def strips(
@@ -253,7 +253,7 @@ def strips(
     rows: Sequence[Bar],
     *,
     x: Range,
-    marks: Sequence[tuple[float, Colour, str]],
+    marks: Sequence[tuple[float, Color, str]],
     width: int,
     left: int,
     label: str,
@@ -264,14 +264,14 @@ def strips(
         width, 46 * len(rows), x, (len(rows) - 0.5, -0.5), title, label, log_x=True,
         row_names=[row.name for row in rows], left=left,
     )  # fmt: skip
-    for value, colour, name in marks:
-        plot.vertical(value, colour, 2, dashed=True, name=name)
+    for value, color, name in marks:
+        plot.vertical(value, color, 2, dashed=True, name=name)
     for k, row in enumerate(rows):
         if not np.isfinite(row.median):
             continue
-        plot.curve(np.array([row.median, min(row.p95, x[1])]), np.array([k, k]), row.colour, thickness=3)
-        plot.dots(row.median, k, row.colour, radius=7)
-        words = text_block(figure(row.median), size=_TICK, colour=row.colour, ground=PANEL)
+        plot.curve(np.array([row.median, min(row.p95, x[1])]), np.array([k, k]), row.color, thickness=3)
+        plot.dots(row.median, k, row.color, radius=7)
+        words = text_block(figure(row.median), size=_TICK, color=row.color, ground=PANEL)
         spot = plot.at(row.median, k)[0]
         before = spot[0] - 14 - words.shape[1]
         _put(
@@ -284,15 +284,15 @@ def strips(
 
 
 _ERROR_STEPS = 10
-ERROR_COLOURS = np.array([(0x33, 0x70, 0x92), ACCENT, WARN, BAD], float)
+ERROR_COLORS = np.array([(0x33, 0x70, 0x92), ACCENT, WARN, BAD], float)
 
 
-def error_colour(share: float) -> Colour:
+def error_color(share: float) -> Color:
     """Return a colour from deep blue (0) over amber to red (1), in steps."""
     step = min(int(np.clip(share, 0, 1) * _ERROR_STEPS), _ERROR_STEPS - 1)
-    place = step / (_ERROR_STEPS - 1) * (len(ERROR_COLOURS) - 1)
-    low = min(int(place), len(ERROR_COLOURS) - 2)
-    mixed = ERROR_COLOURS[low] + (place - low) * (ERROR_COLOURS[low + 1] - ERROR_COLOURS[low])
+    place = step / (_ERROR_STEPS - 1) * (len(ERROR_COLORS) - 1)
+    low = min(int(place), len(ERROR_COLORS) - 2)
+    mixed = ERROR_COLORS[low] + (place - low) * (ERROR_COLORS[low + 1] - ERROR_COLORS[low])
     return tuple(round(float(v)) for v in mixed)  # type: ignore[return-value]
 
 
@@ -312,21 +312,21 @@ def wireframe(
         key=lambda edge: max(errors[edge[0]], errors[edge[1]])
     )  # the largest errors are drawn last, so never hidden
     for a, b in edges:
-        plot.lines(points[[a, b]], error_colour(max(errors[a], errors[b]) / scale), 2)
+        plot.lines(points[[a, b]], error_color(max(errors[a], errors[b]) / scale), 2)
     for k in np.argsort(errors, kind="stable"):
         centre = tuple(np.rint(points[k] * (1 << _SHIFT)).astype(int).tolist())
-        cv2.circle(plot.image, centre, 4 << _SHIFT, error_colour(errors[k] / scale), -1, cv2.LINE_AA, _SHIFT)
+        cv2.circle(plot.image, centre, 4 << _SHIFT, error_color(errors[k] / scale), -1, cv2.LINE_AA, _SHIFT)
     head = text_block(title, size=_TITLE, ground=PANEL, weight=0.5)
     return stacked([head, plot.image], gap=8, ground=PANEL)
 
 
-def colour_bar(width: int, scale: float, label: str) -> np.ndarray:
+def color_bar(width: int, scale: float, label: str) -> np.ndarray:
     """Return the key of `error_colour`."""
-    bar = np.array([[error_colour(k / 200) for k in range(200)]] * 14, np.uint8)
+    bar = np.array([[error_color(k / 200) for k in range(200)]] * 14, np.uint8)
     parts = [
-        text_block(f"{label}:  0", size=_TICK, colour=DIM),
+        text_block(f"{label}:  0", size=_TICK, color=DIM),
         padded(bar, top=5),
-        text_block(f"{scale:g} and more", size=_TICK, colour=DIM),
+        text_block(f"{scale:g} and more", size=_TICK, color=DIM),
     ]
     block = beside(parts, gap=10)
     return placed(block, width=width, height=block.shape[0], align="left")

@@ -92,9 +92,9 @@ def depth_error_picture(case: Case, fit: SimplexFit) -> np.ndarray:
         plot = Plot(field_width(1), 230, (-2.0, len(errors) + 1.0), (-4.2, 4.2), title, "vertex")
         for sign in (1, -1):
             plot.horizontal(sign * THRESHOLD_M, WARN, dashed=True, name=f"threshold, {THRESHOLD_M:g}")
-        for name, colour, mine in (("spikes", BAD, ~case.true), ("other vertices", ACCENT, case.true)):
+        for name, color, mine in (("spikes", BAD, ~case.true), ("other vertices", ACCENT, case.true)):
             index = np.flatnonzero(mine & kept)
-            plot.stems(index, errors[index], colour, name=name)
+            plot.stems(index, errors[index], color, name=name)
         blocks.append(columns([plot.block()]))
     note = (
         "Laser depth against both stereo depths, sqrt((Zl - Zxs)^2 + (Zl - Zys)^2) with the sign of laser minus "

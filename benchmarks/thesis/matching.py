@@ -22,7 +22,7 @@ from ladarreg_core.thesis.matching.matcher import FoundMatches, ThesisMatchOptio
 from ladarreg_core.thesis.matching.search import FilterSide
 
 RIGHT_PX = 3.0
-LEAST_RATIO = 0.9
+MIN_RATIO = 0.9
 T1 = (0.05, 0.1, 0.15, 0.2)
 SIDES: tuple[FilterSide, ...] = ("two_sided", "one_sided")
 OFF = ((0.0, 0.0), (1.0, 0.05), (2.0, 0.1), (3.0, 0.2))
@@ -83,7 +83,7 @@ def row(name: str, scores: list[Score]) -> str:
     """Return a line of the table: medians over the cases, and the number with a ratio of .9 or more."""
     ratio = np.array([s.ratio for s in scores])
     matches, right = (np.median([getattr(s, part) for s in scores]) for part in ("matches", "right"))
-    good = int((np.nan_to_num(ratio) >= LEAST_RATIO).sum())
+    good = int((np.nan_to_num(ratio) >= MIN_RATIO).sum())
     px = np.nanmedian([s.median_px for s in scores])
     known = ratio[np.isfinite(ratio)]
     median, mean = (float(f(known)) if len(known) else float("nan") for f in (np.median, np.mean))
@@ -150,7 +150,7 @@ def main() -> None:
     for name, mine in scores.items():
         print(row(name, mine))
     asked = np.nanmedian([s.ratio for s in scores["first, T1 0.20, two_sided"]])
-    print(f"\nT1 = .2, T2 = 20: median inlier ratio {asked:.2f} (asked: >= {LEAST_RATIO:g})")
+    print(f"\nT1 = .2, T2 = 20: median inlier ratio {asked:.2f} (asked: >= {MIN_RATIO:g})")
     if arguments.turned:
         turned(seeds)
 

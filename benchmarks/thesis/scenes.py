@@ -68,7 +68,7 @@ def scenes_text(runs: dict[str, list[SceneRun]]) -> str:
     return markdown(heads, rows)
 
 
-_STAGE_COLOURS = (DIM, PINK, YELLOW, VIOLET, ACCENT)
+_STAGE_COLORS = (DIM, PINK, YELLOW, VIOLET, ACCENT)
 STAGE_NAMES = ("unconstrained", "constrained", "simplex", "outliers removed", "default")
 
 
@@ -79,11 +79,11 @@ def scenes_picture(runs: dict[str, list[SceneRun]]) -> np.ndarray:
     blocks = []
     for scene, mine in runs.items():
         bars = []
-        for k, (name, colour) in enumerate(zip(STAGE_NAMES, _STAGE_COLOURS, strict=True)):
+        for k, (name, color) in enumerate(zip(STAGE_NAMES, _STAGE_COLORS, strict=True)):
             px = [run.errors(run.comparison.columns[k])[0] for run in mine]
             finite = [v for v in px if np.isfinite(v)]
             middle, worst = (float(np.median(finite)), max(finite)) if finite else (np.nan, np.nan)
-            bars.append(Bar(name, middle, worst, colour))
+            bars.append(Bar(name, middle, worst, color))
         blocks.append(
             plots.strips(
                 f"Table {printed.SCENES[scene].table}: {scene}", bars, x=x, marks=[(1.0, plots.FAINT, "one pixel")],

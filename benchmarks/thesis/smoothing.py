@@ -142,15 +142,15 @@ def smoothing_picture(run: Smoothing) -> np.ndarray:
         field_width(1), 210, (0.0, count + 1.0), (0.003, 5.0), "Range errors in order of size", "vertices", log_y=True
     )
     plot.horizontal(THRESHOLD_M, WARN, dashed=True, name=f"threshold, {THRESHOLD_M:g}")
-    for name, ranges, colour in (("before", run.case.ranges, BAD), ("after", run.ranges, ACCENT)):
-        plot.curve(np.arange(1, count + 1), np.sort(np.abs(ranges - run.truth)), colour, name=name, thickness=3)
+    for name, ranges, color in (("before", run.case.ranges, BAD), ("after", run.ranges, ACCENT)):
+        plot.curve(np.arange(1, count + 1), np.sort(np.abs(ranges - run.truth)), color, name=name, thickness=3)
     note = (
         f"Reading {SMOOTHED_READING}, seed {SHOWN_SEED}, with the pose of the default: {int(run.replaced.sum())} of "
         f"{count} ranges are replaced, each by what its own match shows; the laser looks from the left."
     )
     rows = [
         columns(blocks),
-        plots.colour_bar(plots.WIDTH - 2 * plots.MARGIN, _ERROR_SCALE, "range error"),
+        plots.color_bar(plots.WIDTH - 2 * plots.MARGIN, _ERROR_SCALE, "range error"),
         columns([plot.block(number="{:g}".format)]),
     ]
     return plots.page("Figure 3.5: the apple, smoothed", note, rows)

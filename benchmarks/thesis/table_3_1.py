@@ -31,7 +31,7 @@ READING_WORDS = {
 }
 PRINTED = (printed.mean_percent(printed.APPLE_BEFORE_PERCENT), printed.mean_percent(printed.APPLE_AFTER_PERCENT))
 """Mean error printed in the thesis, %: all points, outliers rejected."""
-_MOST_OVER_TRUE_INLIERS = 1.1
+_MAX_OVER_TRUE_INLIERS = 1.1
 _RESAMPLED = 400
 _UNTIL_PERCENT = (0.3, 300.0)
 
@@ -125,7 +125,7 @@ def table_3_1_section(seeds: Sequence[int]) -> Section:
         Bar(
             f"Table 3.1 {reading}: default's {what} over that of the true inliers known",
             ratio,
-            most=_MOST_OVER_TRUE_INLIERS,
+            most=_MAX_OVER_TRUE_INLIERS,
             error=off,
         )
         for reading in APPLE_READINGS
@@ -196,8 +196,8 @@ def table_3_1_picture(errors: Errors, seeds: int) -> np.ndarray:
             bars = []
             for (method, of), values in errors.items():
                 if of == reading and not np.isnan(values[:, k]).any():
-                    label, colour = THESIS_METHODS[method]
-                    bars.append(plots.Bar(label, *median_and_p95(values[:, k]), colour))
+                    label, color = THESIS_METHODS[method]
+                    bars.append(plots.Bar(label, *median_and_p95(values[:, k]), color))
             blocks.append(
                 plots.strips(
                     f"{reading}, {when}",

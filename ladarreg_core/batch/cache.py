@@ -17,7 +17,7 @@ from ladarreg_core.storage.atomic_write import make_folder
 from ladarreg_core.storage.checksums import checksum
 from ladarreg_core.storage.staging import is_running
 
-MOST_BYTES = 4_000_000_000
+MAX_BYTES = 4_000_000_000
 """Default size of a cache."""
 _SUFFIX, _PART = ".entry", ".part"
 _NAME = re.compile(r"[0-9a-f]{64}\.entry")
@@ -43,7 +43,7 @@ class ContentCache:
         OptionError: if the bound is no whole number, or negative.
     """
 
-    def __init__(self, folder: str | Path, *, most_bytes: int = MOST_BYTES) -> None:
+    def __init__(self, folder: str | Path, *, most_bytes: int = MAX_BYTES) -> None:
         self.folder = Path(folder)
         self.most_bytes = require_int(most_bytes, "the size of the cache", least=0)
 

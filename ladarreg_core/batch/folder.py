@@ -25,7 +25,7 @@ SUMMARY_FILE = "adjustment.json"
 PAGE_FILE = "index.html"
 """Page that summarises a run."""
 _LOCK_FILE, _WHAT = ".lock", "folder"
-_MOST_NAMED = 3
+_MAX_NAMED = 3
 
 
 def is_batch_folder(folder: str | Path) -> bool:
@@ -100,10 +100,10 @@ class BatchFolder:
         if force or not changed:
             return
         names = sorted(changed)
-        more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+        more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
         raise ExportError(
             f"the folder {display_path(self.folder)} contains results of other photos, inputs or options than these "
-            f"({', '.join(names[:_MOST_NAMED])}{more}); give another folder, or allow them to be replaced by "
+            f"({', '.join(names[:_MAX_NAMED])}{more}); give another folder, or allow them to be replaced by "
             "`force=True`"
         )
 

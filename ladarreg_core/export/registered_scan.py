@@ -19,7 +19,7 @@ from ladarreg_core.progress import Report
 from ladarreg_core.quality.assessment import Assessment, assess
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.texture.best_photo import CellColours, PointColourer, PosedPhoto, best_photo, photo_labels
+from ladarreg_core.surface.texture.best_photo import CellColors, PointColorer, PosedPhoto, best_photo, photo_labels
 from ladarreg_core.surface.texture.registered_texture import RegisteredTexture, texture_scan
 
 _NOT_IN_NAMES = re.compile(r"[^A-Za-z0-9._-]+")
@@ -132,11 +132,11 @@ class RegisteredScan:
         )
 
     @cached_property
-    def colours(self) -> CellColours:
+    def colors(self) -> CellColors:
         """The colours of the cells, each by the photograph that shows it best."""
         return best_photo(self.scan, self.views)
 
-    def compute_colours(self, report: Report | None = None) -> None:
+    def compute_colors(self, report: Report | None = None) -> None:
         """Compute `colours` with a report of the progress, unless they are there already."""
         if "colours" not in self.__dict__:
             self.__dict__["colours"] = best_photo(self.scan, self.views, report=report)
@@ -145,12 +145,12 @@ class RegisteredScan:
     def photo_labels(self) -> tuple[ByteArray, ...]:
         """(H, W) uint8 of every photograph: codes of `Label`, whether it colours the cell or not."""
         if len(self.views) == 1:
-            return (self.colours.labels,)
+            return (self.colors.labels,)
         return tuple(photo_labels(self.scan, view) for view in self.views)
 
-    def point_colourer(self) -> PointColourer:
+    def point_colorer(self) -> PointColorer:
         """Return what colours points that need not be cells of the scan."""
-        return PointColourer(self.scan, self.views, self.colours)
+        return PointColorer(self.scan, self.views, self.colors)
 
     @property
     def marks(self) -> tuple[str, ...]:

@@ -42,8 +42,8 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.thermal import kelvin_of, needs_unit, shown_values
 
 FileKind = Literal["scan", "photo", "camera", "pose", "matches", "results"]
-_MOST_LISTED = 50
-_MOST_DESCRIBED_BY_READING = 2_000_000
+_MAX_LISTED = 50
+_MAX_DESCRIBED_BY_READING = 2_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,7 +172,7 @@ def describe_bag(path: Path, asked: ScanRequest) -> FileInfo:
     topics = bag_topics(path)
     lines = tuple(
         f"{one_line(each.name, 80)}: {each.messages:,} cloud{'s' * (each.messages != 1)}"
-        for each in topics[:_MOST_LISTED]
+        for each in topics[:_MAX_LISTED]
     )
     try:
         scan = read_bag(
@@ -198,7 +198,7 @@ def describe_las(path: Path, asked: ScanRequest) -> FileInfo:
     )
     crs = (f"the file's coordinate reference system is {header.crs}",) if header.crs else ()
     notes: tuple[str, ...] = ("described from its header alone: its points are read when it is opened",)
-    if header.points <= _MOST_DESCRIBED_BY_READING:
+    if header.points <= _MAX_DESCRIBED_BY_READING:
         try:
             scan = read_las(path, origin=asked.origin, intensity=asked.intensity, report=asked.report)
         except (ShapeError, UnderspecifiedError) as error:
@@ -344,8 +344,8 @@ def describe_camera_file(path: Path) -> FileInfo:
         format=camera_format(path),
         camera={} if only is None else describe_camera(only.camera),
         contents=_pictures(only),
-        cameras=() if only is not None else tuple(map(_camera_line, cameras[:_MOST_LISTED])),
-        notes=tuple(dict.fromkeys(note for each in cameras for note in each.notes))[:_MOST_LISTED],
+        cameras=() if only is not None else tuple(map(_camera_line, cameras[:_MAX_LISTED])),
+        notes=tuple(dict.fromkeys(note for each in cameras for note in each.notes))[:_MAX_LISTED],
     )
 
 

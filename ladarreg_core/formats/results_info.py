@@ -25,7 +25,7 @@ from ladarreg_core.results import verdict_words
 from ladarreg_core.storage.checksums import CHECKSUM_FIELD
 from ladarreg_core.storage.manifest import DOCUMENTS
 
-_MOST_LISTED = 50
+_MAX_LISTED = 50
 _LONGEST = 400
 Fields = Mapping[str, Any]
 
@@ -136,7 +136,7 @@ def _export(path: Path, fields: Fields) -> FileInfo:
     files = fields.get("files") or []
     return FileInfo(
         **_about(path, fields, "export"),
-        contents=(f"{len(files)} files for {targets}", *photos[:_MOST_LISTED]),
+        contents=(f"{len(files)} files for {targets}", *photos[:_MAX_LISTED]),
         notes=_texts([fields["frame_is"]] if fields.get("frame_is") else []),
     )
 
@@ -145,7 +145,7 @@ def _comparison(path: Path, fields: Fields) -> FileInfo:
     lines = [
         f"{one_line(one.get('name') or one.get('stage'), 40)}: "
         + ("accepted" if one.get("accepted") is True else "not accepted" if "accepted" in one else "no pose")
-        for one in fields["columns"][:_MOST_LISTED]
+        for one in fields["columns"][:_MAX_LISTED]
     ]
     return FileInfo(**_about(path, fields, "comparison"), contents=tuple(lines), notes=_texts(fields.get("cautions")))
 
@@ -180,7 +180,7 @@ def _offset(path: Path, fields: Fields) -> FileInfo:
 def _about(path: Path, fields: Fields, name: str) -> dict[str, Any]:
     inputs = [
         f"{one_line(one['name'], 80)} ({int(one['size']):,} bytes, SHA-256 {one_line(one['sha256'], 64)})"
-        for one in (fields.get("inputs") or [])[:_MOST_LISTED]
+        for one in (fields.get("inputs") or [])[:_MAX_LISTED]
     ]
     software = fields.get("software")
     made_by = None
@@ -214,4 +214,4 @@ def _matches(listed: Sequence[Any]) -> str | None:
 
 
 def _texts(found: Any) -> tuple[str, ...]:
-    return tuple(one_line(one, _LONGEST) for one in found[:_MOST_LISTED]) if isinstance(found, list) else ()
+    return tuple(one_line(one, _LONGEST) for one in found[:_MAX_LISTED]) if isinstance(found, list) else ()

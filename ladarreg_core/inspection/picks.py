@@ -30,7 +30,7 @@ from ladarreg_core.surface.visibility.visible_points import (
     projected_tiles,
 )
 
-_MOST_CACHED = 4_000  # some kilobytes each
+_MAX_CACHED = 4_000  # some kilobytes each
 _REACH_PX = 6
 _REFINED_CELLS = 1.5
 
@@ -82,7 +82,7 @@ class PickMeasurements:
         lengths = None if pick.lengths_m is None else pick.lengths_m.tobytes()
         key = (pick.id, pick.scan.tobytes(), pick.photo.tobytes(), pick.kind, pick.weight, lengths, pick.name)
         if key not in self._cache:
-            if len(self._cache) >= _MOST_CACHED:
+            if len(self._cache) >= _MAX_CACHED:
                 self._cache.clear()
             self._cache[key] = matches_from_picks(self.scan, [replace(pick, on=True)], camera=self.photo.camera)
         return self._cache[key]

@@ -30,7 +30,7 @@ from ladarreg_core.scan import Scan
 _SEARCH_PIXELS = 200_000
 _MAX_TRIED = {False: 5, True: 6}  # hypotheses refined: upright ones, rolled ones
 _MAX_JOINT = 3
-_LEAST_CHECKED = 0.3  # fraction of agreeing regions of the hypothesis's own face, below which it is not tried jointly
+_MIN_CHECKED = 0.3  # fraction of agreeing regions of the hypothesis's own face, below which it is not tried jointly
 
 
 def is_wide(photo: Photo) -> bool:
@@ -162,7 +162,7 @@ class _FaceRegistration:
                 # regions and fraction: many regions that agree by half are worth more than a few that agree fully
                 found.append((verdict.fraction * np.sqrt(verdict.agreeing), verdict.fraction, pose))
         found.sort(key=lambda entry: -entry[0])
-        return [(score, pose) for score, fraction, pose in found if fraction >= _LEAST_CHECKED]
+        return [(score, pose) for score, fraction, pose in found if fraction >= _MIN_CHECKED]
 
     def _face_aligner(self, face: Face, pose: Rigid) -> Aligner | None:
         camera, o = self._search_camera, self._options

@@ -49,7 +49,7 @@ ResultT = TypeVar("ResultT", bound=PoseResult)
 _THREE_SIGMAS = 20.06  # chi^2 of 6 degrees of freedom, exceeded as rarely as 3 sigma by one number
 _SAMPLES = 10_000
 _MEDIAN_OF_RAYLEIGH = 1.1774
-_MOST_NOISE_BESIDE = 2.5
+_MAX_NOISE_BESIDE = 2.5
 _GATE_CHI2 = 9.21  # of a match that agrees with a pose, as `PoseOptions.gate_chi2`
 
 
@@ -238,7 +238,7 @@ def _noise_beside(found: PoseResult, result: PoseResult) -> float:
     off = found.camera.difference(matches.uv, found.camera.project(found.camera_from_scanner @ matches.points))
     lengths = np.hypot(*across_lines(matches, off).T)
     scatter = float(np.median(np.where(np.isfinite(lengths), lengths, np.inf))) / _MEDIAN_OF_RAYLEIGH
-    return float(np.clip(scatter, result.sigma_px, _MOST_NOISE_BESIDE * result.sigma_px))
+    return float(np.clip(scatter, result.sigma_px, _MAX_NOISE_BESIDE * result.sigma_px))
 
 
 def _judged(scan: Scan, result: PoseResult, found: Verification, placement: PoseResult) -> ImageCheck:

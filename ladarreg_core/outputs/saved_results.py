@@ -24,7 +24,7 @@ from ladarreg_core.scan import Scan
 RESULT_FILE = "registration.json"
 """The file by which a folder of results is recognised."""
 _DAMAGED = "give an unmodified one"
-_MOST_SUBFOLDERS = 500
+_MAX_SUBFOLDERS = 500
 
 
 class _ScanReading(msgspec.Struct):
@@ -195,7 +195,7 @@ def _subfolders(folder: Path) -> list[Path]:
             names = sorted(entry.name for entry in listed if entry.is_dir() and not entry.name.startswith("."))
     except OSError:
         return []
-    return [folder / name for name in names[:_MOST_SUBFOLDERS]]
+    return [folder / name for name in names[:_MAX_SUBFOLDERS]]
 
 
 def is_saved_result(folder: Path) -> bool:

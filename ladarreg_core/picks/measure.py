@@ -24,14 +24,14 @@ LineUse = Literal["ends", "equal", "kappa"]
 the thesis; `kappa`: samples at constant intervals on the scan, placed in the photo by a pose."""
 SAMPLES_PER_LINE = 9
 """Default number of samples along a drawn line."""
-_MOST_SAMPLES = 1000
+_MAX_SAMPLES = 1000
 _COARSE_RAD, _COARSE_PX = 2e-3, 1.7  # least step of the coarser direction of a coarse scan: as an angle, in the photo
 _OUTLINE_SIGMA = 0.03  # of the range, of a point on an outline
 
 
 def check_samples(samples_per_line: object) -> None:
     """Raise an OptionError if the number of samples per line is invalid."""
-    require_int(samples_per_line, "samples_per_line", least=2, most=_MOST_SAMPLES)
+    require_int(samples_per_line, "samples_per_line", least=2, most=_MAX_SAMPLES)
 
 
 def check_line_use(lines: object) -> None:

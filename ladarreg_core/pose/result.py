@@ -26,7 +26,7 @@ from ladarreg_core.pose.noise import estimate_noise
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M, PoseOptions
 from ladarreg_core.results import PoseResult
 
-_MOST_NOISE, _MOST_NOISE_DRAWN = 0.005, 0.02  # of the photo's longer side: of detected points, of lines by hand
+_MAX_NOISE, _MAX_NOISE_DRAWN = 0.005, 0.02  # of the photo's longer side: of detected points, of lines by hand
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +75,7 @@ def noise_of_inliers(
     gate_chi2: float = np.inf,
 ) -> tuple[float, float]:
     """Return (sigma_px, sigma_range_m) estimated from the inliers, within bounds for plausible matches."""
-    share = _MOST_NOISE_DRAWN if matches.has_lines else _MOST_NOISE
+    share = _MAX_NOISE_DRAWN if matches.has_lines else _MAX_NOISE
     return estimate_noise(
         pose,
         matches,

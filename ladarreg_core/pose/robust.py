@@ -43,7 +43,7 @@ from ladarreg_core.pose.estimators.ransac import sample_pose
 from ladarreg_core.pose.estimators.ray_ransac import sample_pose_of_rays
 from ladarreg_core.pose.line_ends import repair_ends
 from ladarreg_core.pose.options import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions
-from ladarreg_core.pose.preconditions import LEAST_MATCHES
+from ladarreg_core.pose.preconditions import MIN_MATCHES
 from ladarreg_core.pose.result import Fit, build_result, noise_of_inliers
 from ladarreg_core.results import PoseResult
 
@@ -76,7 +76,7 @@ def solve_robust(
         DegenerateGeometryError: if no pose has 4 inliers.
     """
     solution = _likeliest(_solutions(matches, camera, options, initial))
-    if solution.fit.count < LEAST_MATCHES:
+    if solution.fit.count < MIN_MATCHES:
         raise _no_pose(len(matches))
     solution = _with_intrinsics(solution, options)
     if initial is not None and options.keep_better_start:
@@ -161,7 +161,7 @@ def _with_assumed_camera(
         sigma_px=solution.sigma[0], sigma_range_m=solution.sigma[1], gate_chi2=options.gate_chi2,
         noise=_noise_estimator(solution, options),
     )  # fmt: skip
-    if found is None or np.count_nonzero(found[0].inliers) < LEAST_MATCHES:
+    if found is None or np.count_nonzero(found[0].inliers) < MIN_MATCHES:
         return kept
     free, uncertainty = found
     solution = replace(solution, camera=free.camera, sigma=(free.sigma_px, free.sigma_range_m))
@@ -330,7 +330,7 @@ def _or_initial_pose(solution: _Solution, initial: Rigid, options: PoseOptions) 
 
 def _likelier_of_mirrored(measured: Measurements, fit: Fit, options: PoseOptions) -> Fit:
     """Return the likelier of the two poses of a planar scene: the one found or the mirrored one."""
-    if fit.count < LEAST_MATCHES:
+    if fit.count < MIN_MATCHES:
         return fit
     points = (measured.rays * fit.state.rho[0])[:, fit.inliers].T
     if not is_planar(points, options.acceptance):
@@ -430,7 +430,7 @@ def _fit(measured: Measurements, state: States, options: PoseOptions, *, toleran
     seen = residuals(measured, state)
     inliers = seen.s[0] <= gate
     for _ in range(_GATE_ROUNDS):
-        if np.count_nonzero(inliers) < LEAST_MATCHES:
+        if np.count_nonzero(inliers) < MIN_MATCHES:
             break
         state, seen, calm = least_squares(measured, state, members=inliers, seen=seen, tolerance_sigma=tolerance_sigma)
         settled = bool(calm[0])
@@ -442,5 +442,5 @@ def _fit(measured: Measurements, state: States, options: PoseOptions, *, toleran
 
 def _no_pose(count: int) -> DegenerateGeometryError:
     return DegenerateGeometryError(
-        f"no pose agrees with {LEAST_MATCHES} of the {count} matches; check the camera, or correct or add matches"
+        f"no pose agrees with {MIN_MATCHES} of the {count} matches; check the camera, or correct or add matches"
     )

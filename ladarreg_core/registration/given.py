@@ -161,18 +161,18 @@ def coverage(scan: Scan, photo: Photo, pose: Rigid) -> Coverage:
     labels = texture_scan(sampled, photo, pose).labels
     returns = max(int(sampled.valid.sum()), 1)
     counts = np.bincount(labels[sampled.valid], minlength=len(Label))
-    coloured = sampled.valid & ~np.isin(labels, (Label.NO_RETURN, Label.OCCLUDED, Label.OUT_OF_FRAME))
+    colored = sampled.valid & ~np.isin(labels, (Label.NO_RETURN, Label.OCCLUDED, Label.OUT_OF_FRAME))
     width, height = photo.camera.width, photo.camera.height
     step = max(width, height) / _FIELDS
     fields = np.zeros((max(1, round(height / step)), max(1, round(width / step))), np.bool_)
-    if coloured.any():
-        uv = photo.camera.project(pose @ sampled.points[coloured].astype(np.float64))
+    if colored.any():
+        uv = photo.camera.project(pose @ sampled.points[colored].astype(np.float64))
         uv = uv[photo.camera.contains(uv)]
         at = (uv + 0.5) / (width, height) * fields.shape[::-1]
         columns, rows = np.clip(at.astype(np.intp), 0, np.array(fields.shape[::-1]) - 1).T
         fields[rows, columns] = True
     return Coverage(
-        seen=float(coloured.sum() / returns),
+        seen=float(colored.sum() / returns),
         occluded=float(counts[Label.OCCLUDED] / returns),
         in_photo=float((returns - counts[Label.OUT_OF_FRAME] - counts[Label.NO_RETURN]) / returns),
         of_photo=float(fields.mean()),

@@ -172,9 +172,9 @@ def _shade(
         h4 = (half * half) ** 2
         h16 = (h4 * h4) ** 2
         highlight = h16 * h16 * h16 * (np.float32(0.6) * gloss + metal) * reach
-        colour = np.asarray(tint, dtype=np.float32)
-        light += (facing * reach)[:, None] * colour
-        shine += highlight[:, None] * colour
+        color = np.asarray(tint, dtype=np.float32)
+        light += (facing * reach)[:, None] * color
+        shine += highlight[:, None] * color
     return np.asarray(albedo * light * (1 - np.float32(0.5) * metal[:, None]) + shine * np.float32(0.5), np.float32)
 
 

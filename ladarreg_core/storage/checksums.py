@@ -21,7 +21,7 @@ CHECKSUM_FIELD = "sha256"
 ChecksumState = Literal["intact", "edited", "no checksum"]
 """`no checksum`: as written by older versions of the program."""
 _EXACT = 2**53  # integers beyond are doubles in other programs, which read the same file
-_MOST_DIGITS = 21
+_MAX_DIGITS = 21
 _SEAL = b"<!-- ladarreg report, SHA-256 of all above %s -->\n"
 _BLOCK_BYTES = 1 << 20
 
@@ -106,9 +106,9 @@ def _number(value: float) -> str:
     point = len(whole) + int(power or 0) - (len(written) - len(digits))  # the value is .DIGITS x 10^point
     digits = digits.rstrip("0")
     count = len(digits)
-    if count <= point <= _MOST_DIGITS:
+    if count <= point <= _MAX_DIGITS:
         text = digits + "0" * (point - count)
-    elif 0 < point <= _MOST_DIGITS:
+    elif 0 < point <= _MAX_DIGITS:
         text = f"{digits[:point]}.{digits[point:]}"
     elif -6 < point <= 0:
         text = f"0.{'0' * -point}{digits}"

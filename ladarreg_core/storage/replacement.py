@@ -58,7 +58,7 @@ _FILE_MANAGER_FILES = frozenset({".DS_Store", "Thumbs.db", "desktop.ini", ".dire
 _PROJECT_FILES = ("project.json", "history.jsonl", "lock")
 _PROJECT_FOLDERS = ("arrays", "inputs", "exports")
 _LARGEST_DOCUMENT_BYTES = 32 << 20
-_MOST_SHOWN = 3
+_MAX_SHOWN = 3
 _LONGEST_SHOWN = 160
 
 
@@ -288,8 +288,8 @@ def display_path(path: str | Path) -> str:
 
 
 def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(display_path(name) for name in names[:_MOST_SHOWN])
-    return shown if len(names) <= _MOST_SHOWN else f"{shown} and {len(names) - _MOST_SHOWN} more"
+    shown = ", ".join(display_path(name) for name in names[:_MAX_SHOWN])
+    return shown if len(names) <= _MAX_SHOWN else f"{shown} and {len(names) - _MAX_SHOWN} more"
 
 
 def _read(path: Path) -> dict[str, Any] | None:

@@ -27,7 +27,7 @@ from ladarreg_core.frames import Rigid
 from testing.attacks.mutations import mutated
 from testing.files.seed_files import REFERENCE_SCAN, seeds_in
 
-MOST_SECONDS, MOST_MB = 5.0, 1024.0
+MAX_SECONDS, MAX_MB = 5.0, 1024.0
 """Limits for files of less than 1 MB."""
 LONGEST_SENTENCE = 300
 _ADDRESS_SPACE = 5 << 30
@@ -112,9 +112,9 @@ def _read(path: Path, readers: dict[str, Callable[[Path], object]], patience_s: 
         if isinstance(error, LadarregError):
             refused.add(name)
         faults += [f"{name}: {fault}" for fault in _faults(error)]
-        if spent > MOST_SECONDS:
+        if spent > MAX_SECONDS:
             faults.append(f"{name}: slow, {spent:.1f} s")
-        if peak_mb() > MOST_MB:
+        if peak_mb() > MAX_MB:
             faults.append(f"{name}: memory, {peak_mb():.0f} MB")
     reading = [*readers][1:] or [*readers]  # the first only describes
     every = refused.issuperset(reading)

@@ -56,8 +56,8 @@ def photo_of(camera: CameraModel, pose: Rigid = POSE, name: str = "photo.png") -
     uv = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1)
     rays = camera.unproject(uv) @ pose.rotation
     seen = np.isfinite(rays).all(axis=-1)
-    colours = seen_along(pose.centre, np.where(seen[..., None], rays, [1.0, 0, 0]))
-    return Photo(np.rint(np.where(seen[..., None], colours, 0)).astype(np.uint8), camera, name=name)
+    colors = seen_along(pose.centre, np.where(seen[..., None], rays, [1.0, 0, 0]))
+    return Photo(np.rint(np.where(seen[..., None], colors, 0)).astype(np.uint8), camera, name=name)
 
 
 def registered(

@@ -33,7 +33,7 @@ _STEP_RAD = 0.008
 
 
 @pytest.mark.slow
-def test_colours_on_the_screen_are_within_three_levels(page: Page) -> None:
+def test_colors_on_the_screen_are_within_three_levels(page: Page) -> None:
     rows, columns = PATCHES.shape[0] * _CELL, PATCHES.shape[1] * _CELL
     geometry = AzimuthElevation(rows, columns, _STEP_RAD, _STEP_RAD)
     wall = Scan(geometry, 2.0 / geometry.rays[..., 0], np.ones((rows, columns)))

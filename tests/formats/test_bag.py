@@ -140,7 +140,7 @@ def test_the_check_notices_a_mirrored_cloud(tmp_path: Path, wall: Scan) -> None:
 
 @needs_rosbags
 @pytest.mark.parametrize("big", [False, True])
-def test_both_byte_orders_give_the_same_colours(tmp_path: Path, wall: Scan, big: bool) -> None:
+def test_both_byte_orders_give_the_same_colors(tmp_path: Path, wall: Scan, big: bool) -> None:
     packed = (np.arange(wall.valid.size) * 7919 % 2**24).astype(np.uint32)
     columns = columns_of(wall) | {"rgb": packed.view(np.float32)}
     file = record(tmp_path / "a", "db3", {"/p": [(0, {"columns": columns, "shape": wall.shape, "big": big})]})

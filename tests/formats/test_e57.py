@@ -153,7 +153,7 @@ def test_large_tables_are_filled_as_small_ones(monkeypatch: pytest.MonkeyPatch) 
     table[holes] = 0
     grids = []
     for most in (10**6, 4000):
-        monkeypatch.setattr(ray_table, "MOST_FITTED_CELLS", most)
+        monkeypatch.setattr(ray_table, "MAX_FITTED_CELLS", most)
         grids.append(TabulatedGrid.taking_over(table.copy()))
     np.testing.assert_array_equal(grids[0].rays[~holes], table[~holes])
     for grid in grids:

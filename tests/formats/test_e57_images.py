@@ -193,7 +193,7 @@ def test_the_scans_of_a_file_are_listed_from_its_header(tmp_path: Path) -> None:
         describe(path, scan_index=2)
 
 
-def test_colours_alone_are_refused_or_taken_by_their_luminance(tmp_path: Path) -> None:
+def test_colors_alone_are_refused_or_taken_by_their_luminance(tmp_path: Path) -> None:
     path = write_e57(tmp_path / "a.e57", [], color_only=True)
     with pytest.raises(FormatError, match=r"colours but no intensity.*`intensity='luma'`"):
         read_scan(path)

@@ -222,7 +222,7 @@ def test_fewer_records_than_claimed_and_fields_far_apart_are_refused(
     path = tmp_path / "a.e57"
     write_fields(path, [("single", 0, 0), ("double", 0, 0)], 30_000)
     codes = {"field0": "f", "field1": "d"}
-    monkeypatch.setattr(e57_records, "_MOST_AHEAD_BYTES", -20_000)
+    monkeypatch.setattr(e57_records, "_MAX_AHEAD_BYTES", -20_000)
     with pytest.raises(FormatError, match="too far apart"):
         of_ours(path, 0, codes, scaled=False, at_once=2_000)
     monkeypatch.undo()

@@ -149,7 +149,7 @@ def test_our_own_cloud_is_read_back(tmp_path: Path, wall: Scan) -> None:
 
 
 @pytest.mark.parametrize(("dtype", "largest"), [("u1", 255), ("u2", 65535), ("f4", 1.0)])
-def test_colours_of_any_depth(tmp_path: Path, wall: Scan, dtype: str, largest: float) -> None:
+def test_colors_of_any_depth(tmp_path: Path, wall: Scan, dtype: str, largest: float) -> None:
     columns = cloud(wall)
     share = np.linspace(0, 1, len(columns["x"]))
     for name in ("red", "green", "blue"):

@@ -119,7 +119,7 @@ def test_y_up_on_one_side_is_a_left_handed_map():
 
     pairs = StereoPairs.of(apple_matches(), LENS)
     T = APPLE_TRUTH
-    x, y = rectify(pairs.colour[0], pairs.colour[1], alpha=T.alpha, beta=T.beta, gamma=T.gamma)
+    x, y = rectify(pairs.color[0], pairs.color[1], alpha=T.alpha, beta=T.beta, gamma=T.gamma)
     turn, baseline = equal_baselines_rotation(T.Tx, T.Ty), equal_baseline(T.Tx, T.Ty)
     for sign, exact in ((1, True), (-1, False)):
         laser = rotate_coordinates(pairs.laser[0], sign * pairs.laser[1], turn)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.acquisition.alignment.voxel_planes import (
-    LEAST_ACROSS,
+    MIN_ACROSS,
     SharedPlanes,
     dots,
     plane_moments,
@@ -30,7 +30,7 @@ GATES: tuple[tuple[float, float], ...] = ((0.1, 6.0), (0.05, 4.0), (0.025, 2.5),
 
 _HUBER = 1.5
 _MAD = 1.4826
-_LEAST_SIGMA_M = 2e-4
+_MIN_SIGMA_M = 2e-4
 _STEPS_A_GATE = 3
 _TILE_M = 0.1  # side of the tiles in which a plane may be uneven
 _COARSE = ((0.05, 120_000), (0.025, 240_000))
@@ -256,7 +256,7 @@ class _Equations:
 
     @staticmethod
     def none(views: int) -> _Equations:
-        return _Equations(np.zeros((6 * views, 6 * views)), np.zeros(6 * views), _LEAST_SIGMA_M)
+        return _Equations(np.zeros((6 * views, 6 * views)), np.zeros(6 * views), _MIN_SIGMA_M)
 
 
 def _equations(
@@ -285,12 +285,12 @@ def _equations(
     u, v = _along(normal)
     facing = normal[plane]
     across = dots(rays[point], facing)
-    spread = np.sqrt(across**2 + LEAST_ACROSS**2)
+    spread = np.sqrt(across**2 + MIN_ACROSS**2)
     # Robust weights from what is left when each plane has fitted itself.
     left = dots(off, facing)
     left -= _own_fit(plane, found.count, left, dots(off, u[plane]), dots(off, v[plane]))
     scaled = left / spread
-    sigma = max(_MAD * float(np.median(np.abs(scaled))), _LEAST_SIGMA_M)
+    sigma = max(_MAD * float(np.median(np.abs(scaled))), _MIN_SIGMA_M)
     weight = np.minimum(1.0, _HUBER * sigma / np.maximum(np.abs(scaled), 1e-12)) / spread**2
     # The residual, its derivatives and the plane's own unknowns are linear in (q, 1), q from the plane's centre.
     of_plane, of_view, count = groups.plane, groups.view, len(groups.plane)

@@ -24,18 +24,18 @@ BLUR_CELLS = (6.0, 3.0, 1.5)
 """Smoothing of the intensities, in turn: from far off only what is coarse leads to the right place."""
 
 _POINTS_A_LINK = 5_000
-_LEAST_POINTS = 200  # of a link
+_MIN_POINTS = 200  # of a link
 _STRAIGHT_RAD = 0.003  # off by half of its square
 _PROBED = 97  # of so many points one is looked up first
 MAD = 1.4826
 """Standard deviations a median deviation."""
-LEAST_SIGMA = 0.01
+MIN_SIGMA = 0.01
 """Least standard deviation that is believed of a difference of logarithms."""
-LEAST_CONTRAST = 0.02
+MIN_CONTRAST = 0.02
 """Standard deviation of the logarithm within a patch from which on it has texture."""
-_LEAST_CORRELATION = 0.6
+_MIN_CORRELATION = 0.6
 _PATCH_CELLS, _PATCH_BLURS = 24, 8.0  # least side of a patch, in cells and in standard deviations of the smoothing
-LEAST_OF_PATCH = 8
+MIN_OF_PATCH = 8
 """Samples of a patch."""
 MISFIT_BLURS = 0.2
 """How far the texture of a patch may seem shifted beside its noise, standard deviation in blurs: by interpolation, by
@@ -144,7 +144,7 @@ def links_of(
                 continue
             local = there @ world
             at = np.flatnonzero(lookup(other, local).good(lengths(local), most) & (view.gap.ravel()[cells] <= most))
-            if len(at) < _LEAST_POINTS:
+            if len(at) < _MIN_POINTS:
                 continue
             if len(at) > _POINTS_A_LINK:
                 # Blank surfaces say nothing, and their many small residuals would make texture look like outliers.
@@ -227,10 +227,10 @@ def _link_equation(
     patches; None if it shows no texture.
     """
     seen = residuals(link, level, views, poses, keep, held_out)
-    if len(seen.residual) < LEAST_OF_PATCH:
+    if len(seen.residual) < MIN_OF_PATCH:
         return None
     view, centre = views[link.first], poses[link.first].translation
-    sigma = max(MAD * float(np.median(np.abs(seen.residual))), LEAST_SIGMA)
+    sigma = max(MAD * float(np.median(np.abs(seen.residual))), MIN_SIGMA)
     _, patch, count = np.unique(seen.patch, return_inverse=True, return_counts=True)
 
     def summed(values: FloatArray) -> NDArray[np.float64]:
@@ -248,7 +248,7 @@ def _link_equation(
     other, own = (np.einsum("nij,nj->ni", across[patch], slopes) for slopes in (seen.slopes, seen.instruments))
 
     alike, variance = likeness(seen.light, seen.light + seen.residual, patch, count)
-    textured = (count >= LEAST_OF_PATCH) & (variance > LEAST_CONTRAST**2) & (alike > _LEAST_CORRELATION)
+    textured = (count >= MIN_OF_PATCH) & (variance > MIN_CONTRAST**2) & (alike > _MIN_CORRELATION)
     if not textured.any():
         return None
 

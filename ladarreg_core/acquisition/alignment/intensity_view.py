@@ -19,7 +19,7 @@ _BORDER = 2.0
 _ONE_SIDED = 0.055
 """Centre of what is smoothed, in standard deviations of the smoothing: as near a straight border, `_BORDER` from it."""
 _STEEPEST = 6.0  # relative change of the range over a cell, in steps: beyond it, a depth edge
-_MOST_PARALLAX_BLURS = 0.5
+_MAX_PARALLAX_BLURS = 0.5
 _FARTHEST = 1e6  # m
 _EDGE_CELLS = 5
 _EDGE_WINDOWS = (3, 7)  # an edge may be hidden in a gap of a few cells without returns
@@ -46,7 +46,7 @@ class IntensityView:
     def most_gap(self, apart_m: float) -> float:
         """Return the largest `gap` at which this may be compared with a scan from a centre so far away."""
         step = float(np.mean(self.scan.geometry.step_rad))
-        return _MOST_PARALLAX_BLURS * self.blur_cells * step / max(apart_m, 1e-6)
+        return _MAX_PARALLAX_BLURS * self.blur_cells * step / max(apart_m, 1e-6)
 
     @staticmethod
     def of(scan: Scan, floor: float, blur_cells: float) -> IntensityView:

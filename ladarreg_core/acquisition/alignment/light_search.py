@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.acquisition.alignment.intensity_links import (
-    LEAST_CONTRAST,
-    LEAST_OF_PATCH,
-    LEAST_SIGMA,
     LINK_MISFIT_BLURS,
     MAD,
+    MIN_CONTRAST,
+    MIN_OF_PATCH,
+    MIN_SIGMA,
     MISFIT_BLURS,
     Link,
     comparable,
@@ -31,10 +31,10 @@ from ladarreg_core.foundations.arrays import FloatArray, IntArray
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 
 _STEP_CELLS = 0.5
-_MOST_STEPS = 15  # to either side
+_MAX_STEPS = 15  # to either side
 _SAMPLES_A_PATCH = 8  # that count
 _ALIKE = 3.0  # of them, those that a misfit shifts alike
-_MOST_SQUARE = 9.0  # of a sample, in variances
+_MAX_SQUARE = 9.0  # of a sample, in variances
 _SHOWN_SIGMAS = 2.0  # of the noise, beyond which contrast is texture
 
 
@@ -73,7 +73,7 @@ def search_turn(
     # In two directions at once there are many turns, and the adjustment that follows finds the rest of the way.
     cells = _STEP_CELLS * len(directions)
     step = cells * min(views[number].scan.geometry.step_rad)
-    most = _MOST_STEPS // len(directions)
+    most = _MAX_STEPS // len(directions)
     counts = [int(np.clip(np.ceil(3 * sigma / step), 1, most)) for sigma in sigma_rad]
     axes = [step * np.arange(-count, count + 1) for count in counts]
     turns = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
@@ -163,7 +163,7 @@ class _Comparison:
         _, patch, count = np.unique(self.patch[use], return_inverse=True, return_counts=True)
         contrast = sums_of(np.square(light)[:, None], patch, len(count))[:, 0] / count
         contrast -= np.square(sums_of(light[:, None], patch, len(count))[:, 0] / count)
-        textured = (contrast > max(LEAST_CONTRAST, _SHOWN_SIGMAS * sigma) ** 2) & (count >= LEAST_OF_PATCH)
+        textured = (contrast > max(MIN_CONTRAST, _SHOWN_SIGMAS * sigma) ** 2) & (count >= MIN_OF_PATCH)
         steep_there = np.hypot(*seen.slopes[use].T)
         residual = seen.light[use] - light
         residual -= float(np.median(residual))
@@ -172,7 +172,7 @@ class _Comparison:
         misfit = _ALIKE * common * self.view.blur_cells**2
         squares = np.square(residual) / (sigma**2 + misfit * (np.square(steep) + np.square(steep_there)) / 2)
         # A sample that is no longer seen counts as one that fits.
-        excess = np.minimum(squares, _MOST_SQUARE) - 1
+        excess = np.minimum(squares, _MAX_SQUARE) - 1
         sums = sums_of(excess[:, None], patch, len(count))[:, 0]
         return float((sums * np.minimum(1.0, _SAMPLES_A_PATCH / count))[textured].sum())
 
@@ -180,4 +180,4 @@ class _Comparison:
 def _noise_of(link: Link, level: int, views: Sequence[IntensityView], poses: Sequence[Rigid]) -> float:
     """Return the standard deviation of what differs between the views of a link."""
     residual = residuals(link, level, views, poses, None, 1).residual
-    return max(MAD * float(np.median(np.abs(residual))), LEAST_SIGMA) if len(residual) else LEAST_SIGMA
+    return max(MAD * float(np.median(np.abs(residual))), MIN_SIGMA) if len(residual) else MIN_SIGMA

@@ -25,9 +25,9 @@ _NOISE_M = 0.012
 _SMOOTH_CELLS = 7
 _ROWS_AT_ONCE = 128
 _COARSER = 2
-_MOST_ITERATIONS = 5
+_MAX_ITERATIONS = 5
 _CONVERGED = 0.02  # cells
-_MOST_OFF = 0.6  # cells
+_MAX_OFF = 0.6  # cells
 _BORDER_SHARE = 0.12
 _AT_EDGE = 0.35
 _HIDDEN_CELLS = 3.0
@@ -132,13 +132,13 @@ class LoadedPiece:
         out_smooth = np.zeros(len(directions), bool)
         left = np.flatnonzero(np.isfinite(start))
         rho, d = start[left], directions[left]
-        for turn in range(_MOST_ITERATIONS):
+        for turn in range(_MAX_ITERATIONS):
             r, at, smooth = self._along(d, rho)
             towards = d * rho[:, None] - self._centre
             points = self._centre + towards * (r / np.linalg.norm(towards, axis=-1))[:, None]
             ahead = np.einsum("nk,nk->n", points, d)
             off = np.linalg.norm(points - d * ahead[:, None], axis=-1) / (ahead * self._step)
-            good = off < (_CONVERGED if turn < _MOST_ITERATIONS - 1 else _MOST_OFF)
+            good = off < (_CONVERGED if turn < _MAX_ITERATIONS - 1 else _MAX_OFF)
             done = left[good]
             out[done], out_at[done], out_smooth[done] = ahead[good], at[good], smooth[good]
             go_on = ~good & np.isfinite(ahead) & (ahead > 0)

@@ -23,7 +23,7 @@ from ladarreg_core.acquisition.alignment.mount_equations import (
 )
 from ladarreg_core.acquisition.alignment.mount_result import MOUNT, MountCalibration, undetermined_reason
 from ladarreg_core.acquisition.alignment.voxel_planes import (
-    LEAST_POINTS,
+    MIN_POINTS,
     SMALL_LEAST_POINTS,
     SMALL_VOXELS_M,
     VOXELS_M,
@@ -37,19 +37,19 @@ from ladarreg_core.frames import Rigid, rotation_about, rotvec_from_rotation
 from ladarreg_core.progress import Progress
 from ladarreg_core.scanner.pan_tilt import turned_by_unit
 
-_MOST_POINTS = 1_500_000
+_MAX_POINTS = 1_500_000
 _ENOUGH_POINTS = 250_000  # while the mount is far off
 _GATES = ((0.25, 15.0), (0.25, 15.0), (0.15, 12.0), (0.1, 10.0), (0.06, 8.0), (0.03, 6.0), (0.015, 5.0))
 """Distance (m) and angle (deg) within which two views' patches are one plane, in turn."""
 _TRIMMED_GATES = 2  # the last ones, where most planes are right
 _NOISE_GATE = 3.0  # two patches of a plane are at most so many times the noise apart
-_MOST_STEPS = 5  # with the last gates; planes come and go without end
+_MAX_STEPS = 5  # with the last gates; planes come and go without end
 _FINISHED = 0.15  # standard deviations of the result; planes that come and go move it by more than rounding does
 _UNDETERMINED_BY_FURNITURE = 0.7  # of the noise of a range: patches that are not what they seem measure as much
 _LOOSE = 2.5e-4  # m, and rad at one metre: from here on furniture is asked, too
 _MUCH_TIGHTER = 1.5
 _HELD_OUT = 4  # one block of the room in four
-_LEAST_PLANES = 12
+_MIN_PLANES = 12
 _SEEN_TWICE = (
     "sweep a line of more than 180 deg over a whole turn with the tilt at about -45 deg, or sweep at several tilts"
 )
@@ -87,8 +87,8 @@ def calibrate_mount(
 
     progress(0, "finding surfaces that are seen twice")
     fitted, planes, _ = _fit(sweeps, start, start, scale, level, keep=lambda found: found.block % _HELD_OUT != 0)
-    if planes < _LEAST_PLANES:
-        why = f"{planes} surfaces are seen twice, and {_LEAST_PLANES} are needed; {_SEEN_TWICE}"
+    if planes < _MIN_PLANES:
+        why = f"{planes} surfaces are seen twice, and {_MIN_PLANES} are needed; {_SEEN_TWICE}"
         return _kept(start, scale, tilt, planes, why)
     progress(1, "checking the mount on other surfaces")
     before, after = _held_out(sweeps, start, fitted)
@@ -175,7 +175,7 @@ def _scale(sweeps: Sequence[LineSweep]) -> NDArray[np.float64]:
     return np.append(np.ones(6), 1 / max(rates)) if max(rates) > 0 else np.ones(6)
 
 
-def _returns(sweeps: Sequence[LineSweep], state: _State, most: int = _MOST_POINTS) -> Returns:
+def _returns(sweeps: Sequence[LineSweep], state: _State, most: int = _MAX_POINTS) -> Returns:
     """Return every n-th return of all sweeps at their positions, `most` in all."""
     total = sum(int(np.isfinite(sweep.ranges_m).sum()) for sweep in sweeps)
     stride = max(1, int(np.ceil(total / most)))
@@ -226,16 +226,16 @@ def _fit(
     keep: Callable[[SharedPlanes], NDArray[np.bool_]] | None,
     gates: Sequence[tuple[float, float]] = _GATES,
     voxels_m: Sequence[float] = VOXELS_M,
-    least_points: int = LEAST_POINTS,
+    least_points: int = MIN_POINTS,
 ) -> tuple[_State, int, tuple[MountEquations, int] | None]:
     """Minimise the distances of points from the planes that they share, matching the planes again after each step."""
     count = 0
     solved = None
-    for number in range(len(gates) - 1 + _MOST_STEPS):
+    for number in range(len(gates) - 1 + _MAX_STEPS):
         apart, angle = gates[min(number, len(gates) - 1)]
         apart = max(apart, _NOISE_GATE * solved[0].sigma_m) if solved else apart
         trimmed = number >= len(gates) - _TRIMMED_GATES
-        returns = _returns(sweeps, state, _MOST_POINTS if trimmed else _ENOUGH_POINTS)
+        returns = _returns(sweeps, state, _MAX_POINTS if trimmed else _ENOUGH_POINTS)
         world, rays = _in_world(returns, state)
         found = shared_planes(
             world, rays, returns.view, farthest_apart_m=apart, largest_angle_rad=np.radians(angle), voxels_m=voxels_m,
@@ -243,9 +243,9 @@ def _fit(
         )  # fmt: skip
         found = found if keep is None else found.select(keep(found))
         count = found.count
-        if count < _LEAST_PLANES:
+        if count < _MIN_PLANES:
             return state, count, None
-        weakest = np.inf if least_points == LEAST_POINTS else _UNDETERMINED_BY_FURNITURE
+        weakest = np.inf if least_points == MIN_POINTS else _UNDETERMINED_BY_FURNITURE
         system = equations_of(returns, world, rays, found, scale, level, trimmed=trimmed, weakest=weakest)
         solved = system, system.points
         step = step_of(system, state.since(start, level, len(scale)) / scale)

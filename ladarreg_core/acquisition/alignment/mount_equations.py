@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.acquisition.alignment.voxel_planes import LEAST_ACROSS, SharedPlanes
+from ladarreg_core.acquisition.alignment.voxel_planes import MIN_ACROSS, SharedPlanes
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
 
 _HUBER = 3.0
@@ -19,7 +19,7 @@ _PRIOR_POINTS = 10
 _MAD = 1.4826
 _DISAGREE = 0.02  # share of the planes whose views disagree so much by chance
 _TRIMMINGS = 8
-_LEAST_SHARE = 1e-6
+_MIN_SHARE = 1e-6
 _MEDIAN_CHI2 = 0.85  # the median of chi^2 / dof with about four degrees of freedom
 _HELD_RAD = float(np.radians(0.5))
 """What a rotation that is not determined is thought to be off by."""
@@ -88,7 +88,7 @@ def equations_of(
     residual = (off * normal).sum(-1)
     pan, tilt = returns.pan[at], returns.tilt[at]
     across = (rays[at] * normal).sum(-1)
-    spread = np.sqrt(across**2 + LEAST_ACROSS**2)  # noise along the ray, as it acts across the plane
+    spread = np.sqrt(across**2 + MIN_ACROSS**2)  # noise along the ray, as it acts across the plane
     scaled = residual / spread
     usual = _MAD * float(np.median(np.abs(scaled)))
     # Dark, far and grazing surfaces are noisier: each patch has its own noise, and that of all where it has few points.
@@ -100,7 +100,7 @@ def equations_of(
 
     # The rows are taken where the ray meets the plane: with the noise of the range in them they would be correlated
     # with the residuals.
-    across = np.where(across < 0, -1, 1) * np.maximum(np.abs(across), LEAST_ACROSS)
+    across = np.where(across < 0, -1, 1) * np.maximum(np.abs(across), MIN_ACROSS)
     onto = -(residual / across)[:, None]
     off = off + onto * rays[at]
     met = world[at] + onto * rays[at]
@@ -156,7 +156,7 @@ def _agreeing(scores: FloatArray, shares: FloatArray, squares: FloatArray, count
     from scipy.stats import chi2
 
     values, axes = np.linalg.eigh(shares)
-    use = values > _LEAST_SHARE * values[:, -1:]
+    use = values > _MIN_SHARE * values[:, -1:]
     rank = use.sum(axis=1)
     keep = np.ones(len(scores), np.bool_)
     limit = chi2.isf(_DISAGREE, rank)

@@ -53,16 +53,16 @@ _SIGMA_MOUNT = (0.1, float(np.radians(5.0)))  # m and rad, prior of the correcti
 _SIGMA_KNOCKED = (0.02, float(np.radians(1.0)))  # m and rad, prior of a piece that was knocked
 _SIGMA_FIXED_RAD = float(np.radians(0.01))  # prior of all turns where pieces are not to be refined
 _POINTS_A_PIECE = 60_000
-_MOST_POINTS = 2_000_000  # of all pieces
-_MOST_CELLS = 10_000_000  # of all pieces
-_LEAST_CELLS = 40_000  # of a piece
-_LEAST_POINTS = 300  # of a piece that is refined
+_MAX_POINTS = 2_000_000  # of all pieces
+_MAX_CELLS = 10_000_000  # of all pieces
+_MIN_CELLS = 40_000  # of a piece
+_MIN_POINTS = 300  # of a piece that is refined
 _UNDETERMINED_RAD = float(np.radians(0.1))  # standard deviation
 _HELD_BY_RANGES_RAD = float(np.radians(0.015))  # standard deviation up to which a direction needs no search
 _SEARCHED_LEVEL = 2  # index of `BLUR_CELLS`: the finest
 _SEARCHES = 4  # at most
 _CLEARLY_BETTER = 4.0  # difference of log-likelihoods
-_LEAST_WORTH = 0.01
+_MIN_WORTH = 0.01
 _HELD_OUT = 4  # of so many blocks of the room one
 _THINNED = 3  # of so many points one
 _BESIDE = 4  # cells
@@ -93,7 +93,7 @@ def refine_pieces(
     """
     views, light = _views(pieces, positions, exact=not refine, report=part_of(report, 0.0, 0.2))
     placed = [view.world_from_scan for view in views]
-    enough = np.array([len(view.points) >= _LEAST_POINTS for view in views])
+    enough = np.array([len(view.points) >= _MIN_POINTS for view in views])
     common = _mount_moves() if calibrate_mount else None
     gates = _MOUNT_GATES if calibrate_mount else GATES
     if enough.sum() < 2:
@@ -243,8 +243,8 @@ def _views(
     pieces: Sequence[PlacedPiece], positions: Sequence[PanTilt], *, exact: bool, report: Report | None
 ) -> tuple[list[RangeView], list[list[IntensityView]]]:
     scans = []
-    most_cells = max(_MOST_CELLS // max(len(pieces), 1), _LEAST_CELLS)
-    most_points = min(_POINTS_A_PIECE, _MOST_POINTS // max(len(pieces), 1))
+    most_cells = max(_MAX_CELLS // max(len(pieces), 1), _MIN_CELLS)
+    most_points = min(_POINTS_A_PIECE, _MAX_POINTS // max(len(pieces), 1))
     steps = len(pieces) * (2 + len(BLUR_CELLS))
 
     def reported(done: int, label: str) -> None:
@@ -371,7 +371,7 @@ def _searched(
             report(Progress(k, len(positions), "searching for weak pieces"))
         variance, along = np.linalg.eigh(np.linalg.inv(_pan_tilt(found.planes_data, k, at) + _angles_prior()))
         open_ = variance > _HELD_BY_RANGES_RAD**2
-        if not open_.any() or len(views[k].points) < _LEAST_POINTS:
+        if not open_.any() or len(views[k].points) < _MIN_POINTS:
             continue
         directions = along.T[open_] @ _axes(at)[:2]
         with_light = np.linalg.inv(_pan_tilt(found.data, k, at) + _angles_prior())
@@ -381,7 +381,7 @@ def _searched(
         )  # fmt: skip
         spread[k] = np.sqrt(np.square(best.spread[:, None] * along.T[open_]).sum(axis=0))
         promised, shown = (1 / one - 1 / variance[open_] for one in (stated, np.maximum(best.spread**2, stated)))
-        worth[k] = np.clip(np.min(shown / np.maximum(promised, 1e-9)), _LEAST_WORTH, 1.0)
+        worth[k] = np.clip(np.min(shown / np.maximum(promised, 1e-9)), _MIN_WORTH, 1.0)
         if best.gain > _CLEARLY_BETTER:
             turn = best.turn @ directions
             poses[k] = turned(poses[k], turn)
@@ -444,7 +444,7 @@ def _result(
         turn = np.degrees(_axes(at) @ move[:3])
         state: State = "refined"
         if held[k]:
-            state = "no overlap" if len(views[k].points) < _LEAST_POINTS else "not determined"
+            state = "no overlap" if len(views[k].points) < _MIN_POINTS else "not determined"
         elif not refine:
             state = "kept"
         out.append(

@@ -17,9 +17,9 @@ from ladarreg_core.acquisition.alignment.adjustment import Adjustment, Common, R
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 
-_LEAST_GAIN = 60.0
+_MIN_GAIN = 60.0
 """Chi^2 of six degrees of freedom beyond which a fault is said: what chance and walls that are not flat never reach."""
-_LEAST_SIZE = (0.001, float(np.radians(0.05)))
+_MIN_SIZE = (0.001, float(np.radians(0.05)))
 _LARGE = (0.003, float(np.radians(0.1)))
 _CLEARLY_BETTER = 1.3  # times the gain of the next explanation
 _SIGMA_BLOW = (0.005, float(np.radians(0.5)))  # where overlaps show it, it may be many times that
@@ -93,13 +93,13 @@ def fault_of_run(found: Adjustment, views: Sequence[RangeView], common: Common |
     kinds: list[tuple[Kind, int]] = [] if common is not None else [("mount", 0)]
     # A blow before the first or the last piece is a knock of that piece alone.
     kinds += [(kind, first) for first in range(2, count - 1) for kind in ("scanner", "unit")]
-    best, fault = max(_LEAST_GAIN, _CLEARLY_BETTER * alone), None
+    best, fault = max(_MIN_GAIN, _CLEARLY_BETTER * alone), None
     for kind, first in kinds:
         gain, size = test.of_moves(_moves(found.poses, first, kind))
         # That the mount is wrong needs no blow, and two halves of a run explain a little more by chance.
         if gain > best * (_CLEARLY_BETTER if fault is not None and fault.kind == "mount" else 1.0):
             shift, turn = float(np.linalg.norm(size[:3])), float(np.linalg.norm(size[3:]))
-            if shift > _LEAST_SIZE[0] or turn > _LEAST_SIZE[1]:
+            if shift > _MIN_SIZE[0] or turn > _MIN_SIZE[1]:
                 best, fault = gain, RunFault(kind, first, shift, turn)
     return fault
 

@@ -16,20 +16,20 @@ SMALL_VOXELS_M = (0.5, 0.25, 0.125)
 """Sides with which furniture counts as well. Patches as small as this, beside edges and other things, have shifted the
 mount by up to .2 mm: they are for what nothing larger shows."""
 
-LEAST_POINTS = 20
+MIN_POINTS = 20
 """Points of a patch. With fewer, two surfaces that meet at a slight angle pass for one, and many such patches along one
 edge shift a mount all the same way."""
 SMALL_LEAST_POINTS = 8
 """The same with which furniture counts as well."""
 
 _FLATTEST = 0.1  # thickness over the smaller extent of a patch
-_LEAST_EXTENT = 0.12  # of the voxel's side
+_MIN_EXTENT = 0.12  # of the voxel's side
 _TOO_THICK = 0.3  # variance beyond that of the typical patch, as a share of it
-_LEAST_INCLINED = 0.2  # cosine between rays and normal
+_MIN_INCLINED = 0.2  # cosine between rays and normal
 _BORDER_BINS = 100
 _CLEAR_M = 0.05
 _SCATTER = 4.0  # standard deviations of a sample's variance
-LEAST_ACROSS = 0.1
+MIN_ACROSS = 0.1
 """Share of the range noise that acts across a surface, however grazing the rays."""
 _OFFSET_CELLS = 1 << 20
 
@@ -68,7 +68,7 @@ class SharedPlanes:
 
 def shared_planes(
     points: FloatArray, rays: FloatArray, view: IntArray, *, farthest_apart_m: float, largest_angle_rad: float,
-    voxels_m: Sequence[float] = VOXELS_M, least_points: int = LEAST_POINTS,
+    voxels_m: Sequence[float] = VOXELS_M, least_points: int = MIN_POINTS,
 ) -> SharedPlanes:  # fmt: skip
     """Find planes that at least two views see.
 
@@ -119,14 +119,14 @@ def _of_voxels(
     groups, group = np.unique(voxel * (int(view.max()) + 1) + view, return_inverse=True)
     count, centre, normal, spread = plane_moments(points, group, len(groups))
     with np.errstate(invalid="ignore"):
-        flat = (count >= least_points) & (spread[:, 1] > (_LEAST_EXTENT * side) ** 2)
+        flat = (count >= least_points) & (spread[:, 1] > (_MIN_EXTENT * side) ** 2)
         flat &= spread[:, 0] < (_FLATTEST**2) * spread[:, 1]
     if flat.any():
         # In units of what the range noise does across the patch: what is thicker than others is bent, or two surfaces.
         across = np.bincount(group, dots(rays, normal[group]) ** 2, len(groups)) / count
         # The rays of one line lie in a plane, whatever they meet: such a plane is along the rays, and none of the room.
-        flat &= across > _LEAST_INCLINED**2
-        noise = (across + LEAST_ACROSS**2) * np.maximum(count - 3, 1) / count
+        flat &= across > _MIN_INCLINED**2
+        noise = (across + MIN_ACROSS**2) * np.maximum(count - 3, 1) / count
         thickness = spread[:, 0] / noise
         limit = 1 + _TOO_THICK + _SCATTER * np.sqrt(2 / np.maximum(count - 3, 1))
         flat &= thickness < limit * np.median(thickness[flat])

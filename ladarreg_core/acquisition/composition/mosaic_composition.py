@@ -27,7 +27,7 @@ _TILE = (256, 512)
 _CACHE_BYTES = 500_000_000
 _THREADS = 2
 _APART_M, _APART_SHARE = 0.03, 0.01
-_MOST_PIECES = 30_000
+_MAX_PIECES = 30_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +94,8 @@ def compose_mosaic(
     """
     if not pieces:
         raise ShapeError("there is no piece to compose; a mosaic needs at least one")
-    if len(pieces) > _MOST_PIECES:
-        raise ShapeError(f"there are {len(pieces):,} pieces; at most {_MOST_PIECES:,} can be composed")
+    if len(pieces) > _MAX_PIECES:
+        raise ShapeError(f"there are {len(pieces):,} pieces; at most {_MAX_PIECES:,} can be composed")
     total = 2 * len(pieces)
     footprints = []
     for number, piece in enumerate(pieces):

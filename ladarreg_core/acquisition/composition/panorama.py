@@ -34,7 +34,7 @@ PROVENANCE_IS = (
 )
 """Explanation of the picture of the pieces, written into `panorama.json`."""
 _VERSION = 1
-_MOST_LISTED = 8
+_MAX_LISTED = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,7 +232,7 @@ def _document(listed: PieceList, made: Panorama, checksums: Sequence[str], mount
     if listed.closure is not None and not listed.closure["closed"]:
         reasons = [*reasons, listed.closure["said"]]
     numbers = [more.get("sweep", place) for place, more in enumerate(each)]
-    colors = _colours(numbers)
+    colors = _colors(numbers)
     pieces = [
         {
             "index": piece.index, "file": piece.path.name, "sha256": checksum,
@@ -250,11 +250,11 @@ def _document(listed: PieceList, made: Panorama, checksums: Sequence[str], mount
     }  # fmt: skip
 
 
-def _colours(numbers: Sequence[int]) -> NDArray[np.uint8]:
+def _colors(numbers: Sequence[int]) -> NDArray[np.uint8]:
     """Return the colours (N, 3) of the pieces, or of the sweeps, with these numbers."""
-    from ladarreg_core.foundations.palette import distinct_colours
+    from ladarreg_core.foundations.palette import distinct_colors
 
-    return distinct_colours(max(numbers, default=-1) + 1)
+    return distinct_colors(max(numbers, default=-1) + 1)
 
 
 def write_panorama(
@@ -325,12 +325,12 @@ def _write_provenance(path: Path, panorama: Panorama) -> None:
     from ladarreg_core.export.pictures.images import write_provenance_png
 
     numbers = [piece.get("sweep", place) for place, piece in enumerate(panorama.fields["pieces"])]
-    write_provenance_png(path, panorama.piece_of_cell, _colours(numbers))
+    write_provenance_png(path, panorama.piece_of_cell, _colors(numbers))
 
 
 def _some(indices: Sequence[int]) -> str:
-    shown = ", ".join(map(str, indices[:_MOST_LISTED]))
-    return shown if len(indices) <= _MOST_LISTED else f"{shown} and {len(indices) - _MOST_LISTED} more"
+    shown = ", ".join(map(str, indices[:_MAX_LISTED]))
+    return shown if len(indices) <= _MAX_LISTED else f"{shown} and {len(indices) - _MAX_LISTED} more"
 
 
 def mount_of_text(text: str) -> Rigid:

@@ -16,7 +16,7 @@ from ladarreg_core.scanner.grids import SphericalGrid
 
 _SAMPLES_A_SIDE = 160
 _SMALLEST_GAP_RAD = float(np.radians(2.0))
-_MOST_CELLS = 100_000_000
+_MAX_CELLS = 100_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,9 +95,9 @@ def grid_around(footprints: Sequence[Footprint]) -> SphericalGrid:
     start, width = _arc(longitude)
     around = zenith or nadir or 2 * np.pi - width < _SMALLEST_GAP_RAD
     columns = max(2, round(2 * np.pi / step) if around else int(np.ceil(width / step - 0.01)) + 1)
-    if rows * columns > _MOST_CELLS:
+    if rows * columns > _MAX_CELLS:
         raise ShapeError(
-            f"the panorama would have {rows:,} x {columns:,} cells; at most {_MOST_CELLS:,} are possible: the pieces' "
+            f"the panorama would have {rows:,} x {columns:,} cells; at most {_MAX_CELLS:,} are possible: the pieces' "
             f"steps are {np.degrees(step):.4g} deg, use coarser ones"
         )
     if around:

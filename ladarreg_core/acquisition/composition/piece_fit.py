@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-MOST_DISAGREEING = 0.05
+MAX_DISAGREEING = 0.05
 """Share of overlapping cells with surfaces apart, above which pieces do not fit; right mosaics have less than .5 %."""
-_MOST_OF_ONE = 0.2
+_MAX_OF_ONE = 0.2
 """Of the pairs across one fault, in a mosaic that is right elsewhere."""
 _FEWEST_CELLS = 200
 
@@ -40,9 +40,7 @@ class PieceFit:
             index: number of the first piece that does not fit, as the run counts it.
         """
         which = f"piece {index} lies elsewhere" if self.alone else f"from piece {index} on they lie elsewhere"
-        more = (
-            f"; {self.share_without:.0%} of the others disagree, too" if self.share_without > MOST_DISAGREEING else ""
-        )
+        more = f"; {self.share_without:.0%} of the others disagree, too" if self.share_without > MAX_DISAGREEING else ""
         return (
             f"pieces do not fit: in {self.share:.0%} of the overlaps two pieces show surfaces that are apart (right "
             f"mosaics: less than .5 %); {which}{more}. Check which file was measured at which angles, and whether the "
@@ -97,7 +95,7 @@ class Overlaps:
         likelihood = _log_likelihood(bad, across) + _log_likelihood(wrong - bad, total - across)
         likelihood[~((across >= _FEWEST_CELLS) & (rate > others))] = -np.inf
         best = int(np.argmax(likelihood))
-        if share <= MOST_DISAGREEING and not (np.isfinite(likelihood[best]) and rate[best] > _MOST_OF_ONE):
+        if share <= MAX_DISAGREEING and not (np.isfinite(likelihood[best]) and rate[best] > _MAX_OF_ONE):
             return PieceFit(True, share)
         if not np.isfinite(likelihood[best]):
             return PieceFit(False, share, 0, False, share)

@@ -25,7 +25,7 @@ _FARTHEST_FOLD_CELLS = 64
 _DEPTH_EDGE = 0.04
 _POLE_SHARE = 0.05  # of a step: how far from the pole such rays end
 _BEHIND = (0.02, 0.01)  # m, and share of the range
-_MOST_EMPTY_COLUMNS = 4.0
+_MAX_EMPTY_COLUMNS = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,7 +183,7 @@ def _columns(sweep: LineSweep, sides: _Sides) -> tuple[IntArray, IntArray, NDArr
         return None
     gaps = -np.diff(longitude)
     blanks = np.where(gaps > _GAP_STEPS * step, np.rint(gaps / step).astype(int) - 1, 0)
-    if blanks.sum() > _MOST_EMPTY_COLUMNS * len(line):
+    if blanks.sum() > _MAX_EMPTY_COLUMNS * len(line):
         return None
     at = np.arange(len(line)) + np.concatenate([[0], np.cumsum(blanks)])
     count = int(at[-1]) + 1

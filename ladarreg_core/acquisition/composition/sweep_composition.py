@@ -19,7 +19,7 @@ from ladarreg_core.scanner.grids import SphericalGrid, TabulatedGrid
 _FULL_TURN_GAP_RAD = float(np.radians(2.0))
 _LONGITUDE_BINS = 1440
 _BEHIND = (0.1, 1.15)
-_LEAST_BESIDE = 0.25  # cells from the centre, for a return to stand in the cell beside it
+_MIN_BESIDE = 0.25  # cells from the centre, for a return to stand in the cell beside it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,7 +104,7 @@ def _on_sphere(
     next_cell[np.arange(len(spare)), along] += np.sign(beyond[np.arange(len(spare)), along]).astype(np.int64)
     next_cell[:, 1] %= columns
     next_index = np.clip(next_cell[:, 0], 0, rows - 1) * columns + next_cell[:, 1]
-    free = (chosen[next_index] < 0) & (np.abs(beyond[np.arange(len(spare)), along]) > _LEAST_BESIDE)
+    free = (chosen[next_index] < 0) & (np.abs(beyond[np.arange(len(spare)), along]) > _MIN_BESIDE)
     _claim(chosen, next_index[free], -off_centre[spare[free]], spare[free])
 
     full = np.flatnonzero(chosen >= 0)

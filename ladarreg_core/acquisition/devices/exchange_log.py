@@ -16,7 +16,7 @@ from ladarreg_core.acquisition.devices.link import Exchange
 EXCHANGES, EXCHANGES_BEFORE = "exchanges.jsonl", "exchanges-before.jsonl"
 """The log, and its earlier part once it has become too long."""
 _LOG = logging.getLogger(__name__)
-_MOST_BYTES = 64 << 20
+_MAX_BYTES = 64 << 20
 _SHOWN_BYTES = 160  # of an exchange; a scanner's lines are in the pieces
 
 
@@ -28,7 +28,7 @@ class ExchangeLog:
         most_bytes: length beyond which a new file is begun.
     """
 
-    def __init__(self, folder: Path, *, most_bytes: int = _MOST_BYTES) -> None:
+    def __init__(self, folder: Path, *, most_bytes: int = _MAX_BYTES) -> None:
         self._folder, self._most_bytes = folder, most_bytes
         self._one = threading.Lock()
         self._file: IO[str] | None = None

@@ -19,7 +19,7 @@ from ladarreg_core.errors import DeviceGlitchError, OptionError
 
 STOP = b"\rH "
 """Ends a command that is half sent, and halts."""
-_MOST_COUNTS = 1 << 31
+_MAX_COUNTS = 1 << 31
 _LONGEST_REPLY = 512
 _NOTICE = re.compile(r"!([PT])(?=[ \t]*(?:[*!\r\n]|$))")
 _NUMBER = re.compile(r"[-+]?[0-9]{1,10}(?:\.[0-9]{1,9})?")
@@ -67,7 +67,7 @@ class FlirReply:
             FlirError: if it is no whole number within 31 bits.
         """
         value = self.number(sent)
-        if value != int(value) or abs(value) >= _MOST_COUNTS:
+        if value != int(value) or abs(value) >= _MAX_COUNTS:
             raise FlirError(f"the pan/tilt unit answered {_shown(self.text)} to {_shown(sent)} where counts are due")
         return int(value)
 
@@ -84,7 +84,7 @@ def command(name: str, value: int | None = None) -> bytes:
     """
     if not _NAME.fullmatch(name):
         raise OptionError(f"{name!r} is no command of the unit; it has one to three capital letters")
-    if value is not None and not -_MOST_COUNTS < value < _MOST_COUNTS:
+    if value is not None and not -_MAX_COUNTS < value < _MAX_COUNTS:
         raise OptionError(f"the value {value} of the command {name} does not fit 31 bits")
     return f"{name}{'' if value is None else value} ".encode("ascii")
 

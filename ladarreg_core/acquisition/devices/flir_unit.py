@@ -41,7 +41,7 @@ _RESTARTED = (
     "the pan/tilt unit was reset or lost its power for a moment; it has found its zeros again and is set up as before: "
     "check its power supply"
 )
-_MOST_TURNS_RAD = 4 * math.pi  # from the zero of an axis to its limit
+_MAX_TURNS_RAD = 4 * math.pi  # from the zero of an axis to its limit
 _AXES = (("P", "pan"), ("T", "tilt"))
 
 
@@ -244,7 +244,7 @@ class FlirUnit:
             if of_user:
                 inner = [self._asked_twice(f"{letter}{end}{of_user}", whole=True) for end in "NX"]
                 low, high = max(low, inner[0]), min(high, inner[1])
-            if not (low < high and max(abs(low), abs(high)) * step <= _MOST_TURNS_RAD):
+            if not (low < high and max(abs(low), abs(high)) * step <= _MAX_TURNS_RAD):
                 raise FlirError(f"the pan/tilt unit states {axis} limits of {low:g} to {high:g} counts; reset the unit")
             self._counts_at_limits.append((int(low), int(high)))
         self._axes = [

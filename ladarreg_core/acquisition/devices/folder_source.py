@@ -21,7 +21,7 @@ from ladarreg_core.formats.scans.scan_files import ScanFiles
 _NAP_S = 0.05
 _STABLE_S = 0.7
 _TEMPORARY = (".tmp", ".part", ".partial", ".crdownload", ".swp", ".lock", "~")
-_MOST_NAMED = 5
+_MAX_NAMED = 5
 _BLOCK = 1 << 20
 
 
@@ -235,13 +235,13 @@ class FolderSource:
         """Return what was found in place of a measurement."""
         came = [f"{name} came but cannot be read: {why}" for name, why in unreadable.items() if name in new]
         growing = [name for name in new if name not in unreadable]
-        came += [f"{', '.join(growing[:_MOST_NAMED])} came but is not complete"] if growing else []
-        linked = sorted(self._links)[:_MOST_NAMED]
+        came += [f"{', '.join(growing[:_MAX_NAMED])} came but is not complete"] if growing else []
+        linked = sorted(self._links)[:_MAX_NAMED]
         are = "is a symbolic link" if len(linked) == 1 else "are symbolic links"
         came += [f"{', '.join(linked)} {are}, not followed"] if linked else []
         old = [name for name, state in self._listed.items() if self._before.was_changed(name, state)]
         came += (
-            [f"{', '.join(old[:_MOST_NAMED])} was there before the unit arrived, so it does not count"] if old else []
+            [f"{', '.join(old[:_MAX_NAMED])} was there before the unit arrived, so it does not count"] if old else []
         )
         return (
             f"{self._device} has written no complete file into {self._folder} within {self._timeout_s:.0f} s"

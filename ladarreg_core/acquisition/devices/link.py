@@ -23,7 +23,7 @@ QUIET_FIRST_S = 0.6
 """How long a device must be quiet before it is asked something, while it is not known how far away it is."""
 _LOG = logging.getLogger(__name__)
 _T = TypeVar("_T")
-_MOST_ASKED = 4  # times, for two answers in a row that are the same
+_MAX_ASKED = 4  # times, for two answers in a row that are the same
 _QUIET_TRIPS = 1.5  # round trips after which no late answer is expected
 _FORGOTTEN = 0.8  # of the longest round trip, what remains of it after the next one
 _SLICE_S = 0.02
@@ -318,7 +318,7 @@ class Link:
 def twice_alike(ask: Callable[[], _T]) -> tuple[_T, _T]:
     """Return two answers in a row, which are the same unless a device contradicts itself again and again."""
     last, again = ask(), ask()
-    for _ in range(_MOST_ASKED - 2):
+    for _ in range(_MAX_ASKED - 2):
         if last == again:
             break
         last, again = again, ask()

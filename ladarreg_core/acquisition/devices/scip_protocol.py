@@ -25,15 +25,15 @@ STOP = b"\nQT\n"
 """Ends a command that is half sent, and switches the laser off."""
 CLOCK_MS = 1 << 24
 """Where the scanner's clock wraps."""
-MOST_LINES = 99
+MAX_LINES = 99
 """Largest number of lines of one request."""
 _BLOCK = 64
 _COUNTED = 13  # characters of a request for several lines before their number
 _CHARACTERS = 3
 _OFFSET = 0x30
-_MOST_STEPS = 9999
+_MAX_STEPS = 9999
 _LARGEST_MM = 65_535  # of scanners that do not measure beyond
-_MOST_DIGITS = 6
+_MAX_DIGITS = 6
 _MM = 0.001
 _FIELDS = ("DMIN", "DMAX", "ARES", "AMIN", "AMAX", "AFRT", "SCAN")
 _SPEEDS = range(60, 12_001)  # turns a minute
@@ -59,10 +59,10 @@ class LineRequest:
     single: bool = True
 
     def __post_init__(self) -> None:
-        if not 0 <= self.first_step <= self.last_step <= _MOST_STEPS:
-            raise OptionError(f"the steps {self.first_step} to {self.last_step} are not within 0 to {_MOST_STEPS}")
-        if not 1 <= self.count <= MOST_LINES or (self.single and self.count != 1):
-            raise OptionError(f"{self.count} lines cannot be requested at once; ask for 1 to {MOST_LINES}")
+        if not 0 <= self.first_step <= self.last_step <= _MAX_STEPS:
+            raise OptionError(f"the steps {self.first_step} to {self.last_step} are not within 0 to {_MAX_STEPS}")
+        if not 1 <= self.count <= MAX_LINES or (self.single and self.count != 1):
+            raise OptionError(f"{self.count} lines cannot be requested at once; ask for 1 to {MAX_LINES}")
 
     @property
     def sent(self) -> bytes:
@@ -119,7 +119,7 @@ class ScipParameters:
         Raises:
             ScipError: if one is missing, or no scanner has such parameters.
         """
-        missing = [name for name in _FIELDS if not re.fullmatch(rf"[0-9]{{1,{_MOST_DIGITS}}}", fields.get(name, ""))]
+        missing = [name for name in _FIELDS if not re.fullmatch(rf"[0-9]{{1,{_MAX_DIGITS}}}", fields.get(name, ""))]
         if missing:
             raise ScipError(f"the line scanner does not state {', '.join(missing)} in numbers; it is not supported")
         found = ScipParameters(*(int(fields[name]) for name in _FIELDS))
@@ -127,7 +127,7 @@ class ScipParameters:
             what
             for wrong, what in (
                 (not 0 <= found.least_mm < found.most_mm < 1 << (6 * _CHARACTERS), ("DMIN", "DMAX")),
-                (not 2 <= found.steps_a_turn <= _MOST_STEPS + 1 or found.steps_a_turn % 2 == 1, ("ARES",)),
+                (not 2 <= found.steps_a_turn <= _MAX_STEPS + 1 or found.steps_a_turn % 2 == 1, ("ARES",)),
                 (not 0 <= found.first_step < found.last_step < found.steps_a_turn, ("AMIN", "AMAX", "ARES")),
                 (not found.first_step <= found.front_step <= found.last_step, ("AFRT", "AMIN", "AMAX")),
                 (found.turns_a_minute not in _SPEEDS, ("SCAN",)),

@@ -13,7 +13,7 @@ from ladarreg_core.acquisition.devices.link import QUIET_FIRST_S, Link, RoundTri
 from ladarreg_core.acquisition.devices.ports import PortSource
 from ladarreg_core.acquisition.devices.scip_clock import ClockSample, LineTimes, ScannerClock
 from ladarreg_core.acquisition.devices.scip_protocol import (
-    MOST_LINES,
+    MAX_LINES,
     STOP,
     LineRequest,
     RawLine,
@@ -91,7 +91,7 @@ class ScipScanner:
             until = self._host_clock.now() + _READY_S
             while count > 0:
                 try:
-                    for line in self._part(min(count, MOST_LINES), check):
+                    for line in self._part(min(count, MAX_LINES), check):
                         yield line
                         count, until = count - 1, self._host_clock.now() + _READY_S
                 except ScipNotReadyError:

@@ -15,7 +15,7 @@ from ladarreg_core.acquisition.interfaces import PanTilt
 from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.scan import Scan
 
-MOST_APART = 0.05
+MAX_APART = 0.05
 """Share of the returns that may be elsewhere the second time: a passer-by, edges."""
 SEARCHED_DEG = 6.0
 """How far around the first stop the place is sought that looks like the second measurement."""
@@ -26,7 +26,7 @@ _SAME_DEG = 0.25
 _LATENCY_S = 0.1  # of the readings of a unit that moves, which is found only with the mount
 _FEWEST_RETURNS = 50
 _SLOPE_LINES, _STRAIGHT_M, _ROUNDS, _OUTLIER, _SIGMAS = 9, 0.4, 4, 4.0, 6.0
-_MOST_SHIFTS = 12  # to each side; coarser steps for finer scans
+_MAX_SHIFTS = 12  # to each side; coarser steps for finer scans
 
 Values = NDArray[np.float32]
 
@@ -96,7 +96,7 @@ def closure_of_sweep(first: LineSweep, again: LineSweep, beside: Iterable[LineSw
     if not slipped:  # it may be between the stops, or beyond the first
         slip, sigma = _slip_of_slope(line, kept, found)
         slipped = abs(slip) > max(same, _SIGMAS * sigma)
-    return Closure(apart <= MOST_APART and not slipped, apart, (slip, 0.0) if slipped else None)
+    return Closure(apart <= MAX_APART and not slipped, apart, (slip, 0.0) if slipped else None)
 
 
 def _slip_of_slope(line: Values, own: tuple[float, Values], found: list[tuple[float, Values]]) -> tuple[float, float]:
@@ -151,7 +151,7 @@ def closure_of_scans(first: Scan, again: Scan) -> Closure:
     if apart is None:
         return Closure(True, None)
     steps = _steps_deg(first)
-    shifts = [np.unique(np.linspace(-most, most, 2 * min(most, _MOST_SHIFTS) + 1).round().astype(int))
+    shifts = [np.unique(np.linspace(-most, most, 2 * min(most, _MAX_SHIFTS) + 1).round().astype(int))
               for most in (int(SEARCHED_DEG // max(step, 1e-6)) for step in steps)]  # fmt: skip
     stride = max(1, round(math.sqrt(first.ranges.size / 20_000)))
     still = _shifted(first.ranges, again.ranges, 0, 0, stride)
@@ -164,7 +164,7 @@ def closure_of_scans(first: Scan, again: Scan) -> Closure:
     slipped = left < _BETTER * still and max(abs(down) * steps[0], abs(right) * steps[1]) > _SAME_DEG
     # A scan that is turned to the left shows everything farther to its right.
     slip = (right * steps[1], down * steps[0]) if slipped else None
-    return Closure(apart <= MOST_APART and not slipped, apart, slip)
+    return Closure(apart <= MAX_APART and not slipped, apart, slip)
 
 
 def _shifted(first: Values, again: Values, rows: int, columns: int, stride: int) -> float:

@@ -17,7 +17,7 @@ from ladarreg_core.errors import DeviceError
 
 _READ_EVERY_S = 0.03
 _SPARE_LINES = 20
-_LEAST_READINGS = 4
+_MIN_READINGS = 4
 _STILL_S = 0.3
 _CLOCKS_APART_S, _DRIFT = 0.1, 1e-3
 
@@ -68,7 +68,7 @@ def measured_pass(
             "the scanner was connected anew: resume"
         )
     times, pan, tilt = reader.readings()
-    if len(times) < _LEAST_READINGS or not lines:
+    if len(times) < _MIN_READINGS or not lines:
         raise DeviceError(
             f"the unit was read {len(times)} times and the scanner gave {len(lines)} lines during a pass, too few; "
             "sweep more slowly, or use a higher baud rate"

@@ -23,7 +23,7 @@ from ladarreg_core.frames import Rigid
 
 PLAN_FILE = "plan.json"
 _COLUMNS = ("file", "pan_deg", "tilt_deg")
-_MOST_BYTES = 64 << 20
+_MAX_BYTES = 64 << 20
 _READ_BYTES = 1 << 20
 
 
@@ -100,7 +100,7 @@ def read_piece_list(path: str | Path) -> PieceList:
     if place.is_dir():
         return _of_run(place)
     with reading(place) as file:
-        if file.stat().st_size > _MOST_BYTES:
+        if file.stat().st_size > _MAX_BYTES:
             raise FormatError(f"it has {file.stat().st_size:,} bytes; a list of pieces is shorter: give the right file")
         return PieceList(place, "mosaic", _of_csv(file), None, None)
 

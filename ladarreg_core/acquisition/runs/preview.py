@@ -16,8 +16,8 @@ from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
 HEIGHT, WIDTH = 360, 720
 """Rows and columns of the picture: half a degree each, the zenith at the top, straight ahead in the middle, left at the
 left."""
-_MOST_POINTS = 200_000
-_MOST_PICTURED = 20_000
+_MAX_POINTS = 200_000
+_MAX_PICTURED = 20_000
 _DARKEST, _BRIGHTEST = 40, 250
 _GROWS = 1.5
 
@@ -38,7 +38,7 @@ class RunPreview:
         self._nearest = np.full((HEIGHT, WIDTH), np.inf, np.float32)
         self._points: list[NDArray[np.float32]] = []
         self._shades: list[NDArray[np.float32]] = []
-        self._share = max(1, _MOST_POINTS // max(1, pieces))
+        self._share = max(1, _MAX_POINTS // max(1, pieces))
         self._taken = 0
 
     @property
@@ -97,7 +97,7 @@ class RunPreview:
             light = np.zeros(len(points)) if piece.intensity is None else piece.intensity.ravel()
             return points, light
         scan = piece.scan
-        step = max(1, int(np.sqrt(scan.ranges.size / _MOST_PICTURED)) // 2)
+        step = max(1, int(np.sqrt(scan.ranges.size / _MAX_PICTURED)) // 2)
         part = slice(None, None, step)
         pose = pan_tilt_pose(piece.at.pan_rad, piece.at.tilt_rad, unit_from_scanner=self._mount)
         local = grid_rays(scan.geometry, part, part) * scan.ranges[part, part, None]

@@ -43,8 +43,8 @@ _LOG = logging.getLogger(__name__)
 _T = TypeVar("_T")
 _NAP_S = 0.02
 _AVERAGED = 0.3  # weight of the latest piece in the time that a piece takes
-_MOST_REPEATS = 6  # of a piece after hangs; each of two devices reports the same one
-_MOST_GLITCHES = 3  # of a piece, each of which repeats it
+_MAX_REPEATS = 6  # of a piece after hangs; each of two devices reports the same one
+_MAX_GLITCHES = 3  # of a piece, each of which repeats it
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,13 +231,13 @@ class Run:
                     raise Cancelled from None
                 self._rest()
                 self._in_doubt = True
-                if isinstance(error, GuardEndedError) and error.hung and repeats < _MOST_REPEATS:
+                if isinstance(error, GuardEndedError) and error.hung and repeats < _MAX_REPEATS:
                     repeats += 1
                     self._report(Repeated(stop.index, _HUNG))
                     continue
-                if isinstance(error, DeviceGlitchError) and glitches < _MOST_GLITCHES:
+                if isinstance(error, DeviceGlitchError) and glitches < _MAX_GLITCHES:
                     glitches += 1
-                    again = f"the piece is measured again ({glitches} of {_MOST_GLITCHES})"
+                    again = f"the piece is measured again ({glitches} of {_MAX_GLITCHES})"
                     _LOG.warning("piece %d: %s; %s", stop.index, error, again)
                     self._report(Repeated(stop.index, f"{error}; {again}"))
                     continue

@@ -16,7 +16,7 @@ from ladarreg_core.formats.parsing.untrusted import reading
 from ladarreg_core.progress import Progress, Report
 
 _SAME_TILT_RAD = float(np.radians(0.02))
-_MOST_VALUES = 200_000_000
+_MAX_VALUES = 200_000_000
 
 
 def read_sweeps(pieces: Sequence[ListedPiece], *, report: Report | None = None) -> tuple[list[LineSweep], list[int]]:
@@ -69,7 +69,7 @@ def _arrays(piece: ListedPiece) -> dict[str, NDArray[Any]]:
         if missing:
             raise FormatError(f"it contains no {', '.join(missing)}; it is no piece of a sweep")
         ranges, angles = found["ranges"], found["angles_rad"]
-        if ranges.ndim != 2 or angles.shape != ranges.shape[1:] or ranges.size > _MOST_VALUES or not len(ranges):
+        if ranges.ndim != 2 or angles.shape != ranges.shape[1:] or ranges.size > _MAX_VALUES or not len(ranges):
             raise ShapeError(
                 f"it has ranges {ranges.shape} and angles {angles.shape}; lines x rays and rays are needed"
             )

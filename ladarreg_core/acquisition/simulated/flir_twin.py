@@ -20,7 +20,7 @@ RESOLUTION_ARC_S = 46.2857
 """Arc seconds a count, of both axes."""
 COUNTS_PER_RAD = 3600 * 180 / math.pi / RESOLUTION_ARC_S
 _LIMITS = {"P": (-13_090, 13_090), "T": (-3_620, 2_410)}  # about 168 deg to both sides; 46.5 deg down, 31 up
-_SPEED, _LEAST_SPEED, _MOST_SPEED = 3_000, 60, 8_000  # counts/s
+_SPEED, _MIN_SPEED, _MAX_SPEED = 3_000, 60, 8_000  # counts/s
 _ACCELERATION = 12_000  # counts/s^2
 _THINKS_S = 0.004
 _RESET_S = 4.0
@@ -241,7 +241,7 @@ class FlirTwin:
             shown = {
                 "P": round(axis.now(now_s)), "O": axis.target, "S": round(axis.speed), "D": round(axis.speed),
                 "A": round(axis.acceleration), "R": RESOLUTION_ARC_S, "N": axis.low, "X": axis.high,
-                "U": _MOST_SPEED, "L": _LEAST_SPEED, "B": _LEAST_SPEED, "NU": axis.user_low, "XU": axis.user_high,
+                "U": _MAX_SPEED, "L": _MIN_SPEED, "B": _MIN_SPEED, "NU": axis.user_low, "XU": axis.user_high,
             }.get(what)  # fmt: skip
             if shown is None:
                 return "! Illegal command", now_s
@@ -258,7 +258,7 @@ class FlirTwin:
                 self._begin(now_s)
             return "*", now_s
         if what == "S":
-            if not _LEAST_SPEED <= value <= _MOST_SPEED:
+            if not _MIN_SPEED <= value <= _MAX_SPEED:
                 return "! Speed cannot exceed limits", now_s
             axis.speed = value
             return "*", now_s

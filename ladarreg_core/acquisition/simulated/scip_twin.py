@@ -30,7 +30,7 @@ early by status 21; `parameters`: another DMAX in one answer.
 """
 _THINKS_S = 0.001
 _SPIN_UP_S = 0.02
-_MOST_CODED = {b"S": (1 << 12) - 1, b"D": (1 << 18) - 1, b"E": (1 << 18) - 1}
+_MAX_CODED = {b"S": (1 << 12) - 1, b"D": (1 << 18) - 1, b"E": (1 << 18) - 1}
 _UNKNOWN = b"0E"
 _ENDLESS = 1000  # lines, of a request without a number
 
@@ -132,7 +132,7 @@ class ScipTwin:
             self._answer(command, b"00", [self._field(*field) for field in fields.items()], at_s)
         elif name == b"TM" and self.model.tells_time and command[2:3] in (b"0", b"1", b"2"):
             self._clock_command(command, at_s)
-        elif name[:1] in (b"G", b"M") and name[1:] in _MOST_CODED and (self.model.has_intensity or name[1:] != b"E"):
+        elif name[:1] in (b"G", b"M") and name[1:] in _MAX_CODED and (self.model.has_intensity or name[1:] != b"E"):
             self._lines_command(command, at_s)
         else:
             self._answer(command, _UNKNOWN, [], at_s)
@@ -197,7 +197,7 @@ class ScipTwin:
             ranges, light = self._measure(angles, times, number)
             mm = np.rint(np.nan_to_num(ranges, nan=0.0) * 1000).astype(np.int64)
             mm = np.where((mm < model.least_mm) | (mm > model.most_mm), 1, mm)  # 1: no echo
-            mm = np.minimum(mm, _MOST_CODED[echo[1:2]])
+            mm = np.minimum(mm, _MAX_CODED[echo[1:2]])
             values = [mm, np.clip(np.rint(light), 0, (1 << 18) - 1).astype(np.int64)] if echo[1:2] == b"E" else [mm]
             self._send_line(echo, np.stack(values, axis=-1).ravel(), turn_s, at_s)
             if echo[:1] == b"M" and echo[13:15] == b"00":

@@ -20,7 +20,7 @@ from ladarreg_core.acquisition.simulated.twin import Twin
 
 _TICK_S = 0.002
 _PIECE = 4096
-_MOST_UNSENT = 1 << 20  # bytes; a busy host takes them seconds later, and more is lost, as if nobody listened
+_MAX_UNSENT = 1 << 20  # bytes; a busy host takes them seconds later, and more is lost, as if nobody listened
 
 
 class DeviceServer(Protocol):
@@ -174,7 +174,7 @@ class _Terminal(_End):
 
     def write(self, data: bytes) -> None:
         with self._lock:
-            self._unsent = (self._unsent + data)[:_MOST_UNSENT] if self._ends is not None else b""
+            self._unsent = (self._unsent + data)[:_MAX_UNSENT] if self._ends is not None else b""
             if self._ends is not None and self._unsent:
                 with contextlib.suppress(OSError):  # the terminal is full
                     self._unsent = self._unsent[os.write(self._ends[0], self._unsent) :]
@@ -239,7 +239,7 @@ class _Socket(_End):
 
     def write(self, data: bytes) -> None:
         with self._lock:
-            self._unsent = (self._unsent + data)[:_MOST_UNSENT] if self._host is not None else b""
+            self._unsent = (self._unsent + data)[:_MAX_UNSENT] if self._host is not None else b""
             if self._host is not None and self._unsent:
                 with contextlib.suppress(OSError):  # the connection is full, or has ended, which `read` will find
                     self._unsent = self._unsent[self._host.send(self._unsent) :]

@@ -59,7 +59,7 @@ from ladarreg_core.foundations.palette import (
     PANEL,
     WARN,
     WARN_GROUND,
-    Colour,
+    Color,
 )
 from ladarreg_core.matches import count_picks
 from ladarreg_core.photo import Photo
@@ -157,13 +157,13 @@ def _header(comparison: Comparison, scan: Scan, photo: Photo, inner: int) -> NDA
     rows, columns = scan.shape
     sizes = f"scan {columns} x {rows} cells   ·   photograph {photo.camera.width} x {photo.camera.height} px"
     title = text_block("Registration, stage by stage", size=_BIG, weight=0.8)
-    facts = text_block(sizes, size=_BODY, colour=DIM)
+    facts = text_block(sizes, size=_BODY, color=DIM)
     names = shortened(f"{scan.name}  ·  {photo.name}", size=_BODY, width=inner - title.shape[1] - facts.shape[1] - 120)
-    left = beside([title, padded(text_block(names, size=_BODY, colour=DIM), top=20, left=28)])
+    left = beside([title, padded(text_block(names, size=_BODY, color=DIM), top=20, left=28)])
     facts = padded(facts, top=20)
     blocks = [beside([left, placed(facts, width=inner - left.shape[1], height=left.shape[0], align="right", at_top=1)])]
     for caution in cautions_of(comparison):
-        words = text_block(caution, size=_BODY, width=inner - 2 * _PAD, lines=2, colour=WARN, ground=WARN_GROUND)
+        words = text_block(caution, size=_BODY, width=inner - 2 * _PAD, lines=2, color=WARN, ground=WARN_GROUND)
         blocks.append(boxed(words, pad=(8, _PAD), ground=WARN_GROUND, line=LINE, under=BACKGROUND, radius=8))
     return stacked(blocks, gap=10)
 
@@ -186,7 +186,7 @@ def _top(
         framed(resized(photo.pixels, sizes[1]), LINE),
     )
     blocks = [
-        stacked([text_block(name, size=_SMALL, colour=DIM), picture], gap=6)
+        stacked([text_block(name, size=_SMALL, color=DIM), picture], gap=6)
         for name, picture in zip(("Scan, intensity", "Photograph"), pictures, strict=True)
     ]
     left = stacked(blocks, gap=12) if wide else beside(blocks, gap=_GAP)
@@ -221,15 +221,13 @@ def _table_panel(comparison: Comparison, scan: Scan, full_width: int) -> NDArray
     return boxed(stacked(blocks, ground=PANEL), pad=(_PAD, _PAD), ground=PANEL, line=LINE, under=BACKGROUND, radius=10)
 
 
-def _table_row(
-    cells: tuple[str, ...], first: int, width: int, colours: tuple[Colour, Colour, Colour]
-) -> NDArray[np.uint8]:
+def _table_row(cells: tuple[str, ...], first: int, width: int, colors: tuple[Color, Color, Color]) -> NDArray[np.uint8]:
     """Return a row; `colours` are those of its name, its cells and its last cell."""
-    blocks = [text_block(cells[0], size=_SMALL, width=first, colour=colours[0], ground=PANEL)]
+    blocks = [text_block(cells[0], size=_SMALL, width=first, color=colors[0], ground=PANEL)]
     for number, cell in enumerate(cells[1:], start=2):
-        colour = colours[2] if number == len(cells) else colours[1]
-        colour = BADGES[cell][0] if cell in BADGES else DIM if cell == NOTHING else colour
-        blocks.append(text_block(cell, size=_SMALL, width=width, colour=colour, ground=PANEL, align="right"))
+        color = colors[2] if number == len(cells) else colors[1]
+        color = BADGES[cell][0] if cell in BADGES else DIM if cell == NOTHING else color
+        blocks.append(text_block(cell, size=_SMALL, width=width, color=color, ground=PANEL, align="right"))
     return beside(blocks, ground=PANEL)
 
 
@@ -265,28 +263,28 @@ def _card(
     column: Column, apart: Difference | None, picture: ByteArray, size: tuple[int, int], width: int
 ) -> NDArray[np.uint8]:
     verdict = verdict_of(column)
-    colour, ground = BADGES[verdict]
-    badge = chip(verdict, size=_SMALL, colour=colour, ground=ground, under=PANEL)
-    seconds = text_block(_seconds(column.seconds), size=_SMALL, colour=DIM, ground=PANEL)
+    color, ground = BADGES[verdict]
+    badge = chip(verdict, size=_SMALL, color=color, ground=ground, under=PANEL)
+    seconds = text_block(_seconds(column.seconds), size=_SMALL, color=DIM, ground=PANEL)
     blocks = [
         text_block(title_of(column), size=_HEAD, width=width, ground=PANEL, weight=0.6),
         beside(
             [badge, placed(seconds, width=width - badge.shape[1], height=badge.shape[0], ground=PANEL, align="right")],
             ground=PANEL,
         ),
-        _marked(framed(resized(picture, size), colour), verdict, width, ground=PANEL),
+        _marked(framed(resized(picture, size), color), verdict, width, ground=PANEL),
     ]
     blocks += [
-        text_block(line, size=_BODY, width=width, lines=2, ground=PANEL, colour=ink)
+        text_block(line, size=_BODY, width=width, lines=2, ground=PANEL, color=ink)
         for line, ink in _lines(column, apart)
     ]
     why = _why(column)
     if why:
-        blocks.append(text_block(why, size=_SMALL, width=width, lines=_REASON_LINES, colour=DIM, ground=PANEL))
+        blocks.append(text_block(why, size=_SMALL, width=width, lines=_REASON_LINES, color=DIM, ground=PANEL))
     return stacked(blocks, gap=9, ground=PANEL)
 
 
-def _lines(column: Column, apart: Difference | None) -> list[tuple[str, Colour]]:
+def _lines(column: Column, apart: Difference | None) -> list[tuple[str, Color]]:
     result = column.stage.result
     if result is None:
         return []
@@ -339,7 +337,7 @@ def _details(
     return beside(panels, gap=_GAP)
 
 
-def _marked(picture: ByteArray, verdict: str, width: int, *, ground: Colour = BACKGROUND) -> NDArray[np.uint8]:
+def _marked(picture: ByteArray, verdict: str, width: int, *, ground: Color = BACKGROUND) -> NDArray[np.uint8]:
     """Return an image centred in its column, marked unless it is accepted."""
     if verdict == "accepted":
         return placed(picture, width=width, height=picture.shape[0], ground=ground)
@@ -370,18 +368,18 @@ def _match_legend(enlargement: int) -> list[NDArray[np.uint8]]:
     times = "" if enlargement == 1 else f", enlarged {enlargement} times"
     note = f"lines: residuals{times}"
     return [
-        *(beside([_dot(colour), _note(words)], gap=8) for words, colour in (("inlier", OK), ("outlier", BAD))),
+        *(beside([_dot(color), _note(words)], gap=8) for words, color in (("inlier", OK), ("outlier", BAD))),
         _note(note),
     ]
 
 
 def _note(text: str) -> NDArray[np.uint8]:
-    return text_block(text, size=_BODY, colour=DIM)
+    return text_block(text, size=_BODY, color=DIM)
 
 
-def _dot(colour: Colour) -> NDArray[np.uint8]:
+def _dot(color: Color) -> NDArray[np.uint8]:
     field = padded(text_block("", size=_BODY, width=12))
-    cv2.circle(field, (6 << 4, (field.shape[0] // 2 + 1) << 4), round(5.5 * 16), colour, -1, cv2.LINE_AA, 4)
+    cv2.circle(field, (6 << 4, (field.shape[0] // 2 + 1) << 4), round(5.5 * 16), color, -1, cv2.LINE_AA, 4)
     return field
 
 

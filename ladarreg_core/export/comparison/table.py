@@ -167,7 +167,7 @@ def markdown_table(table: Table) -> str:
 
 def _seen_points(default: Column, scan: Scan) -> FloatArray:
     """Return scan points (N, 3) coloured by the default, or any points of the scan if it has no texture."""
-    seen: BoolArray = scan.valid if default.texture is None else default.texture.coloured & scan.valid
+    seen: BoolArray = scan.valid if default.texture is None else default.texture.colored & scan.valid
     index = np.flatnonzero(seen)
     index = index[:: max(1, len(index) // _COMPARED_POINTS)]
     rows, columns = np.divmod(index, scan.shape[1])

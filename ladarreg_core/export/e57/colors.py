@@ -26,7 +26,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.best_photo import NO_PHOTO
 from ladarreg_core.surface.texture.registered_texture import dimmed_levels
 
-COLOURS = ("colorRed", "colorGreen", "colorBlue")
+COLORS = ("colorRed", "colorGreen", "colorBlue")
 INVALID = "isColorInvalid"
 _INDICES = ("rowIndex", "columnIndex")
 _CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
@@ -35,7 +35,7 @@ _LEVELS = 255
 _WIDEST = 2**32
 _SAME_RANGE = 1e-6
 _SAME_PLACE = 1e-4
-_LEAST_SAME = 0.9
+_MIN_SAME = 0.9
 _DARKEST, _BRIGHTEST = 0.15 * 0.45, 0.45  # of white: darker than any photograph of the same place
 
 
@@ -64,21 +64,21 @@ PLAIN = Channel(0, _LEVELS, True)
 """Whole numbers from 0 to 255."""
 
 
-def add_colour_fields(prototype: Any, file: Any) -> None:
+def add_color_fields(prototype: Any, file: Any) -> None:
     """Add the fields of colours to a prototype that has none."""
     e57 = library()
-    for name in COLOURS:
+    for name in COLORS:
         prototype.set(name, e57.IntegerNode(file, 0, 0, _LEVELS))
     if not prototype.isDefined(INVALID):
         prototype.set(INVALID, e57.IntegerNode(file, 0, 0, 1))
 
 
-def colour_limits(file: Any, channels: tuple[Channel, ...] = (PLAIN,) * 3) -> Any:
+def color_limits(file: Any, channels: tuple[Channel, ...] = (PLAIN,) * 3) -> Any:
     """Return the structure that states the values of black and of the brightest colour."""
     e57 = library()
     made = e57.StructureNode(file)
     plain = all(one.is_whole and (one.scale, one.offset) == (1, 0) for one in channels)
-    for name, one in zip(COLOURS, channels, strict=True):
+    for name, one in zip(COLORS, channels, strict=True):
         for end, value in (("Minimum", one.low), ("Maximum", one.high)):
             made.set(f"{name}{end}", e57.IntegerNode(file, int(value)) if plain else e57.FloatNode(file, value))
     return made
@@ -86,10 +86,10 @@ def colour_limits(file: Any, channels: tuple[Channel, ...] = (PLAIN,) * 3) -> An
 
 def _channels_of(scan: E57Node, fields: Mapping[str, E57Field]) -> tuple[Channel, ...] | None:
     """Return how a scan's colours are stored; None if it has none, or only constants."""
-    if not all(name in fields and fields[name].stored for name in COLOURS):
+    if not all(name in fields and fields[name].stored for name in COLORS):
         return None
     found = []
-    for name in COLOURS:
+    for name in COLORS:
         field = fields[name]
         low, high = 0.0, float(_LEVELS)
         is_whole = field.stored in ("integer", "scaled")
@@ -141,29 +141,29 @@ class PointPainter:
         self._has = set(fields)
         self._scanner_from_file = _scanner_from_file(self._scan, info)
         self._cells = _FileCells(self._scan, info, file, scan, report)
-        self._others = handed.point_colourer()
+        self._others = handed.point_colorer()
         self._gray = Gray(self._scan)
 
     def __call__(self, count: int, values: Buffers) -> None:
         """Set the colours of the first points of a chunk."""
         points, known = self._points(count, values)
-        colour = np.zeros((count, 3), np.uint8)
+        color = np.zeros((count, 3), np.uint8)
         shown = np.zeros(count, np.bool_)
         row, column, on_cell = self._cells.find(count, values, points, known)
-        cells = self._handed.colours
+        cells = self._handed.colors
         if row is not None and column is not None:
             shown = on_cell & (cells.photo[row, column] != NO_PHOTO)
-            colour[shown] = cells.image[row[shown], column[shown]]
+            color[shown] = cells.image[row[shown], column[shown]]
         others = np.flatnonzero(known & ~on_cell)
         if len(others):
-            found = self._others.colours_of(points[others])
+            found = self._others.colors_of(points[others])
             seen = found.photo != NO_PHOTO
-            colour[others[seen]] = found.colour[seen]
+            color[others[seen]] = found.color[seen]
             shown[others[seen]] = True
         if not self._keeps:
-            self._paint_gray(count, values, colour, known & ~shown)
-        for k, (name, channel) in enumerate(zip(COLOURS, self._channels, strict=True)):
-            stored = channel.stored(colour[:, k])
+            self._paint_gray(count, values, color, known & ~shown)
+        for k, (name, channel) in enumerate(zip(COLORS, self._channels, strict=True)):
+            stored = channel.stored(color[:, k])
             target = values[name][:count]
             with np.errstate(over="ignore", invalid="ignore"):
                 if self._keeps:
@@ -177,10 +177,10 @@ class PointPainter:
             else:
                 flag[:] = ~shown
 
-    def _paint_gray(self, count: int, values: Buffers, colour: NDArray[np.uint8], dark: NDArray[np.bool_]) -> None:
+    def _paint_gray(self, count: int, values: Buffers, color: NDArray[np.uint8], dark: NDArray[np.bool_]) -> None:
         if "intensity" in values:
             gray = self._gray.levels(self._number("intensity", count, values)[dark])
-            colour[dark] = gray[:, None]
+            color[dark] = gray[:, None]
 
     def _number(self, name: str, count: int, values: Buffers) -> NDArray[Any]:
         scale, offset = self._scales.get(name, (1.0, 0.0))
@@ -280,7 +280,7 @@ class _FileCells:
             here = self._scan.geometry.ray_at(cells) * self._scan.ranges[row, column, None]
             with np.errstate(invalid="ignore", over="ignore"):
                 same = inside & (np.linalg.norm(here - points, axis=1) <= _SAME_PLACE * length)
-            if np.count_nonzero(same & known) >= _LEAST_SAME * np.count_nonzero(known):
+            if np.count_nonzero(same & known) >= _MIN_SAME * np.count_nonzero(known):
                 self._order = order
                 return True
         self._is_usable = False

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.export.e57.colors import COLOURS, INVALID, Gray, add_colour_fields, colour_limits
+from ladarreg_core.export.e57.colors import COLORS, INVALID, Gray, add_color_fields, color_limits
 from ladarreg_core.export.e57.nodes import (
     NOTE,
     declare_note,
@@ -22,7 +22,7 @@ from ladarreg_core.export.e57.nodes import (
 from ladarreg_core.export.e57.tree import library, record_buffers, record_writer
 from ladarreg_core.export.registered_scan import RegisteredScan
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.texture.best_photo import NO_PHOTO, CellColours
+from ladarreg_core.surface.texture.best_photo import NO_PHOTO, CellColors
 
 _CELLS_AT_ONCE = 131_072
 
@@ -39,7 +39,7 @@ def write_new_scan(file: Any, handed: RegisteredScan, report: Callable[[int], No
         the GUID of the scan.
     """
     data3d = start_tree(file, note_of(handed))
-    return append_scan(file, data3d, handed.scan, note_of(handed), report, colours=handed.colours)
+    return append_scan(file, data3d, handed.scan, note_of(handed), report, colors=handed.colors)
 
 
 def start_tree(file: Any, note: str) -> Any:
@@ -69,7 +69,7 @@ def append_scan(
     note: str,
     report: Callable[[int], None],
     *,
-    colours: CellColours | None = None,
+    colors: CellColors | None = None,
 ) -> str:
     """Append a scan with its pose and every return to a new file.
 
@@ -103,26 +103,26 @@ def append_scan(
     }
     bounds |= {"returnMinimum": 0, "returnMaximum": 0}
     node.set("indexBounds", number_nodes(file, bounds))
-    node.set("colorLimits", colour_limits(file))
+    node.set("colorLimits", color_limits(file))
     prototype = e57.StructureNode(file)
     for name in ("cartesianX", "cartesianY", "cartesianZ", "intensity"):
         prototype.set(name, e57.FloatNode(file, 0.0, e57.E57_SINGLE))
     prototype.set("rowIndex", e57.IntegerNode(file, 0, 0, height - 1))
     prototype.set("columnIndex", e57.IntegerNode(file, 0, 0, width - 1))
     if scan.color is None:
-        add_colour_fields(prototype, file)
+        add_color_fields(prototype, file)
     else:
-        for name in COLOURS:
+        for name in COLORS:
             prototype.set(name, e57.IntegerNode(file, 0, 0, 255))
     points = e57.CompressedVectorNode(file, prototype, e57.VectorNode(file, True))
     node.set("points", points)
     data3d.append(node)
-    _write_cells(file, points, prototype, scan, colours, report)
+    _write_cells(file, points, prototype, scan, colors, report)
     return guid
 
 
 def _write_cells(
-    file: Any, points: Any, prototype: Any, scan: Scan, colours: CellColours | None, report: Callable[[int], None]
+    file: Any, points: Any, prototype: Any, scan: Scan, colors: CellColors | None, report: Callable[[int], None]
 ) -> None:
     gray = Gray(scan)
     rows_at_once = max(1, _CELLS_AT_ONCE // scan.shape[1])
@@ -137,8 +137,8 @@ def _write_cells(
                 continue
             here = scan.points_at(rows, slice(None))[valid]
             shown, rgb = np.zeros(count, np.bool_), np.zeros((count, 3), np.uint8)
-            if colours is not None:
-                shown, rgb = (colours.photo[rows] != NO_PHOTO)[valid], colours.image[rows][valid]
+            if colors is not None:
+                shown, rgb = (colors.photo[rows] != NO_PHOTO)[valid], colors.image[rows][valid]
             intensity = scan.intensity[rows][valid]
             if scan.color is not None:
                 rgb = np.where(shown[:, None], rgb, scan.color[rows][valid])
@@ -147,7 +147,7 @@ def _write_cells(
                 buffers[INVALID][:count] = ~shown
             for k, name in enumerate(("cartesianX", "cartesianY", "cartesianZ")):
                 buffers[name][:count] = here[:, k]
-            for k, name in enumerate(COLOURS):
+            for k, name in enumerate(COLORS):
                 buffers[name][:count] = rgb[:, k]
             buffers["intensity"][:count] = intensity
             buffers["rowIndex"][:count], buffers["columnIndex"][:count] = row + first, column

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.models.glb_content import GlbContent
-from ladarreg_core.export.models.viser_colors import VISER_BASE_COLOUR, texture_for_viewer
+from ladarreg_core.export.models.viser_colors import VISER_BASE_COLOR, texture_for_viewer
 from ladarreg_core.export.output_frame import OutputFrame
 from ladarreg_core.export.pictures.texture_image import image_of, texture_image
 from ladarreg_core.foundations.arrays import ByteArray, read_only
@@ -110,7 +110,7 @@ def glb_bytes(mesh: Mesh, picture: ByteArray, *, for_viser: bool = False) -> byt
     content = GlbContent()
     shown = texture_for_viewer(pixels) if for_viser else pixels
     material = content.material(
-        "photo on scan", texture_image(shown, lossless=True), base=VISER_BASE_COLOUR if for_viser else 1.0
+        "photo on scan", texture_image(shown, lossless=True), base=VISER_BASE_COLOR if for_viser else 1.0
     )
     primitive = content.primitive(mesh.vertices, mesh.uv, mesh.faces, material)
     node: dict[str, Any] = {"name": _ROOT_NAME}

@@ -16,7 +16,7 @@ from ladarreg_core.export.pictures.texture_image import TextureImage
 _FLOAT, _UINT = 5126, 5125
 _ARRAY_BUFFER, _ELEMENT_BUFFER = 34962, 34963
 _LINEAR, _LINEAR_MIPMAP, _CLAMP = 9729, 9987, 33071
-_MOST_BYTES = 2**32 - 1  # the header states the length in 32 bits
+_MAX_BYTES = 2**32 - 1  # the header states the length in 32 bits
 _BYTES_AT_ONCE = 2**24
 
 
@@ -36,14 +36,14 @@ class GlbContent:
         """Add an unlit material with a texture."""
         index = len(self._materials)
         self._images.append({"name": name, "bufferView": self._view(image.data), "mimeType": image.media_type})
-        colour = {
+        color = {
             "baseColorTexture": {"index": index},
             "baseColorFactor": [base, base, base, 1.0],
             "metallicFactor": 0.0,
             "roughnessFactor": 1.0,
         }
         unlit: dict[str, Any] = {"KHR_materials_unlit": {}}
-        self._materials.append({"name": name, "doubleSided": True, "pbrMetallicRoughness": colour, "extensions": unlit})
+        self._materials.append({"name": name, "doubleSided": True, "pbrMetallicRoughness": color, "extensions": unlit})
         return index
 
     def primitive(
@@ -96,7 +96,7 @@ class GlbContent:
         text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode("ascii")
         text += b" " * (-len(text) % 4)
         total = 12 + 8 + len(text) + 8 + self.size
-        if total > _MOST_BYTES:
+        if total > _MAX_BYTES:
             raise ExportError(
                 f"the model would have {total / 1e9:.1f} GB, and a GLB file holds at most 4; write it reduced, or "
                 "cropped to the photographs"

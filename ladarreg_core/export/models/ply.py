@@ -12,7 +12,7 @@ from ladarreg_core.export.output_frame import OutputFrame
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.storage.atomic_write import write_chunks
-from ladarreg_core.surface.texture.best_photo import CellColours
+from ladarreg_core.surface.texture.best_photo import CellColors
 from ladarreg_core.surface.texture.registered_texture import Label, RegisteredTexture, dimmed_levels, model_rows
 
 _VERTEX = np.dtype(
@@ -36,7 +36,7 @@ _PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<u2": "ushort"}
 def write_ply(
     path: str | Path,
     scan: Scan,
-    texture: RegisteredTexture | CellColours,
+    texture: RegisteredTexture | CellColors,
     *,
     frame: OutputFrame = SCANNER_FRAME,
     mark: str = "",
@@ -68,7 +68,7 @@ def ply_bytes(scan: Scan, texture: RegisteredTexture, *, frame: OutputFrame = SC
 
 def _chunks(
     scan: Scan,
-    texture: RegisteredTexture | CellColours,
+    texture: RegisteredTexture | CellColors,
     frame: OutputFrame,
     comments: Sequence[str] = (),
     report: Report | None = None,
@@ -77,7 +77,7 @@ def _chunks(
     if texture.labels.shape != scan.shape:
         raise ShapeError(f"the texture has {texture.labels.shape} cells, the scan {scan.shape}; they must agree")
     count = int(np.count_nonzero(scan.valid))
-    several = isinstance(texture, CellColours)
+    several = isinstance(texture, CellColors)
     layout = np.dtype([*_VERTEX.descr, *_FROM_PHOTOS.descr]) if several else _VERTEX
     codes = ", ".join(f"{label.value} {label.name.lower().replace('_', ' ')}" for label in Label)
     header = [
@@ -92,7 +92,7 @@ def _chunks(
         "end_header\n",
     ]
     yield "\n".join(header).encode("ascii")
-    levels, drawn = dimmed_levels(scan), texture.texture if isinstance(texture, CellColours) else texture
+    levels, drawn = dimmed_levels(scan), texture.texture if isinstance(texture, CellColors) else texture
     done = 0
     for first in range(0, scan.shape[0], _ROWS_AT_ONCE):
         rows = slice(first, first + _ROWS_AT_ONCE)
@@ -105,7 +105,7 @@ def _chunks(
             vertices[("red", "green", "blue")[k]] = rgb[:, k]
         vertices["intensity"] = scan.intensity[rows].take(valid)
         vertices["label"] = texture.labels[rows].take(valid)
-        if isinstance(texture, CellColours):
+        if isinstance(texture, CellColors):
             vertices["photo_id"] = texture.photo[rows].take(valid) + np.uint16(1)  # that of none becomes 0
             vertices["sigma_px"] = texture.sigma_px[rows].take(valid)
         yield vertices.tobytes()

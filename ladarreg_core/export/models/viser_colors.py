@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.foundations.arrays import ByteArray, FloatArray
 
-VISER_BASE_COLOUR = 8.0
+VISER_BASE_COLOR = 8.0
 """Factor on the texture: the curve needs 15 times white to display white, and an 8-bit texture ends at 1. With 4 the
 brightest grays are 5 levels too dark; with 8 every gray is within 2 levels; with 16 dark grays become too coarse."""
 
@@ -18,14 +18,14 @@ _PRE_EXPOSURE = 1 / 0.6
 _A, _B, _C, _D, _E = 0.0245786, 0.000090537, 0.983729, 0.4329510, 0.238081
 
 
-def shown_colours(texture_rgb: ArrayLike, *, base_colour: float = VISER_BASE_COLOUR) -> ByteArray:
+def shown_colors(texture_rgb: ArrayLike, *, base_color: float = VISER_BASE_COLOR) -> ByteArray:
     """Return the colours that an unlit ACES-filmic viewer displays for a texture; both (..., 3) uint8."""
-    v = _linear(np.asarray(texture_rgb)) * (base_colour * _PRE_EXPOSURE) @ _INPUT.T
+    v = _linear(np.asarray(texture_rgb)) * (base_color * _PRE_EXPOSURE) @ _INPUT.T
     fitted = (v * (v + _A) - _B) / (v * (_C * v + _D) + _E)
     return _encoded(fitted @ _OUTPUT.T)
 
 
-def texture_for_viewer(wanted_rgb: ArrayLike, *, base_colour: float = VISER_BASE_COLOUR) -> ByteArray:
+def texture_for_viewer(wanted_rgb: ArrayLike, *, base_color: float = VISER_BASE_COLOR) -> ByteArray:
     """Return the texture, (..., 3) uint8, that an unlit ACES-filmic viewer displays as the wanted colours.
 
     Grays are exact to two levels and colours to three, except very bright saturated colours outside the range of the
@@ -33,9 +33,9 @@ def texture_for_viewer(wanted_rgb: ArrayLike, *, base_colour: float = VISER_BASE
     """
     wanted = np.asarray(wanted_rgb)
     packed = wanted.reshape(-1, 3).astype(np.uint32) @ np.array([65536, 256, 1], dtype=np.uint32)
-    colours, index = np.unique(packed, return_inverse=True)
-    rgb = np.stack([colours >> 16, (colours >> 8) & 255, colours & 255], axis=-1)
-    brightest = base_colour * _PRE_EXPOSURE
+    colors, index = np.unique(packed, return_inverse=True)
+    rgb = np.stack([colors >> 16, (colors >> 8) & 255, colors & 255], axis=-1)
+    brightest = base_color * _PRE_EXPOSURE
     limit = (brightest * (brightest + _A) - _B) / (brightest * (_C * brightest + _D) + _E)
     x = np.clip(_linear(rgb) @ np.linalg.inv(_OUTPUT).T, 0, limit)
     # x = (v^2 + A v - B) / (C v^2 + D v + E), solved for the positive v.
@@ -44,9 +44,9 @@ def texture_for_viewer(wanted_rgb: ArrayLike, *, base_colour: float = VISER_BASE
     return _encoded(v @ np.linalg.inv(_INPUT).T / brightest)[index.ravel()].reshape(wanted.shape)
 
 
-def line_colours_for_viewer(wanted_rgb: ArrayLike) -> ByteArray:
+def line_colors_for_viewer(wanted_rgb: ArrayLike) -> ByteArray:
     """Return the colours, (..., 3) uint8, to set in viser for lines, which it tone maps (unlike points)."""
-    return texture_for_viewer(wanted_rgb, base_colour=1.0)
+    return texture_for_viewer(wanted_rgb, base_color=1.0)
 
 
 def _linear(srgb: FloatArray | ByteArray) -> NDArray[np.float64]:

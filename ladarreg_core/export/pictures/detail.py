@@ -16,13 +16,13 @@ from ladarreg_core.surface.texture.registered_texture import RegisteredTexture, 
 
 DETAIL_ASPECT = 4 / 3
 _DETAIL_SHARE = 0.17
-_LEAST_CELLS = 16
+_MIN_CELLS = 16
 _MARGIN_SHARE = 0.04
 _WHOLE_SHARE = 0.85
 _WORKING_CELLS = 400_000
 _BLUR_CELLS = 0.8
 _STRONG_EDGES, _WEAK_EDGES = 95.0, 88.0
-_LEAST_EDGE = 3.0
+_MIN_EDGE = 3.0
 _CANNY_RANGE = 16000.0
 _NOISE_SHARE = 0.4
 
@@ -65,17 +65,17 @@ def seen_window(scan: Scan, textures: Sequence[RegisteredTexture]) -> Window:
         scan: the scan.
         textures: the photograph on its grid, for several poses.
     """
-    coloured = np.zeros(scan.shape, dtype=np.bool_)
+    colored = np.zeros(scan.shape, dtype=np.bool_)
     for texture in textures:
-        coloured |= texture.coloured
-    rows, columns = np.flatnonzero(coloured.any(axis=1)), np.flatnonzero(coloured.any(axis=0))
+        colored |= texture.colored
+    rows, columns = np.flatnonzero(colored.any(axis=1)), np.flatnonzero(colored.any(axis=0))
     if not len(rows):
         return whole_window(scan)
     margin = round(_MARGIN_SHARE * max(np.ptp(rows), np.ptp(columns)))
     window = _around(
         (float(rows[0] + rows[-1]) / 2, float(columns[0] + columns[-1]) / 2),
-        max(int(np.ptp(rows)) + 1 + 2 * margin, _LEAST_CELLS),
-        max(int(np.ptp(columns)) + 1 + 2 * margin, _LEAST_CELLS),
+        max(int(np.ptp(rows)) + 1 + 2 * margin, _MIN_CELLS),
+        max(int(np.ptp(columns)) + 1 + 2 * margin, _MIN_CELLS),
         scan.shape,
     )
     all_cells = scan.shape[0] * scan.shape[1]
@@ -94,10 +94,10 @@ def detail_window(scan: Scan, reference: RegisteredTexture, textures: Sequence[R
         The window, with the angular aspect `DETAIL_ASPECT` if the grid is large enough; None if no cell is coloured.
     """
     step = max(1, int(np.sqrt(scan.ranges.size / _WORKING_CELLS)))
-    seen = reference.coloured[::step, ::step]
+    seen = reference.colored[::step, ::step]
     if not seen.any():
         return None
-    share = np.mean([texture.coloured[::step, ::step] for texture in textures], axis=0, dtype=np.float32)
+    share = np.mean([texture.colored[::step, ::step] for texture in textures], axis=0, dtype=np.float32)
     brightness = cv2.cvtColor(np.ascontiguousarray(reference.image[::step, ::step]), cv2.COLOR_RGB2GRAY)
     contrast = _local_contrast(np.asarray(brightness, np.uint8), seen)
     edges = _depth_edges(scan, step) + 0.3 * _local_contrast(intensity_picture(scan)[::step, ::step, 0], seen)
@@ -138,10 +138,10 @@ def edge_lines(scan: Scan, window: Window, size: tuple[int, int]) -> BoolArray:
     crop = cv2.GaussianBlur(crop, (0, 0), max(_BLUR_CELLS * cell_px, _BLUR_CELLS))
     slopes = [np.asarray(cv2.Sobel(crop, cv2.CV_32F, *d, ksize=3)) * (cell_px / 8) for d in ((1, 0), (0, 1))]
     strength = np.hypot(*slopes)  # gray levels per cell
-    strong = max(float(np.percentile(strength, _STRONG_EDGES)), _LEAST_EDGE)
-    weak = min(max(float(np.percentile(strength, _WEAK_EDGES)), _LEAST_EDGE / 2), strong)
+    strong = max(float(np.percentile(strength, _STRONG_EDGES)), _MIN_EDGE)
+    weak = min(max(float(np.percentile(strength, _WEAK_EDGES)), _MIN_EDGE / 2), strong)
     # Canny takes integers; on an enlarged image, slopes of few levels would give frayed lines.
-    finer = _CANNY_RANGE / max(float(strength.max()), _LEAST_EDGE)
+    finer = _CANNY_RANGE / max(float(strength.max()), _MIN_EDGE)
     dx, dy = (np.rint(slope * finer).astype(np.int16) for slope in slopes)
     return np.asarray(cv2.Canny(dx, dy, weak * finer, strong * finer, L2gradient=True)) > 0
 
@@ -150,7 +150,7 @@ def _detail_size(scan: Scan, reference: RegisteredTexture) -> tuple[int, int]:
     """Return (rows, columns) of the detail: a share of the coloured part, with a fixed angular aspect."""
     seen = seen_window(scan, [reference])
     aspect = cell_aspect(scan)
-    across = max(_DETAIL_SHARE * np.sqrt(seen.width * aspect * seen.height * DETAIL_ASPECT), _LEAST_CELLS * aspect)
+    across = max(_DETAIL_SHARE * np.sqrt(seen.width * aspect * seen.height * DETAIL_ASPECT), _MIN_CELLS * aspect)
     height, width = round(across / DETAIL_ASPECT), round(across / aspect)
     return max(2, min(height, scan.shape[0])), max(2, min(width, scan.shape[1]))
 

@@ -21,9 +21,9 @@ from ladarreg_core.foundations.palette import (
     UNKNOWN,
     VISIBILITY,
     WARN,
-    Colour,
+    Color,
     paint,
-    ramp_colours,
+    ramp_colors,
     scale_end,
 )
 from ladarreg_core.foundations.validation import require_positive
@@ -31,7 +31,7 @@ from ladarreg_core.inspection.model_textures import Legend, visibility_texture
 from ladarreg_core.storage.atomic_write import write_bytes
 from ladarreg_core.surface.texture.registered_texture import Label, RegisteredTexture
 
-_MOST_PX = 1e9
+_MAX_PX = 1e9
 _BAR_WIDTHS, _BAR_HEIGHT, _MARGIN, _TEXT = (200, 480), 14, 12, 13
 _TICKS = 4
 _NO_PIECE = 255
@@ -79,7 +79,7 @@ def write_labels_png(path: str | Path, texture: RegisteredTexture, *, mark: str 
     write_bytes(path, stream.getvalue())
 
 
-def write_provenance_png(path: str | Path, piece_of_cell: NDArray[np.integer[Any]], colours: ByteArray) -> None:
+def write_provenance_png(path: str | Path, piece_of_cell: NDArray[np.integer[Any]], colors: ByteArray) -> None:
     """Write which piece each cell of a panorama is from.
 
     Up to 255 pieces make an indexed PNG: pixel values are the numbers of the pieces, 255 is no return, and the palette
@@ -96,12 +96,12 @@ def write_provenance_png(path: str | Path, piece_of_cell: NDArray[np.integer[Any
     from PIL import Image
 
     none = np.zeros((1, 3), np.uint8)
-    if len(colours) > _NO_PIECE:
+    if len(colors) > _NO_PIECE:
         # A negative number counts from the end.
-        write_png(path, np.concatenate([colours, none])[np.maximum(piece_of_cell, -1)])
+        write_png(path, np.concatenate([colors, none])[np.maximum(piece_of_cell, -1)])
         return
     palette = np.zeros((_NO_PIECE + 1, 3), np.uint8)
-    palette[: len(colours)] = colours
+    palette[: len(colors)] = colors
     image = Image.fromarray(np.where(piece_of_cell < 0, _NO_PIECE, piece_of_cell).astype(np.uint8))
     image.putpalette(palette.tobytes())
     stream = io.BytesIO()
@@ -128,7 +128,7 @@ def write_visibility_png(path: str | Path, texture: RegisteredTexture, *, mark: 
     picture = visibility_picture(texture)
     if mark:
         picture = stacked(
-            [picture, padded(text_block(f"pose: {mark}", size=_TEXT, colour=WARN), left=_MARGIN, bottom=_MARGIN)]
+            [picture, padded(text_block(f"pose: {mark}", size=_TEXT, color=WARN), left=_MARGIN, bottom=_MARGIN)]
         )
     write_png(path, picture)
 
@@ -136,20 +136,20 @@ def write_visibility_png(path: str | Path, texture: RegisteredTexture, *, mark: 
 def legend_strip(legend: Legend, *, room: int) -> NDArray[np.uint8]:
     """Return the single colours of a legend with their meanings, in as many columns as fit `room` pixels."""
     entries = [
-        beside([_swatch(colour), text_block(words, size=_TEXT, colour=INK)], gap=8) for colour, words in legend.entries
+        beside([_swatch(color), text_block(words, size=_TEXT, color=INK)], gap=8) for color, words in legend.entries
     ]
     widest = max((entry.shape[1] for entry in entries), default=1) + _MARGIN
     columns = max(1, (room - _MARGIN) // widest)
     rows = [entries[k : k + columns] for k in range(0, len(entries), columns)]
     lines = [beside([padded(one, right=widest - one.shape[1]) for one in row]) for row in rows]
     if legend.title:
-        lines.insert(0, text_block(legend.title, size=_TEXT, colour=DIM))
+        lines.insert(0, text_block(legend.title, size=_TEXT, color=DIM))
     return padded(stacked(lines, gap=4), top=_MARGIN, bottom=_MARGIN, left=_MARGIN)
 
 
-def _swatch(colour: Colour) -> NDArray[np.uint8]:
+def _swatch(color: Color) -> NDArray[np.uint8]:
     field = np.array(text_block("", size=_TEXT, width=_TEXT))
-    field[3 : 3 + _TEXT] = colour
+    field[3 : 3 + _TEXT] = color
     return field
 
 
@@ -172,12 +172,12 @@ def uncertainty_picture(sigma_px: FloatArray, *, most_px: float | None = None) -
     if not sigma.size:
         raise ShapeError("the uncertainty has no cells; it must have the size of the scan")
     if most_px is not None:
-        require_positive(most_px, "most_px", most=_MOST_PX, unit="pixels")
+        require_positive(most_px, "most_px", most=_MAX_PX, unit="pixels")
     most = scale_end(sigma) if most_px is None else float(most_px)
     with np.errstate(invalid="ignore"):
         level = np.clip(np.nan_to_num(sigma / np.float32(most), nan=0.0, posinf=1.0, neginf=0.0), 0, 1)
         exceeded = bool((sigma > most).any())
-    picture = np.array(ramp_colours(level))
+    picture = np.array(ramp_colors(level))
     unknown = np.isnan(sigma)
     paint(picture, unknown, UNKNOWN)
     parts = [picture, _scale(most, exceeded="+" if exceeded else "", room=picture.shape[1])]
@@ -200,18 +200,18 @@ def write_uncertainty_png(path: str | Path, sigma_px: FloatArray, *, most_px: fl
 def _scale(most: float, *, exceeded: str, room: int) -> NDArray[np.uint8]:
     """Return the scale bar with its numbers, if possible `room` pixels wide."""
     width = int(np.clip(room - 2 * _MARGIN, *_BAR_WIDTHS))
-    bar = np.array(ramp_colours(np.tile(np.linspace(0, 1, width), (_BAR_HEIGHT, 1))))
+    bar = np.array(ramp_colors(np.tile(np.linspace(0, 1, width), (_BAR_HEIGHT, 1))))
     field = 56
     full = np.full((round(_TEXT * 1.36), width + field, 3), BACKGROUND, dtype=np.uint8)
     for tick in range(_TICKS + 1):
         at = round(tick * (width - 1) / _TICKS)
         label = f"{tick * most / _TICKS:.4g}{exceeded if tick == _TICKS else ''}"
-        number = text_block(label, size=_TEXT, width=field, align="centre", colour=INK)
+        number = text_block(label, size=_TEXT, width=field, align="centre", color=INK)
         # Neighbouring fields may overlap on a narrow bar; the lighter pixel wins, so that no number is clipped.
         part = full[:, at : at + field]
         np.maximum(part, number[:, : part.shape[1]], out=part)
         bar[-4:, min(at, width - 1)] = INK
-    title = text_block("standard deviation of the registered image, pixels", size=_TEXT, colour=DIM)
+    title = text_block("standard deviation of the registered image, pixels", size=_TEXT, color=DIM)
     return stacked(
         [
             padded(bar, top=_MARGIN, left=field // 2, bottom=4),

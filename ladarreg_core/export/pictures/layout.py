@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.errors import DependencyError
 from ladarreg_core.foundations.arrays import ByteArray
-from ladarreg_core.foundations.palette import BACKGROUND, INK, Colour
+from ladarreg_core.foundations.palette import BACKGROUND, INK, Color
 
 if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont
@@ -83,8 +83,8 @@ def text_block(
     size: int,
     width: int | None = None,
     lines: int = 1,
-    colour: Colour = INK,
-    ground: Colour = BACKGROUND,
+    color: Color = INK,
+    ground: Color = BACKGROUND,
     weight: float = 0.0,
     align: Align = "left",
 ) -> NDArray[np.uint8]:
@@ -116,18 +116,18 @@ def text_block(
         # Aligned at the baseline, not the bounding box, so that neighbouring blocks line up.
         y = height * number + height * 0.74
         for shift in (0.0, weight) if weight else (0.0,):
-            draw.text((x + shift, y), row, font=font, fill=colour, anchor="ls")
+            draw.text((x + shift, y), row, font=font, fill=color, anchor="ls")
     return np.array(image, dtype=np.uint8)
 
 
-def chip(text: str, *, size: int, colour: Colour, ground: Colour, under: Colour) -> NDArray[np.uint8]:
+def chip(text: str, *, size: int, color: Color, ground: Color, under: Color) -> NDArray[np.uint8]:
     """Return a badge: a text in a rounded box with a border of the same colour."""
-    words = text_block(text, size=size, colour=colour, ground=ground, weight=0.4)
-    return boxed(words, pad=(round(size * 0.14), round(size * 0.6)), ground=ground, line=colour, under=under, radius=8)
+    words = text_block(text, size=size, color=color, ground=ground, weight=0.4)
+    return boxed(words, pad=(round(size * 0.14), round(size * 0.6)), ground=ground, line=color, under=under, radius=8)
 
 
 def boxed(
-    block: ByteArray, *, pad: tuple[int, int], ground: Colour, line: Colour, under: Colour, radius: int
+    block: ByteArray, *, pad: tuple[int, int], ground: Color, line: Color, under: Color, radius: int
 ) -> NDArray[np.uint8]:
     """Return a block in a box with rounded corners and `pad` pixels (vertical, horizontal) of padding."""
     result = padded(block, top=pad[0], bottom=pad[0], left=pad[1], right=pad[1], ground=ground)
@@ -154,7 +154,7 @@ def boxed(
 
 
 def padded(
-    block: ByteArray, *, top: int = 0, bottom: int = 0, left: int = 0, right: int = 0, ground: Colour = BACKGROUND
+    block: ByteArray, *, top: int = 0, bottom: int = 0, left: int = 0, right: int = 0, ground: Color = BACKGROUND
 ) -> NDArray[np.uint8]:
     """Return a block with margins."""
     how = cv2.BORDER_CONSTANT
@@ -166,7 +166,7 @@ def placed(
     *,
     width: int,
     height: int,
-    ground: Colour = BACKGROUND,
+    ground: Color = BACKGROUND,
     align: Align = "centre",
     at_top: float = 0.5,
 ) -> NDArray[np.uint8]:
@@ -179,14 +179,14 @@ def placed(
     )
 
 
-def stacked(blocks: Sequence[ByteArray], *, gap: int = 0, ground: Colour = BACKGROUND) -> NDArray[np.uint8]:
+def stacked(blocks: Sequence[ByteArray], *, gap: int = 0, ground: Color = BACKGROUND) -> NDArray[np.uint8]:
     """Return blocks one below the other, aligned left."""
     width = max(block.shape[1] for block in blocks)
     rows = [padded(b, right=width - b.shape[1], bottom=gap, ground=ground) for b in blocks[:-1]]
     return np.concatenate([*rows, padded(blocks[-1], right=width - blocks[-1].shape[1], ground=ground)])
 
 
-def beside(blocks: Sequence[ByteArray], *, gap: int = 0, ground: Colour = BACKGROUND) -> NDArray[np.uint8]:
+def beside(blocks: Sequence[ByteArray], *, gap: int = 0, ground: Color = BACKGROUND) -> NDArray[np.uint8]:
     """Return blocks side by side, aligned at the top."""
     height = max(block.shape[0] for block in blocks)
     columns = [padded(b, bottom=height - b.shape[0], right=gap, ground=ground) for b in blocks[:-1]]
@@ -207,11 +207,11 @@ def resized(picture: ByteArray, size: tuple[int, int]) -> NDArray[np.uint8]:
     return np.asarray(cv2.resize(picture, size, interpolation=how), dtype=np.uint8)
 
 
-def framed(picture: ByteArray, colour: Colour, *, thickness: int = 2) -> NDArray[np.uint8]:
+def framed(picture: ByteArray, color: Color, *, thickness: int = 2) -> NDArray[np.uint8]:
     """Return an image with a frame drawn over its outermost pixels."""
     result = np.array(picture, dtype=np.uint8)
     for side in (np.s_[:thickness], np.s_[-thickness:], np.s_[:, :thickness], np.s_[:, -thickness:]):
-        result[side] = colour
+        result[side] = color
     return result
 
 

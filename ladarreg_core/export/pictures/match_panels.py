@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.export.pictures.layout import resized
-from ladarreg_core.foundations.palette import BACKGROUND, BAD, OK, Colour
+from ladarreg_core.foundations.palette import BACKGROUND, BAD, OK, Color
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 
@@ -63,21 +63,21 @@ def match_panel(
         step = np.where(length > _LONGEST_LINE_PX, step * (_LONGEST_LINE_PX / length), step)
     radius = 4.0 if len(at) <= _MANY_MATCHES else 2.6
     near = np.isfinite(at).all(axis=-1) & (np.abs(at) < 4 * max(size)).all(axis=-1)
-    for chosen, colour in ((~result.inliers, BAD), (result.inliers, OK)):
+    for chosen, color in ((~result.inliers, BAD), (result.inliers, OK)):
         for k in np.flatnonzero(chosen & near):
-            _draw(panel, at[k], at[k] + step[k], radius, colour)
+            _draw(panel, at[k], at[k] + step[k], radius, color)
     return panel
 
 
 def _draw(
-    panel: NDArray[np.uint8], start: NDArray[np.float64], end: NDArray[np.float64], radius: float, colour: Colour
+    panel: NDArray[np.uint8], start: NDArray[np.float64], end: NDArray[np.float64], radius: float, color: Color
 ) -> None:
     here = _fixed(start)
     if np.isfinite(end).all():
         cv2.line(panel, here, _fixed(end), BACKGROUND, 4, cv2.LINE_AA, _SHIFT)
-        cv2.line(panel, here, _fixed(end), colour, 2, cv2.LINE_AA, _SHIFT)
+        cv2.line(panel, here, _fixed(end), color, 2, cv2.LINE_AA, _SHIFT)
     cv2.circle(panel, here, round((radius + 1.3) * 2**_SHIFT), BACKGROUND, -1, cv2.LINE_AA, _SHIFT)
-    cv2.circle(panel, here, round(radius * 2**_SHIFT), colour, -1, cv2.LINE_AA, _SHIFT)
+    cv2.circle(panel, here, round(radius * 2**_SHIFT), color, -1, cv2.LINE_AA, _SHIFT)
 
 
 def _fixed(point: NDArray[np.float64]) -> tuple[int, int]:

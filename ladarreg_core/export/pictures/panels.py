@@ -21,12 +21,12 @@ from ladarreg_core.foundations.palette import (
     OK_GROUND,
     WARN,
     WARN_GROUND,
-    Colour,
+    Color,
 )
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.registered_texture import intensity_picture
 
-BADGES: dict[str, tuple[Colour, Colour]] = {
+BADGES: dict[str, tuple[Color, Color]] = {
     "accepted": (OK, OK_GROUND),
     "not accepted": (WARN, WARN_GROUND),
     "no pose": (BAD, BAD_GROUND),
@@ -34,7 +34,7 @@ BADGES: dict[str, tuple[Colour, Colour]] = {
 """Ink and ground of a verdict's badge."""
 _MARK_SIZE = 19
 _SHARE_SHOWN = (1.0, 99.0)
-_DARKEST, _BRIGHTEST, _LEAST_CONTRAST = 18.0, 240.0, 12.0
+_DARKEST, _BRIGHTEST, _MIN_CONTRAST = 18.0, 240.0, 12.0
 
 
 def window_aspect(scan: Scan, window: Window) -> float:
@@ -48,18 +48,18 @@ def window_size(scan: Scan, window: Window, width: int, height: int) -> tuple[in
 
 
 def scan_panel(
-    scan: Scan, size: tuple[int, int], windows: Iterable[tuple[Window | None, Colour]] = ()
+    scan: Scan, size: tuple[int, int], windows: Iterable[tuple[Window | None, Color]] = ()
 ) -> NDArray[np.uint8]:
     """Return the scan's intensity in a size (width, height), with the outlines of windows in their colours."""
     picture = framed(resized(intensity_picture(scan), size), LINE)
-    for window, colour in windows:
+    for window, color in windows:
         if window is None or window == whole_window(scan):
             continue
         x, y = size[0] / scan.shape[1], size[1] / scan.shape[0]
         first = (round(window.left * x), round(window.top * y))
         last = (round((window.left + window.width) * x) - 1, round((window.top + window.height) * y) - 1)
         cv2.rectangle(picture, first, last, BACKGROUND, 5)
-        cv2.rectangle(picture, first, last, colour, 2)
+        cv2.rectangle(picture, first, last, color, 2)
     return picture
 
 
@@ -69,7 +69,7 @@ def contrasted(picture: ByteArray) -> NDArray[np.uint8]:
     count[0] = 0
     shown = np.cumsum(count)
     low, high = (float(np.searchsorted(shown, share / 100 * shown[-1])) for share in _SHARE_SHOWN)
-    if high - low < _LEAST_CONTRAST:
+    if high - low < _MIN_CONTRAST:
         return np.array(picture)
     level = (np.arange(256) - low) / (high - low)
     stretched = np.rint(_DARKEST + (_BRIGHTEST - _DARKEST) * np.clip(level, 0, 1)).astype(np.uint8)
@@ -87,14 +87,14 @@ def with_edges(picture: ByteArray, edges: BoolArray) -> NDArray[np.uint8]:
 
 
 def marked(
-    picture: ByteArray, words: str, colours: tuple[Colour, Colour], *, width: int, ground: Colour = BACKGROUND
+    picture: ByteArray, words: str, colors: tuple[Color, Color], *, width: int, ground: Color = BACKGROUND
 ) -> NDArray[np.uint8]:
     """Return an image centred in a field `width` pixels wide, with words in its lower left corner.
 
     Words that do not fit the image are placed over the field next to it, or above.
     """
-    ink, mark_ground = colours
-    text = text_block(words, size=_MARK_SIZE, colour=ink, ground=mark_ground, weight=0.4)
+    ink, mark_ground = colors
+    text = text_block(words, size=_MARK_SIZE, color=ink, ground=mark_ground, weight=0.4)
     mark = padded(text, top=2, bottom=2, left=10, right=10, ground=mark_ground)
     if picture.shape[1] >= mark.shape[1] + 20 and picture.shape[0] >= mark.shape[0] + 20:
         picture = with_mark(picture, mark)

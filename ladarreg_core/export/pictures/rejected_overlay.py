@@ -18,7 +18,7 @@ from ladarreg_core.scan import Scan
 
 _WATERMARK = "REFUSED"
 _LARGEST_PX, _TEXT = 1600, 16
-_MOST_DRAWN_CELLS = 4_000_000
+_MAX_DRAWN_CELLS = 4_000_000
 _GUESS = "Refused: the scan's edges (blue) at the rejected guess. This is no registration."
 _NO_GUESS = "Refused: no pose was found, so the photograph is shown alone. This is no registration."
 
@@ -39,12 +39,12 @@ def rejected_overlay(scan: Scan, photo: Photo, result: PoseResult) -> NDArray[np
     width, height = fit_size(camera.width / camera.height, width=largest, height=largest)
     picture = resized(photo.pixels, (width, height))
     if result.has_pose:
-        drawn, _ = scan.thinned(_MOST_DRAWN_CELLS)
+        drawn, _ = scan.thinned(_MAX_DRAWN_CELLS)
         edges = scan_over_photo(drawn, camera.resized(width, height), result.camera_from_scanner, "edges")
         alpha = edges[..., 3:].astype(np.float32) / 255
         picture = np.rint(picture * (1 - alpha) + edges[..., :3] * alpha).astype(np.uint8)
     marked = watermarked(picture, _WATERMARK, BAD)
-    caption = text_block(_GUESS if result.has_pose else _NO_GUESS, size=_TEXT, colour=BAD, width=max(width - 16, 200))
+    caption = text_block(_GUESS if result.has_pose else _NO_GUESS, size=_TEXT, color=BAD, width=max(width - 16, 200))
     return stacked([marked, padded(caption, top=6, bottom=8, left=8)])
 
 

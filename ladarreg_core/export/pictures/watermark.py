@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.foundations.arrays import ByteArray
-from ladarreg_core.foundations.palette import Colour
+from ladarreg_core.foundations.palette import Color
 
 _FONT = cv2.FONT_HERSHEY_DUPLEX
 _SHARE = 0.86  # of the picture's diagonal that the words take
@@ -16,7 +16,7 @@ _OPACITY, _OUTLINE_OPACITY = 0.72, 0.6
 _PX_PER_LINE = 420  # a tall picture bears the words several times, so that a part of it bears them, too
 
 
-def watermarked(picture: ByteArray, words: str, colour: Colour) -> NDArray[np.uint8]:
+def watermarked(picture: ByteArray, words: str, color: Color) -> NDArray[np.uint8]:
     """Return a picture with large words written diagonally across it; its size stays.
 
     Args:
@@ -31,7 +31,7 @@ def watermarked(picture: ByteArray, words: str, colour: Colour) -> NDArray[np.ui
         _write(words, (width, height / lines), (width / 2, (k + 0.5) * height / lines), outline, letters)
     ground = picture.astype(np.float32) * (1 - _OUTLINE_OPACITY * outline[..., None])
     ink = _OPACITY * letters[..., None]
-    found: NDArray[np.uint8] = np.rint(ground * (1 - ink) + np.array(colour, np.float32) * ink).astype(np.uint8)
+    found: NDArray[np.uint8] = np.rint(ground * (1 - ink) + np.array(color, np.float32) * ink).astype(np.uint8)
     return found
 
 

@@ -19,10 +19,10 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.registered_texture import intensity_picture
 
 _PANEL_PX = 300
-_LEAST_HALF_PX, _LEAST_HALF_CELLS, _WIDEST_SHARE = 40.0, 12.0, 0.25
+_MIN_HALF_PX, _MIN_HALF_CELLS, _WIDEST_SHARE = 40.0, 12.0, 0.25
 _RESIDUALS_ACROSS = 5.0
 _NEAREST_FROM = 9
-_MOST_OUTLIERS = 3
+_MAX_OUTLIERS = 3
 _LINE_POINTS = 17
 _OBSERVED, _PREDICTED, _DRAWN, _HALO = "#ffd34d", "#5cc8ff", "#ffffff", "#0f1115"
 
@@ -56,7 +56,7 @@ def worst_matches(result: PoseResult, *, most: int) -> list[WorstMatch]:
     found.sort(key=lambda match: (-float(length[match.end]), match.end))
     outliers = [match for match in found if not result.inliers[match.end]]
     inliers = [match for match in found if result.inliers[match.end]]
-    dropped = outliers[: min(_MOST_OUTLIERS, most)]
+    dropped = outliers[: min(_MAX_OUTLIERS, most)]
     return dropped + inliers[: most - len(dropped)]
 
 
@@ -68,7 +68,7 @@ def match_crops(scan: Scan, photo: Photo, result: PoseResult, matches: Sequence[
     intensity, crops = intensity_picture(scan), []
     for match in matches:
         residual = float(np.linalg.norm(result.residuals_px[match.end]))
-        half = max(_LEAST_HALF_PX, _RESIDUALS_ACROSS * residual / 2)
+        half = max(_MIN_HALF_PX, _RESIDUALS_ACROSS * residual / 2)
         half = min(half, _WIDEST_SHARE * max(photo.camera.size))
         in_scan = _scan_crop(scan, intensity, result, match, half / result.camera.focal_px)
         crops.append((in_scan, _photo_crop(photo, result, match, half)))
@@ -83,11 +83,11 @@ def crop_legend() -> Html:
         *(
             tag(
                 "span",
-                tag("svg", _ring(8, 8, colour, radius=4), width=16, height=16, aria_hidden="true"),
+                tag("svg", _ring(8, 8, color, radius=4), width=16, height=16, aria_hidden="true"),
                 f" {words}",
                 class_="key",
             )
-            for colour, words in entries
+            for color, words in entries
         ),
         class_="keys",
     )
@@ -99,7 +99,7 @@ def _photo_crop(photo: Photo, result: PoseResult, match: WorstMatch, half: float
     view = _Crop(centre, np.array([half, half]))
     marks = [view.line(uv[[match.end, other]]) for other in match.others]
     predicted = centre - result.residuals_px[match.end]
-    marks += [view.line(np.stack([centre, predicted]), colour=_PREDICTED), view.ring(predicted, _PREDICTED)]
+    marks += [view.line(np.stack([centre, predicted]), color=_PREDICTED), view.ring(predicted, _PREDICTED)]
     marks.append(view.ring(centre, _OBSERVED))
     return view.drawn(photo.pixels, marks, label=f"photograph around ({centre[0]:.0f}, {centre[1]:.0f})")
 
@@ -111,7 +111,7 @@ def _scan_crop(scan: Scan, intensity: ByteArray, result: PoseResult, match: Wors
         return tag("p", "outside of the scan's grid", class_="dim")
     steps = np.maximum(np.array(scan.geometry.step_rad)[::-1], 1e-9)  # across, down
     half = half_rad / steps
-    half *= max(1.0, _LEAST_HALF_CELLS / float(half.min()))
+    half *= max(1.0, _MIN_HALF_CELLS / float(half.min()))
     view = _Crop(centre, half)
     marks = []
     for other in match.others:
@@ -138,17 +138,17 @@ class _Crop:
     def at(self, positions: FloatArray) -> NDArray[np.float64]:
         return np.asarray(positions * self._scale + self._shift, dtype=np.float64)
 
-    def line(self, points: FloatArray, *, colour: str = _DRAWN) -> Html:
+    def line(self, points: FloatArray, *, color: str = _DRAWN) -> Html:
         path = " ".join(f"{x:.1f},{y:.1f}" for x, y in self.at(points))
         return tag(
             "g",
             tag("polyline", points=path, fill="none", stroke=_HALO, stroke_width=3.2, stroke_opacity=0.7),
-            tag("polyline", points=path, fill="none", stroke=colour, stroke_width=1.4),
+            tag("polyline", points=path, fill="none", stroke=color, stroke_width=1.4),
         )
 
-    def ring(self, position: FloatArray, colour: str) -> Html:
+    def ring(self, position: FloatArray, color: str) -> Html:
         x, y = self.at(position)
-        return _ring(float(x), float(y), colour, radius=7)
+        return _ring(float(x), float(y), color, radius=7)
 
     def drawn(self, picture: ByteArray, marks: list[Html], *, label: str, contrast: bool = False) -> Html:
         """Return the panel; what lies outside of the image is dark."""
@@ -166,9 +166,9 @@ class _Crop:
         return tag("svg", image, *marks, viewBox=size, role="img", aria_label=label)
 
 
-def _ring(x: float, y: float, colour: str, *, radius: float) -> Html:
+def _ring(x: float, y: float, color: str, *, radius: float) -> Html:
     return tag(
         "g",
         tag("circle", cx=x, cy=y, r=radius, fill="none", stroke=_HALO, stroke_width=3.4, stroke_opacity=0.7),
-        tag("circle", cx=x, cy=y, r=radius, fill="none", stroke=colour, stroke_width=1.6),
+        tag("circle", cx=x, cy=y, r=radius, fill="none", stroke=color, stroke_width=1.6),
     )

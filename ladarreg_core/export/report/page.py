@@ -31,9 +31,9 @@ from ladarreg_core.storage.atomic_write import write_bytes
 from ladarreg_core.storage.checksums import sealed_page
 from ladarreg_core.surface.texture.registered_texture import RegisteredTexture
 
-_MOST_WORST = 6
-_MOST_DRAWN_CELLS = 4_000_000
-_MOST_SIGMA_RAD = 0.5
+_MAX_WORST = 6
+_MAX_DRAWN_CELLS = 4_000_000
+_MAX_SIGMA_RAD = 0.5
 _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")
 _UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "width": "px", "height": "px"}
 
@@ -104,7 +104,7 @@ class _Report:
         self._r = registration
         self._scan, self._photo, self._document = scan, photo, document
         # What is drawn of a large scan is reduced to the size of a page anyway.
-        self._drawn, stride = scan.thinned(_MOST_DRAWN_CELLS)
+        self._drawn, stride = scan.thinned(_MAX_DRAWN_CELLS)
         if texture is not None and stride > 1:
             texture = RegisteredTexture(texture.image[::stride, ::stride], texture.labels[::stride, ::stride])
         self._given = registration.evidence == "given"
@@ -124,7 +124,7 @@ class _Report:
         if not r.inliers.any() or not np.isfinite(r.covariance).all():
             return False
         return bool(
-            r.sigma_angle_rad < _MOST_SIGMA_RAD
+            r.sigma_angle_rad < _MAX_SIGMA_RAD
             and r.sigma_position_m < float(np.median(self._scan.ranges[self._scan.valid]))
         )
 
@@ -315,7 +315,7 @@ class _Report:
             ),
             legend_of_points(),
         ]
-        worst = worst_matches(self._r, most=_MOST_WORST)
+        worst = worst_matches(self._r, most=_MAX_WORST)
         if worst:
             crops = match_crops(self._drawn, self._photo, self._r, worst)
             parts += [

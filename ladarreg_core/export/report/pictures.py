@@ -65,7 +65,7 @@ class ReportPictures:
         return registered_texture(self._scan, self._photo, self._result)
 
     @cached_property
-    def _coloured(self) -> ByteArray:
+    def _colored(self) -> ByteArray:
         """The texture of the coloured model, as the workbench shows it."""
         return model_texture(
             self._scan, "colour", photo=self._photo, result=self._result, registered=self._texture
@@ -91,7 +91,7 @@ class ReportPictures:
     def registered(self) -> str:
         """Return the photograph on the scan's grid, where it is seen."""
         size = window_size(self._scan, self._tile, _HALF, _TALLEST)
-        picture = self._coloured[self._tile.cells]
+        picture = self._colored[self._tile.cells]
         return self._with_mark(framed(resized(picture, size), LINE))
 
     def detail(self) -> tuple[str, str] | None:
@@ -102,7 +102,7 @@ class ReportPictures:
         size = window_size(self._scan, window, _HALF, round(_HALF / DETAIL_ASPECT * 1.2))
         edges = edge_lines(self._scan, window, size)
         before = resized(contrasted(intensity_picture(self._scan)[window.cells]), size)
-        after = with_edges(resized(self._coloured[window.cells], size), edges)
+        after = with_edges(resized(self._colored[window.cells], size), edges)
         return photograph_uri(framed(before, LINE)), self._with_mark(framed(after, LINE))
 
     def overlay(self) -> str:
@@ -182,11 +182,11 @@ def legend_html(legend: Legend, shares: dict[str, str]) -> Html:
     keys = [
         tag(
             "span",
-            tag("svg", tag("rect", width=12, height=12, fill=as_css(colour)), width=12, height=12, aria_hidden="true"),
+            tag("svg", tag("rect", width=12, height=12, fill=as_css(color)), width=12, height=12, aria_hidden="true"),
             f" {words}{f' ({shares[words]})' if words in shares else ''}",
             class_="key",
         )
-        for colour, words in legend.entries
+        for color, words in legend.entries
     ]
     return tag("div", *parts, tag("p", keys, class_="keys") if keys else "", class_="legend")
 

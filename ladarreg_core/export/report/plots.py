@@ -14,7 +14,7 @@ from ladarreg_core.results import PoseResult
 _WIDTH, _HEIGHT = 340.0, 270.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 46.0, 10.0, 10.0, 38.0
 _INLIER, _OUTLIER, _INK, _FAINT, _BAR = "#1c7a4d", "#b3261e", "#39424f", "#d5dae1", "#9fb4cc"
-_MOST_POINTS = 1500
+_MAX_POINTS = 1500
 _BINS = 24
 _LIMIT_SHARE = 97.0
 _TICKS = (1.0, 2.0, 2.5, 5.0, 10.0)
@@ -81,10 +81,10 @@ def _histogram(length: FloatArray, inliers: BoolArray) -> tuple[Html, str]:
     for k in range(_BINS):
         x, width = plot.x(edges[k]), plot.x(edges[k + 1]) - plot.x(edges[k]) - 1
         base = 0
-        for count, colour in ((int(counts[0][k]), _INLIER), (int(counts[1][k]), _OUTLIER)):
+        for count, color in ((int(counts[0][k]), _INLIER), (int(counts[1][k]), _OUTLIER)):
             if count:
                 top, bottom = plot.y(base + count), plot.y(base)
-                marks.append(tag("rect", x=x, y=top, width=width, height=bottom - top, fill=colour))
+                marks.append(tag("rect", x=x, y=top, width=width, height=bottom - top, fill=color))
             base += count
     beyond = " The last bar also counts longer ones." if (length > limit).any() else ""
     return plot.drawn(marks, "residual, px", "matches, ends counted singly"), f"Lengths of the residuals.{beyond}"
@@ -127,7 +127,7 @@ class _Plot:
 
     def points(self, x: FloatArray, y: FloatArray, inliers: BoolArray) -> list[Html]:
         """Return marks of points, the inliers last; of very many, an even choice."""
-        step = max(1, math.ceil(len(x) / _MOST_POINTS))
+        step = max(1, math.ceil(len(x) / _MAX_POINTS))
         order = [*np.flatnonzero(~inliers)[::step], *np.flatnonzero(inliers)[::step]]
         return [
             tag("circle", cx=self.x(x[k]), cy=self.y(y[k]), r=2.3, fill=_INLIER, fill_opacity=0.75)

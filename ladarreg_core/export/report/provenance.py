@@ -8,8 +8,8 @@ from typing import Any
 from ladarreg_core.foundations.markup import Content, Html, definitions, section, table, tag
 
 Document = Mapping[str, Any]
-_MOST_ADVICE = 3
-_MOST_LENGTHS = 100
+_MAX_ADVICE = 3
+_MAX_LENGTHS = 100
 _GROUPS: Mapping[str, tuple[str, ...]] = {"auto": ("auto",), "manual": ("pose",), "thesis": ("thesis",)}
 """The groups of `RegisterOptions` that the methods use; other methods may use all."""
 _LEVELS = {"good": "ok", "fair": "warn", "poor": "bad"}
@@ -38,7 +38,7 @@ def quality_section(document: Document, *, pose_known: bool) -> Html:
         ]
         parts.append(tag("table", tag("tbody", rows), class_="findings"))
     parts += _lengths(document)
-    advice = list(document.get("advice") or ())[:_MOST_ADVICE]
+    advice = list(document.get("advice") or ())[:_MAX_ADVICE]
     if advice and pose_known:
         parts += [
             tag("h3", "Where another match would help most"),
@@ -71,7 +71,7 @@ def _lengths(document: Document) -> list[Content]:
             f"{one['tolerance_m']:.3f}",
             "beyond" if one["beyond"] else "" if one["state"] == "compared" else str(one["state"]),
         )
-        for one in listed[:_MOST_LENGTHS]
+        for one in listed[:_MAX_LENGTHS]
     ]
     heads = ("match", "length m", "scan m", "difference m", "tolerance m", "")
     parts: list[Content] = [tag("h3", "Lengths of the matches and the scan's own ranges")]

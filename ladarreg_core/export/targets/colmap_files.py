@@ -50,7 +50,7 @@ class ColmapModel:
     """The photographs."""
     points: FloatArray
     """(P, 3) float64, m."""
-    colours: NDArray[np.uint8]
+    colors: NDArray[np.uint8]
     """(P, 3) RGB."""
     errors_px: FloatArray
     """(P,)."""
@@ -184,7 +184,7 @@ def _rows(model: ColmapModel) -> Iterator[tuple[int, list[tuple[list[float], lis
     """Yield some points at a time: the index of the first, and their coordinates, colours and errors."""
     for first in range(0, len(model.points), _LINES_AT_ONCE):
         part = slice(first, first + _LINES_AT_ONCE)
-        values = (model.points[part].tolist(), model.colours[part].tolist(), model.errors_px[part].tolist())
+        values = (model.points[part].tolist(), model.colors[part].tolist(), model.errors_px[part].tolist())
         yield first, list(zip(*values, strict=True))
 
 

@@ -15,11 +15,11 @@ import numpy as np
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import ExportError, FormatError, LadarregError
 from ladarreg_core.export.e57.colors import (
-    COLOURS,
+    COLORS,
     PLAIN,
     PointPainter,
-    add_colour_fields,
-    colour_limits,
+    add_color_fields,
+    color_limits,
 )
 from ladarreg_core.export.e57.new_file import write_new_scan
 from ladarreg_core.export.e57.nodes import (
@@ -109,7 +109,7 @@ def _index(handed: RegisteredScan) -> int:
 
 
 def _write(path: Path, handed: RegisteredScan, report: Report | None) -> None:
-    handed.compute_colours(report)
+    handed.compute_colors(report)
     source = _source(handed)
     pictures_take = _PICTURE_WEIGHT * len(handed.photos)
     if source is None:
@@ -167,13 +167,13 @@ def _painted(scan: E57Node, file: Any, copy: E57Copy, painter: PointPainter) -> 
     def points(node: E57Node) -> Any:
         if channels is not None:
             return copy.records(node, fill=painter)
-        dropped = [field.name for field in fields_of(node) if field.name in COLOURS]
-        return copy.records(node, lambda made: add_colour_fields(made, file), painter, dropped)
+        dropped = [field.name for field in fields_of(node) if field.name in COLORS]
+        return copy.records(node, lambda made: add_color_fields(made, file), painter, dropped)
 
     if channels is not None and scan.child("colorLimits") is not None:
         return copy.structure(scan, {"points": points})
     made = copy.structure(scan, {"points": points, "colorLimits": None})
-    made.set("colorLimits", colour_limits(file, channels or (PLAIN,) * 3))
+    made.set("colorLimits", color_limits(file, channels or (PLAIN,) * 3))
     return made
 
 

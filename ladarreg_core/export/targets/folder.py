@@ -49,8 +49,8 @@ if TYPE_CHECKING:
 
 FILE_NAMES = REGISTRATION_FILES
 """Files of a results folder; all but the first two are only written for accepted registrations."""
-_MOST_CELLS_TOGETHER = 4_000_000  # of larger scans, the memory matters more than the time
-_MOST_CELLS_AHEAD = 2_000_000
+_MAX_CELLS_TOGETHER = 4_000_000  # of larger scans, the memory matters more than the time
+_MAX_CELLS_AHEAD = 2_000_000
 FileJob = tuple[str, Callable[[Path], None]]
 """File name, with `/` between folders, and the function that writes the file to a path."""
 
@@ -124,7 +124,7 @@ def export_registration(
         apart_from=apart_from,
         more_names=[name for name, _ in more],
         force=force,
-        together=scan.ranges.size <= _MOST_CELLS_TOGETHER,
+        together=scan.ranges.size <= _MAX_CELLS_TOGETHER,
         report=report,
     )
 
@@ -145,7 +145,7 @@ def prepare_export(scan: Scan) -> None:
 
     Of a large scan, nothing is computed, since the memory for both at once matters more.
     """
-    if scan.ranges.size <= _MOST_CELLS_AHEAD:
+    if scan.ranges.size <= _MAX_CELLS_AHEAD:
         occluding_surface(scan)
         intensity_picture(scan)
 

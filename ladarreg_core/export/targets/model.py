@@ -29,13 +29,13 @@ def model_of(handed: RegisteredScan, options: ExportOptions, report: Report | No
     known = _latest.get(handed)
     if known is not None and known[0] == options:
         return known[1]
-    handed.compute_colours(report)
+    handed.compute_colors(report)
     photos = [
         ModelPhoto(one.photo.pixels, one.camera, one.camera_from_scanner, labels)
         for one, labels in zip(handed.photos, handed.photo_labels, strict=True)
     ]
     model = photo_model(
-        handed.scan, photos, handed.colours.photo, full=options.full, crop=options.crop == "photo", report=report
+        handed.scan, photos, handed.colors.photo, full=options.full, crop=options.crop == "photo", report=report
     )
     if not model.parts:
         raise ExportError(

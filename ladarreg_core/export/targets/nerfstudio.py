@@ -41,7 +41,7 @@ _TERMS = 5
 _OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 _STEPS_M = (1.0, 2.0, 5.0)
 _FINEST_STEP_M = 0.001  # nerfstudio's default
-_MOST_STEPS = 65_535
+_MAX_STEPS = 65_535
 _ROWS_AT_ONCE = 256
 _BESIDE_PICTURE_PX = 64
 _CLOUD = "sparse_pc.ply"
@@ -168,7 +168,7 @@ class _DepthMaps:
         farthest = max(self._farthest(each.one) for each in self._written)
         step = _FINEST_STEP_M
         k = 0
-        while farthest > step * _MOST_STEPS:
+        while farthest > step * _MAX_STEPS:
             k += 1
             step = _FINEST_STEP_M * _STEPS_M[k % 3] * 10 ** (k // 3)
         return step
@@ -206,7 +206,7 @@ class _DepthMaps:
         values = np.empty(depth.shape, np.uint16)
         for first in range(0, len(depth), _ROWS_AT_ONCE):
             steps = np.rint(depth[first : first + _ROWS_AT_ONCE] / np.float32(step))
-            values[first : first + _ROWS_AT_ONCE] = np.where(steps <= _MOST_STEPS, steps, 0)
+            values[first : first + _ROWS_AT_ONCE] = np.where(steps <= _MAX_STEPS, steps, 0)
         _write_png(path, values)
 
     def _write_metres(self, path: Path, index: int) -> None:
@@ -247,5 +247,5 @@ def _cloud(handed: RegisteredScan, reconstruction: Reconstruction) -> Iterator[b
     yield "\n".join(header).encode("ascii")
     vertices = np.empty(len(model.points), _VERTEX)
     for k, name in enumerate(_VERTEX.names or ()):
-        vertices[name] = model.points[:, k] if k < 3 else model.colours[:, k - 3]
+        vertices[name] = model.points[:, k] if k < 3 else model.colors[:, k - 3]
     yield vertices.tobytes()

@@ -21,8 +21,8 @@ def ply_files(handed: RegisteredScan, options: ExportOptions, report: Report | N
     ]
 
     def write(path: Path) -> None:
-        handed.compute_colours(report)
-        write_ply(path, handed.scan, handed.colours, frame=handed.frame, comments=comments, report=report)
+        handed.compute_colors(report)
+        write_ply(path, handed.scan, handed.colors, frame=handed.frame, comments=comments, report=report)
 
     jobs: list[FileJob] = [("cloud.ply", write)]
     return jobs if handed.frame.name == "scanner" else [*jobs, (OFFSET_FILE, handed.frame.write)]

@@ -321,8 +321,8 @@ def _recording(
 
 
 def _points(handed: RegisteredScan, report: Report | None) -> Iterator[bytes]:
-    handed.compute_colours(report)
-    scan, texture, height = handed.scan, handed.colours.texture, handed.scan.shape[0]
+    handed.compute_colors(report)
+    scan, texture, height = handed.scan, handed.colors.texture, handed.scan.shape[0]
     levels = dimmed_levels(scan)
     for first in range(0, height, _ROWS_AT_ONCE):
         if report is not None:

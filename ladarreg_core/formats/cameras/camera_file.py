@@ -34,7 +34,7 @@ from ladarreg_core.formats.photos.image_file import image_size
 from ladarreg_core.frames import Rigid
 
 _HEAD_BYTES = 4096
-_MOST_LISTED = 12
+_MAX_LISTED = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,8 +251,8 @@ def _listed(cameras: Sequence[FileCamera]) -> str:
     shown = [
         f"{one_line(each.name or '(no name)', 30)} ({each.camera.width} x {each.camera.height})" for each in cameras
     ]
-    more = [f"{len(shown) - _MOST_LISTED} more"] if len(shown) > _MOST_LISTED else []
-    return ", ".join([*shown[:_MOST_LISTED], *more])
+    more = [f"{len(shown) - _MAX_LISTED} more"] if len(shown) > _MAX_LISTED else []
+    return ", ".join([*shown[:_MAX_LISTED], *more])
 
 
 def write_camera(path: PathLike, camera: CameraModel) -> None:

@@ -30,7 +30,7 @@ from ladarreg_core.frames import Rigid
 
 _LARGEST_BYTES = 8_000_000
 _LARGEST_IMAGES_BYTES = 2_000_000_000
-_MOST_PARAMETERS = 20
+_MAX_PARAMETERS = 20
 _Make = Callable[[int, int, tuple[float, ...]], CameraModel]
 
 
@@ -104,7 +104,7 @@ def sniff_colmap_binary(head: bytes, file: Path) -> bool:
     if not known or not (1 <= width < 1 << 24 and 1 <= height < 1 << 24):
         return False
     smallest = min(24 + 8 * n for _, n in _NUMBERED.values())
-    return bool(8 + smallest * count <= file.stat().st_size <= 8 + (24 + 8 * _MOST_PARAMETERS) * count)
+    return bool(8 + smallest * count <= file.stat().st_size <= 8 + (24 + 8 * _MAX_PARAMETERS) * count)
 
 
 def read_colmap_text(path: Path) -> tuple[FileCamera, ...]:

@@ -30,7 +30,7 @@ _HARMLESS = frozenset(
      "rectificationmatrix", "reprojectionerror", "rms", "rostopic", "sha256", "squaresize", "version")
 )  # fmt: skip
 _LENS_TERM = re.compile(r"(camera\d?)?([kpsb]\d|tau[xy]|xi|alpha|skew|gamma\d?)")
-_MOST_NAMED = 8
+_MAX_NAMED = 8
 
 
 def read_fields(path: Path) -> dict[str, Any]:
@@ -163,8 +163,8 @@ def notes_on_unused(fields: Mapping[str, Any]) -> tuple[str, ...]:
         said.append(one_line(key, 30))
     if not said:
         return ()
-    more = f" and {len(said) - _MOST_NAMED} more" if len(said) > _MOST_NAMED else ""
-    return (f"fields of the camera file that were not used: {', '.join(said[:_MOST_NAMED])}{more}",)
+    more = f" and {len(said) - _MAX_NAMED} more" if len(said) > _MAX_NAMED else ""
+    return (f"fields of the camera file that were not used: {', '.join(said[:_MAX_NAMED])}{more}",)
 
 
 def _plain(name: object) -> str:

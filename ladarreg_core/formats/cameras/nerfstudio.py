@@ -34,8 +34,8 @@ from ladarreg_core.formats.parsing.json_file import number, read_json_object, wh
 from ladarreg_core.formats.parsing.untrusted import one_line
 from ladarreg_core.frames import Rigid
 
-_MOST_FRAMES = 50_000
-_MOST_KINDS = 2_000
+_MAX_FRAMES = 50_000
+_MAX_KINDS = 2_000
 _INTRINSICS = ("camera_model", "w", "h", "fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2",
                "camera_angle_x", "camera_angle_y", "is_fisheye")  # fmt: skip
 _USED = (*_INTRINSICS, "frames", "applied_transform", "applied_scale", "file_path", "transform_matrix")
@@ -60,8 +60,8 @@ def read_nerfstudio(path: Path) -> tuple[FileCamera, ...]:
     """
     fields = read_json_object(path, "transforms.json")
     frames = fields.get("frames") or []
-    if not isinstance(frames, list) or len(frames) > _MOST_FRAMES:
-        raise FormatError(f"'frames' is not a list of at most {_MOST_FRAMES:,} frames; export it again")
+    if not isinstance(frames, list) or len(frames) > _MAX_FRAMES:
+        raise FormatError(f"'frames' is not a list of at most {_MAX_FRAMES:,} frames; export it again")
     shared = {name: fields[name] for name in _INTRINSICS if fields.get(name) is not None}
     undone = _undone(fields)
     first = frames[0] if frames and isinstance(frames[0], Mapping) else {}
@@ -72,8 +72,8 @@ def read_nerfstudio(path: Path) -> tuple[FileCamera, ...]:
             raise FormatError(f"a frame is {one_line(repr(frame), 40)}; it must be an object in braces")
         own = {name: frame[name] for name in _INTRINSICS if frame.get(name) is not None}
         entry = kinds.setdefault(repr(sorted(own.items(), key=str)), ({**shared, **own}, {}))
-        if len(kinds) > _MOST_KINDS:
-            raise FormatError(f"its frames have more than {_MOST_KINDS:,} different intrinsics; split the file")
+        if len(kinds) > _MAX_KINDS:
+            raise FormatError(f"its frames have more than {_MAX_KINDS:,} different intrinsics; split the file")
         entry[1][str(frame.get("file_path") or f"frame {len(entry[1])}")] = _pose_of(frame, undone)
     if not kinds:
         kinds["all"] = (shared, {})

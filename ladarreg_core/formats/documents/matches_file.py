@@ -19,7 +19,7 @@ from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.matches import Pick, PickKind
 from ladarreg_core.scan import Scan
 
-MOST_MATCHES = 5_000
+MAX_MATCHES = 5_000
 """Limit; operators draw some dozens, detectors find some hundreds."""
 _CELL_COLUMNS = ("row", "column")
 _POINT_COLUMNS = ("x", "y", "z")
@@ -133,7 +133,7 @@ def _from_json(file: Path, scan: Scan) -> list[Pick]:
     entries = fields.get("matches")
     if not isinstance(entries, list):
         raise FormatError("the field 'matches' is missing or no list; it must be the list of matches")
-    if len(entries) > MOST_MATCHES:
+    if len(entries) > MAX_MATCHES:
         raise _too_many(f"{len(entries):,}")
     return [_pick(entry, k, side, version) for k, entry in enumerate(entries)]
 
@@ -242,7 +242,7 @@ def _rays_of_cells(cells: FloatArray, scan: Scan, name: str) -> FloatArray:
 
 def _too_many(count: str) -> FormatError:
     return FormatError(
-        f"it contains {count} matches; at most {MOST_MATCHES:,} are read: keep the best ones, well spread"
+        f"it contains {count} matches; at most {MAX_MATCHES:,} are read: keep the best ones, well spread"
     )
 
 
@@ -280,7 +280,7 @@ def csv_rows(file: Path) -> list[list[str]]:
     size = file.stat().st_size
     if size > LARGEST_BYTES:
         raise FormatError(
-            f"it has {size:,} bytes; a matches file has at most {LARGEST_BYTES:,}, and {MOST_MATCHES:,} matches: keep "
+            f"it has {size:,} bytes; a matches file has at most {LARGEST_BYTES:,}, and {MAX_MATCHES:,} matches: keep "
             "the best ones, well spread"
         )
     rows: list[list[str]] = []
@@ -289,8 +289,8 @@ def csv_rows(file: Path) -> list[list[str]]:
             for row in csv.reader(stream):
                 if any(cell.strip() for cell in row):
                     rows.append(row)
-                    if len(rows) == MOST_MATCHES + 2:
-                        raise _too_many(f"more than {MOST_MATCHES:,}")
+                    if len(rows) == MAX_MATCHES + 2:
+                        raise _too_many(f"more than {MAX_MATCHES:,}")
     except UnicodeDecodeError:
         raise FormatError("it is not text; matches are JSON or CSV") from None
     header = [cell.strip().lower() for cell in rows[0]] if rows else []

@@ -10,8 +10,8 @@ from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.parsing.untrusted import PathLike, one_line, reading
 
 _NEEDED, _OPTIONAL = ("scan", "photo"), ("camera", "more", "name")
-_MOST_BYTES = 1 << 20
-_MOST_ROWS = 200
+_MAX_BYTES = 1 << 20
+_MAX_ROWS = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +44,8 @@ def read_rig_table(path: PathLike) -> list[RigRow]:
         FormatError: if a column is missing or unknown, a row is incomplete, repeated or names a file that is not there.
     """
     with reading(path) as file:
-        data = file.read_bytes()[: _MOST_BYTES + 1]
-        if len(data) > _MOST_BYTES:
+        data = file.read_bytes()[: _MAX_BYTES + 1]
+        if len(data) > _MAX_BYTES:
             raise FormatError("it is larger than 1 MB; the table of a rig has a row for each pair")
         try:
             text = data.decode("utf-8-sig")
@@ -68,8 +68,8 @@ def read_rig_table(path: PathLike) -> list[RigRow]:
                 f"its header {found}; it must name scan and photo, once each, and may name {', '.join(_OPTIONAL)}"
             )
         rows = table[1:]
-        if not 1 <= len(rows) <= _MOST_ROWS:
-            raise FormatError(f"it has {len(rows)} pairs; the table of a rig has 2 to {_MOST_ROWS}")
+        if not 1 <= len(rows) <= _MAX_ROWS:
+            raise FormatError(f"it has {len(rows)} pairs; the table of a rig has 2 to {_MAX_ROWS}")
         names: dict[str, int] = {}
         found_rows: list[RigRow] = []
         for number, row in enumerate(rows, 1):

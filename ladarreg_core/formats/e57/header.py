@@ -20,8 +20,8 @@ from ladarreg_core.formats.scans.world_pose import LARGEST_COORDINATE_M
 from ladarreg_core.frames import Rigid
 
 _UNIT_TOLERANCE = 1e-3
-_LEAST_LENGTH = 1e-9
-_LEAST_BITS = 8  # smallest point record
+_MIN_LENGTH = 1e-9
+_MIN_BITS = 8  # smallest point record
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +123,7 @@ def _scan(node: E57Node, index: int, file_bytes: int) -> E57ScanInfo:
     fields = fields_of(points)
     bits = sum(field.bits for field in fields)
     # Constant fields take no bits, but points without any other field are not a scan.
-    if count < 0 or count * max(bits, _LEAST_BITS) / 8 > file_bytes + 1024:
+    if count < 0 or count * max(bits, _MIN_BITS) / 8 > file_bytes + 1024:
         raise FormatError(
             f"scan {index} claims {count:,} points of {bits:.0f} bits, but the whole file has {file_bytes:,} bytes; it "
             "is damaged or malicious"
@@ -189,7 +189,7 @@ def _rotation_and_translation(node: E57Node) -> tuple[list[float], list[float]]:
 def _beyond_repair(quaternion: list[float], translation: list[float]) -> bool:
     length = math.hypot(*quaternion)
     largest = max(map(abs, translation))
-    return not (_LEAST_LENGTH < length < math.inf and largest <= LARGEST_COORDINATE_M)
+    return not (_MIN_LENGTH < length < math.inf and largest <= LARGEST_COORDINATE_M)
 
 
 def _images(root: E57Node, file_bytes: int) -> Iterator[E57ImageInfo]:

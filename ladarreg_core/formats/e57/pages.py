@@ -24,7 +24,7 @@ _WORDS = PAGE_BYTES // 4 - 1
 _POLYNOMIAL = 0x82F63B78  # CRC-32C, reflected
 _PAGES_AT_ONCE = 4096  # a column of words stays in the processor's cache
 _PAGES_OF_A_PART = 16_384
-_MOST_PARTS = 32  # of larger files, parts that are spread evenly are looked at
+_MAX_PARTS = 32  # of larger files, parts that are spread evenly are looked at
 
 
 class E57Pages:
@@ -109,7 +109,7 @@ def require_intact_pages(path: Path) -> str:
     with open(path, "rb") as file:
         count = size // PAGE_BYTES
         parts = -(-count // _PAGES_OF_A_PART)
-        chosen = sorted({round(k) for k in np.linspace(0, parts - 1, min(parts, _MOST_PARTS))})
+        chosen = sorted({round(k) for k in np.linspace(0, parts - 1, min(parts, _MAX_PARTS))})
         wrong, looked, first = 0, 0, 0
         for part in chosen:
             file.seek(part * _PAGES_OF_A_PART * PAGE_BYTES)

@@ -24,7 +24,7 @@ from ladarreg_core.scan import LUMA_NOTE, NO_INTENSITY_NOTE, Scan, luma
 from ladarreg_core.scanner.cloud import moved_pose, where_it_stood
 from ladarreg_core.scanner.grid_order import is_scan_grid
 from ladarreg_core.scanner.gridding import LARGEST_GRID
-from ladarreg_core.scanner.ray_table import MOST_FITTED_CELLS
+from ladarreg_core.scanner.ray_table import MAX_FITTED_CELLS
 
 _CHUNK = 131_072  # arrays of a chunk stay in the processor's cache
 _CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
@@ -32,7 +32,7 @@ _SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
 _COLORS = ("colorRed", "colorGreen", "colorBlue")
 _INDICES = ("rowIndex", "columnIndex")
 _STATES = ("cartesianInvalidState", "sphericalInvalidState", "isIntensityInvalid")
-_LEAST_UNIQUE = 0.6
+_MIN_UNIQUE = 0.6
 _CELLS_PER_POINT = 200
 # Measured peak memory of a read: per point, per field of a point, per point's cell where the grid is full, and per cell
 # of a grid that is mostly empty.
@@ -245,7 +245,7 @@ def _stated(scan: E57ScanInfo) -> list[tuple[str, FloatArray]]:
 
 def _grid_bytes(points: int) -> int:
     """Return the peak memory of reading a full grid of so many points."""
-    fitted = min(points, MOST_FITTED_CELLS)
+    fitted = min(points, MAX_FITTED_CELLS)
     return points * _GRID_CELL_BYTES + fitted * _FIT_CELL_BYTES + min(points, _CHUNK) * _CHUNK_POINT_BYTES
 
 
@@ -316,7 +316,7 @@ def _filled(records: _Records, first: tuple[int, int], shape: tuple[int, int], t
         color = _color_planes(part, scan.color_largest) if with_color else None
         intensity = _strength(part, color, len(cells[0]))
         grid.add(cells[0], cells[1], points, state=state, intensity=intensity, color=color)
-    if grid.filled < _LEAST_UNIQUE * kept:
+    if grid.filled < _MIN_UNIQUE * kept:
         return None
     rows, columns = (slice(low[k] // thin, high[k] // thin + 1) for k in (0, 1))
     if min(high[0] // thin - low[0] // thin, high[1] // thin - low[1] // thin) < 1:

@@ -33,7 +33,7 @@ _INDEX, _DATA, _EMPTY = 0, 1, 2
 _LARGEST_PACKET = 1 << 16
 _DATA_HEADER_BYTES = 6
 _STRIP_BYTES = 4 << 20
-_MOST_AHEAD_BYTES = 256 << 20
+_MAX_AHEAD_BYTES = 256 << 20
 _LOWEST, _HIGHEST = -(2**63), 2**63 - 1
 _STRING_BITS = 8  # at least
 
@@ -119,7 +119,7 @@ def read_records(
     streams = [_Stream(field, number) for number, field in enumerate(fields) if field.name in targets]
     filled = [stream for stream in streams if stream.field.bits]
     packets = _packets(pages, vector, what) if filled else iter(())
-    most_bytes = _MOST_AHEAD_BYTES + size * sum(stream.field.bits for stream in filled) / 8
+    most_bytes = _MAX_AHEAD_BYTES + size * sum(stream.field.bits for stream in filled) / 8
     while done < count:
         some = min(size, count - done)
         while any(stream.ready < some for stream in filled) and (packet := next(packets, None)) is not None:

@@ -29,8 +29,8 @@ _BLOB_HEADER = struct.Struct("<B7xQ")
 _BLOB_SECTION = 0
 _LARGEST_XML = 32 << 20
 _DEEPEST = 64
-_MOST_ELEMENTS = 500_000
-_MOST_CHILDREN = 4_000  # libe57, which writes the copies, compares the names of all of them
+_MAX_ELEMENTS = 500_000
+_MAX_CHILDREN = 4_000  # libe57, which writes the copies, compares the names of all of them
 _SCHEMA_INSTANCE = "http://www.w3.org/2001/XMLSchema-instance"
 _MALICIOUS = "it is malicious or damaged: export it again"
 
@@ -202,7 +202,7 @@ class _Parser:
 
     def start(self, name: str, attributes: dict[str, str]) -> None:
         self._count += 1 + len(attributes)
-        if len(self._open) + 1 > _DEEPEST or self._count > _MOST_ELEMENTS:
+        if len(self._open) + 1 > _DEEPEST or self._count > _MAX_ELEMENTS:
             raise FormatError(
                 f"the E57's XML is nested {len(self._open) + 1} deep with {self._count:,} elements; it is malicious or "
                 "damaged"
@@ -218,9 +218,9 @@ class _Parser:
         node = E57Node(name, attributes)
         if self._open:
             siblings = self._open[-1].children
-            if len(siblings) >= _MOST_CHILDREN:
+            if len(siblings) >= _MAX_CHILDREN:
                 raise FormatError(
-                    f"an element of the E57's XML contains more than {_MOST_CHILDREN:,} others; it is malicious or "
+                    f"an element of the E57's XML contains more than {_MAX_CHILDREN:,} others; it is malicious or "
                     "damaged"
                 )
             siblings.append(node)

@@ -41,7 +41,7 @@ _EXIT_TIMEOUT_S = 5.0
 _PIPE_BYTES = 1 << 20
 _DAMAGED = "the file is probably damaged: copy or export it again"
 _READ_DESCRIPTORS = ("read_scan", "_read_files", "describe")
-_MOST_REMEMBERED = 256
+_MAX_REMEMBERED = 256
 _LONGEST_KEY = 64
 
 log = logging.getLogger(__name__)
@@ -193,7 +193,7 @@ class IsolatedReaders:
             return
         with self._lock:
             self._failures[file] = text
-            while len(self._failures) > _MOST_REMEMBERED:
+            while len(self._failures) > _MAX_REMEMBERED:
                 self._failures.popitem(last=False)
 
     def _refuse_known_failure(self, file: FileState) -> None:
@@ -263,14 +263,14 @@ class _KnownOrigins:
             return [row for known, rows in self._rows.items() if known <= files for row in rows]
 
     def learn(self, files: frozenset[tuple[str, int, int]], rows: Any) -> None:
-        if not files or not isinstance(rows, list) or not 0 < len(rows) <= _MOST_REMEMBERED:
+        if not files or not isinstance(rows, list) or not 0 < len(rows) <= _MAX_REMEMBERED:
             return
         if not all(map(_is_origin, rows)):  # of a process that a file has taken over
             return
         with self._lock:
             self._rows[files] = rows
             self._rows.move_to_end(files)
-            while len(self._rows) > _MOST_REMEMBERED:
+            while len(self._rows) > _MAX_REMEMBERED:
                 self._rows.popitem(last=False)
 
 

@@ -14,10 +14,10 @@ _SECTION, _INTERFACE, _PACKET, _SIMPLE_PACKET, _OLD_PACKET = 0x0A0D0D0A, 1, 6, 3
 _BYTE_ORDER = b"\x1a\x2b\x3c\x4d"
 _LARGEST_PACKET = 1 << 18
 _LARGEST_BLOCK = 1 << 20
-_MOST_INTERFACES = 256
-_MOST_PENDING = 256
+_MAX_INTERFACES = 256
+_MAX_PENDING = 256
 _LARGEST_DATAGRAM = 1 << 16
-_MOST_FRAGMENTS = 256
+_MAX_FRAGMENTS = 256
 _VLAN_TYPES = (0x8100, 0x88A8, 0x9100)
 _IPV4_TYPE, _IPV6_TYPE = 0x0800, 0x86DD
 _UDP = 17
@@ -134,7 +134,7 @@ def _pcapng_packets(stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
         if len(body) < size - 8 - 4 * is_section:
             return
         body = body[:-4]
-        if kind == _INTERFACE and len(body) >= 8 and len(links) < _MOST_INTERFACES:
+        if kind == _INTERFACE and len(body) >= 8 and len(links) < _MAX_INTERFACES:
             links.append(struct.unpack(f"{order}H", body[:2])[0])
         elif kind in (_PACKET, _OLD_PACKET) and len(body) >= 20:
             index = struct.unpack(f"{order}I" if kind == _PACKET else f"{order}H", body[: 4 if kind == _PACKET else 2])[
@@ -188,7 +188,7 @@ def _transport(packet: bytes, pending: dict[bytes, _Pending]) -> tuple[bytes, by
         return source, body
     key = packet[12:20] + packet[4:6]
     joint = pending.setdefault(key, _Pending())
-    if at + len(body) > _LARGEST_DATAGRAM or len(joint.pieces) >= _MOST_FRAGMENTS:
+    if at + len(body) > _LARGEST_DATAGRAM or len(joint.pieces) >= _MAX_FRAGMENTS:
         del pending[key]
         return None
     joint.pieces[at] = body
@@ -198,6 +198,6 @@ def _transport(packet: bytes, pending: dict[bytes, _Pending]) -> tuple[bytes, by
     if whole is not None:
         del pending[key]
         return source, whole
-    if len(pending) > _MOST_PENDING:  # the oldest has lost a fragment
+    if len(pending) > _MAX_PENDING:  # the oldest has lost a fragment
         del pending[next(iter(pending))]
     return None

@@ -25,7 +25,7 @@ _PACKET_HEADER, _PACKET_FOOTER, _COLUMN_HEADER = 32, 32, 12
 _LEGACY_COLUMN_HEADER, _LEGACY_COLUMN_FOOTER = 16, 4
 _LIDAR_PACKET = 1
 _OPEN_FRAMES = 2  # packets of neighbouring frames may arrive in disorder
-_LEAST_SHARE = 0.5
+_MIN_SHARE = 0.5
 _CELL_BYTES = 400
 _OLDEST_PACKETS = 4  # accepted copies of a packet; the network may deliver it twice
 _VELODYNE_BYTES, _VELODYNE_PORT = (1206, 1248), 2368
@@ -101,7 +101,7 @@ def read_frame(
         elif len(frame.columns & needed) > len(fullest.columns & needed):
             fullest, fullest_number = frame, number
     missing = len(needed - fullest.columns)
-    if complete == 0 and scan_index == 0 and missing <= _LEAST_SHARE * len(needed):
+    if complete == 0 and scan_index == 0 and missing <= _MIN_SHARE * len(needed):
         return _assembled(sensor, fullest, fullest_number, missing)
     if complete == 0:
         least = f"the fullest lacks {missing:,} of {len(needed):,} columns"

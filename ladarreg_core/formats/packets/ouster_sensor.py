@@ -16,11 +16,11 @@ from ladarreg_core.formats.parsing.untrusted import one_line
 from ladarreg_core.foundations.arrays import IntArray
 from ladarreg_core.frames import Rigid
 
-_MOST_COLUMNS, _MOST_BEAMS = 4096, 256
+_MAX_COLUMNS, _MAX_BEAMS = 4096, 256
 _GROUPS = (
     "beam_intrinsics", "lidar_intrinsics", "lidar_data_format", "data_format", "sensor_info", "config_params",
 )  # fmt: skip
-_MOST_FILES, _LARGEST_JSON = 200, 4 << 20
+_MAX_FILES, _LARGEST_JSON = 200, 4 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +171,7 @@ def find_sensor_file(recording: Path) -> Path:
         files = sorted(file for file in recording.parent.iterdir() if file.suffix.lower() == ".json" and file.is_file())
     except OSError:
         files = []
-    found = [file for file in files[:_MOST_FILES] if _is_sensor_file(file)]
+    found = [file for file in files[:_MAX_FILES] if _is_sensor_file(file)]
     alike = [file for file in found if file.stem.startswith(recording.stem) or recording.stem.startswith(file.stem)]
     for some in (alike, found):
         if len(some) == 1:
@@ -221,14 +221,14 @@ def read_sensor(path: Path) -> OusterSensor:
         )
     altitude, azimuth = _floats(flat, "beam_altitude_angles"), _floats(flat, "beam_azimuth_angles")
     shifts = _floats(flat, "pixel_shift_by_row", len(altitude))
-    if not 2 <= len(altitude) <= _MOST_BEAMS or len(azimuth) != len(altitude):
+    if not 2 <= len(altitude) <= _MAX_BEAMS or len(azimuth) != len(altitude):
         raise FormatError(
-            f"it has {len(altitude)} altitude and {len(azimuth)} azimuth angles; both must be 2 to {_MOST_BEAMS}"
+            f"it has {len(altitude)} altitude and {len(azimuth)} azimuth angles; both must be 2 to {_MAX_BEAMS}"
         )
     columns, per_packet = (whole_number(flat, name, least=1) for name in ("columns_per_frame", "columns_per_packet"))
-    if columns > _MOST_COLUMNS or per_packet > columns:
+    if columns > _MAX_COLUMNS or per_packet > columns:
         raise FormatError(
-            f"it claims {columns} columns in packets of {per_packet}; at most {_MOST_COLUMNS} are possible"
+            f"it claims {columns} columns in packets of {per_packet}; at most {_MAX_COLUMNS} are possible"
         )
     if whole_number(flat, "pixels_per_column", len(altitude)) != len(altitude) or np.abs(shifts).max() > columns:
         raise FormatError("its pixels per column or their shifts do not fit its beams; the file is damaged")

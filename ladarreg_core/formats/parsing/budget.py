@@ -17,7 +17,7 @@ BYTES_PER_FILE_BYTE = 96
 the file, and 200 to 400 while it is gridded."""
 ALWAYS_CELLS = 2_000_000
 """Grids of up to this many cells are accepted from files of any size: a scan may be nearly empty."""
-LEAST_CELLS = 4096
+MIN_CELLS = 4096
 """Smallest grid that a cloud is thinned to."""
 CELLS_PER_BYTE = 2
 """Largest number of cells per byte of file for larger grids."""
@@ -60,7 +60,7 @@ class ReadBudget:
 
     def cells_that_fit(self, bytes_per_cell: float, *, besides_bytes: float) -> int:
         """Return the number of cells that fit besides data of a given size; finer grids are thinned to it."""
-        return max(LEAST_CELLS, min(self.most_cells, int((self.limit_bytes - besides_bytes) / bytes_per_cell)))
+        return max(MIN_CELLS, min(self.most_cells, int((self.limit_bytes - besides_bytes) / bytes_per_cell)))
 
     def require(self, needed_bytes: float, what: str) -> None:
         """Refuse a read that needs more memory than it may use.

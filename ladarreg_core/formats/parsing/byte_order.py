@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from ladarreg_core.errors import FormatError
 
 _FEWEST_PAIRS = 1000
-_MOST_ROWS = 200
+_MAX_ROWS = 200
 _SMOOTHER = 4.0
-_MOST_OF_A_LADAR = 4095
+_MAX_OF_A_LADAR = 4095
 
 
 def require_byte_order(counts: NDArray[Any], swapped: NDArray[Any], *, what: str, wanted: str) -> None:
@@ -33,7 +33,7 @@ def require_byte_order(counts: NDArray[Any], swapped: NDArray[Any], *, what: str
     here, there = _roughness(counts), _roughness(swapped)
     if here is None or there is None:
         return
-    too_large = counts.max() > _MOST_OF_A_LADAR >= swapped.max()
+    too_large = counts.max() > _MAX_OF_A_LADAR >= swapped.max()
     if here > _SMOOTHER * there or (too_large and here > there):
         raise FormatError(
             f"{what} reach {int(counts.max()):,} and look like noise; in the other byte order they reach "
@@ -43,7 +43,7 @@ def require_byte_order(counts: NDArray[Any], swapped: NDArray[Any], *, what: str
 
 def _roughness(counts: NDArray[Any]) -> float | None:
     """Return the median step from column to column against the spread of the counts; None if there are too few."""
-    rows = counts[:: max(1, len(counts) // _MOST_ROWS)].astype(np.float64)
+    rows = counts[:: max(1, len(counts) // _MAX_ROWS)].astype(np.float64)
     left, right = rows[:, :-1], rows[:, 1:]
     both = (left > 0) & (right > 0)
     if both.sum() < _FEWEST_PAIRS:

@@ -10,7 +10,7 @@ from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.parsing.untrusted import one_line
 
 _DEEPEST = 30
-_MOST_ELEMENTS = 400_000
+_MAX_ELEMENTS = 400_000
 
 
 def read_xml(path: Path, longest_bytes: int, what: str) -> ElementTree.Element:
@@ -35,7 +35,7 @@ def _check(data: bytes, what: str) -> None:
         nonlocal depth, count
         depth += 1
         count += 1 + len(attributes)
-        if depth > _DEEPEST or count > _MOST_ELEMENTS:
+        if depth > _DEEPEST or count > _MAX_ELEMENTS:
             raise FormatError(f"its XML is nested too deeply or has too many elements for {what}; give the right file")
 
     def end(name: str) -> None:

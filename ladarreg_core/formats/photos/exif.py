@@ -26,7 +26,7 @@ _DIGITAL_ZOOM = 0xA404
 _DIGITAL_ZOOMS = (1.01, 20.0)
 _SENSORS = (4 / 3, 3 / 2)
 _SAME_SENSOR = 0.02
-_LEAST_CROP_OF_PHONES = 3.0  # 35 mm equivalent over focal length; 2.7 is a compact camera's 1-inch sensor
+_MIN_CROP_OF_PHONES = 3.0  # 35 mm equivalent over focal length; 2.7 is a compact camera's 1-inch sensor
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +97,7 @@ def _by_equivalent(film_mm: float, tags: Mapping[int, Any], width: int, height: 
     found = [own]
     longer, shorter = max(width, height), min(width, height)
     if all(abs(longer / shorter / shape - 1) > _SAME_SENSOR for shape in _SENSORS):
-        sensors = _SENSORS if (focal_mm_of(tags) or 0) * _LEAST_CROP_OF_PHONES < film_mm else _SENSORS[::-1]
+        sensors = _SENSORS if (focal_mm_of(tags) or 0) * _MIN_CROP_OF_PHONES < film_mm else _SENSORS[::-1]
         whole = []
         for shape in sensors:
             size = (longer, longer / shape) if longer / shorter > shape else (shorter * shape, shorter)

@@ -20,7 +20,7 @@ _NAMESPACE = b"http://ns.google.com/photos/1.0/panorama/"
 _PREFIX = re.compile(rb"xmlns:([A-Za-z_][\w.-]{0,30})\s*=\s*[\"']" + re.escape(_NAMESPACE))
 _LARGEST_XMP = 1 << 20
 _SAME_SHAPE = 0.01
-_MOST_PIXELS = 1e9
+_MAX_PIXELS = 1e9
 _SIZES = {
     "full_width": "FullPanoWidthPixels",
     "full_height": "FullPanoHeightPixels",
@@ -32,7 +32,7 @@ _SIZES = {
 WHICH_CAMERA = "the picture looks like an equirectangular panorama: if it is one, give `camera_model='equirectangular'`"
 """Advice on a picture that looks like a panorama."""
 _SEAM_OF_STEP = 3.0
-_LEAST_SEAM = 1.0
+_MIN_SEAM = 1.0
 
 
 def panorama_of_xmp(xmp: bytes, width: int, height: int) -> EquirectangularCamera | None:
@@ -104,7 +104,7 @@ def looks_like_panorama(pixels: NDArray[Any]) -> bool:
     columns = pixels[rows][:, [0, 1, -2, -1]].astype(np.float64).reshape(rows.stop - rows.start, 4, -1)
     seam = float(np.abs(columns[:, 0] - columns[:, 3]).mean())
     beside = float((np.abs(columns[:, 0] - columns[:, 1]).mean() + np.abs(columns[:, 2] - columns[:, 3]).mean()) / 2)
-    if seam > _SEAM_OF_STEP * beside + _LEAST_SEAM:
+    if seam > _SEAM_OF_STEP * beside + _MIN_SEAM:
         return False
     top, middle = (float(pixels[row].astype(np.float64).std(axis=0).mean()) for row in (0, height // 2))
     return top < middle
@@ -143,7 +143,7 @@ def _pixels(text: str | None) -> float | None:
         value = float(text)
     except ValueError:
         return math.nan
-    return value if abs(value) <= _MOST_PIXELS else math.nan
+    return value if abs(value) <= _MAX_PIXELS else math.nan
 
 
 def _window(stated: dict[str, float | None], width: int, height: int) -> tuple[float, float, float, float]:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 # Only decoders that run inside this process: others start external programs on the file's content.
 _PIL_FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "PPM", "GIF", "JPEG2000", "AVIF")
-_MOST_PASSED = 200_000_000  # pixels times passes of a JPEG that are accepted from a file of any size
+_MAX_PASSED = 200_000_000  # pixels times passes of a JPEG that are accepted from a file of any size
 _BAND_PIXELS = 4_000_000
 # Measured peak memory per pixel of a read, from the file to a photograph or a channel of a scan.
 _BYTES_PER_PIXEL = {"L": 8.0, "RGB": 9.5, "1": 8.0, "F": 26.0, "I": 26.0}
@@ -239,7 +239,7 @@ def _check_size(image: Image, path: Path, budget: ReadBudget) -> None:
         needed = max(needed, 4.3 + _COEFFICIENT_BYTES * len(image.getbands()))
     budget.require_pixels(width, height, needed)
     passed = width * height * _passes_of(image, path)
-    if passed > max(_MOST_PASSED, PIXELS_PER_BYTE * budget.file_bytes):
+    if passed > max(_MAX_PASSED, PIXELS_PER_BYTE * budget.file_bytes):
         raise FormatError(
             f"the JPEG of {width:,} x {height:,} pixels has {passed // (width * height):,} passes in "
             f"{budget.file_bytes:,} bytes; it is damaged or malicious: export it again"

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from ladarreg_core.errors import FormatError
 
-_MOST_SEGMENTS = 2000
-_LEAST_DJI_BYTES = 100_000  # of raw temperatures: 640 x 512 pixels take 655,360
+_MAX_SEGMENTS = 2000
+_MIN_DJI_BYTES = 100_000  # of raw temperatures: 640 x 512 pixels take 655,360
 _FLIR, _DJI = "FLIR", "DJI"
 
 
@@ -26,7 +26,7 @@ def radiometric_maker(path: Path) -> str | None:
     with open(path, "rb") as stream:
         if stream.read(2) != b"\xff\xd8":
             return None
-        for _ in range(_MOST_SEGMENTS):
+        for _ in range(_MAX_SEGMENTS):
             head = stream.read(4)
             if len(head) < 4 or head[0] != 0xFF or head[1] in (0xD9, 0xDA):
                 break
@@ -37,7 +37,7 @@ def radiometric_maker(path: Path) -> str | None:
             is_dji = is_dji or (head[1] == 0xE1 and b"DJI" in start)
             dji_bytes += length if head[1] == 0xE3 else 0
             stream.seek(max(length - len(start), 0), 1)
-    return _DJI if is_dji and dji_bytes >= _LEAST_DJI_BYTES else None
+    return _DJI if is_dji and dji_bytes >= _MIN_DJI_BYTES else None
 
 
 def radiometric_kelvin(path: Path, maker: str) -> NDArray[np.float32]:

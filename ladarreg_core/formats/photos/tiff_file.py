@@ -24,9 +24,9 @@ from ladarreg_core.formats.parsing.untrusted import one_line
 from ladarreg_core.thermal import TemperatureUnit
 
 _UNPACKED, _DEFLATED, _PACKBITS = (1,), (8, 32946), (32773,)
-_MOST_SAMPLES = 16
+_MAX_SAMPLES = 16
 _LARGEST_PIXELS = 400_000_000
-_MOST_SEGMENTS = 2_000_000
+_MAX_SEGMENTS = 2_000_000
 _RAW_PHOTOMETRICS = (32803, 34892)  # colour filter array, linear raw
 _DNG_VERSION, _DESCRIPTION, _GDAL_METADATA = 50706, 270, 42112
 _MIN_IS_WHITE, _MIN_IS_BLACK, _RGB, _PALETTE, _SEPARATED = 0, 1, 2, 3, 5
@@ -101,7 +101,7 @@ def tiff_values(path: Path, budget: ReadBudget) -> tuple[NDArray[Any], list[str]
         raise FormatError(
             f"its axes are {one_line(axes, 12)}; an image has rows, columns and colours: export one picture"
         )
-    return _in_colour(values, photometric, colormap)
+    return _in_color(values, photometric, colormap)
 
 
 def _opened(path: Path) -> Any:
@@ -135,10 +135,10 @@ def _is_decodable(page: Any) -> bool:
 def _check(page: Any, stream: BinaryIO, budget: ReadBudget) -> None:
     """Refuse an image whose header claims too much, or whose compressed data exceed what the header claims."""
     width, height, samples = int(page.imagewidth), int(page.imagelength), int(page.samplesperpixel)
-    if not 1 <= width * height <= _LARGEST_PIXELS or int(page.imagedepth) != 1 or not 1 <= samples <= _MOST_SAMPLES:
+    if not 1 <= width * height <= _LARGEST_PIXELS or int(page.imagedepth) != 1 or not 1 <= samples <= _MAX_SAMPLES:
         raise FormatError(
             f"the image claims {width:,} x {height:,} pixels of {samples:,} samples; at most "
-            f"{_LARGEST_PIXELS:,} pixels of {_MOST_SAMPLES} samples are read: scale it down"
+            f"{_LARGEST_PIXELS:,} pixels of {_MAX_SAMPLES} samples are read: scale it down"
         )
     itemsize = page.dtype.itemsize
     budget.require_pixels(width, height, 3 * samples * itemsize + 26.0)
@@ -147,7 +147,7 @@ def _check(page: Any, stream: BinaryIO, budget: ReadBudget) -> None:
         raise FormatError(f"its tiles claim {chunk:,} bytes each, more than the image; it is damaged: export it again")
     offsets, counts = page.dataoffsets, page.databytecounts
     wanted = math.prod(map(int, page.chunked))
-    if len(offsets) != len(counts) or len(offsets) > _MOST_SEGMENTS or len(offsets) < wanted:
+    if len(offsets) != len(counts) or len(offsets) > _MAX_SEGMENTS or len(offsets) < wanted:
         raise FormatError(
             f"it has {len(offsets):,} strips or tiles where {wanted:,} are needed; it is truncated: export it again"
         )
@@ -175,7 +175,7 @@ def _require_inflated(data: bytes, most: int) -> None:
             raise FormatError(f"a strip holds more than the {most:,} bytes that it may; it is damaged: export it again")
 
 
-def _in_colour(values: NDArray[Any], photometric: int, colormap: Any) -> tuple[NDArray[Any], list[str]]:
+def _in_color(values: NDArray[Any], photometric: int, colormap: Any) -> tuple[NDArray[Any], list[str]]:
     notes: list[str] = []
     if values.dtype.kind == "f" or values.dtype.itemsize > 4:
         with np.errstate(over="ignore"):

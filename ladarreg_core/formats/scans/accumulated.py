@@ -14,7 +14,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.accumulation import OneCloud, accumulate
 
-_MOST_TURNED_RAD, _MOST_MOVED_M = np.radians(0.5), 0.1
+_MAX_TURNED_RAD, _MAX_MOVED_M = np.radians(0.5), 0.1
 _POINT_BYTES = 48
 
 
@@ -79,7 +79,7 @@ def _require_one_place(file: Path, here: Rigid | None, first_file: Path, there: 
         return
     one, two = (Rigid.identity() if pose is None else pose for pose in (here, there))
     moved, turned = one.translation - two.translation, one.angle_to(two)
-    if turned > _MOST_TURNED_RAD or np.linalg.norm(moved) > _MOST_MOVED_M:
+    if turned > _MAX_TURNED_RAD or np.linalg.norm(moved) > _MAX_MOVED_M:
         raise FormatError(
             f"{file.name} places the scanner {np.linalg.norm(moved):.2f} m and {np.degrees(turned):.1f} degrees from "
             f"where {first_file.name} does; accumulate clouds of one standpoint only"

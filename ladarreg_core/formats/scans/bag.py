@@ -33,10 +33,10 @@ _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _METADATA_KEY = b"rosbag2_bagfile_information:"
 _CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
-_MOST_FIELDS = 256
+_MAX_FIELDS = 256
 _LARGEST_CHUNK = 1 << 28  # writers make chunks of 1 to some 10 MB
 _LARGEST_METADATA = 1 << 20
-_MOST_LISTED = 8
+_MAX_LISTED = 8
 _FIXED_FRAMES = ("map", "odom", "world", "earth", "camera_init")  # in which clouds are no longer the scanner's
 
 
@@ -180,8 +180,8 @@ def _records(cloud: Any, height: int, width: int) -> NDArray[Any]:
     step, data = int(cloud.point_step), np.ascontiguousarray(cloud.data, dtype=np.uint8)
     row_step = int(cloud.row_step) if height > 1 else width * step  # of a single row it is often left at zero
     order = ">" if cloud.is_bigendian else "<"
-    if not 1 <= len(cloud.fields) <= _MOST_FIELDS:
-        raise FormatError(f"a cloud has {len(cloud.fields)} fields; it must have 1 to {_MOST_FIELDS}")
+    if not 1 <= len(cloud.fields) <= _MAX_FIELDS:
+        raise FormatError(f"a cloud has {len(cloud.fields)} fields; it must have 1 to {_MAX_FIELDS}")
     names: list[str] = []
     formats: list[Any] = []
     offsets: list[int] = []
@@ -362,7 +362,7 @@ def _topics(recording: _Recording) -> tuple[BagTopic, ...]:
 
 def _chosen(topics: tuple[BagTopic, ...], asked: str | None) -> str:
     """Return the topic that is asked for, or the only one."""
-    listed = ", ".join(_shown(each.name) for each in topics[:_MOST_LISTED])
+    listed = ", ".join(_shown(each.name) for each in topics[:_MAX_LISTED])
     if asked is not None:
         found = next((each.name for each in topics if each.name.strip("/") == asked.strip("/")), None)
         if found is None:

@@ -19,7 +19,7 @@ from ladarreg_core.formats.scans.cloud import most_cells_of, scan_of_cloud
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
 
-_LEAST_POINTS = 12
+_MIN_POINTS = 12
 _FARTHEST_M = 500.0
 _LARGEST_INTENSITY = 65_535.0
 _TINY = 1e-9  # integers read as floating point are smaller
@@ -122,7 +122,7 @@ def _table(data: bytes, columns: int) -> NDArray[np.float32]:
 
 def _plausible(table: NDArray[np.float32]) -> bool:
     """Return whether rows are coordinates, an intensity and, in a fifth column, the number of a ring."""
-    if len(table) < _LEAST_POINTS or not np.isfinite(table).all():
+    if len(table) < _MIN_POINTS or not np.isfinite(table).all():
         return False
     sizes = np.abs(table)
     if sizes[:, :3].max() > _FARTHEST_M or table[:, 3].min() < 0 or table[:, 3].max() > _LARGEST_INTENSITY:
@@ -132,7 +132,7 @@ def _plausible(table: NDArray[np.float32]) -> bool:
     if table.shape[1] == 5 and (table[:, 4].min() < 0 or table[:, 4].max() > 255 or (table[:, 4] % 1).any()):
         return False
     returns = table[sizes[:, :3].max(axis=1) > 0, :3]
-    if len(returns) < _LEAST_POINTS or (table[:, 3] == table[0, 3]).all():
+    if len(returns) < _MIN_POINTS or (table[:, 3] == table[0, 3]).all():
         return False
     # Two axes at least spread over decimetres, on both sides of zero or all on one.
     return bool((np.ptp(returns, axis=0) > 0.1).sum() >= 2)

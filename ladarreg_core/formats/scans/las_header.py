@@ -21,7 +21,7 @@ _WAVEFORMS = (4, 5, 9, 10)
 _HEADER_BYTES = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
 _RECORD_HEADER = 54
 _LONG_RECORD_HEADER = 60
-_MOST_RECORDS = 10_000
+_MAX_RECORDS = 10_000
 _LARGEST_WKT = 1 << 20
 _POINTS_PER_BYTE = 4  # LASzip takes a few bytes per point; constant ones almost none
 _ALWAYS_POINTS = 2_000_000
@@ -96,7 +96,7 @@ def read_las_header(stream: io.BufferedReader, file_bytes: int) -> LasHeader:
     if not all(map(math.isfinite, numbers)) or not all(0 < value < 1e6 for value in numbers[:3]):
         scales = ", ".join(f"{value:.3g}" for value in numbers[:3])
         raise FormatError(f"its scales ({scales}) or bounds are not usable numbers; the LAS header is damaged")
-    if records > min(_MOST_RECORDS, (first_point - header_bytes) // _RECORD_HEADER):
+    if records > min(_MAX_RECORDS, (first_point - header_bytes) // _RECORD_HEADER):
         raise FormatError(f"its header claims {records:,} variable length records, more than fit; it is damaged")
     variable = _variable_records(stream, header_bytes, first_point, records)
     here = file_bytes - first_point
@@ -233,7 +233,7 @@ def _wkt(variable: dict[tuple[str, int], bytes]) -> bytes:
 
 def _long_wkt(stream: io.BufferedReader, at: int, count: int, file_bytes: int) -> bytes:
     """Return the WKT of an extended variable length record behind the points; empty if there is none."""
-    for _ in range(min(count, _MOST_RECORDS)):
+    for _ in range(min(count, _MAX_RECORDS)):
         if not 0 < at <= file_bytes - _LONG_RECORD_HEADER:
             break
         stream.seek(at)

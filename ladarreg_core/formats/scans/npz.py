@@ -48,8 +48,8 @@ SPHERE = ("d_longitude_rad", "d_latitude_rad", "centre_longitude_rad", "top_lati
 _LONGEST_HEADER = 4096
 _PIECE = 1 << 20
 _LONGEST_NOTE = 600
-_MOST_APART_RAD = 5e-3
-_MOST_APART_SHARE = 0.01
+_MAX_APART_RAD = 5e-3
+_MAX_APART_SHARE = 0.01
 # Measured peak memory per cell of a read, beyond the file's arrays.
 _XYZ_BYTES = 330
 _COUNTS_BYTES = 40
@@ -479,10 +479,10 @@ def _on_sphere(xyz: NDArray[Any], grid: SphericalGrid) -> NDArray[np.float32]:
             rays = grid_rays(grid, part, slice(None, None, 4))
             some = there[:, ::4]
             ahead = np.einsum("...k,...k->...", points[:, ::4], rays) / ranges[part][:, ::4]
-        wrong += int((ahead[some] < np.cos(_MOST_APART_RAD)).sum())
+        wrong += int((ahead[some] < np.cos(_MAX_APART_RAD)).sum())
         known += int(some.sum())
         ranges[part][~there] = np.nan
-    if wrong > _MOST_APART_SHARE * known:
+    if wrong > _MAX_APART_SHARE * known:
         raise FormatError(
             f"{100 * wrong / known:.0f} % of the points of 'xyz' are not on the spherical grid that the file states; "
             "leave the grid's scalars out, or correct them"
@@ -505,8 +505,8 @@ def _require_same(points: NDArray[np.float64], ranges: NDArray[np.float64], tabl
     with np.errstate(invalid="ignore"):
         apart = np.linalg.norm(points / ranges[..., None] - table, axis=-1)
     apart = apart[np.isfinite(apart)]
-    share = float(np.mean(apart > _MOST_APART_RAD)) if apart.size else 0.0
-    if share > _MOST_APART_SHARE:
+    share = float(np.mean(apart > _MAX_APART_RAD)) if apart.size else 0.0
+    if share > _MAX_APART_SHARE:
         raise FormatError(
             f"{100 * share:.0f} % of the points of 'xyz' do not lie on their 'rays' (median difference "
             f"{np.degrees(np.median(apart)):.2g} deg); both must be in the scanner's frame"

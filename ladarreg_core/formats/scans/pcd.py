@@ -20,7 +20,7 @@ from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
 
 _LONGEST_HEADER = 1 << 16
-_MOST_FIELDS = 256
+_MAX_FIELDS = 256
 _LARGEST_FIELD = 1 << 16
 _KEYS = ("VERSION", "FIELDS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 # Measured peak memory of a read beyond the file's data: per point with its cell, per point alone, and per cell of a
@@ -129,8 +129,8 @@ def _read_header(stream: io.BufferedReader) -> _Header:
             raise FormatError(f"the PCD header has the line {one_line(line.decode('latin-1'), 60)!r}; it is damaged")
         entries[words[0]] = words[1:]
     fields = entries.get("FIELDS", [])
-    if not 1 <= len(fields) <= _MOST_FIELDS:
-        raise FormatError(f"the PCD header names {len(fields)} fields; it must name 1 to {_MOST_FIELDS}")
+    if not 1 <= len(fields) <= _MAX_FIELDS:
+        raise FormatError(f"the PCD header names {len(fields)} fields; it must name 1 to {_MAX_FIELDS}")
     sizes, types = _whole(entries, "SIZE", len(fields)), entries.get("TYPE", [])
     counts = _whole(entries, "COUNT", len(fields)) if "COUNT" in entries else [1] * len(fields)
     if len(types) != len(fields):

@@ -29,7 +29,7 @@ from ladarreg_core.scan import Scan
 
 _LONGEST_HEADER = 1 << 18
 _LONGEST_LINE = 1 << 14
-_MOST_PROPERTIES = 256
+_MAX_PROPERTIES = 256
 _LARGEST_COUNT = 10**12
 _PART = 1 << 20  # points
 _TYPES = {
@@ -171,8 +171,8 @@ def _read_header(stream: io.BufferedReader) -> _Header:
             elements.append((words[1], int(words[2]), []))
         elif words[0] == "property" and elements and len(words) >= 3:
             elements[-1][2].append(_property(words))
-            if len(elements[-1][2]) > _MOST_PROPERTIES:
-                raise FormatError(f"an element of the PLY has more than {_MOST_PROPERTIES} properties; it is damaged")
+            if len(elements[-1][2]) > _MAX_PROPERTIES:
+                raise FormatError(f"an element of the PLY has more than {_MAX_PROPERTIES} properties; it is damaged")
         else:
             raise FormatError(f"the PLY header has the line {one_line(' '.join(words), 60)!r}; it is damaged")
     if not encoding:

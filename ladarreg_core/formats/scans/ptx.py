@@ -32,8 +32,8 @@ from ladarreg_core.scanner.grids import TabulatedGrid
 
 _HEADER_LINES = 10
 _LONGEST_LINE = 1 << 12
-_LEAST_ROW_BYTES = 6  # `0 0 0` and a line end
-_MOST_BLOCKS = 10_000
+_MIN_ROW_BYTES = 6  # `0 0 0` and a line end
+_MAX_BLOCKS = 10_000
 _SAMPLE = 1 << 16
 _PART = 4 << 20
 _CELL_BYTES = 300
@@ -43,7 +43,7 @@ _SAME_POSE = 1e-3
 _POSE = "the registration"
 _DECIDING_CELLS = 1_000_000
 _SAMPLED_COLUMNS = 200
-_LEAST_STEPS = 12
+_MIN_STEPS = 12
 _CLEARLY = 0.5
 
 
@@ -108,7 +108,7 @@ def ptx_blocks(path: PathLike) -> tuple[PtxBlock, ...]:
         while (header := _header(stream, len(blocks))) is not None:
             rows, columns, station, matrix = header
             begin = stream.tell()
-            if rows * columns * _LEAST_ROW_BYTES > size - begin + 2:
+            if rows * columns * _MIN_ROW_BYTES > size - begin + 2:
                 raise FormatError(
                     f"scan {len(blocks)} of the PTX claims {columns:,} x {rows:,} points, but only {size - begin:,} "
                     "bytes follow; the file is truncated"
@@ -118,8 +118,8 @@ def ptx_blocks(path: PathLike) -> tuple[PtxBlock, ...]:
             end, lines = _skip_lines(stream, rows * columns, size)
             blocks.append(PtxBlock(rows, columns, station, matrix, width, begin, end, lines))
             stream.seek(end)
-            if len(blocks) > _MOST_BLOCKS:
-                raise FormatError(f"it has more than {_MOST_BLOCKS:,} scans; it is damaged: split it")
+            if len(blocks) > _MAX_BLOCKS:
+                raise FormatError(f"it has more than {_MAX_BLOCKS:,} scans; it is damaged: split it")
         if not blocks:
             raise FormatError("it has no scan; export it again")
         return tuple(blocks)
@@ -381,7 +381,7 @@ def _unevenness(points: FloatArray) -> float:
     rays = unit_rays(points[:: max(1, len(points) // _SAMPLED_COLUMNS)])
     steps = np.linalg.norm(np.diff(rays, axis=1), axis=-1)
     steps = steps[np.isfinite(steps)]
-    if len(steps) < _LEAST_STEPS:
+    if len(steps) < _MIN_STEPS:
         return np.inf
     middle = float(np.median(steps))
     return float(np.median(np.abs(steps - middle))) / middle if middle > 0 else np.inf

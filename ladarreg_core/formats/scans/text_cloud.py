@@ -31,7 +31,7 @@ from ladarreg_core.scan import Scan
 
 _HEAD_LINES = 12
 _LONGEST_LINE = 1 << 14
-_MOST_COLUMNS = 256
+_MAX_COLUMNS = 256
 _PART = 8 << 20
 _AXES = {
     "x": ("x", "x_m", "x_coord", "coord._x", "easting", "east"),
@@ -108,7 +108,7 @@ def _layout_of(head: bytes) -> TextLayout | None:
         elif plain == shown and len(cells) == 1 and _is_whole(cells[0]) and count is None:
             count = int(cells[0])
         elif plain == shown and (_are_numbers(cells, is_named=bool(names)) or _decimal_commas(plain)):
-            return TextLayout(separator, names, len(cells), shown, at, count) if len(cells) <= _MOST_COLUMNS else None
+            return TextLayout(separator, names, len(cells), shown, at, count) if len(cells) <= _MAX_COLUMNS else None
         elif _position(cells) is not None:
             names = tuple(cells)
         elif plain == shown:

@@ -12,7 +12,7 @@ from ladarreg_core.export.pictures.layout import fit_size, resized
 from ladarreg_core.export.pictures.rejected_overlay import rejected_overlay
 from ladarreg_core.export.pictures.watermark import watermarked
 from ladarreg_core.foundations.arrays import ByteArray
-from ladarreg_core.foundations.palette import OK, WARN, Colour
+from ladarreg_core.foundations.palette import OK, WARN, Color
 from ladarreg_core.foundations.validation import require_choice
 from ladarreg_core.inspection.model_textures import registered_texture
 from ladarreg_core.inspection.pictures import OverlayShow, scan_over_photo
@@ -130,15 +130,15 @@ def _residuals(axes: Axes, result: PoseResult, photo: Photo) -> None:
         return
     typical = float(np.nanmedian(np.linalg.norm(off[good], axis=1)))
     enlarged = 0.03 * max(result.camera.size) / max(typical, 1e-3)
-    for chosen, colour in ((good, OK), (~good, WARN)):
+    for chosen, color in ((good, OK), (~good, WARN)):
         off_shown = np.clip(off[chosen] * enlarged, -4 * enlarged * typical, 4 * enlarged * typical)
-        ink = _of_matplotlib(colour)
+        ink = _of_matplotlib(color)
         axes.quiver(*uv[chosen].T, *off_shown.T, angles="xy", scale_units="xy", scale=1, color=ink, width=0.003)
     axes.set_title(f"residuals, median {typical:.2g} px, enlarged {enlarged:.0f} times")
 
 
-def _of_matplotlib(colour: Colour) -> tuple[float, float, float]:
-    red, green, blue = colour
+def _of_matplotlib(color: Color) -> tuple[float, float, float]:
+    red, green, blue = color
     return red / 255, green / 255, blue / 255
 
 

@@ -23,7 +23,7 @@ _FIRST, _SECOND, _THIRD = 1.2270, 0.7690, 0.2769
 _STRIP_ROWS = 16
 _MEDIAN_SAMPLES = 50_000  # the median of an image is known to half a per cent from so many
 _MIN_FACTOR, _NOISE_FACTOR = 0.02, 1.0
-_LEAST_MAGNITUDE = 1e-6
+_MIN_MAGNITUDE = 1e-6
 
 
 def raw_channels(
@@ -71,7 +71,7 @@ def _set_harmonics(channels: FloatArray, scale: FloatArray, gx: FloatArray, gy: 
     np.multiply(gy, gy, out=sine_2)
     np.add(cosine_2, sine_2, out=magnitude)
     np.sqrt(magnitude, out=magnitude)
-    np.maximum(magnitude, np.float32(_LEAST_MAGNITUDE), out=scale)
+    np.maximum(magnitude, np.float32(_MIN_MAGNITUDE), out=scale)
     np.divide(np.float32(_FIRST), scale, out=scale)
     np.subtract(cosine_2, sine_2, out=cosine)
     cosine *= scale

@@ -25,23 +25,23 @@ _PITCH_PX = 0.25  # of the profiles
 _SMOOTHING_PX = 0.5  # of the profiles, before their slope
 _BEYOND_PX = 3.0  # length of the profiles beyond the reach, for the filter
 _BLOCK_PX = 4.0
-_LEAST_BLOCKS, _MOST_BLOCKS = 6, 64
-_MOST_EACH = 16  # profiles of a block
-_LEAST_LENGTH_PX = 12.0
-_MOST_REACH_PX = 100.0
+_MIN_BLOCKS, _MAX_BLOCKS = 6, 64
+_MAX_EACH = 16  # profiles of a block
+_MIN_LENGTH_PX = 12.0
+_MAX_REACH_PX = 100.0
 _FINE_REACH_PX = 8.0  # a longer reach is searched at a coarser scale first
 _PLACES = 6  # of a block and plane
 _NOISE_FACTOR = 2.5  # a slope of so many times the typical variation has no vote
-_LEAST_SLOPE = 0.3  # gray levels per pixel; less is rounding
+_MIN_SLOPE = 0.3  # gray levels per pixel; less is rounding
 _GRID_PX = 0.5
 _VOTE_SIGMA_PX = 0.6
 _OTHER_SIGN = 0.5  # weight of votes for the opposite contrast
 _NEAR_PX = 1.5  # a place this close to the line may belong to it
-_LEAST_SUPPORT, _LEAST_END_SUPPORT = 0.3, 0.2  # mean votes on the whole line and on its outer thirds
-_LEAST_PRESENT = 0.5  # share of the blocks that show the edge
+_MIN_SUPPORT, _MIN_END_SUPPORT = 0.3, 0.2  # mean votes on the whole line and on its outer thirds
+_MIN_PRESENT = 0.5  # share of the blocks that show the edge
 _ROUNDS = 4
 _GATE_SIGMA = 4.0
-_LEAST_GATE_PX = 0.6
+_MIN_GATE_PX = 0.6
 
 Sampler = Callable[[NDArray[np.float32]], FloatArray]
 """Returns the gray levels (C, N, J), 0 to 255, of C images at pixels (N, J, 2)."""
@@ -84,9 +84,9 @@ def edge_under(sample: Sampler, ends: ArrayLike, options: EdgeOptions | None = N
     """
     o = options or EdgeOptions()
     drawn = np.asarray(ends, dtype=np.float64)
-    if not np.isfinite(drawn).all() or np.linalg.norm(drawn[1] - drawn[0]) < _LEAST_LENGTH_PX:
+    if not np.isfinite(drawn).all() or np.linalg.norm(drawn[1] - drawn[0]) < _MIN_LENGTH_PX:
         return None
-    reach = min(o.reach_px, _MOST_REACH_PX)
+    reach = min(o.reach_px, _MAX_REACH_PX)
     scale = max(1.0, reach / _FINE_REACH_PX)  # px per step of the search
     offsets = _best_line(_places(sample, drawn, reach, scale), reach, o.expected_px, scale)
     if offsets is None:
@@ -117,8 +117,8 @@ def _moved(line: FloatArray, offsets: FloatArray) -> NDArray[np.float64]:
 def _places(sample: Sampler, line: FloatArray, reach_px: float, scale: float) -> _Places:
     """Return the steepest places of profiles across a line, `reach_px` to both sides, at a scale in px."""
     length = float(np.linalg.norm(line[1] - line[0]))
-    blocks = int(np.clip(length / (_BLOCK_PX * scale), _LEAST_BLOCKS, _MOST_BLOCKS))
-    each = int(np.clip(np.ceil(length / scale / blocks), 2, _MOST_EACH))
+    blocks = int(np.clip(length / (_BLOCK_PX * scale), _MIN_BLOCKS, _MAX_BLOCKS))
+    each = int(np.clip(np.ceil(length / scale / blocks), 2, _MAX_EACH))
     s = (np.arange(blocks * each) + 0.5) / (blocks * each)
     pitch = min(_PITCH_PX * scale, 1.0)
     half = int(np.ceil((reach_px + _BEYOND_PX * scale) / pitch))
@@ -140,7 +140,7 @@ def _steepest(slope: FloatArray, across: FloatArray, reach_px: float) -> tuple[F
     """Return offsets, votes and signs (K, P) of the steepest places of profiles with slopes (K, J)."""
     steep = np.abs(slope)
     # noise differs from block to block; the slopes of an edge do not
-    noise = _NOISE_FACTOR * float(np.median(np.abs(slope - np.median(slope, axis=0)))) + _LEAST_SLOPE
+    noise = _NOISE_FACTOR * float(np.median(np.abs(slope - np.median(slope, axis=0)))) + _MIN_SLOPE
     before, here, after = steep[:, :-2], steep[:, 1:-1], steep[:, 2:]
     peak = (here >= before) & (here > after) & (np.abs(across[1:-1]) <= reach_px + 0.5)
     order = np.argsort(-np.where(peak, here, 0), axis=1)[:, :_PLACES]
@@ -168,7 +168,7 @@ def _best_line(places: _Places, reach_px: float, expected_px: float, scale: floa
     best = int(np.argmax(total**2 / (1 + moved / expected_px**2)))
     support = np.maximum(falling[best], rising[best])
     third = len(support) // 3
-    if support.mean() < _LEAST_SUPPORT or min(support[:third].mean(), support[-third:].mean()) < _LEAST_END_SUPPORT:
+    if support.mean() < _MIN_SUPPORT or min(support[:third].mean(), support[-third:].mean()) < _MIN_END_SUPPORT:
         return None
     return np.asarray(at_ends[best])
 
@@ -192,11 +192,11 @@ def _fitted(places: _Places, near_px: float) -> NDArray[np.float64] | None:
         error = places.offset - (ends[0] * (1 - s) + ends[1] * s)
         share = np.clip(1 - (error / gate) ** 2, 0, None) ** 2 * weight
         used = (share > 0) & (share >= share.max(axis=1, keepdims=True))  # one place of a block
-        if np.count_nonzero(used) < max(_LEAST_BLOCKS - 1, _LEAST_PRESENT * len(places.s)) or np.ptp(s[used]) < 0.5:
+        if np.count_nonzero(used) < max(_MIN_BLOCKS - 1, _MIN_PRESENT * len(places.s)) or np.ptp(s[used]) < 0.5:
             return None
         w, target = share[used], places.offset[used]
         design = np.stack([1 - s[used], s[used]], axis=1)
         ends = np.linalg.solve(design.T @ (w[:, None] * design), design.T @ (w * target))
         spread = float(np.sqrt((w * (target - design @ ends) ** 2).sum() / w.sum()))
-        gate = float(np.clip(_GATE_SIGMA * spread, _LEAST_GATE_PX, near_px))
+        gate = float(np.clip(_GATE_SIGMA * spread, _MIN_GATE_PX, near_px))
     return np.asarray(ends)

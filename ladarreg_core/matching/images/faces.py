@@ -24,7 +24,7 @@ from ladarreg_core.surface.remap import look_up
 
 FACE_FIELD_RAD = float(np.radians(75.0))
 """Field of view of a face."""
-_LEAST_SHARE = 0.04
+_MIN_SHARE = 0.04
 """Least share of the photograph's solid angle for which a face is cut out; its neighbours cover most of the rest."""
 _SAMPLES = 20_000
 _BORDER_PX = 12  # working pixels: the channels are blurred over the border of the picture
@@ -165,7 +165,7 @@ def _face_axes(camera: CameraModel) -> NDArray[np.float64]:
     known = np.isfinite(area)
     nearest = (rays[known] @ axes.T).argmax(axis=-1)
     share = np.bincount(nearest, area[known], len(axes))
-    return np.asarray(axes[share >= _LEAST_SHARE * share.sum()])
+    return np.asarray(axes[share >= _MIN_SHARE * share.sum()])
 
 
 def _wrapped(picture: NDArray[Any], camera: CameraModel, uv: FloatArray) -> tuple[NDArray[Any], FloatArray, FloatArray]:

@@ -29,7 +29,7 @@ from ladarreg_core.surface.perspective import View
 
 Arrays = Mapping[str, NDArray[Any]]
 _LARGEST_SCAN = 4_000_000  # cells; of larger scans the part in view is compared, and making it takes most of the time
-_MOST_BYTES = 1_000_000_000
+_MAX_BYTES = 1_000_000_000
 _FINE = "fine channels"  # as `ScanLevels.once` names them
 _SHARED = ("channels", "_near_returns", "made")
 
@@ -50,7 +50,7 @@ class Channels:
         OptionError: if `most_bytes` is no whole number, or negative.
     """
 
-    def __init__(self, *, most_bytes: int = _MOST_BYTES) -> None:
+    def __init__(self, *, most_bytes: int = _MAX_BYTES) -> None:
         require_int(most_bytes, "the memory of channels", least=0)
         self._most_bytes = most_bytes
         self._entries: OrderedDict[str, PhotoLevels | ScanLevels | Arrays] = OrderedDict()

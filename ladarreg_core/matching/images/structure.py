@@ -17,12 +17,12 @@ _FINE_CELLS, _COARSE_CELLS = 1.0, 6.0  # detail is what lies between these scale
 _WINDOW = (17, 33)  # columns of a half, rows: a third of a block's area at one pixel per cell
 _SMALL_WINDOW = (5, 9)  # the same of a coarse scan
 _FIT_PX = 7  # side of the window that a plane is fitted in
-_LEAST_FITTED = 8
+_MIN_FITTED = 8
 _SHELL = 1.3  # ratio of ranges that are compared with each other
 _PLANE_SHARE = 0.3  # at least this share of a scan's surfaces at any range is plane ...
 _ABOVE_NOISE = 2.5  # ... and so many times what these leave is no noise
 _TINY = 1e-12
-_LEAST_COLUMNS = 8
+_MIN_COLUMNS = 8
 
 
 def structured_cells(ranges: FloatArray, gray: FloatArray) -> BoolArray:
@@ -36,7 +36,7 @@ def structured_cells(ranges: FloatArray, gray: FloatArray) -> BoolArray:
         gray: (H, W) gray levels of the laser's intensity, without holes.
     """
     height, width = ranges.shape
-    if width < _LEAST_COLUMNS:
+    if width < _MIN_COLUMNS:
         return np.ones((height, width), np.bool_)
     valid = np.isfinite(ranges)
     log_range = np.log(np.maximum(fill_from_nearest(np.asarray(ranges, np.float32), valid), _TINY)).astype(np.float32)
@@ -51,7 +51,7 @@ def painted_cells(gray: FloatArray) -> BoolArray:
         gray: (H, W) gray levels of the laser's intensity, without holes.
     """
     height, width = gray.shape
-    if width < _LEAST_COLUMNS:
+    if width < _MIN_COLUMNS:
         return np.ones((height, width), np.bool_)
     alike = _correlation(np.asarray(gray, np.float32), _SMALL_WINDOW) > _MIN_CORRELATION
     return np.asarray(cv2.resize(alike.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0)
@@ -99,7 +99,7 @@ def _plane_residuals(inverse: FloatArray, valid: BoolArray) -> tuple[FloatArray,
 
     weight = valid.astype(np.float64)
     count = np.rint(moment(weight, one, one))
-    fitted = np.asarray(valid & (count >= _LEAST_FITTED))
+    fitted = np.asarray(valid & (count >= _MIN_FITTED))
     n = count[fitted]
     total, by_x, by_y = (moment(inverse, x, y)[fitted] for x, y in ((one, one), (offset, one), (one, offset)))
     squares = moment(inverse * inverse, one, one)[fitted]

@@ -13,11 +13,11 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import native_focal_px
 
 _COARSE = 0.6
-_LEAST_LEVELS, _LEAST_SHARE = 6, 0.005
+_MIN_LEVELS, _MIN_SHARE = 6, 0.005
 _SAMPLES = 20_000
 _HOLE_CELLS = (3, 5)  # rows, columns: of an accumulated cloud, so many cells do not stay empty by chance
 _BORDER_CELLS = 9
-_LEAST_OPEN_CELLS = 100  # smaller holes are gaps of the pattern of an accumulated cloud
+_MIN_OPEN_CELLS = 100  # smaller holes are gaps of the pattern of an accumulated cloud
 _FINER = 1.4
 _TINY_PIXELS = 8 * 32**2  # of a photo at the scan's resolution: refinement needs eight blocks, of 32 px a side
 _INTERPOLATED = 2.5
@@ -106,8 +106,8 @@ def _has_few_levels(scan: Scan) -> bool:
     """Return whether nearly all of a scan's intensity has a few values."""
     known = scan.intensity[scan.valid]
     _, count = np.unique(known[:: max(1, len(known) // _SAMPLES)], return_counts=True)
-    common = count >= _LEAST_SHARE * count.sum()
-    return bool(np.count_nonzero(common) < _LEAST_LEVELS and count[common].sum() > 0.9 * count.sum())
+    common = count >= _MIN_SHARE * count.sum()
+    return bool(np.count_nonzero(common) < _MIN_LEVELS and count[common].sum() > 0.9 * count.sum())
 
 
 def open_cells(scan: Scan) -> BoolArray:
@@ -126,6 +126,6 @@ def open_cells(scan: Scan) -> BoolArray:
     # OpenCV takes what lies beyond the grid for inside: its first and last rows are no border of the hull.
     inside = np.asarray(cv2.erode(inside, np.ones((_BORDER_CELLS, _BORDER_CELLS), np.uint8)))
     _, label, figures, _ = cv2.connectedComponentsWithStats(((holes > 0) & (inside > 0)).astype(np.uint8))
-    large = figures[:, cv2.CC_STAT_AREA] >= _LEAST_OPEN_CELLS
+    large = figures[:, cv2.CC_STAT_AREA] >= _MIN_OPEN_CELLS
     large[0] = False
     return np.asarray(large[label])

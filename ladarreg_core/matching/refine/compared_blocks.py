@@ -14,7 +14,7 @@ from ladarreg_core.results import ComparedBlocks
 
 _MEDIAN_CHI2 = 2 * float(np.log(2))  # of two degrees of freedom
 _ALONG_AN_EDGE = 1e-3  # of a block's trace: keeps its own step short where it does not constrain it
-_LEAST_RHO = 0.05
+_MIN_RHO = 0.05
 _MIN_VARIANCE = 1e-12
 _STEP_PX = 0.5
 _A_JUMP, _SINGULAR = 100.0, 1e-6
@@ -43,7 +43,7 @@ def compared_blocks(
         options: those of the refinement that ended at the pose.
     """
     uu, uv, vv, right_u, right_v = (np.asarray(value, np.float64) for value in seen.normal_equations)
-    rho = np.maximum(seen.rho.astype(np.float64), _LEAST_RHO)
+    rho = np.maximum(seen.rho.astype(np.float64), _MIN_RHO)
     curvature = rho[:, None, None] * np.stack([uu, uv, uv, vv], axis=-1).reshape(-1, 2, 2)
     trace = np.maximum(curvature[:, 0, 0] + curvature[:, 1, 1], np.finfo(np.float32).tiny)
     eased = curvature + _ALONG_AN_EDGE * trace[:, None, None] * np.eye(2)

@@ -25,7 +25,7 @@ STILL_PX = 0.02
 """A refinement ends with a shorter step, level pixels."""
 REFRESH_VISIBILITY = 3
 """Steps between two tests of occlusion."""
-_MOST_CHANGE = np.array([math.log(1.6), 0.5, 0.5, 0.5])
+_MAX_CHANGE = np.array([math.log(1.6), 0.5, 0.5, 0.5])
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class CameraChange:
             return self
         moved = self.values
         moved[: len(step)] += step
-        return CameraChange(*np.clip(moved, -_MOST_CHANGE, _MOST_CHANGE).tolist())
+        return CameraChange(*np.clip(moved, -_MAX_CHANGE, _MAX_CHANGE).tolist())
 
     def applied_to(self, camera: Camera) -> Camera:
         """Return the changed camera; further distortion terms are kept, an ideal camera gets four."""

@@ -43,7 +43,7 @@ from ladarreg_core.surface.perspective import perspective_view
 _FINE_POINTS = 8000  # of a face: only its own part of the picture counts, and there are many faces
 _MAX_MARKERS = 250
 # A regular floor or wall of another room agrees with nearly half of the regions; of the right rooms 62 % did at least.
-_LEAST_FRACTION = 0.57
+_MIN_FRACTION = 0.57
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,7 +139,7 @@ class JointAligner:
     def __init__(self, faces: FaceSet, pairs: tuple[FacePair, ...], *, gate: GateOptions) -> None:
         self.faces = faces
         self.pairs = pairs
-        self.gate = replace(gate, fraction=max(gate.fraction, _LEAST_FRACTION))
+        self.gate = replace(gate, fraction=max(gate.fraction, _MIN_FRACTION))
         self.working = pairs[0].aligner.photo.cameras[0]
 
     def refine(self, start: Rigid) -> tuple[Rigid, float] | None:

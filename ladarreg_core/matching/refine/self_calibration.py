@@ -42,7 +42,7 @@ _WRONG_CAMERA = (
     "The image contradicts the stated focal length or lens distortion, and no values that fit were found; "
     "give a camera file."
 )
-_MOST_FALSE_ALARM_WITH_CAMERA = 0.05  # a wall of the same bricks .26, a real capture .004, most 1e-7 and less
+_MAX_FALSE_ALARM_WITH_CAMERA = 0.05  # a wall of the same bricks .26, a real capture .004, most 1e-7 and less
 _BY_CHANCE = (
     "With the camera estimated as well, as many regions agree by chance, as in a repeated pattern: probability {:.1g}. "
     "Give a camera file."
@@ -56,7 +56,7 @@ _SUFFICIENT_FINE_FRACTION = 0.6
 _MIN_FINE_FRACTION = 0.5
 _CONTRADICTED_SIGMA = 4.0  # of a calibrated camera: deviate of the one that fits, its own uncertainty included
 _CONFLICT_SIGMA = 3.0  # of an assumed one: beyond it the prior of that parameter is dropped
-_MOST_CENTRE_SIGMA = 2.0  # of a principal point without prior, relative to the prior
+_MAX_CENTRE_SIGMA = 2.0  # of a principal point without prior, relative to the prior
 _SAME_CHANNELS_PX = (
     0.05  # largest shift of a pixel by a change of the camera after which the photo is not undistorted anew
 )
@@ -189,7 +189,7 @@ def verify_finished(
     )
     fine, fits, coarse, regions = side_by_side(lambda part: part(), parts)
     verdict = verify(coarse, fine, aligner.gate)
-    if free and verdict.accepted and verdict.false_alarm > _MOST_FALSE_ALARM_WITH_CAMERA:
+    if free and verdict.accepted and verdict.false_alarm > _MAX_FALSE_ALARM_WITH_CAMERA:
         verdict = replace(verdict, accepted=False, reasons=(_BY_CHANCE.format(verdict.false_alarm),))
     return FinishedPose(aligner, camera, pose, verdict, fine, regions, free, fits)
 
@@ -372,7 +372,7 @@ def _is_determined(found: FinishedPose, freed: BoolArray, sigma: FloatArray) -> 
     if found.regions is None or not found.verification.accepted:
         return False
     after = np.sqrt(np.diag(found.regions.joint_covariance(found.aligner.common_variance))[6:])
-    most = np.array([_MAX_LOG_FOCAL_SIGMA, sigma[1], *(_MOST_CENTRE_SIGMA * sigma[2:])])
+    most = np.array([_MAX_LOG_FOCAL_SIGMA, sigma[1], *(_MAX_CENTRE_SIGMA * sigma[2:])])
     return bool((after <= most)[freed].all())
 
 

@@ -29,7 +29,7 @@ _GRID_NEAR = tuple((x, y, z) for x in range(-2, 3) for y in (-1, 0, 1) for z in 
 _MAX_ROTATION_RAD, _MAX_ROTATION_NEAR_RAD = np.deg2rad(16), np.deg2rad(7)  # beyond, false peaks dominate
 _MIN_OVERLAP = 0.3  # of the photo ...
 _MIN_SHARED = 0.5  # ... or of what the scan shows of it, if that is less
-_LEAST_SHOWN = 0.05  # of the photo
+_MIN_SHOWN = 0.05  # of the photo
 _NEAREST_DEPTH_M = 0.05
 _MIN_POINTS = 100
 _APART_PX = 16.0
@@ -153,7 +153,7 @@ class _Slider:
         """Return the best rotation of the virtual camera and its score, or None if too little overlaps."""
         where = mask.astype(np.float32)
         total = float(where.sum())
-        if total < _LEAST_SHOWN * mask.size:
+        if total < _MIN_SHOWN * mask.size:
             return None
         least = min(_MIN_OVERLAP * mask.size, _MIN_SHARED * total)
         centred = channels - where * (channels.sum(axis=(1, 2)) / total)[:, None, None]

@@ -23,7 +23,7 @@ from ladarreg_core.matching.images.zbuffer import Occluder
 _MIN_POINTS = 12
 _MIN_NEIGHBOURS = 5
 _TINY = 1e-9
-_MOST_EXACT = 800  # blocks; the binomial coefficients of more overflow
+_MAX_EXACT = 800  # blocks; the binomial coefficients of more overflow
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,7 +98,7 @@ class Agreement:
         far = np.hypot(u, v) > 2 * near
         apart = np.hypot(u[far, None] - u[best], v[far, None] - v[best])
         p = max(least_chance, float((apart <= near).mean(axis=1).max(initial=0.0)))
-        if count > _MOST_EXACT:
+        if count > _MAX_EXACT:
             return _upper_tail(agreeing, count, p)
         return float(sum(comb(count, k) * p**k * (1 - p) ** (count - k) for k in range(agreeing, count + 1)))
 

@@ -33,7 +33,7 @@ _FARTHEST_SIGMA = 8.0  # a larger range error belongs to an outlier, whose rho m
 _NEAREST = 0.05  # lower bound of rho, relative to the measured range
 _EYE = np.eye(6)
 _GENERATORS = np.stack([skew(axis) for axis in np.eye(3)]).reshape(3, 9)
-_LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e9
+_MIN_DAMPING, _MAX_DAMPING = 1e-9, 1e9
 
 CostFunction = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """Costs (B,) from s (B, N), with their derivatives by s: the weights (B, N)."""
@@ -459,11 +459,11 @@ class Descent:
         if lower.all():
             self._known = cost, weights_there, after
             self.step_sigma = length
-            self.damping = np.maximum(self.damping / 10, _LEAST_DAMPING)
+            self.damping = np.maximum(self.damping / 10, _MIN_DAMPING)
         else:
             self.step_sigma = np.where(lower, length, np.where(length < 1e-3, 0.0, np.inf))
             self.damping = np.where(lower, self.damping / 10, self.damping * 10)
-            self.damping = np.minimum(np.maximum(self.damping, _LEAST_DAMPING), _MOST_DAMPING)
+            self.damping = np.minimum(np.maximum(self.damping, _MIN_DAMPING), _MAX_DAMPING)
             _keep(~lower, self.states, there)
             _keep(~lower, self.residuals, seen)
             seen = replace(seen, all_seen=seen.all_seen and self.residuals.all_seen)

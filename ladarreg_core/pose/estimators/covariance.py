@@ -20,11 +20,11 @@ from ladarreg_core.thesis.estimators.stereo_simplex import Residual
 _STEP, _STEP_PX, _STEP_OF_RANGE = 1e-6, 1e-2, 1e-5
 _UNDETERMINED = 1e-12
 _HUGE_RAD2 = np.pi**2
-LEAST_EIGENVALUE = 1e-13
+MIN_EIGENVALUE = 1e-13
 """Lower bound of the eigenvalues of an information matrix scaled to a unit diagonal."""
 
 
-def guarded_inverse(information: FloatArray, *, least: float = LEAST_EIGENVALUE) -> FloatArray:
+def guarded_inverse(information: FloatArray, *, least: float = MIN_EIGENVALUE) -> FloatArray:
     """Return the inverse of an information matrix (P, P) of unit diagonal, with its eigenvalues bounded from below."""
     values, vectors = np.linalg.eigh(information)
     return np.asarray((vectors / np.maximum(values, least)) @ vectors.T)

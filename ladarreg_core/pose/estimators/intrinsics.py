@@ -49,7 +49,7 @@ PARAMETERS: Mapping[Intrinsics, tuple[str, ...]] = {
     "focal_k1_centre": ("focal_px", "k1", "cx", "cy"),
 }
 """Names of the estimated intrinsics, in the order of the covariance."""
-MOST_SIGMA_OF_FOCAL = 0.02
+MAX_SIGMA_OF_FOCAL = 0.02
 """Largest relative standard deviation of a focal length that counts as determined."""
 
 _SCALES = (9.0, 3.0, 1.0)  # of the robust cost, relative to the gate: a wrong camera puts correct matches beyond it
@@ -57,11 +57,11 @@ _SCALE_STEPS, _SCALE_SIGMA = 4, 0.3
 _STEPS, _GATE_ROUNDS, _NOISE_ROUNDS = 12, 6, 3
 _SETTLED_SIGMA = 1e-2
 _SETTLED_NOISE = 1.1
-_LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e9
-_MOST_STEP = np.array([1.0, 0.3, 0.5])  # of rotation (rad), log f and k1: the linearisation is invalid beyond
-_MOST_FOCAL_FACTOR = 10.0
-_LEAST_INFORMATION = 1e-12
-_LEAST_DOF = 2
+_MIN_DAMPING, _MAX_DAMPING = 1e-9, 1e9
+_MAX_STEP = np.array([1.0, 0.3, 0.5])  # of rotation (rad), log f and k1: the linearisation is invalid beyond
+_MAX_FOCAL_FACTOR = 10.0
+_MIN_INFORMATION = 1e-12
+_MIN_DOF = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,9 +162,9 @@ class IntrinsicsFit:
         """True if the matches determine the focal length to 2 %, given the scatter of their residuals."""
         if self.intrinsics == "fixed":
             return True
-        scatter = max(1.0, self.chi2_per_dof) if self.dof >= _LEAST_DOF else np.inf
+        scatter = max(1.0, self.chi2_per_dof) if self.dof >= _MIN_DOF else np.inf
         relative = self.sigmas["focal_px"] / self.camera.focal_px * np.sqrt(scatter)
-        return bool(relative <= MOST_SIGMA_OF_FOCAL)
+        return bool(relative <= MAX_SIGMA_OF_FOCAL)
 
 
 def estimate_intrinsics(
@@ -206,7 +206,7 @@ def estimate_intrinsics(
         )
         settled, inliers = _fit_robustly(descent, gate_chi2)
         camera, pose = descent.camera, descent.state.pose()
-        if noise is None or np.count_nonzero(inliers) * 2 < 6 + count + _LEAST_DOF:
+        if noise is None or np.count_nonzero(inliers) * 2 < 6 + count + _MIN_DOF:
             break
         before, (sigma_px, sigma_range_m) = (sigma_px, sigma_range_m), noise(pose, camera, inliers)
         change = max(before[0] / sigma_px, sigma_px / before[0], before[1] / sigma_range_m, sigma_range_m / before[1])
@@ -338,9 +338,9 @@ class Descent:
         there = self._after(step, lin, columns)
         after = 0.0 if there is None or self.anchor is None else self.anchor.cost(there[0])
         if there is None or not float(cost(there[3].s)[1][0]) + after <= before:
-            self.damping = min(self.damping * 10, _MOST_DAMPING)
+            self.damping = min(self.damping * 10, _MAX_DAMPING)
             return 0.0 if length < 1e-3 else np.inf
-        self.damping = max(self.damping / 10, _LEAST_DAMPING)
+        self.damping = max(self.damping / 10, _MIN_DAMPING)
         self.camera, self.measured, self.state, self.residuals = there
         self.lin = None
         return length
@@ -387,7 +387,7 @@ def predicted_gains(descent: Descent, members: BoolArray, counts: Sequence[int])
     found = []
     for count, after in zip(counts, decreases, strict=True):
         more, dof = count - descent.count, numbers - 6 - count
-        if dof < _LEAST_DOF:
+        if dof < _MIN_DOF:
             found.append(0.0)
             continue
         F = max(after - before, 0.0) / more / max(max(s - after, 0.0) / dof, 1e-9)
@@ -405,13 +405,13 @@ def _predicted_decreases(H: FloatArray, g: FloatArray, sizes: Sequence[int]) -> 
     except np.linalg.LinAlgError:
         inverse = np.full_like(H, np.inf)
     # 1 / trace(H^-1) is a lower bound of the eigenvalues, also of those of the leading parts
-    if (inverse * inverse).sum() < 1 / _LEAST_INFORMATION:
+    if (inverse * inverse).sum() < 1 / _MIN_INFORMATION:
         along = inverse @ right  # triangular: each part has its own
         return [float(along[:size] @ along[:size]) for size in sizes]
     found = []
     for size in sizes:
         values, vectors = np.linalg.eigh(scaled[:size, :size])
-        known = values > _LEAST_INFORMATION
+        known = values > _MIN_INFORMATION
         along = vectors.T[known] @ right[:size]
         found.append(float((along * along / values[known]).sum()))
     return found
@@ -475,7 +475,7 @@ def _updated(camera: Camera, step: FloatArray) -> Camera | None:
 
 def _plausible(camera: Camera, first: Camera) -> bool:
     """Return whether a camera is plausible: bounded change, and no folding inside the image that the first lacked."""
-    if not 1 / _MOST_FOCAL_FACTOR <= camera.focal_px / first.focal_px <= _MOST_FOCAL_FACTOR:
+    if not 1 / _MAX_FOCAL_FACTOR <= camera.focal_px / first.focal_px <= _MAX_FOCAL_FACTOR:
         return False
     if not camera.contains([camera.cx, camera.cy]) and first.contains([first.cx, first.cy]):
         return False
@@ -495,16 +495,16 @@ def _solve_damped(H: FloatArray, g: FloatArray, damping: float, free: Sequence[i
     except np.linalg.LinAlgError:
         step = np.linalg.lstsq(damped, g, rcond=None)[0]
     step = np.where(np.isfinite(step), step, 0.0)
-    limited = [k for k, index in enumerate(free) if index < len(_MOST_STEP) - 1]
+    limited = [k for k, index in enumerate(free) if index < len(_MAX_STEP) - 1]
     sizes = np.array([np.linalg.norm(step[:3]), *np.abs(step[6:][limited])])
-    most = _MOST_STEP[[0, *(free[k] + 1 for k in limited)]]
+    most = _MAX_STEP[[0, *(free[k] + 1 for k in limited)]]
     return np.asarray(step / max(1.0, float((sizes / most).max())))
 
 
 def _covariance(descent: Descent, inliers: BoolArray) -> FloatArray:
     """Return the covariance of pose and intrinsics from the inliers; huge but finite if undetermined."""
     H, _, _, _ = descent.normal_equations(inliers[None].astype(np.float64))
-    scale = np.sqrt(np.maximum(np.diag(H), _LEAST_INFORMATION))
+    scale = np.sqrt(np.maximum(np.diag(H), _MIN_INFORMATION))
     unit = np.ones(len(H))
     if descent.anchor is None or 0 in descent.anchor.free:
         unit[6:7] = descent.camera.focal_px  # from log f to px

@@ -26,11 +26,11 @@ from ladarreg_core.frames import Rigid, rotation_from_rotvec
 Backend = Literal["auto", "poselib", "opencv"]
 
 _log = logging.getLogger(__name__)
-_LEAST_POINTS = 4  # three give up to four solutions; the fourth selects one
-_LEAST_ITERATIONS = 30
+_MIN_POINTS = 4  # three give up to four solutions; the fourth selects one
+_MIN_ITERATIONS = 30
 _CONFIDENCE = 0.999
 _POLISH_STEPS = 10
-_MOST_PIXELS = 1e9
+_MAX_PIXELS = 1e9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,11 +93,11 @@ def ransac_pose(
         return None
     squared = _squared_errors(pose, points, pixels, ideal)
     usable = np.isfinite(squared)
-    if np.count_nonzero(usable) >= _LEAST_POINTS:
+    if np.count_nonzero(usable) >= _MIN_POINTS:
         pose = _polish(pose, points[usable], pixels[usable], ideal, threshold_px)
         squared = _squared_errors(pose, points, pixels, ideal)
     inliers = squared <= threshold_px**2
-    if np.count_nonzero(inliers) < _LEAST_POINTS:
+    if np.count_nonzero(inliers) < _MIN_POINTS:
         return None
     return RansacResult(pose, inliers, float(np.minimum(squared, threshold_px**2).sum()))
 
@@ -125,7 +125,7 @@ def sample_pose(
     """
     search = _search(backend)
     usable = np.isfinite(points_scanner).all(axis=1) & np.isfinite(uv_ideal).all(axis=1)
-    if np.count_nonzero(usable) < _LEAST_POINTS:
+    if np.count_nonzero(usable) < _MIN_POINTS:
         return None
     points, uv = points_scanner[usable], np.ascontiguousarray(uv_ideal[usable])
     # centre and scale the points: with large coordinates both backends lose precision
@@ -134,7 +134,7 @@ def sample_pose(
     origin = ordered[middle] if len(points) % 2 else (ordered[middle - 1] + ordered[middle]) / 2  # the median
     local = points - origin
     reach = float(np.abs(local).max())
-    if not (0 < reach < np.inf) or float(np.abs(uv).max()) > _MOST_PIXELS:
+    if not (0 < reach < np.inf) or float(np.abs(uv).max()) > _MAX_PIXELS:
         return None
     found = search(local / reach, uv, camera, float(threshold_px), int(iterations), int(seed))
     if found is None:
@@ -168,7 +168,7 @@ def _by_poselib(
     options = {
         "max_reproj_error": threshold_px,
         "max_iterations": iterations,
-        "min_iterations": min(iterations, _LEAST_ITERATIONS),
+        "min_iterations": min(iterations, _MIN_ITERATIONS),
         "success_prob": _CONFIDENCE,
         "seed": seed,
     }
@@ -219,7 +219,7 @@ def _polish(pose: Rigid, points: FloatArray, uv: FloatArray, camera: Camera, thr
     score = np.minimum(squared, limit).sum()
     for _ in range(_POLISH_STEPS):
         inliers = squared <= limit
-        if np.count_nonzero(inliers) < _LEAST_POINTS:
+        if np.count_nonzero(inliers) < _MIN_POINTS:
             break
         predicted, J = pose_jacobian(pose, points[inliers], camera)
         J = J.reshape(-1, 6)

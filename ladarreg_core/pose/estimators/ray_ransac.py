@@ -15,10 +15,10 @@ from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.foundations.arrays import FloatArray, IntArray
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 
-_LEAST_POINTS = 4
+_MIN_POINTS = 4
 _CONFIDENCE = 0.999
-_LEAST_COSINE = 0.2  # of the rays of a sample and their mean
-_LEAST_ITERATIONS = 60
+_MIN_COSINE = 0.2  # of the rays of a sample and their mean
+_MIN_ITERATIONS = 60
 
 
 def sample_pose_of_rays(
@@ -35,7 +35,7 @@ def sample_pose_of_rays(
     """
     usable = np.isfinite(points_scanner).all(axis=1) & np.isfinite(rays_camera).all(axis=1)
     points, rays = points_scanner[usable], rays_camera[usable]
-    if len(points) < _LEAST_POINTS:
+    if len(points) < _MIN_POINTS:
         return None
     rng = np.random.default_rng(seed)
     best: Rigid | None = None
@@ -51,17 +51,15 @@ def sample_pose_of_rays(
                 continue
             best, lowest, most = pose, score, int(np.count_nonzero(squared < limit))
             failing = 1 - (most / len(points)) ** 3
-            needed = max(
-                _LEAST_ITERATIONS, int(np.log(1 - _CONFIDENCE) / np.log(min(max(failing, 1e-9), 1 - 1e-9))) + 1
-            )
-    return best if most >= _LEAST_POINTS else None
+            needed = max(_MIN_ITERATIONS, int(np.log(1 - _CONFIDENCE) / np.log(min(max(failing, 1e-9), 1 - 1e-9))) + 1)
+    return best if most >= _MIN_POINTS else None
 
 
 def _solutions(points: FloatArray, rays: FloatArray, sample: IntArray) -> list[Rigid]:
     """Return the poses on which three points agree; none if their rays do not lie within one hemisphere."""
     mean = rays[sample].sum(axis=0)
     length = float(np.linalg.norm(mean))
-    if length < 1e-6 or (rays[sample] @ mean).min() < _LEAST_COSINE * length:
+    if length < 1e-6 or (rays[sample] @ mean).min() < _MIN_COSINE * length:
         return []
     turn = front_rotations((mean / length)[None])[0]
     ahead = rays[sample] @ turn.T

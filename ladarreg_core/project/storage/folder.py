@@ -51,7 +51,7 @@ log = logging.getLogger(__name__)
 _PROJECT, _HISTORY, _ARRAYS, _INPUTS, _EXPORTS, _LOCK = (
     "project.json", "history.jsonl", "arrays", "inputs", "exports", "lock",
 )  # fmt: skip
-_MOST_ENTRIES = 5000
+_MAX_ENTRIES = 5000
 _LONG_HISTORY_BYTES = 64 << 20
 
 
@@ -182,8 +182,8 @@ class ProjectFolder:
                 " restore them from a backup"
             ) from None
         history = found.history
-        if len(appended or b"") > _LONG_HISTORY_BYTES or len(history.entries) > _MOST_ENTRIES:
-            history = history.shortened(_MOST_ENTRIES // 2)
+        if len(appended or b"") > _LONG_HISTORY_BYTES or len(history.entries) > _MAX_ENTRIES:
+            history = history.shortened(_MAX_ENTRIES // 2)
         self._history, self._seq = history, found.seq
         self._synced.update(path for source in history.document.sources for path in source.paths)
         self._unknown = found.unknown | self._unknown

@@ -20,7 +20,7 @@ from ladarreg_core.project.storage.codec import encode
 
 Record = dict[str, Any]
 _BEGINNINGS = re.compile(rb'\{"(?:commit|amend)":\{|\{"at":')
-_MOST_CORRECTED_BYTES = 8 << 20
+_MAX_CORRECTED_BYTES = 8 << 20
 _KINDS = {"commit", "amend", "at"}
 
 
@@ -51,7 +51,7 @@ class _Reader:
         self._data = data
         self._found: list[Record | None] = []
         self._corrected = 0
-        self._correction_bytes_left = _MOST_CORRECTED_BYTES
+        self._correction_bytes_left = _MAX_CORRECTED_BYTES
         self._damaged = False
 
     def records(self) -> Records:

@@ -16,7 +16,7 @@ from ladarreg_core.project.history import History
 from ladarreg_core.project.storage.folder import ProjectFolder
 from ladarreg_core.storage.atomic_write import make_folder, sync_folder
 
-_MOST_OF_ONE_NAME = 1000
+_MAX_OF_ONE_NAME = 1000
 
 
 def write_rescue_copy(folder: ProjectFolder, history: History, places: Iterable[Path], *, name: str) -> Path:
@@ -68,7 +68,7 @@ def _new_folder(place: Path, name: str) -> Path:
         OSError: if that fails.
     """
     make_folder(place)
-    for number in range(1, _MOST_OF_ONE_NAME):
+    for number in range(1, _MAX_OF_ONE_NAME):
         target = place / (name if number == 1 else f"{name}-{number}")
         with contextlib.suppress(FileExistsError):
             target.mkdir()
@@ -78,7 +78,7 @@ def _new_folder(place: Path, name: str) -> Path:
                 target.rmdir()
                 raise
             return target
-    raise FileExistsError(f"{name} and {_MOST_OF_ONE_NAME - 2:,} numbered folders exist")
+    raise FileExistsError(f"{name} and {_MAX_OF_ONE_NAME - 2:,} numbered folders exist")
 
 
 def _with_absolute_paths(folder: ProjectFolder, document: Document) -> Document:

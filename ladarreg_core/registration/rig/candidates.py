@@ -18,7 +18,7 @@ from ladarreg_core.registration.rig.options import NEAR_PX, RigOptions
 from ladarreg_core.registration.rig.results import RigPair
 
 _STEPS = ("climb", "finish", "camera")
-_MOST_DIGITS = 12.0  # of one pair: no pair outvotes all others
+_MAX_DIGITS = 12.0  # of one pair: no pair outvotes all others
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,5 +104,5 @@ def _digits(joint: JointPairs, pose: Rigid, fit: Sequence[int], options: RigOpti
     for index in fit:
         maps = joint.agreement_at(pose, index, 1)
         alarm = 1.0 if maps is None else maps.false_alarm(NEAR_PX, least_chance=options.least_chance)
-        found.append(min(_MOST_DIGITS, -float(np.log10(max(alarm, 1e-300)))))
+        found.append(min(_MAX_DIGITS, -float(np.log10(max(alarm, 1e-300)))))
     return found

@@ -11,13 +11,13 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.verify.agreement import Agreement
 from ladarreg_core.matching.wrong_poses import chance_of_gain
 from ladarreg_core.registration.rig.joint import JointPairs
-from ladarreg_core.registration.rig.options import FINE_NEAR_PX, LEAST_PAIRS, NEAR_PX, RigOptions
+from ladarreg_core.registration.rig.options import FINE_NEAR_PX, MIN_PAIRS, NEAR_PX, RigOptions
 from ladarreg_core.registration.rig.results import PairEvidence, PairOutcome, RigPair
 
 ADVICE = "Add pairs of other places with near objects, accumulate longer, or give a rough initial pose."
 """What to do about a rig that is not accepted."""
-_LEAST_EXCHANGED = 3  # photographs of other places, mirror images included: fewer have no scatter
-_LEAST_BLOCKS = 8  # of a mean; refinement needs as many
+_MIN_EXCHANGED = 3  # photographs of other places, mirror images included: fewer have no scatter
+_MIN_BLOCKS = 8  # of a mean; refinement needs as many
 
 
 class Jury:
@@ -71,7 +71,7 @@ class Jury:
         """Return the pairs that agree with the pose; the best two if there are fewer."""
         own = np.diag(self._shares)
         found = [index for index, share in enumerate(own) if share >= self._options.agrees_fraction]
-        return found if len(found) >= LEAST_PAIRS else sorted(np.argsort(-own, kind="stable")[:LEAST_PAIRS].tolist())
+        return found if len(found) >= MIN_PAIRS else sorted(np.argsort(-own, kind="stable")[:MIN_PAIRS].tolist())
 
     def judged(self, index: int, pose: Rigid, *, on_others: bool) -> PairEvidence:
         """Return what a pair says of a pose.
@@ -122,7 +122,7 @@ class Jury:
         others = [*others, *range(count, 2 * count)]
         gain, _ = _gain(own)
         known = np.isfinite(self._gains[index, others])
-        if known.sum() < _LEAST_EXCHANGED or not np.isfinite(gain):
+        if known.sum() < _MIN_EXCHANGED or not np.isfinite(gain):
             return 1.0
         gains, variances = self._gains[index, others][known], self._variances[index, others][known]
         return chance_of_gain(gain, gains, least_variance=float(variances.mean()))
@@ -160,7 +160,7 @@ def _shares(maps: Agreement | None) -> tuple[float, float]:
 
 def _gain(maps: Agreement | None) -> tuple[float, float]:
     """Return the mean gain of the blocks, and its variance; NaN for few."""
-    if maps is None or len(maps.block_maps) < _LEAST_BLOCKS:
+    if maps is None or len(maps.block_maps) < _MIN_BLOCKS:
         return np.nan, np.nan
     gains = maps.gains()
     return float(gains.mean()), float(gains.var(ddof=1) / len(gains))
@@ -222,10 +222,10 @@ def reasons_against(
     disagreeing = [one for one in evidence if one.outcome == "disagrees"]
     windows = sum(one.windows for one in agreeing)
     fine = sum(one.fine_fraction * one.windows for one in agreeing) / max(windows, 1)
-    if len(agreeing) < LEAST_PAIRS or len(agreeing) <= len(disagreeing):
+    if len(agreeing) < MIN_PAIRS or len(agreeing) <= len(disagreeing):
         reason = (
             f"{len(agreeing)} of {len(evidence)} pairs agree on one pose, and {len(disagreeing)} disagree; at least "
-            f"{LEAST_PAIRS}, and more than disagree, must."
+            f"{MIN_PAIRS}, and more than disagree, must."
         )
     elif alarm > options.false_alarm:
         reason = (

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from ladarreg_core.foundations.validation import LARGEST_INT, require_int
 
-LEAST_PAIRS = 2
+MIN_PAIRS = 2
 """Least number of pairs of a rig, and of those that must agree."""
 NEAR_PX, FINE_NEAR_PX = 3.0, 1.5
 """Largest distance of a region's correlation peak from zero shift to agree, working pixels at levels 1 and 0."""

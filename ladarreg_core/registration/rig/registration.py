@@ -24,7 +24,7 @@ from ladarreg_core.progress import StepLog, StepReport
 from ladarreg_core.registration.rig.candidates import proposed_poses, tried_on_all
 from ladarreg_core.registration.rig.evidence import ADVICE, Jury, held_out, joint_alarm, reasons_against
 from ladarreg_core.registration.rig.joint import JointPairs, PairViews
-from ladarreg_core.registration.rig.options import LEAST_PAIRS, RigOptions
+from ladarreg_core.registration.rig.options import MIN_PAIRS, RigOptions
 from ladarreg_core.registration.rig.results import PairEvidence, RigPair, RigResult
 
 # Variance factors of the covariance from regions, for pairs with intensity and for those whose shape alone is compared;
@@ -67,8 +67,8 @@ def register_rig(
 def _check(pairs: Sequence[RigPair], initial: object) -> None:
     if not isinstance(pairs, Sequence) or not all(isinstance(pair, RigPair) for pair in pairs):
         raise OptionError("'pairs' must be a list of RigPair")
-    if len(pairs) < LEAST_PAIRS:
-        raise OptionError(f"the rig has {len(pairs)} pairs; it needs at least {LEAST_PAIRS}, better five or more")
+    if len(pairs) < MIN_PAIRS:
+        raise OptionError(f"the rig has {len(pairs)} pairs; it needs at least {MIN_PAIRS}, better five or more")
     if initial is not None:
         require_type(initial, Rigid, "'initial'")
     for pair in pairs:
@@ -111,7 +111,7 @@ def _registered(pairs: Sequence[RigPair], initial: Rigid | None, steps: StepLog,
     with steps.step("rig held out") as note:
         evidence, without = held_out(joint, jury, pose, before, len(pairs))
         used = [index for index, one in enumerate(evidence) if one.outcome == "agrees"]
-        if len(used) >= LEAST_PAIRS and used != before:  # once more, with those that turned out to agree
+        if len(used) >= MIN_PAIRS and used != before:  # once more, with those that turned out to agree
             pose = joint.finish(joint.refine(pose, used, (1,)) or pose, used)
             evidence, without = held_out(joint, jury_at(pose), pose, used, len(pairs))
         else:

@@ -13,7 +13,7 @@ from ladarreg_core.progress import Report
 from ladarreg_core.registration.self_test.trials import START_LEVELS_DEG, SelfTestOptions, Trial, run_trials
 from ladarreg_core.scan import Scan
 
-_MOST_MISSES = 0.34  # share of the starts of a level that may fail while the level still counts as working
+_MAX_MISSES = 0.34  # share of the starts of a level that may fail while the level still counts as working
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class SelfTest:
         reached = 0.0
         for level in START_LEVELS_DEG:
             at_level = [t for t in starts if t.off_deg == level]
-            if at_level and np.mean([not t.right for t in at_level]) > _MOST_MISSES:
+            if at_level and np.mean([not t.right for t in at_level]) > _MAX_MISSES:
                 break
             reached = level if at_level else reached
         return reached

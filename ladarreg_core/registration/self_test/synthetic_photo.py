@@ -33,7 +33,7 @@ FARTHEST_REACH_M = 5.0
 """Range by which baselines grow no further: cameras stand beside a scanner outdoors as they do indoors."""
 _SAME_SURFACE = 0.04
 _FACING_UP = 0.7
-_LEAST_SURFACE = 12  # cells
+_MIN_SURFACE = 12  # cells
 _SKY = (0.75, 1.0)
 
 
@@ -150,7 +150,7 @@ def _inks_of_surfaces(scan: Scan, rng: np.random.Generator) -> NDArray[np.float3
     for facing in (up, ~up):
         count, label, figures, _ = cv2.connectedComponentsWithStats((smooth & facing).astype(np.uint8), connectivity=4)
         inks = rng.uniform(0, 255, (count, 3)).astype(np.float32)
-        large = figures[:, cv2.CC_STAT_AREA] >= _LEAST_SURFACE
+        large = figures[:, cv2.CC_STAT_AREA] >= _MIN_SURFACE
         large[0] = False
         picture[large[label]] = inks[label[large[label]]]
     inked = smooth[..., None] & np.ones(3, np.bool_)

@@ -34,7 +34,7 @@ START_LEVELS_DEG = (3.0, 6.0, 12.0)
 """Rotation errors of the initial poses; their position errors are the arc of that angle at the median range, or at 5 m
 if that is nearer."""
 _RIGHT_PX, _RIGHT_CELLS = 3.0, 3.0
-_LEAST_COVERED = 0.5
+_MIN_COVERED = 0.5
 _POSE_TRIES = 20
 _LARGEST_SIDE = 1280
 _SAMPLE_POINTS = 4000
@@ -146,11 +146,11 @@ def _photo_of_scan(scan: Scan, camera: Camera, rng: np.random.Generator) -> Synt
         if _visible_share(scan, camera, pose) == 0:
             continue
         made = render_photo(scan, camera, pose, rng)
-        if made.covered >= _LEAST_COVERED:
+        if made.covered >= _MIN_COVERED:
             return made
         if best is None or made.covered > best.covered:
             best = made
-    if best is None or best.covered < _LEAST_COVERED / 2:
+    if best is None or best.covered < _MIN_COVERED / 2:
         raise DegenerateGeometryError(
             "no camera beside the scanner sees enough of the scan for a self-test; give the actual camera of the "
             "photographs, or a denser scan"

@@ -17,8 +17,8 @@ _SAMPLE = 5000
 _SEED = 20_011
 _AROUND = 24
 _SHIFTS_M = (0.25, 0.4, 0.6, 0.85)
-_LEAST_LIT = 400
-_LEAST_CONTRAST = 0.12
+_MIN_LIT = 400
+_MIN_CONTRAST = 0.12
 _SAME_FACING = 0.8
 
 
@@ -70,7 +70,7 @@ def compared_print(first: Surfels, second: Surfels, pose: Rigid) -> Print:
     light = _contrast(first)
     other = _contrast(second)
     lit_first, lit_second = np.isfinite(light), np.isfinite(other)
-    if min(lit_first.sum(), lit_second.sum()) < _LEAST_LIT:
+    if min(lit_first.sum(), lit_second.sum()) < _MIN_LIT:
         return Print(0, float("nan"), float("nan"))
     tree = cKDTree(first.points[lit_first])
     normals, values = first.normals[lit_first], light[lit_first]
@@ -83,7 +83,7 @@ def compared_print(first: Surfels, second: Surfels, pose: Rigid) -> Print:
         there = np.isfinite(distance)
         there[there] = (normals[near[there]] * facing[there]).sum(-1) > _SAME_FACING
         a, b = values[near[there]], other[pick[there]]
-        if len(a) < _LEAST_LIT or min(a.std(), b.std()) < _LEAST_CONTRAST:
+        if len(a) < _MIN_LIT or min(a.std(), b.std()) < _MIN_CONTRAST:
             return len(a), float("nan")
         return len(a), float(np.corrcoef(a, b)[0, 1])
 
@@ -108,7 +108,7 @@ def _contrast(surfels: Surfels) -> NDArray[np.float64]:
 
     light = np.full(len(surfels.points), np.nan)
     lit = np.flatnonzero(np.isfinite(surfels.intensity))
-    if len(lit) < _LEAST_LIT:
+    if len(lit) < _MIN_LIT:
         return light
     _, near = cKDTree(surfels.points[lit]).query(surfels.points[lit], _AROUND)
     own = surfels.intensity[lit]

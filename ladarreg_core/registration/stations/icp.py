@@ -19,7 +19,7 @@ GATES_M = (0.6, 0.4, 0.3, 0.2, 0.15, 0.1, 0.08, 0.06)
 _SAME_FACING = 0.7  # cosine
 _STEPS = 2
 _SIGMA_UPRIGHT_RAD = float(np.radians(1.5))
-_LEAST_PARTNERS = 30
+_MIN_PARTNERS = 30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +66,7 @@ def aligned(
             off = ((moved - target.surfels.points[index]) * n).sum(-1)
             scale = max(gate, 3 * sigma_m)
             use = ((n * facing).sum(-1) > _SAME_FACING) & (np.abs(off) < scale)
-            if use.sum() < _LEAST_PARTNERS:
+            if use.sum() < _MIN_PARTNERS:
                 break
             n, off, moved = n[use], off[use], moved[use]
             weight = (1 - (off / scale) ** 2) ** 2 / sigma_m**2

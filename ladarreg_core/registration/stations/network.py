@@ -20,7 +20,7 @@ _FLOOR = np.array([*[float(np.radians(0.002))] * 3, *[2e-4] * 3]) ** 2
 """What a pair's covariance is at least in the graph: pairs share scans, and no surface is quite still."""
 _OUTVOTED_MM, _OUTVOTED_DEG = 20.0, 0.2
 _OUTVOTED_SIGMAS = 6.0
-_MOST_POINTS = 900_000
+_MAX_POINTS = 900_000
 
 
 def connected(count: int, fixed: int, pairs: Sequence[StationPair]) -> dict[int, list[int]]:
@@ -109,7 +109,7 @@ def adjusted(
         poses: `world_from_scanner` of each, to a few millimetres.
     """
     names = sorted(poses)
-    stride = max(1, -(-sum(len(returns[name]) for name in names) // _MOST_POINTS))
+    stride = max(1, -(-sum(len(returns[name]) for name in names) // _MAX_POINTS))
     # About the fixed station, so that large coordinates of the world cost no digits.
     origin = poses[fixed]
     local = [origin.inverse @ poses[name] for name in names]

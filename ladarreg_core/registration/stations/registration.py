@@ -33,7 +33,7 @@ refined within a metre; `search`: ignored, and searched for."""
 POSE_USES: tuple[PoseUse, ...] = get_args(PoseUse)
 _SAME_M, _SAME_RAD = 1e-3, 1e-4  # up to which poses are one and the same
 _UNKNOWN = np.full((6, 6), np.nan)
-MOST_SCANS = 40
+MAX_SCANS = 40
 """Most scans of one call: every pair is tried."""
 
 
@@ -66,7 +66,7 @@ def register_scans(
         the stations with their poses and covariances, the pairs with their verdicts, and the errors of the loops.
 
     Raises:
-        OptionError: if there are fewer than two scans or more than `MOST_SCANS`, an argument is of a wrong type, or
+        OptionError: if there are fewer than two scans or more than `MAX_SCANS`, an argument is of a wrong type, or
             poses are to be kept but a file states none.
     """
     _check(scans, fixed, poses, seed)
@@ -93,8 +93,8 @@ def register_scans(
 
 
 def _check(scans: Sequence[Scan], fixed: int, poses: PoseUse, seed: int) -> None:
-    if not 2 <= len(scans) <= MOST_SCANS:
-        raise OptionError(f"{len(scans)} scans are given; give 2 to {MOST_SCANS}")
+    if not 2 <= len(scans) <= MAX_SCANS:
+        raise OptionError(f"{len(scans)} scans are given; give 2 to {MAX_SCANS}")
     for scan in scans:
         require_type(scan, Scan, "each of the scans")
     require_int(fixed, "`fixed`", least=0, most=len(scans) - 1)

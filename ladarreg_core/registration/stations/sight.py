@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.scan import Scan
 
-_MOST_CELLS = 500_000
+_MAX_CELLS = 500_000
 _FINEST_RAD = float(np.radians(0.35))
 _COARSER = 1.7  # than the steps of the scan, so that no cell between returns stays empty
 
@@ -53,7 +53,7 @@ class RangePicture:
 
 def range_picture(scan: Scan) -> RangePicture:
     """Return the ranges of a scan by direction."""
-    thin, _ = scan.thinned(_MOST_CELLS)
+    thin, _ = scan.thinned(_MAX_CELLS)
     points = thin.points[thin.valid].astype(np.float64)
     ranges = np.linalg.norm(points, axis=-1)
     step = max(_FINEST_RAD, _COARSER * max(thin.geometry.step_rad))

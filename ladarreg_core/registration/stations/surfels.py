@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.scan import Scan
 
-_MOST_CELLS = 500_000
-_MOST_RETURNS = 160_000
+_MAX_CELLS = 500_000
+_MAX_RETURNS = 160_000
 _SPACING_SHARE = 0.016  # of the typical range
 _FINEST_M, _COARSEST_M = 0.05, 0.5
 _NEIGHBOURS = 10
@@ -44,7 +44,7 @@ class Surfels:
 
 def surfels_of(scan: Scan) -> Surfels:
     """Return the surfaces of a scan."""
-    thin, _ = scan.thinned(_MOST_CELLS)
+    thin, _ = scan.thinned(_MAX_CELLS)
     valid = thin.valid
     points = thin.points[valid].astype(np.float64)
     light = _light(thin)[valid]
@@ -59,7 +59,7 @@ def surfels_of(scan: Scan) -> Surfels:
     with np.errstate(invalid="ignore", divide="ignore"):
         intensity = np.bincount(voxel[bright], light[bright], len(count)) / lit
     normals, flat = _normals(centre, spacing)
-    stride = max(1, -(-len(points) // _MOST_RETURNS))
+    stride = max(1, -(-len(points) // _MAX_RETURNS))
     centre, normals, intensity = centre[flat], normals[flat], intensity[flat]
     steep = np.abs(normals[:, 2])
     across = np.hypot(centre[:, 0], centre[:, 1])

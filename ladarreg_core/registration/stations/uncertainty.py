@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.acquisition.alignment.adjustment import RangeView, planes_of
-from ladarreg_core.acquisition.alignment.voxel_planes import LEAST_ACROSS, SharedPlanes
+from ladarreg_core.acquisition.alignment.voxel_planes import MIN_ACROSS, SharedPlanes
 from ladarreg_core.foundations.arrays import FloatArray, IntArray
 from ladarreg_core.frames import Rigid
 
 _HUBER = 1.5
 _MAD = 1.4826
-_LEAST_SIGMA_M = 2e-4
+_MIN_SIGMA_M = 2e-4
 _FEW = 20
 _STEPS = 3
 _APART_M, _ANGLE_RAD = 0.015, float(np.radians(2.0))
@@ -165,7 +165,7 @@ def _equations(views: Sequence[RangeView], poses: Sequence[Rigid], found: Shared
     v = np.cross(n, u)
     off = world - found.centres[plane]
     r = (off * n).sum(-1)
-    spread2 = (rays * n).sum(-1) ** 2 + LEAST_ACROSS**2
+    spread2 = (rays * n).sum(-1) ** 2 + MIN_ACROSS**2
     own = np.stack([np.ones(len(r)), (off * u).sum(-1), (off * v).sum(-1)], axis=-1)
     group = plane * count + owner[found.point]
     names, group = np.unique(group, return_inverse=True)
@@ -214,7 +214,7 @@ def _equations(views: Sequence[RangeView], poses: Sequence[Rigid], found: Shared
 def _noise(scaled: FloatArray, group: IntArray, groups: int) -> NDArray[np.float64]:
     """Return the range noise (G,) of each patch, by its median, drawn to that of all where it has few points."""
     size = np.abs(scaled)
-    typical = max(_MAD * float(np.median(size)), _LEAST_SIGMA_M) if len(size) else _LEAST_SIGMA_M
+    typical = max(_MAD * float(np.median(size)), _MIN_SIGMA_M) if len(size) else _MIN_SIGMA_M
     order = np.lexsort((size, group))
     count = np.bincount(group, minlength=groups)
     middle = (np.cumsum(count) - count) + count // 2

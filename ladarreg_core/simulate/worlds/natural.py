@@ -16,7 +16,7 @@ from ladarreg_core.simulate.worlds.world import Picture, Texture
 _GAIN = 3.0  # standard deviations of wear, to those of a printer's soft patches
 _WALL_CONTRAST, _PICTURE_CONTRAST = 0.22, 0.5
 _SHARED = 0.8  # correlation of the patterns that the eye and the laser see
-_LEAST_GAIN = 0.1
+_MIN_GAIN = 0.1
 
 
 def natural_noise(rng: np.random.Generator, height: int, width: int) -> NDArray[np.float32]:
@@ -70,7 +70,7 @@ class NaturalPrinter(Printer):
         h, w = picture.shape[:2]
         seen, own = natural_noise(self.rng, h, w), natural_noise(self.rng, h, w)
         by_laser = np.float32(_SHARED) * seen + np.float32(np.sqrt(1 - _SHARED**2)) * own
-        gains = [np.maximum(1 + np.float32(strength) * field, np.float32(_LEAST_GAIN)) for field in (seen, by_laser)]
+        gains = [np.maximum(1 + np.float32(strength) * field, np.float32(_MIN_GAIN)) for field in (seen, by_laser)]
         worn = picture * cv2.merge([gains[0]] * 3 + [gains[1]])
         return np.asarray(np.clip(np.rint(worn), 0, 255), dtype=np.uint8)
 

@@ -11,7 +11,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh.grid_mesh import Mesh, scan_mesh
 
 FINEST_LEVEL = 8
-_LEAST_CELLS = 2
+_MIN_CELLS = 2
 _SHARE_BEYOND = 64  # of the cells of a block: more than its step, so that it overlaps with the next one of any step
 
 
@@ -33,7 +33,7 @@ class GridBlock:
             OptionError: if the grid has no such block.
         """
         count = 2**self.level if 1 <= self.level <= FINEST_LEVEL else 0
-        if not (0 <= self.row < count and 0 <= self.column < count) or min(shape) < _LEAST_CELLS * count:
+        if not (0 <= self.row < count and 0 <= self.column < count) or min(shape) < _MIN_CELLS * count:
             raise OptionError(
                 f"a grid of {shape[0]} x {shape[1]} cells has no block {self.row}, {self.column} of level {self.level}"
             )

@@ -20,7 +20,7 @@ _ALWAYS_SURFACE = 1.0  # tan 45 deg: steeper isolated steps are depth edges
 _SURFACE_IF_SUPPORTED = 3.7  # tan 75 deg: steeper surfaces need three equal steps in a row
 _SUPPORT = 0.35
 _SAME_SLOPE = 0.3
-_LEAST_SHARE = 0.5
+_MIN_SHARE = 0.5
 _NOISE_SIGMAS = 6.0
 _RELATIVE_NOISE = 0.002
 _LARGEST_NOISE = 0.01
@@ -30,7 +30,7 @@ _NOISE_SAMPLES = 200_000
 _LARGEST_WHOLE_SCAN = 4_000_000  # cells; larger scans are processed in bands of rows
 _BAND_MARGIN = 4
 _SEAM_COLUMNS = 3  # on either side of the seam, which show how the surface goes on
-_LEAST_SEAM_STEP = 0.25  # of the step before: a scanner that turned farther repeats its first columns
+_MIN_SEAM_STEP = 0.25  # of the step before: a scanner that turned farther repeats its first columns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,7 +140,7 @@ def across_seam(scan: Scan, edges: GridEdges, columns: IntArray | None = None) -
     before, over = (rays[:, _SEAM_COLUMNS - 1 + k] - rays[:, _SEAM_COLUMNS - 2 + k] for k in (0, 1))
     with np.errstate(over="ignore", invalid="ignore"):
         usual = np.square(before).sum(axis=-1)
-        goes_on = (before * over).sum(axis=-1) > _LEAST_SEAM_STEP * usual
+        goes_on = (before * over).sum(axis=-1) > _MIN_SEAM_STEP * usual
         goes_on &= np.square(over).sum(axis=-1) <= _LARGEST_GAP_STEPS**2 * usual
         if not goes_on.any():
             return None
@@ -351,7 +351,7 @@ def _is_straight(here: FloatArray, around: Sequence[FloatArray], tolerance: Floa
     def equal(a: FloatArray, b: FloatArray) -> Any:
         smaller, larger = np.minimum(np.abs(a), np.abs(b)), np.maximum(np.abs(a), np.abs(b))
         # The share prevents noise from making a flat neighbour of a jump look like its continuation.
-        return (larger - smaller <= _SAME_SLOPE * larger + tolerance) & (smaller >= _LEAST_SHARE * larger) & (a * b > 0)
+        return (larger - smaller <= _SAME_SLOPE * larger + tolerance) & (smaller >= _MIN_SHARE * larger) & (a * b > 0)
 
     two_before, before, after, two_after = around
     with np.errstate(invalid="ignore"):

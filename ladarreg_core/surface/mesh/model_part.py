@@ -13,8 +13,8 @@ from ladarreg_core.foundations.arrays import BoolArray, ByteArray, FloatArray, I
 LARGEST_TILE_PX = 8192
 """Longer side of the largest texture: what nearly every graphics card takes."""
 _GUTTER_PX = 2
-_LEAST_USED = 0.3  # of a texture; one that is used less is divided
-_LEAST_DIVIDED_PX = 1024
+_MIN_USED = 0.3  # of a texture; one that is used less is divided
+_MIN_DIVIDED_PX = 1024
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,11 +112,11 @@ class ModelPart:
 
     @property
     def _wastes_texture(self) -> bool:
-        if max(self.tile.width, self.tile.height) <= _LEAST_DIVIDED_PX:
+        if max(self.tile.width, self.tile.height) <= _MIN_DIVIDED_PX:
             return False
         a, b, c = (self.pixels[self.faces[:, k]] for k in range(3))
         areas = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
-        return float(areas.sum()) < _LEAST_USED * self.tile.width * self.tile.height
+        return float(areas.sum()) < _MIN_USED * self.tile.width * self.tile.height
 
 
 def model_part(

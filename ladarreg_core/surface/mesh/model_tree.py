@@ -21,12 +21,12 @@ from ladarreg_core.surface.mesh.model_part import ModelPart
 
 _CELLS = 64
 """Cells of the grid along the edge of a cube."""
-_MOST_DEPTH = 14  # three indices of cells fit into 63 bits
+_MAX_DEPTH = 14  # three indices of cells fit into 63 bits
 _LEAF_FACES = 40_000
 _LEAF_PX = 2_500_000
 _LEAF_SIDE_PX = 2048
 _COARSE_PX = 600_000
-_LEAST_SIDE_PX = 8
+_MIN_SIDE_PX = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,13 +108,13 @@ class ModelTree:
             coarse = [_subset(part, rows) for part, rows in self._by_part(self._parts, tile.rows)]
         share = min(1.0, np.sqrt(_COARSE_PX / sum(part.tile.width * part.tile.height for part in coarse)))
         return [
-            SizedPart(part, max(_LEAST_SIDE_PX, int(share * max(part.tile.width, part.tile.height)))) for part in coarse
+            SizedPart(part, max(_MIN_SIDE_PX, int(share * max(part.tile.width, part.tile.height)))) for part in coarse
         ]
 
     def _tile(self, rows: IntArray, depth: int, corner: FloatArray) -> ModelTile:
         size = self._size / 2**depth
         low, high = self._low[rows].min(axis=0).astype(np.float64), self._high[rows].max(axis=0).astype(np.float64)
-        if depth == _MOST_DEPTH or self._fits(rows):
+        if depth == _MAX_DEPTH or self._fits(rows):
             return ModelTile(depth, low, high, 0.0, rows, ())
         beyond = self._centre[rows] >= corner + size / 2
         octant = beyond @ (1, 2, 4)

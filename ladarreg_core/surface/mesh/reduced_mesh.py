@@ -27,13 +27,13 @@ from ladarreg_core.surface.mesh.grid_mesh import (
     whole_blocks,
 )
 
-MOST_FACES = 4_000_000
+MAX_FACES = 4_000_000
 """Triangles of the largest model that is written by default."""
 _SIZES = (32, 16, 8, 4, 2)
 _NOISE_SIGMAS = 4.0
-_LEAST_RELATIVE = 0.0005
+_MIN_RELATIVE = 0.0005
 _COARSER = 1.5
-_MOST_ROUNDS = 8
+_MAX_ROUNDS = 8
 _ROWS_AT_ONCE = 512  # a multiple of the largest size
 _BLOCKS_AT_ONCE = 2_000_000  # cells
 
@@ -49,7 +49,7 @@ class ReducedMesh:
 
 
 def reduced_mesh(
-    scan: Scan, *, tolerance_m: float | None = None, most_faces: int = MOST_FACES, groups: IntArray | None = None
+    scan: Scan, *, tolerance_m: float | None = None, most_faces: int = MAX_FACES, groups: IntArray | None = None
 ) -> ReducedMesh:
     """Return the surface of a scan, across the seam of a full turn, with as few triangles as a tolerance allows.
 
@@ -70,13 +70,13 @@ def reduced_mesh(
     while True:
         edges = grid_edges(part)
         if tolerance_m is None:
-            tolerance_m = max(_NOISE_SIGMAS * edges.noise_m, _LEAST_RELATIVE * typical_range(part.ranges))
+            tolerance_m = max(_NOISE_SIGMAS * edges.noise_m, _MIN_RELATIVE * typical_range(part.ranges))
         ranges, grouped = part.ranges, None if groups is None else groups[::stride, ::stride]
         seam = across_seam(part, edges)
         if seam is not None:
             ranges, edges = continued(ranges, edges, seam)
             grouped = None if grouped is None else np.concatenate([grouped, grouped[:, :1]], axis=1)
-        for _ in range(_MOST_ROUNDS):
+        for _ in range(_MAX_ROUNDS):
             blocks = _Blocks(ranges, edges, tolerance_m, grouped)
             if blocks.least_faces > most_faces:
                 break  # the rest is not flat at any tolerance: only thinning helps

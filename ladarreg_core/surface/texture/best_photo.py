@@ -20,7 +20,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh.grid_mesh import grid_edges
 from ladarreg_core.surface.remap import look_up
 from ladarreg_core.surface.texture.registered_texture import (
-    COLOURED,
+    COLORED,
     Label,
     RegisteredTexture,
     TexturedPart,
@@ -32,7 +32,7 @@ from ladarreg_core.surface.visibility.visible_points import Occluder
 NO_PHOTO = np.iinfo(np.uint16).max
 """The photograph of cells and points that no photograph shows."""
 _RANK: dict[int, int] = {Label.SEEN: 3, Label.GRAZING: 2, Label.UNCERTAIN: 1}
-_COLOURING = "colouring the scan"
+_COLORING = "colouring the scan"
 _STEPS_PER_OCTAVE = 2  # finer differences of resolution count less than the uncertainty of the pose
 _POINTS_AT_ONCE = 500_000
 _TOLERANCE_RELATIVE = 0.002
@@ -55,7 +55,7 @@ class PosedPhoto:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CellColours:
+class CellColors:
     """The colours of a scan's cells, and where they come from; read-only."""
 
     image: ByteArray
@@ -82,10 +82,10 @@ class CellColours:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PointColours:
+class PointColors:
     """The colours of points; the fields are those of `CellColours`, with (N,) for (H, W)."""
 
-    colour: NDArray[np.uint8]
+    color: NDArray[np.uint8]
     """(N, 3) uint8 RGB."""
     labels: NDArray[np.uint8]
     """(N,) uint8."""
@@ -101,7 +101,7 @@ def best_photo(
     *,
     background: tuple[int, int, int] = UNSEEN,
     report: Report | None = None,
-) -> CellColours:
+) -> CellColors:
     """Colour a scan by the photograph that shows each cell best.
 
     Cells that are seen come before those at grazing incidence, and these before uncertain ones; then the resolution of
@@ -127,7 +127,7 @@ def best_photo(
     merit = np.full(shape, -1, np.int16) if len(views) > 1 else None
     for index, view in enumerate(views):
         if report is not None:
-            report(Progress(index, len(views), _COLOURING))
+            report(Progress(index, len(views), _COLORING))
         for part in textured_parts(
             scan,
             view.photo,
@@ -137,27 +137,27 @@ def best_photo(
             background=background,
         ):
             here = part.rows, part.columns
-            coloured = _table(COLOURED)[part.labels]
-            sigma = _sigma(scan, view, here, coloured)
+            colored = _table(COLORED)[part.labels]
+            sigma = _sigma(scan, view, here, colored)
             if merit is None:
-                better, hidden = coloured, ~coloured
+                better, hidden = colored, ~colored
             else:
-                found = np.where(coloured, _merit(part, view.camera), np.int16(-1))
+                found = np.where(colored, _merit(part, view.camera), np.int16(-1))
                 before, uncertainty = merit[here], sigma_px[here]
                 with np.errstate(invalid="ignore"):
-                    better = (found > before) | ((found == before) & coloured & (sigma < uncertainty))
+                    better = (found > before) | ((found == before) & colored & (sigma < uncertainty))
                 merit[here] = np.maximum(found, before)
-                hidden = ~coloured & (photo[here] == NO_PHOTO) & (part.labels == Label.OCCLUDED)
+                hidden = ~colored & (photo[here] == NO_PHOTO) & (part.labels == Label.OCCLUDED)
             labels[here] = np.where(better | hidden, part.labels, labels[here])
             for whole, values in ((image, part.image), (sigma_px, sigma)):
                 whole[here][better] = values[better]
             photo[here][better] = index
             if report is not None:
-                report(Progress(index, len(views), _COLOURING))
+                report(Progress(index, len(views), _COLORING))
     labels[~scan.valid] = Label.NO_RETURN
     for array in (image, labels, photo, sigma_px):
         array.flags.writeable = False  # handed over, not copied
-    return CellColours(image, labels, photo, sigma_px)
+    return CellColors(image, labels, photo, sigma_px)
 
 
 def photo_labels(scan: Scan, view: PosedPhoto) -> ByteArray:
@@ -172,7 +172,7 @@ def photo_labels(scan: Scan, view: PosedPhoto) -> ByteArray:
     return labels
 
 
-class PointColourer:
+class PointColorer:
     """Colours points that need not be cells of the scan: those of the file that it was read from.
 
     A point that lies on the surface of its cell has the cell's photograph, label and uncertainty, and the colour of its
@@ -185,7 +185,7 @@ class PointColourer:
         cells: the colours of the scan's cells, by the same photographs.
     """
 
-    def __init__(self, scan: Scan, views: Sequence[PosedPhoto], cells: CellColours) -> None:
+    def __init__(self, scan: Scan, views: Sequence[PosedPhoto], cells: CellColors) -> None:
         if cells.labels.shape != scan.shape:
             raise ShapeError(f"the colours have {cells.labels.shape} cells, the scan {scan.shape}; they must agree")
         self._scan, self._views, self._cells = scan, tuple(views), cells
@@ -193,7 +193,7 @@ class PointColourer:
         self._inverse_range = np.float32(1) / scan.ranges
         self._occluders: dict[int, Occluder] = {}
 
-    def colours_of(self, points: FloatArray, *, report: Callable[[int], None] | None = None) -> PointColours:
+    def colors_of(self, points: FloatArray, *, report: Callable[[int], None] | None = None) -> PointColors:
         """Return the colours of points.
 
         Args:
@@ -204,35 +204,35 @@ class PointColourer:
         if points.ndim != 2 or points.shape[1] != 3:
             raise ShapeError(f"the points have the shape {points.shape}; it must be (N, 3)")
         count = len(points)
-        found = PointColours(
+        found = PointColors(
             np.empty((count, 3), np.uint8),
             np.empty(count, np.uint8),
             np.empty(count, np.uint16),
             np.empty(count, np.float32),
         )
         for part in _slices(count):
-            self._colour(points[part], found, part)
+            self._color(points[part], found, part)
             if report is not None:
                 report(part.stop)
         return found
 
-    def _colour(self, points: FloatArray, found: PointColours, part: slice) -> None:
+    def _color(self, points: FloatArray, found: PointColors, part: slice) -> None:
         finite: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=1))
         row, column, on_cell = self._cells_of(points, finite)
         labels = np.where(on_cell, self._cells.labels[row, column], np.uint8(Label.OUT_OF_FRAME))
         photo = np.where(on_cell, self._cells.photo[row, column], np.uint16(NO_PHOTO))
         sigma = np.where(on_cell, self._cells.sigma_px[row, column], np.float32(np.nan))
-        colour = self._cells.image[row, column]
-        colour[~on_cell] = UNSEEN
+        color = self._cells.image[row, column]
+        color[~on_cell] = UNSEEN
         beside = np.flatnonzero(finite & ~on_cell)
         if len(beside):
             labels[beside], photo[beside], sigma[beside] = self._alone(points[beside])
         for index, view in enumerate(self._views):
             mine = np.flatnonzero(photo == index)
             if len(mine):
-                colour[mine] = self._sampled(view, points[mine], colour[mine], on_cell[mine])
+                color[mine] = self._sampled(view, points[mine], color[mine], on_cell[mine])
         labels[~finite] = Label.NO_RETURN
-        found.colour[part], found.labels[part], found.photo[part], found.sigma_px[part] = colour, labels, photo, sigma
+        found.color[part], found.labels[part], found.photo[part], found.sigma_px[part] = color, labels, photo, sigma
 
     def _cells_of(self, points: FloatArray, finite: NDArray[np.bool_]) -> tuple[IntArray, IntArray, NDArray[np.bool_]]:
         """Return row and column of each point's cell, and whether the point lies on its surface."""
@@ -311,11 +311,11 @@ def _merit(part: TexturedPart, camera: CameraModel) -> NDArray[np.int16]:
     return result
 
 
-def _sigma(scan: Scan, view: PosedPhoto, here: tuple[slice, slice], coloured: NDArray[np.bool_]) -> NDArray[np.float32]:
-    result = np.full(coloured.shape, np.nan, np.float32)
-    points = scan.points_at(*here)[coloured]
+def _sigma(scan: Scan, view: PosedPhoto, here: tuple[slice, slice], colored: NDArray[np.bool_]) -> NDArray[np.float32]:
+    result = np.full(colored.shape, np.nan, np.float32)
+    points = scan.points_at(*here)[colored]
     if len(points):
-        result[coloured] = _point_sigma(view, view.camera_from_scanner @ points)
+        result[colored] = _point_sigma(view, view.camera_from_scanner @ points)
     return result
 
 

@@ -9,7 +9,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh.grid_mesh import Mesh
 from ladarreg_core.surface.mesh.normals import cell_normals
 from ladarreg_core.surface.texture.photo_model import UV_ERROR_PX, ModelPhoto
-from ladarreg_core.surface.texture.registered_texture import COLOURED, Label
+from ladarreg_core.surface.texture.registered_texture import COLORED, Label
 from ladarreg_core.surface.texture.textured_triangles import SeenBy, TexturedTriangles
 
 _STEPS_PER_PX = 16
@@ -49,7 +49,7 @@ def photo_layer(scan: Scan, mesh: Mesh, photo: ModelPhoto, *, shown_px: int, mos
     """
     places = mesh.places
     labels = photo.labels[places]
-    seen = np.isin(labels, COLOURED)
+    seen = np.isin(labels, COLORED)
     seen_by = SeenBy(photo.camera, photo.camera_from_scanner, seen, labels == Label.OUT_OF_FRAME)
     best = np.where(seen, 0, -1)
     triangles = TexturedTriangles(

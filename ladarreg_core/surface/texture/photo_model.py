@@ -28,16 +28,16 @@ from ladarreg_core.surface.mesh.facets import point_facets
 from ladarreg_core.surface.mesh.grid_mesh import scan_mesh
 from ladarreg_core.surface.mesh.model_part import LARGEST_TILE_PX, ModelPart, model_part
 from ladarreg_core.surface.mesh.normals import cell_normals
-from ladarreg_core.surface.mesh.reduced_mesh import MOST_FACES, ReducedMesh, reduced_mesh
-from ladarreg_core.surface.texture.registered_texture import COLOURED, Label, dimmed_picture
+from ladarreg_core.surface.mesh.reduced_mesh import MAX_FACES, ReducedMesh, reduced_mesh
+from ladarreg_core.surface.texture.registered_texture import COLORED, Label, dimmed_picture
 from ladarreg_core.surface.texture.textured_triangles import LASER, SeenBy, TexturedTriangles
 
 UV_ERROR_PX = 0.33
 """Largest error of a texture within a triangle, px of the photograph, unless the model states a larger one."""
 _STAGES = 4
-_MOST_FACETS = 1_000_000
+_MAX_FACETS = 1_000_000
 _SPECK_CELLS = 8.0
-_MOST_IN_SPECKS = 0.2
+_MAX_IN_SPECKS = 0.2
 _REDUCED_TO = 0.8
 
 
@@ -84,7 +84,7 @@ def photo_model(
     *,
     full: bool = False,
     crop: bool = False,
-    most_faces: int = MOST_FACES,
+    most_faces: int = MAX_FACES,
     largest_tile_px: int = LARGEST_TILE_PX,
     report: Report | None = None,
 ) -> PhotoModel:
@@ -160,7 +160,7 @@ class _Stages:
 def _first_that_sees(photos: Sequence[ModelPhoto], shape: tuple[int, int]) -> IntArray:
     best = np.full(shape, LASER, np.int16)
     for k in range(len(photos) - 1, -1, -1):
-        best[np.isin(photos[k].labels, COLOURED)] = k
+        best[np.isin(photos[k].labels, COLORED)] = k
     return best
 
 
@@ -171,12 +171,12 @@ def _mesh(scan: Scan, groups: IntArray, *, full: bool, most_faces: int) -> Reduc
         found = reduced_mesh(scan, most_faces=max(1000, int(_REDUCED_TO * most_faces)), groups=groups)
     if len(found.mesh.faces):
         return found
-    return ReducedMesh(point_facets(scan, max_vertices=_MOST_FACETS), 0.0)
+    return ReducedMesh(point_facets(scan, max_vertices=_MAX_FACETS), 0.0)
 
 
 def _seen_and_beside(labels: ByteArray) -> tuple[BoolArray, BoolArray]:
     """Return which vertices a photograph sees, and which are only beside it."""
-    return np.isin(labels, COLOURED), labels == Label.OUT_OF_FRAME
+    return np.isin(labels, COLORED), labels == Label.OUT_OF_FRAME
 
 
 def _without_specks(triangles: TexturedTriangles) -> BoolArray:
@@ -188,7 +188,7 @@ def _without_specks(triangles: TexturedTriangles) -> BoolArray:
     areas = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
     size = np.bincount(component, areas)
     kept: BoolArray = size[component] >= _SPECK_CELLS
-    few = float(areas[~kept].sum()) < _MOST_IN_SPECKS * float(areas.sum())
+    few = float(areas[~kept].sum()) < _MAX_IN_SPECKS * float(areas.sum())
     return kept if few else np.ones(len(faces), np.bool_)  # of a sparse scan, small components are all there is
 
 

@@ -34,15 +34,15 @@ from ladarreg_core.surface.uncertainty import covariance_factor
 from ladarreg_core.surface.visibility.rasterise import covering_pinhole, rasterise_values
 
 Frame = Literal["scanner", "world"]
-_MOST_CELLS = 4_000_000  # larger scans are thinned
+_MAX_CELLS = 4_000_000  # larger scans are thinned
 _ROWS_AT_ONCE = 64
 _DIGITS = 1024  # of a triangle's number, drawn as three colours
-_LEAST_COSINE = 0.02
+_MIN_COSINE = 0.02
 _PAIRS_AT_ONCE = 1_000_000
 _RIM = 1e-9
 _TILE_PX = 16
 _BENT = np.float32(0.25)  # of a triangle's extent in the photograph, beyond its corners
-_MOST_EXTENDED = 0.05  # of the distance, between a triangle and the pixel beside it
+_MAX_EXTENDED = 0.05  # of the distance, between a triangle and the pixel beside it
 
 
 class PhotoPoints(NamedTuple):
@@ -136,8 +136,8 @@ def xyz_of_photo(
     if frame == "world" and world is None:
         raise OptionError("the frame is 'world', but the scan does not state where it stands; use 'scanner'")
     chosen = None if at is None else read_only(at, np.float64, (None, 2), "the pixels")
-    if scan.ranges.size > _MOST_CELLS:
-        scan, _ = scan.thinned(_MOST_CELLS)
+    if scan.ranges.size > _MAX_CELLS:
+        scan, _ = scan.thinned(_MAX_CELLS)
     surface = _Surface.of(scan, registration, noise, sigma_uv_px)
     camera = registration.camera
     dtype: type[np.floating[Any]] = np.float64 if frame == "world" else np.float32
@@ -319,7 +319,7 @@ class _Surface:
         normal = (self.normals[corners] * inner[..., None]).sum(axis=1)
         normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
         cosine = (normal * d).sum(axis=1)
-        cosine = np.where(np.abs(cosine) < _LEAST_COSINE, np.where(cosine > 0, 1, -1) * _LEAST_COSINE, cosine)
+        cosine = np.where(np.abs(cosine) < _MIN_COSINE, np.where(cosine > 0, 1, -1) * _MIN_COSINE, cosine)
         # A pixel's centre may lie beside the triangle that was drawn there: the smoothed surface is extended to it.
         beside = np.asarray(~(weights >= -_RIM).all(axis=1))
         border = (self.vertices[corners] * inner[..., None]).sum(axis=1) - self.pose.centre
@@ -327,7 +327,7 @@ class _Surface:
         depth, weights = np.where(beside, extended, depth), np.where(beside[:, None], inner, weights)
         with np.errstate(invalid="ignore"):
             far = np.abs(depth - np.linalg.norm(border, axis=1))
-            close = np.flatnonzero((depth > 0) & (far <= _MOST_EXTENDED * depth))
+            close = np.flatnonzero((depth > 0) & (far <= _MAX_EXTENDED * depth))
         hit, d, d_camera = hit[close], d[close], d_camera[close]
         weights, depth, normal, cosine = weights[close], depth[close], normal[close], cosine[close]
         found = self.pose.centre + depth[:, None] * d

@@ -62,7 +62,7 @@ class Label(IntEnum):
     few cells that only the noise of their ranges may hide from the camera."""
 
 
-COLOURED = (Label.SEEN, Label.GRAZING, Label.UNCERTAIN)
+COLORED = (Label.SEEN, Label.GRAZING, Label.UNCERTAIN)
 """The classes whose cells have the photograph's colour."""
 
 
@@ -81,14 +81,14 @@ class RegisteredTexture:
         object.__setattr__(self, "labels", read_only(self.labels, np.uint8, image.shape[:2], "the labels"))
 
     @property
-    def coloured(self) -> BoolArray:
+    def colored(self) -> BoolArray:
         """(H, W) bool: cells with the photograph's colour."""
-        return self.coloured_rows(slice(None))
+        return self.colored_rows(slice(None))
 
-    def coloured_rows(self, rows: slice) -> BoolArray:
+    def colored_rows(self, rows: slice) -> BoolArray:
         """Return some rows of `coloured`."""
         table = np.zeros(256, dtype=np.bool_)
-        table[list(COLOURED)] = True
+        table[list(COLORED)] = True
         return table[self.labels[rows]]
 
 
@@ -122,10 +122,10 @@ def texture_scan(
 
     Source: thesis 2.5.
     """
-    colour = np.asarray(background)
-    if colour.shape != (3,) or colour.dtype.kind not in "iu" or colour.min() < 0 or colour.max() > 255:
+    color = np.asarray(background)
+    if color.shape != (3,) or color.dtype.kind not in "iu" or color.min() < 0 or color.max() > 255:
         raise OptionError(f"the background is {background!r}; it must be three whole numbers from 0 to 255")
-    beyond = (int(colour[0]), int(colour[1]), int(colour[2]))
+    beyond = (int(color[0]), int(color[1]), int(color[2]))
     image = uniform(scan.shape, beyond)
     labels = np.full(scan.shape, Label.OUT_OF_FRAME, np.uint8)
     for part in textured_parts(
@@ -216,7 +216,7 @@ def model_rows(scan: Scan, texture: RegisteredTexture, rows: slice, levels: tupl
     """Return some rows of `model_picture`, given `dimmed_levels` of the scan."""
     gray = dimmed_gray(scan.intensity[rows], levels)
     picture = cv2.cvtColor(gray, cv2.COLOR_GRAY2RGB)
-    cv2.copyTo(texture.image[rows], texture.coloured_rows(rows).view(np.uint8), picture)
+    cv2.copyTo(texture.image[rows], texture.colored_rows(rows).view(np.uint8), picture)
     return np.asarray(picture, dtype=np.uint8)
 
 
@@ -300,10 +300,10 @@ def blended_picture(scan: Scan, texture: RegisteredTexture, *, share: float) -> 
         ShapeError: if the texture is not on the scan's grid.
     """
     require_number(share, "the share of colour", least=0, most=1)
-    colour = model_picture(scan, texture)
+    color = model_picture(scan, texture)
     if share == 1:
-        return colour
-    mixed = (1 - share) * intensity_picture(scan).astype(np.float32) + share * colour.astype(np.float32)
+        return color
+    mixed = (1 - share) * intensity_picture(scan).astype(np.float32) + share * color.astype(np.float32)
     return np.rint(mixed).astype(np.uint8)
 
 
@@ -412,11 +412,11 @@ def _sampled(
         last = largest < 2 ** (level + 1) or min(reduced.shape[:2]) < 4
         if last or smallest < 2 ** (level + 1):  # this copy fits some cells best
             at_u, at_v = (u, v) if level == 0 else _in_copy(u, v, visible, pixels, reduced)
-            colours = look_up(reduced, at_u, at_v, outside=background)
+            colors = look_up(reduced, at_u, at_v, outside=background)
             if result is None:
-                result = colours
+                result = colors
             else:
-                np.copyto(result, colours, where=(cell_px >= 2**level)[..., None])
+                np.copyto(result, colors, where=(cell_px >= 2**level)[..., None])
         if last:
             assert result is not None, "the last copy is always used"
             return result

@@ -26,7 +26,7 @@ LASER = -1
 """Owner of a triangle that no photograph textures."""
 _INSIDE_OVER_EDGE = 4 / 3  # a quadratic with zeros at the corners: its largest value inside over that at the midpoints
 _BISECTIONS = 14
-_MOST_ROUNDS = 9
+_MAX_ROUNDS = 9
 _CELL_ERROR = 0.5  # of a texel of the laser intensity
 _LONGEST_EDGE_PX = 2048.0
 _AT_ONCE = 500_000
@@ -156,7 +156,7 @@ class TexturedTriangles:
         """
         error = largest_error_px
         self._changed = np.ones(len(self.faces), np.bool_)
-        for _ in range(_MOST_ROUNDS):
+        for _ in range(_MAX_ROUNDS):
             new = self._edges_that_err(error / _INSIDE_OVER_EDGE)
             if not len(new):
                 break

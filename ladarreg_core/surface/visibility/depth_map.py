@@ -17,7 +17,7 @@ from ladarreg_core.surface.mesh.grid_mesh import grid_edges, scan_mesh
 from ladarreg_core.surface.visibility.rasterise import covering_pinhole, rasterise_depth
 from ladarreg_core.surface.visibility.visible_points import LARGEST_WHOLE_SCAN, occluding_surface, places_in_picture
 
-_MOST_PIXELS = 16_000_000  # of a band that is rasterised at once
+_MAX_PIXELS = 16_000_000  # of a band that is rasterised at once
 _ROWS_AT_ONCE = 256
 _RAYS_AT_ONCE = 400_000
 _SAME_SURFACE = 0.02  # relative change of the depth within one pixel; beyond it, nothing is interpolated
@@ -124,7 +124,7 @@ def _draw(
     points: FloatArray, faces: IntArray, camera: Camera, depth: NDArray[np.float32], report: Callable[[], None]
 ) -> None:
     """Draw triangles into a depth buffer, (h, w) with infinity where there is nothing, by bands."""
-    rows = max(1, _MOST_PIXELS // camera.width)
+    rows = max(1, _MAX_PIXELS // camera.width)
     v = camera.project(points)[:, 1] if camera.height > rows else None
     for first in range(0, camera.height, rows):
         report()

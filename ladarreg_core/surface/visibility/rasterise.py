@@ -13,7 +13,7 @@ from ladarreg_core.foundations.arrays import FloatArray, IntArray
 
 _NEAR_M = 0.01
 _WIDEST_HALF_ANGLE_RAD = np.deg2rad(75)
-_MOST_PIXELS = 24_000_000
+_MAX_PIXELS = 24_000_000
 _BORDER_SAMPLES = 64
 
 
@@ -67,7 +67,7 @@ def covering_pinhole(camera: Camera, *, scale: float = 1.0) -> Camera:
     low, high = xy.min(axis=0), xy.max(axis=0)
     fx, fy = camera.fx * scale, camera.fy * scale
     width, height = (high - low) * (fx, fy) + 4
-    shrink = min(1.0, float(np.sqrt(_MOST_PIXELS / (width * height))))
+    shrink = min(1.0, float(np.sqrt(_MAX_PIXELS / (width * height))))
     fx, fy = fx * shrink, fy * shrink
     return replace(
         camera.without_distortion(),

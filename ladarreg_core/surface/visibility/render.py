@@ -74,10 +74,10 @@ def render_scan_colors(
     if camera.distortion:
         at = _ideal_positions(camera, ideal, supersample)
         drawn, covered = _resampled(drawn, at), _resampled(covered, at)
-    colour = cv2.resize(drawn, camera.size, interpolation=cv2.INTER_AREA)
+    color = cv2.resize(drawn, camera.size, interpolation=cv2.INTER_AREA)
     share = cv2.resize(covered, camera.size, interpolation=cv2.INTER_AREA)
-    colour = colour * 255 + (1 - share[..., None]) * np.array(background, dtype=np.float32)
-    return np.clip(np.rint(colour), 0, 255).astype(np.uint8), np.asarray(share >= 0.5)
+    color = color * 255 + (1 - share[..., None]) * np.array(background, dtype=np.float32)
+    return np.clip(np.rint(color), 0, 255).astype(np.uint8), np.asarray(share >= 0.5)
 
 
 def render_scan_picture(
@@ -116,15 +116,15 @@ def render_scan_picture(
         plane *= most
     on_surface = _cells_with_neighbours(scan)
     seen[gap] = on_surface[np.rint(row[gap]).astype(np.intp), np.rint(column[gap]).astype(np.intp)]
-    colour = look_up(_continued(picture, on_surface), column, row)
-    paint(colour, ~seen, _BACKGROUND)
+    color = look_up(_continued(picture, on_surface), column, row)
+    paint(color, ~seen, _BACKGROUND)
     if camera.distortion:
         at = _ideal_positions(camera, ideal, 1)
         u, v = np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])
-        colour = look_up(colour, u, v, outside=_BACKGROUND)
+        color = look_up(color, u, v, outside=_BACKGROUND)
         seen = _resampled(seen.astype(np.float32), at) >= 0.5
-        paint(colour, ~seen, _BACKGROUND)
-    return colour, seen
+        paint(color, ~seen, _BACKGROUND)
+    return color, seen
 
 
 def _cells_with_neighbours(scan: Scan) -> BoolArray:
@@ -158,8 +158,8 @@ def _render_wide(
     """Render into a wide image, one sample a pixel, by way of the faces of a cube around the camera."""
     v, u = np.mgrid[: camera.height, : camera.width]
     rays = camera.unproject(np.stack([u, v], axis=-1)).astype(np.float32)
-    colour = np.empty((camera.height, camera.width, 3), dtype=np.float32)
-    colour[:] = background
+    color = np.empty((camera.height, camera.width, 3), dtype=np.float32)
+    color[:] = background
     covered = np.zeros((camera.height, camera.width), dtype=np.bool_)
     for face in cube_faces(camera):
         turned = rays @ face.face_from_camera.T.astype(np.float32)
@@ -167,9 +167,9 @@ def _render_wide(
         depth, drawn = rasterise_values(points_camera @ face.face_from_camera.T, faces, values, face.camera)
         at = np.where(here[..., None], face.camera.project(turned), np.float32(-10))
         found = here & (_resampled(np.isfinite(depth).astype(np.float32), at) >= 0.5)
-        colour[found] = (_resampled(drawn, at) * 255)[found]
+        color[found] = (_resampled(drawn, at) * 255)[found]
         covered |= found
-    return np.clip(np.rint(colour), 0, 255).astype(np.uint8), covered
+    return np.clip(np.rint(color), 0, 255).astype(np.uint8), covered
 
 
 def _resampled(image: NDArray[np.float32], at: FloatArray) -> NDArray[np.float32]:

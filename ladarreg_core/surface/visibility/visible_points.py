@@ -26,7 +26,7 @@ _BLOCK_RELATIVE = 0.001
 _BLOCK_SIGMAS = 2.5
 _TOLERANCE_RELATIVE = 0.004
 _TOLERANCE_SIGMAS = 4.0
-_LEAST_COSINE = 0.15
+_MIN_COSINE = 0.15
 _GRAZING_COSINE = float(np.cos(np.deg2rad(80)))
 _STEEPEST_END = 2.0  # tan 63 deg
 LARGEST_WHOLE_SCAN = 4_000_000
@@ -312,7 +312,7 @@ def _is_behind(depth: FloatArray, nearest: FloatArray, cosine: FloatArray, noise
     """Return whether points lie behind a surface whose inverse depth is `nearest`, beyond the tolerance."""
     with np.errstate(invalid="ignore"):
         # z > z_surface + tolerance, with z_surface = 1 / nearest; the tolerance grows as the surface tilts away.
-        excess = (depth * nearest - 1) * np.maximum(np.abs(cosine), np.float32(_LEAST_COSINE))
+        excess = (depth * nearest - 1) * np.maximum(np.abs(cosine), np.float32(_MIN_COSINE))
         return np.asarray(excess > np.float32(_TOLERANCE_RELATIVE) + noise_m * nearest)
 
 

@@ -33,7 +33,7 @@ def epipolar_residuals(x: FloatArray, pairs: StereoPairs) -> FloatArray:
     """
     Tx, Ty, Tz, alpha, beta, gamma = map(float, x)
     with np.errstate(divide="ignore", invalid="ignore"):
-        rectified = np.stack(rectify(pairs.colour[0], pairs.colour[1], alpha=alpha, beta=beta, gamma=gamma))
+        rectified = np.stack(rectify(pairs.color[0], pairs.color[1], alpha=alpha, beta=beta, gamma=gamma))
         shift = np.array([[Tx], [Ty]])
         return np.asarray((rectified - pairs.laser) - (shift + Tz * rectified) / pairs.depth)
 
@@ -51,7 +51,7 @@ def epipolar_cost(pairs: StereoPairs) -> Callable[[FloatArray], float]:
         A function of x = (Tx, Ty, Tz, alpha, beta, gamma) in m and rad. It reuses its buffers and is not thread-safe.
     """
     count = len(pairs)
-    sight = np.vstack([-pairs.colour, np.ones(count)])
+    sight = np.vstack([-pairs.color, np.ones(count)])
     terms = np.vstack([sight, sight / pairs.depth, pairs.laser[0] * sight, pairs.laser[1] * sight, np.ones(count)])
     coefficients, sums, values = np.zeros((4, 13)), np.empty((4, count)), np.empty(2 * count)
     numerators, denominators = sums[:2].reshape(-1), sums[2:].reshape(-1)

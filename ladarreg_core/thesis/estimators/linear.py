@@ -14,8 +14,8 @@ from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import Rigid, principal_extents, rotvec_from_rotation
 
-LEAST_MATCHES = 7
-LEAST_PLANARITY = 0.3
+MIN_MATCHES = 7
+MIN_PLANARITY = 0.3
 """Smallest relief of the points: on a plane the median error is 5 m, with 30 cm of relief 52 mm."""
 
 
@@ -34,15 +34,15 @@ def linear_pose(points_scanner: FloatArray, xy: FloatArray) -> Rigid:
             of the centred points below 0.3 of the middle one), or if the constraints have more than one solution.
     """
     count = len(points_scanner)
-    if count < LEAST_MATCHES:
+    if count < MIN_MATCHES:
         raise DegenerateGeometryError(
-            f"the linear method got {count} matches and needs {LEAST_MATCHES}; add matches or use 'robust'"
+            f"the linear method got {count} matches and needs {MIN_MATCHES}; add matches or use 'robust'"
         )
     s = principal_extents(points_scanner)
-    if s[2] < LEAST_PLANARITY * s[1]:
+    if s[2] < MIN_PLANARITY * s[1]:
         raise DegenerateGeometryError(
             f"the matches are too close to a plane for the linear method (relief {s[2] / max(s[1], 1e-300):.2g} of "
-            f"their width, at least {LEAST_PLANARITY:g} is needed); add matches off the plane or use 'robust'"
+            f"their width, at least {MIN_PLANARITY:g} is needed); add matches off the plane or use 'robust'"
         )
     rotation, translation, determined = solve_radial(points_scanner[None], xy[None])
     if not determined[0]:

@@ -18,13 +18,13 @@ StartName = Literal["given", "linear", "aimed"]
 
 _LEFT_OF_RANGE = 0.1
 _CAMERA_FROM_STEREO_AXES = np.diag([-1.0, -1.0, 1.0])
-_LEAST_MATCHES = 5
-_MOST_PARTNERS = 60
+_MIN_MATCHES = 5
+_MAX_PARTNERS = 60
 _SMOOTHING_DEG = 6.0
 _NEAR_DEG = 20.0
 _LEVEL = 0.02
 _BEST_SHARE = 0.2
-_LEAST_MODE_SHARE = 0.25  # of the pairs within 20 degrees of the mode; 0.11 by chance
+_MIN_MODE_SHARE = 0.25  # of the pairs within 20 degrees of the mode; 0.11 by chance
 
 
 def starting_poses(matches: Matches, pairs: StereoPairs, initial: Rigid | None) -> list[tuple[StartName, FloatArray]]:
@@ -41,7 +41,7 @@ def starting_poses(matches: Matches, pairs: StereoPairs, initial: Rigid | None) 
     usable = pairs.subset(pairs.usable)
     found: list[tuple[StartName, FloatArray]] = [("aimed", aimed_start(usable))]
     try:
-        pose = linear_pose(matches.points[pairs.usable], usable.colour.T)
+        pose = linear_pose(matches.points[pairs.usable], usable.color.T)
         found.append(("linear", pairs.parameters(pose)))
     except DegenerateGeometryError:
         pass
@@ -60,8 +60,8 @@ def aimed_start(pairs: StereoPairs) -> FloatArray:
     """
     if not len(pairs):
         return np.zeros(6)
-    roll = picture_roll(pairs.laser, pairs.colour, pairs.depth) or 0.0
-    rolled = rotation_about("z", roll) @ _towards(pairs.colour)
+    roll = picture_roll(pairs.laser, pairs.color, pairs.depth) or 0.0
+    rolled = rotation_about("z", roll) @ _towards(pairs.color)
     aim = _towards(pairs.laser)
     axis = np.cross(rolled, aim)
     sine = float(np.linalg.norm(axis))
@@ -72,7 +72,7 @@ def aimed_start(pairs: StereoPairs) -> FloatArray:
     return pairs.parameters(Rigid.from_centre(_CAMERA_FROM_STEREO_AXES @ Q.T @ from_frame, from_frame.T @ left))
 
 
-def picture_roll(laser: FloatArray, colour: FloatArray, depth: FloatArray) -> float | None:
+def picture_roll(laser: FloatArray, color: FloatArray, depth: FloatArray) -> float | None:
     """Return gamma, the roll of the colour camera about its optical axis, rad; None if the matches do not show it.
 
     The direction from one match to another rotates by the roll, regardless of shift and scale between the two images.
@@ -85,22 +85,22 @@ def picture_roll(laser: FloatArray, colour: FloatArray, depth: FloatArray) -> fl
         depth: (N,) of the scan points, m.
     """
     count = laser.shape[1]
-    if count < _LEAST_MATCHES:
+    if count < _MIN_MATCHES:
         return None
-    shifts = np.unique(np.linspace(1, count - 1, min(count - 1, _MOST_PARTNERS)).astype(np.intp))
+    shifts = np.unique(np.linspace(1, count - 1, min(count - 1, _MAX_PARTNERS)).astype(np.intp))
     first = np.tile(np.arange(count), len(shifts))
     second = (first + np.repeat(shifts, count)) % count
-    l, c = (xy[0] + 1j * xy[1] for xy in (laser, colour))  # noqa: E741 - laser and colour, as complex numbers
-    from_laser, from_colour = l[second] - l[first], c[second] - c[first]
+    l, c = (xy[0] + 1j * xy[1] for xy in (laser, color))  # noqa: E741 - laser and colour, as complex numbers
+    from_laser, from_color = l[second] - l[first], c[second] - c[first]
     # noise rotates short directions most, parallax those between different depths
-    length = np.minimum(np.abs(from_laser), np.abs(from_colour))
+    length = np.minimum(np.abs(from_laser), np.abs(from_color))
     long = (length > 0) & (length >= np.median(length))
     inverse = 1 / depth
     quality = np.where(long, length / (np.abs(inverse[second] - inverse[first]) + _LEVEL * np.median(inverse)), 0.0)
     long &= quality >= np.quantile(quality, 1 - _BEST_SHARE)
     if not long.any():
         return None
-    rotation = np.angle(from_laser[long] * np.conj(from_colour[long]))
+    rotation = np.angle(from_laser[long] * np.conj(from_color[long]))
     frequency = np.bincount(np.floor(np.degrees(rotation)).astype(np.intp) % 360, minlength=360).astype(np.float64)
     offset = np.minimum(np.arange(360), 360 - np.arange(360))
     kernel = np.exp(-0.5 * (offset / _SMOOTHING_DEG) ** 2)
@@ -108,7 +108,7 @@ def picture_roll(laser: FloatArray, colour: FloatArray, depth: FloatArray) -> fl
     mode = np.deg2rad(float(np.argmax(smooth)) + 0.5)
     off = np.angle(np.exp(1j * (rotation - mode)))
     near = np.abs(off) <= np.deg2rad(_NEAR_DEG)
-    if near.mean() < _LEAST_MODE_SHARE:
+    if near.mean() < _MIN_MODE_SHARE:
         return None
     return float(np.angle(np.exp(1j * (mode + np.median(off[near])))))
 

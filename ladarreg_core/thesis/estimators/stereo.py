@@ -28,8 +28,8 @@ STEREO_AXES_FROM_SCANNER = np.diag([-1.0, -1.0, 1.0]) @ CAMERA_AXES_FROM_SCANNER
 STEREO_AXES_FROM_SCANNER.flags.writeable = False
 
 _WELL_IN_FRONT = np.cos(np.deg2rad(60.0))
-_LEAST_COSINE = 0.05  # closer to 90 degrees off the axis, depth does not determine range
-_LEAST_MEAN = 1e-3
+_MIN_COSINE = 0.05  # closer to 90 degrees off the axis, depth does not determine range
+_MIN_MEAN = 1e-3
 
 POLE = 1e-140
 """Added to denominators: negligible beside any disparity, and avoids division by exactly 0."""
@@ -82,9 +82,7 @@ def rotate_coordinates(x: FloatArray, y: FloatArray, rotation: FloatArray) -> _C
     return rotation[0, 0] * x + rotation[0, 1] * y, rotation[1, 0] * x + rotation[1, 1] * y
 
 
-def stereo_depth(
-    colour: FloatArray, laser: FloatArray, *, baseline: float, Tz: float, focal: float = 1.0
-) -> FloatArray:
+def stereo_depth(color: FloatArray, laser: FloatArray, *, baseline: float, Tz: float, focal: float = 1.0) -> FloatArray:
     """Return the depth (N,) from the disparity along one axis, x (Eq 2.19) or y (Eq 2.20).
 
     Args:
@@ -98,11 +96,11 @@ def stereo_depth(
         Zs, m: infinite without disparity; NaN without baseline as well.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray((focal * baseline + Tz * colour) / (colour - laser))
+        return np.asarray((focal * baseline + Tz * color) / (color - laser))
 
 
 def stereo_depths(
-    parameters: ThesisParameters, laser: FloatArray, colour: FloatArray, *, focal: float = 1.0
+    parameters: ThesisParameters, laser: FloatArray, color: FloatArray, *, focal: float = 1.0
 ) -> _Coordinates:
     """Return both stereo depths of every match: rectify, rotate to equal baselines, divide by the disparities.
 
@@ -118,7 +116,7 @@ def stereo_depths(
     Source: thesis Eq 2.13-2.20.
     """
     p = parameters
-    x, y = rectify(colour[0], colour[1], alpha=p.alpha, beta=p.beta, gamma=p.gamma, focal=focal)
+    x, y = rectify(color[0], color[1], alpha=p.alpha, beta=p.beta, gamma=p.gamma, focal=focal)
     if not hypot(p.Tx, p.Ty) > 0:
         return np.full_like(x, np.nan), np.full_like(x, np.nan)
     rotation, baseline = equal_baselines_rotation(p.Tx, p.Ty), equal_baseline(p.Tx, p.Ty)
@@ -138,7 +136,7 @@ def stereo_frame(rays_scanner: FloatArray) -> FloatArray:
     if len(rays_scanner) == 0 or (rays_scanner[:, 0] >= _WELL_IN_FRONT).all():
         return np.eye(3)
     mean = rays_scanner.mean(axis=0)
-    if not np.linalg.norm(mean) > _LEAST_MEAN:  # rays all around: no preferred direction
+    if not np.linalg.norm(mean) > _MIN_MEAN:  # rays all around: no preferred direction
         return np.eye(3)
     return np.asarray(CAMERA_AXES_FROM_SCANNER.T @ look_along(mean))
 
@@ -156,7 +154,7 @@ class StereoPairs:
     """(3, 3) rotation to the axes along whose X depth is measured; see `stereo_frame`."""
     laser: FloatArray
     """(2, M) xl, yl."""
-    colour: FloatArray
+    color: FloatArray
     """(2, M) xc, yc."""
     depth: FloatArray
     """(M,) Zl, m."""
@@ -178,14 +176,14 @@ class StereoPairs:
         points = STEREO_AXES_FROM_SCANNER @ frame @ matches.points.T
         with np.errstate(divide="ignore", invalid="ignore"):
             if isinstance(camera, Camera) and not camera.distortion:
-                colour = (matches.uv.T - [[camera.cx], [camera.cy]]) / [[camera.fx], [camera.fy]]
+                color = (matches.uv.T - [[camera.cx], [camera.cy]]) / [[camera.fx], [camera.fy]]
             else:
                 sight = camera.unproject(matches.uv).T
                 # wide cameras also see beside and behind them
-                colour = np.where(sight[2] > 0, sight[:2] / sight[2], np.nan)
+                color = np.where(sight[2] > 0, sight[:2] / sight[2], np.nan)
             laser = -points[:2] / points[2]  # both negated: camera to stereo axes
-            usable = (points[2] > _LEAST_COSINE * matches.ranges) & np.isfinite(colour).all(axis=0)
-        return StereoPairs(frame, laser, colour, points[2], matches.weights, usable)
+            usable = (points[2] > _MIN_COSINE * matches.ranges) & np.isfinite(color).all(axis=0)
+        return StereoPairs(frame, laser, color, points[2], matches.weights, usable)
 
     def __len__(self) -> int:
         return len(self.depth)
@@ -195,7 +193,7 @@ class StereoPairs:
         return StereoPairs(
             self.frame_from_scanner,
             self.laser[:, keep],
-            self.colour[:, keep],
+            self.color[:, keep],
             self.depth[keep],
             self.weights[keep],
             self.usable[keep],
@@ -215,12 +213,12 @@ class StereoPairs:
     def ahead(self, camera_from_scanner: Rigid) -> BoolArray:
         """Return which colour pixels (M,) point forward along the frame's X after derotation."""
         forward = camera_from_scanner.rotation @ self.frame_from_scanner[0]
-        return np.asarray(forward @ np.vstack([self.colour, np.ones(len(self))]) > 0)
+        return np.asarray(forward @ np.vstack([self.color, np.ones(len(self))]) > 0)
 
     def depths(self, x: FloatArray) -> FloatArray:
         """Return Zxs and Zys (2, M) at the parameters (6,); see `stereo_depths`."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.stack(stereo_depths(ThesisParameters(*map(float, x)), self.laser, self.colour))
+            return np.stack(stereo_depths(ThesisParameters(*map(float, x)), self.laser, self.color))
 
     def depth_errors(self, x: FloatArray) -> FloatArray:
         """Return sqrt((Zl - Zxs)^2 + (Zl - Zys)^2), (M,) m, the thesis's rejection criterion; infinite if undefined."""
@@ -247,7 +245,7 @@ def stereo_cost(pairs: StereoPairs) -> Callable[[FloatArray], float]:
     Source: thesis Eq 2.21, with lambda = 1.
     """
     count = len(pairs)
-    sight = np.vstack([-pairs.colour, np.ones(count)])
+    sight = np.vstack([-pairs.color, np.ones(count)])
     terms = np.vstack([pairs.laser[0] * sight, pairs.laser[1] * sight, sight, np.ones(count)])
     coefficients, sums, values = np.zeros((4, 10)), np.empty((4, count)), np.empty(2 * count)
     denominators, numerators = sums[:2].reshape(-1), sums[2:].reshape(-1)

@@ -32,8 +32,8 @@ Residual = Literal["stereo", "epipolar"]
 RejectedBy = Literal["depth error", "pixel residual"]
 DescentEnd = Literal["settled", "cycle", "round limit", "too few left", "cost below threshold", "stopped by hand"]
 
-LEAST_MATCHES = 4
-_LEAST_KEPT = 6
+MIN_MATCHES = 4
+_MIN_KEPT = 6
 _MAD = 1.4826
 _LEAST, _MOST = 1e-15, 1e6
 _NARROW = 0.1  # size of the simplex of later rounds, relative to the first
@@ -257,10 +257,10 @@ def descend(
         raise OptionError(f"sigma_px is {sigma_px!r}; it must be a positive number of pixels")
     pairs = StereoPairs.of(matches, camera)
     usable = int(np.count_nonzero(pairs.usable))
-    if usable < LEAST_MATCHES:
+    if usable < MIN_MATCHES:
         raise DegenerateGeometryError(
             f"only {usable} of {len(matches)} matches lie in front of the scanner and within the field of the lens, "
-            f"and a pose needs {LEAST_MATCHES}; add matches"
+            f"and a pose needs {MIN_MATCHES}; add matches"
         )
     fitter = _Fitter(pairs, options or SimplexOptions(), camera.focal_px, float(sigma_px))
     return fitter.run(starting_poses(matches, pairs, initial))
@@ -402,7 +402,7 @@ class _Fitter:
                 better = errors <= np.median(errors[self.pairs.usable])
                 halving = better.tobytes() not in known and rounds < self.options.reject_rounds // 2
                 within = better if halving else within
-            if np.count_nonzero(within) < min(_LEAST_KEPT, int(np.count_nonzero(self.pairs.usable))):
+            if np.count_nonzero(within) < min(_MIN_KEPT, int(np.count_nonzero(self.pairs.usable))):
                 stopped = "too few left"
                 break
             if within.tobytes() in known:

@@ -72,7 +72,7 @@ def plan_of(bench: WorkbenchDriver, **changes: Any) -> dict[str, Any]:
 
 def test_a_plan_is_kept_as_it_is_edited_and_its_faults_are_said_with_their_fields(bench: WorkbenchDriver) -> None:
     assert bench.do("acquire_ports")["draft"] is None
-    wrong = plan_of(bench, mode="mosaic", tilt_deg=[0, 10], camera={"folder": "no-such-folder"}, colour="red")
+    wrong = plan_of(bench, mode="mosaic", tilt_deg=[0, 10], camera={"folder": "no-such-folder"}, color="red")
     wrong["mount"] = {"xyz_m": [0, 0, 99], "rpy_deg": [0, 0, 0]}
     wrong["scanner"] = {"kind": "folder", "folder": "twin:scanner?seed=11", "fov_deg": [55]}
     bench.do("acquire_keep", plan=wrong)

@@ -180,7 +180,7 @@ def test_the_photographs_file_is_copied_if_everyone_reads_its_pixels(tmp_path: P
 
 
 def test_points_are_thinned_evenly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reconstruction, "MOST_POINTS", 120)
+    monkeypatch.setattr(reconstruction, "MAX_POINTS", 120)
     handed = handed_over(photograph(CAMERAS["4 terms"], "a"), photograph(CAMERAS["fisheye"], "b", pose=POSE))
     export_to(tmp_path / "out", handed, ["colmap"])
     found = pycolmap.Reconstruction(tmp_path / "out" / "colmap" / "sparse" / "0")

@@ -100,7 +100,7 @@ def test_the_difference_from_the_default_is_the_poses(change) -> None:
     assert (itself.median_px, itself.position_m) == (0, 0)
     assert apart.position_m == pytest.approx(np.linalg.norm(change[3:]), abs=1e-9)
     assert apart.angle_rad == pytest.approx(np.linalg.norm(change[:3]), abs=1e-7)
-    cells = np.argwhere(base.columns[1].texture.coloured)
+    cells = np.argwhere(base.columns[1].texture.colored)
     points = scan.points[cells[:, 0], cells[:, 1]].astype(float)
     shift = photo.camera.project(moved @ points) - photo.camera.project(POSE @ points)
     assert apart.median_px == pytest.approx(np.median(np.hypot(*shift.T)), rel=1e-6, abs=1e-9)

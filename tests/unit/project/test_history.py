@@ -55,7 +55,7 @@ def test_undo_and_redo_walk_along_what_was_committed(moves: list[str]) -> None:
 
 
 def test_the_number_of_undo_steps_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ladarreg_core.project.history.MOST_STEPS", 5)
+    monkeypatch.setattr("ladarreg_core.project.history.MAX_STEPS", 5)
     history = History.begun(Document(name="0"), label="Begin", author="", when=WHEN)
     for k in range(1, 9):
         history = history.committed(named(history.document, str(k)), label=str(k), author="a", when=WHEN)
@@ -122,7 +122,7 @@ def test_a_saved_project_survives_a_truncated_history(
 
 
 def test_a_long_history_is_shortened_and_keeps_its_position(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ladarreg_core.project.storage.folder._MOST_ENTRIES", 8)
+    monkeypatch.setattr("ladarreg_core.project.storage.folder._MAX_ENTRIES", 8)
     folder = ProjectFolder(tmp_path / "p")
     history = History.begun(a_document(), label="Begin", author="", when=WHEN)
     folder.begin(history)

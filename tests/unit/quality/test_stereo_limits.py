@@ -72,7 +72,7 @@ def test_the_roll_is_estimated_from_the_matches(seed, roll, outliers):
     matches, pose = rolled(seed, roll, outliers=outliers)
     pairs = StereoPairs.of(matches, BIG)
     true = pairs.parameters(pose)[5]
-    found = picture_roll(pairs.laser, pairs.colour, pairs.depth)
+    found = picture_roll(pairs.laser, pairs.color, pairs.depth)
     assert found is not None
     assert abs(np.angle(np.exp(1j * (found - true)))) < np.deg2rad(15)
 

@@ -139,7 +139,7 @@ def test_poses_stay_within_their_set(set_name: str) -> None:
 
 
 @pytest.mark.parametrize("set_name", ["standard", "hard"])
-def test_a_laser_sees_other_colours_than_the_eye(set_name: str) -> None:
+def test_a_laser_sees_other_colors_than_the_eye(set_name: str) -> None:
     well = InkMixer(np.random.default_rng(0), independent=set_name == "hard")
     red = np.array([well.of((255, 40, 40))[3] for _ in range(2000)]) / 255
     black = np.array([well.of((20, 20, 20))[3] for _ in range(2000)]) / 255

@@ -58,7 +58,7 @@ def test_pixels_have_the_depth_of_the_plane_behind_them(name: str) -> None:
 def test_a_picture_in_bands_and_a_scan_in_parts_give_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     camera = CAMERAS["pinhole"]
     whole = depth_map(room(), camera, POSE)
-    monkeypatch.setattr(module, "_MOST_PIXELS", 200 * 40)
+    monkeypatch.setattr(module, "_MAX_PIXELS", 200 * 40)
     monkeypatch.setattr(module, "LARGEST_WHOLE_SCAN", 1000)
     banded = depth_map(room(), camera, POSE)
     assert (np.isfinite(whole) == np.isfinite(banded)).mean() > 0.999
