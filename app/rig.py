@@ -1,4 +1,4 @@
-"""`ladarreg register --rig CSV`: the pairs of a scanner and a camera that are mounted together."""
+"""`ladarreg register --rig FILE`: pairs of a scanner and cameras that are mounted together, in a table or recording."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
-from .arguments import CameraArguments
+from .arguments import CameraArguments, OptionalInt, OptionalStr
 from .exit_codes import ExitCode
 from .messages import one_line
 from .progress_bar import progress_bar
@@ -22,6 +22,8 @@ EXAMPLES = (
     "ladarreg register --rig pairs.csv --camera cam.json -o rig",
     "# from a rough pose, within some 5 degrees and .3 m:",
     "ladarreg register --rig pairs.csv --camera cam.json --initial pose.json -o rig",
+    "# clouds and pictures of a recording, the camera as its camera_info says:",
+    "ladarreg register --rig run.mcap --cloud /points --image /image -o rig",
 )
 
 
@@ -30,8 +32,17 @@ class RigArguments(CameraArguments):
     """Arguments of `register` with a rig."""
 
     GROUP: ClassVar[tuple[int, str]] = (0, "options")
-    rig: Annotated[Path, tyro.conf.arg(metavar="CSV")]
-    """Table of the pairs: a header with scan and photo, and perhaps camera, more, name; paths from its folder."""
+    rig: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    """Table of the pairs (CSV): a header with scan and photo, and perhaps camera, more, name; paths from its folder. Or
+    a recording with clouds and pictures (.bag, .mcap, .db3, or its folder)."""
+    cloud: Annotated[OptionalStr, tyro.conf.arg(metavar="TOPIC")] = None
+    """Topic of the clouds in a recording; default: the only one."""
+    image: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TOPIC")] = ()
+    """Topics of pictures in a recording, one for each camera; default: the only one."""
+    frames: Annotated[OptionalInt, tyro.conf.arg(metavar="N")] = None
+    """Most pairs that are chosen of a recording, at different places (8)."""
+    deskewed: bool = False
+    """The clouds of a recording are corrected for the motion of the scanner."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
     """Output folder; an existing one is refused, but see --force."""
     initial: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
@@ -53,23 +64,24 @@ def run_rig(arguments: RigArguments) -> ExitCode:
     from ladarreg_core.export.targets.folder import check_folder
     from ladarreg_core.formats.documents.own_results import edited_note
     from ladarreg_core.formats.documents.pose_file import read_initial
-    from ladarreg_core.formats.documents.rig_file import read_rig_table
-    from ladarreg_core.outputs.rig_folder import read_rig, write_rig
+    from ladarreg_core.outputs.rig_folder import is_recording, read_rig, rig_files_of, write_rig
     from ladarreg_core.registration.rig.options import RigOptions
     from ladarreg_core.registration.rig.registration import register_rig
     from ladarreg_core.storage.manifest import visible_files
 
     started = time.perf_counter()
-    rows = read_rig_table(arguments.rig)
     common = [path for path in (arguments.camera, arguments.initial) if path is not None]
-    inputs = list(dict.fromkeys([arguments.rig, *common, *(path for row in rows for path in row.files)]))
+    first, *others = rig_files_of(arguments.rig)
+    inputs = list(dict.fromkeys([first, *common, *others]))
     check_folder(arguments.out, force=arguments.force, inputs=inputs)
     initial = None if arguments.initial is None else read_initial(arguments.initial, None)
     said = "" if arguments.initial is None else edited_note(arguments.initial)
     with progress_bar(quiet=arguments.quiet or arguments.json) as bar:
         pairs = read_rig(
-            rows, scan_options=arguments.scan_options, photo_options=arguments.photo_options, report=bar.progress
-        )
+            arguments.rig, cloud=arguments.cloud, images=arguments.image, frames=arguments.frames,
+            deskewed=arguments.deskewed, scan_options=arguments.scan_options, photo_options=arguments.photo_options,
+            report=bar.progress,
+        )  # fmt: skip
         result = register_rig(pairs, initial=initial, options=RigOptions(seed=arguments.seed), report=bar.step)
         fields = write_rig(arguments.out, result, inputs=inputs, force=arguments.force, report=bar.progress)
     files, edited = visible_files(arguments.out), [said] if said else []
@@ -83,7 +95,10 @@ def run_rig(arguments: RigArguments) -> ExitCode:
     elif arguments.quiet:
         print(_verdict(result))
     else:
-        print("\n".join([*(f"Note     {one_line(note)}" for note in edited), *_lines(result)]))
+        chosen = [note for pair in pairs for note in pair.photo.notes] if is_recording(arguments.rig) else []
+        print(
+            "\n".join([*(f"Note     {one_line(note)}" for note in dict.fromkeys([*edited, *chosen])), *_lines(result)])
+        )
         print(f"Wrote    {', '.join(files)} in {arguments.out}")
         print(f"Took     {time.perf_counter() - started:.1f} s")
     return ExitCode.ACCEPTED if result.accepted else ExitCode.NOT_ACCEPTED

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from ladarreg_core.matching.image_check import ImageCheck as ImageCheck
     from ladarreg_core.matching.image_check import with_image_check as with_image_check
     from ladarreg_core.matching.images.kept_channels import Channels as Channels
+    from ladarreg_core.outputs.rig_folder import read_rig as read_rig
     from ladarreg_core.photo import Photo as Photo
     from ladarreg_core.pose.estimate import PoseOptions as PoseOptions
     from ladarreg_core.pose.estimate import estimate_pose as estimate_pose
@@ -126,6 +127,7 @@ _HOMES = {
     "read_photo": "formats",
     "read_pose": "formats",
     "read_registration": "formats",
+    "read_rig": "rig_folder",
     "read_scan": "formats",
     "register": "registration.register",
     "register_photos": "batch.photo_run",

@@ -146,6 +146,16 @@ class Photo:
         object.__setattr__(self, "notes", tuple(self.notes))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class TimedPhoto:
+    """A photograph, and when it was taken."""
+
+    after_s: float
+    """Its time stamp minus that of the scan that it belongs to, s."""
+    photo: Photo
+    """The photograph."""
+
+
 _USUAL_WHITE = {"u1": 255.0, "u2": 65535.0, "f": 1.0}
 _MAX_BEYOND = 0.5
 

@@ -36,6 +36,7 @@ EXAMPLES = (
     "ladarreg register 1.pcd 2.pcd 3.pcd photo.png --camera cam.json -o out",
     "# pairs of a scanner and a camera that are mounted together:",
     "ladarreg register --rig pairs.csv --camera cam.json -o rig",
+    "ladarreg register --rig run.mcap --cloud /points --image /image -o rig",
     "# several photos, or a folder of them: one camera, one summary:",
     "ladarreg register room.e57 1.jpg 2.jpg 3.jpg -o results",
     "# from matches drawn by hand:",
@@ -63,8 +64,9 @@ class Arguments(RegisterArguments):
     offset: Annotated[OptionalPath, tyro.conf.arg(metavar="FILE")] = None
     """Pose JSON of this camera relative to the other one; may contain sigma_angle_rad and sigma_position_m."""
 
-    rig: Annotated[OptionalPath, tyro.conf.arg(metavar="CSV")] = None
-    """Instead of SCAN and PHOTO: a table of pairs that one scanner and camera took from several places."""
+    rig: Annotated[OptionalPath, tyro.conf.arg(metavar="FILE")] = None
+    """Instead of SCAN and PHOTO: a table of pairs that one scanner and camera took from several places, or a recording
+    with clouds and pictures."""
 
     @classmethod
     def chosen_by(cls, words: Sequence[str]) -> type:

@@ -340,8 +340,9 @@ class Workbench:
         return f"{self.opening_message} The scan cannot be shown: {error}.".strip()
 
     def _shown_parts(self, shown: PhotoEntry | None) -> tuple[object, ...]:
-        scan = self.session.document.scan
-        return ("model", scan) if shown is None else ("model", scan, shown.source, shown.camera, shown.pose)
+        document = self.session.document
+        own = () if shown is None else (shown.id, shown.source, shown.camera)
+        return ("model", document.scan, *own, *(entry.pose for entry in document.photos))
 
     def _people(self) -> dict[str, Person]:
         """Return what every client looks at in the 3-D scene."""

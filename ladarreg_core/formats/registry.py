@@ -39,9 +39,10 @@ from ladarreg_core.formats.parsing.begun_read import BegunRead
 from ladarreg_core.formats.parsing.json_file import looks_like_json, parsed_once, read_json_object
 from ladarreg_core.formats.parsing.untrusted import PathLike, reading
 from ladarreg_core.formats.photos.image_file import image_format
+from ladarreg_core.formats.recording import sniff_recording
 from ladarreg_core.formats.results_info import describe_results
 from ladarreg_core.formats.scans.accumulated import read_accumulated
-from ladarreg_core.formats.scans.bag import read_bag, sniff_bag
+from ladarreg_core.formats.scans.bag import read_bag
 from ladarreg_core.formats.scans.descriptor import KINDS as DESCRIPTOR_KINDS
 from ladarreg_core.formats.scans.descriptor import read_descriptor
 from ladarreg_core.formats.scans.float_bin import read_float_bin, sniff_float_bin
@@ -220,7 +221,7 @@ FORMATS: tuple[FileFormat, ...] = (
         scan_describer("Ouster PCAP", _read_ouster), _read_ouster, takes=("scan_index",),
     ),
     FileFormat(
-        "ROS bag", "scan", (".bag", ".db3", ".mcap"), lambda head, _: sniff_bag(head), describe_bag, _read_bag,
+        "ROS bag", "scan", (".bag", ".db3", ".mcap"), lambda head, _: sniff_recording(head), describe_bag, _read_bag,
         takes=("topic", "seconds", "origin", "intensity"), examples=("ROS bag", "MCAP"),
     ),
     FileFormat(

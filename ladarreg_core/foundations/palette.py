@@ -57,6 +57,8 @@ STATIONS: tuple[Color, ...] = (
 )  # fmt: skip
 """Of further stations, by their place in the list."""
 SCANNER: Color = (255, 211, 77)
+OTHER_CAMERA: Color = (76, 122, 158)
+"""The camera of another photograph than the shown one: a duller accent."""
 REFUSED: Color = DIM
 """A pose that is not accepted."""
 

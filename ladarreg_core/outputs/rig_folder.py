@@ -8,13 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ladarreg_core.errors import OptionError
+from ladarreg_core.formats.parsing.untrusted import reading
 from ladarreg_core.progress import Progress, Report
 
 if TYPE_CHECKING:
-    from ladarreg_core.formats.documents.rig_file import RigRow
     from ladarreg_core.registration.rig.results import RigPair, RigResult
 
 _VERSION = 1
+_FRAMES = 8
+_HEAD_BYTES = 4096
 _POSE_IS = (
     "maps scanner points to the camera frame: p_camera = R p_scanner + t; scanner: X forward, Y left, Z up; camera: x "
     "right, y down, z forward; metres"
@@ -25,33 +28,110 @@ _COVARIANCE_IS = (
 )
 
 
+def rig_files_of(path: str | Path) -> list[Path]:
+    """Return the files that a rig is read from: a table with those that it names, or a recording.
+
+    Raises:
+        LadarregError: if the table is damaged, or there is no such file.
+    """
+    from ladarreg_core.formats.documents.rig_file import read_rig_table
+    from ladarreg_core.formats.recorded_frames import recording_in
+    from ladarreg_core.formats.recording import storage_of
+
+    if not is_recording(path):
+        return list(dict.fromkeys([Path(path), *(file for row in read_rig_table(path) for file in row.files)]))
+    file = recording_in(path)
+    with reading(file):
+        return list(dict.fromkeys([file, storage_of(file)]))
+
+
+def is_recording(path: str | Path) -> bool:
+    """Return whether a rig is given as a recording, or as its folder, rather than as a table."""
+    from ladarreg_core.formats.recorded_frames import recording_in
+    from ladarreg_core.formats.recording import sniff_recording
+
+    file = recording_in(path)
+    if not file.is_file():
+        return Path(path).is_dir()
+    with open(file, "rb") as stream:
+        return sniff_recording(stream.read(_HEAD_BYTES))
+
+
 def read_rig(
-    rows: Sequence[RigRow],
+    path: str | Path,
     *,
+    cloud: str | None = None,
+    images: Sequence[str] = (),
+    frames: int | None = None,
+    deskewed: bool = False,
+    neighbors: bool = False,
     scan_options: Mapping[str, Any] | None = None,
     photo_options: Mapping[str, Any] | None = None,
     report: Report | None = None,
 ) -> list[RigPair]:
-    """Read the pairs of a table.
+    """Read the pairs of a rig: those that a table names, or those of clouds and pictures of a recording.
 
     Args:
-        rows: of `read_rig_table`.
+        path: a table (CSV), a recording (.bag, .mcap, .db3) or the folder of one of ROS 2.
+        cloud: topic of the clouds of a recording; None: the only one.
+        images: topics of pictures, one for each camera; empty: the only one.
+        frames: most pairs of each camera that are chosen of a recording, 2 to 40; None: 8.
+        deskewed: whether its clouds are corrected for the motion of the scanner. If not, pairs are chosen among those
+            where the pictures move least.
+        neighbors: also read the pictures before and after each pair, for the estimation of a time offset.
         scan_options: arguments of `read_scan` for all scans.
-        photo_options: arguments of `read_photo` for all photographs; a row's own camera file precedes them.
+        photo_options: arguments of `read_photo` for all photographs; a row's own camera file precedes them, and they
+            precede the camera that a recording states.
         report: receives the progress.
 
+    Returns:
+        The pairs, as `register_rig` takes them.
+
     Raises:
-        LadarregError: if a file cannot be read.
+        OptionError: if an option of recordings is given with a table.
+        LadarregError: if a file cannot be read, or a recording has no such topics, pairs or cameras.
     """
-    from ladarreg_core.formats import read_photo, read_scan
     from ladarreg_core.registration.rig.results import RigPair
 
+    if is_recording(path):
+        from ladarreg_core.formats.recorded_frames import read_frames
+
+        options = dict(scan_options or {})
+        found = read_frames(
+            path, cloud=cloud if cloud is not None else options.get("topic"), images=images,
+            frames=_FRAMES if frames is None else frames, deskewed=deskewed, neighbors=neighbors,
+            scan_options=options, photo_options=photo_options, report=report,
+        )  # fmt: skip
+        several = len({frame.camera_name for frame in found}) > 1
+        return [
+            RigPair(frame.name, frame.scan, frame.photo, frame.camera_name if several else "", frame.taken)
+            for frame in found
+        ]
+    given = {"the topic of clouds": cloud, "topics of pictures": images, "a number of frames": frames,
+             "deskewed": deskewed, "a time offset": neighbors}  # fmt: skip
+    wrong = [name for name, value in given.items() if value]
+    if wrong:
+        raise OptionError(
+            f"{' and '.join(wrong)} can only be used with a recording, and {Path(path).name} is a table of pairs; omit "
+            "this, or give a recording (.bag, .mcap, .db3, or the folder of one)"
+        )
+    return _read_table(path, scan_options or {}, photo_options or {}, report)
+
+
+def _read_table(
+    path: str | Path, scan_options: Mapping[str, Any], photo_options: Mapping[str, Any], report: Report | None
+) -> list[RigPair]:
+    from ladarreg_core.formats import read_photo, read_scan
+    from ladarreg_core.formats.documents.rig_file import read_rig_table
+    from ladarreg_core.registration.rig.results import RigPair
+
+    rows = read_rig_table(path)
     found = []
     for done, row in enumerate(rows):
         if report is not None:
             report(Progress(done, len(rows), f"reading {row.name}"))
-        scan = read_scan(row.scan, **{**(scan_options or {}), "more": row.more})
-        own: dict[str, Any] = dict(photo_options or {})
+        scan = read_scan(row.scan, **{**scan_options, "more": row.more})
+        own: dict[str, Any] = dict(photo_options)
         if row.camera is not None:
             own = {"camera": row.camera, "camera_name": own.get("camera_name")}
         found.append(RigPair(row.name, scan, read_photo(row.photo, **own)))

@@ -14,15 +14,13 @@ import numpy as np
 import pytest
 
 from ladarreg_core.errors import DependencyError, FormatError, OptionError, UnderspecifiedError
-from ladarreg_core.formats import describe, read_scan, recognise
-from ladarreg_core.formats.scans import bag
+from ladarreg_core.formats import describe, read_scan, recognise, recording
 from ladarreg_core.scan import NO_INTENSITY_NOTE, Scan
+from testing.files.recordings import CLOUD, cloud, write_recording
 from testing.files.small_scans import make_scan
 
 needs_rosbags = pytest.mark.skipif(importlib.util.find_spec("rosbags") is None, reason="rosbags is not installed")
 CONTAINERS = ("bag", "db3", "mcap")
-_CLOUD = "sensor_msgs/msg/PointCloud2"
-_CODES = {"f4": 7, "f8": 8, "u1": 2, "u2": 4, "u4": 6}
 
 
 def seed_files(folder: Path) -> list[Path]:
@@ -46,65 +44,9 @@ def organised(scan: Scan, **options: Any) -> dict[str, Any]:
 def record(
     folder: Path, kind: str, topics: dict[str, Sequence[tuple[int, dict[str, Any]]]], *, compressed: str = ""
 ) -> Path:
-    """Write messages (time in ns, arguments of `message`) on topics; return the file that contains them.
-
-    `compressed` is the format in a ROS 1 bag (bz2, lz4), the mode in a ROS 2 bag (file, message, storage).
-    """
-    from rosbags import rosbag1, rosbag2
-    from rosbags.typesys import Stores, get_typestore
-
-    folder.mkdir()
-    store = get_typestore(Stores.ROS1_NOETIC if kind == "bag" else Stores.ROS2_HUMBLE)
-    writer: Any
-    if kind == "bag":
-        writer = rosbag1.Writer(folder / "recording.bag")
-        if compressed:
-            writer.set_compression(rosbag1.Writer.CompressionFormat[compressed.upper()])
-    else:
-        plugin = rosbag2.StoragePlugin.MCAP if kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
-        writer = rosbag2.Writer(folder / "recording", version=9, storage_plugin=plugin)
-        if compressed:
-            writer.set_compression(rosbag2.CompressionMode[compressed.upper()], rosbag2.CompressionFormat.ZSTD)
-    with writer:
-        for topic, messages in topics.items():
-            connection = writer.add_connection(topic, _CLOUD, typestore=store)
-            for when, about in messages:
-                made = message(store, **about)
-                data = store.serialize_ros1(made, _CLOUD) if kind == "bag" else store.serialize_cdr(made, _CLOUD)
-                writer.write(connection, when, data)
-    return folder / "recording.bag" if kind == "bag" else folder / "recording" / f"recording.{kind}"
-
-
-def message(
-    store: Any, *, columns: dict[str, np.ndarray], shape: tuple[int, int], big: bool = False, row_padding: int = 0,
-    frame: str = "lidar",
-) -> Any:  # fmt: skip
-    """Return a PointCloud2 whose points have three bytes of padding behind x, y, z."""
-    kinds = store.types
-    names, formats, offsets, at = [], [], [], 0
-    for name, values in columns.items():
-        code = values.dtype.str[1:]
-        names.append(name)
-        formats.append((">" if big else "<") + code)
-        offsets.append(at)
-        at += values.dtype.itemsize + (3 if name == "z" else 0)
-    records = np.zeros(shape, np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": at}))
-    for name, values in columns.items():
-        records[name] = values.reshape(shape)
-    rows = np.frombuffer(records.tobytes(), np.uint8).reshape(shape[0], -1)
-    rows = np.pad(rows, ((0, 0), (0, row_padding)))
-    field = kinds["sensor_msgs/msg/PointField"]
-    stamp = kinds["builtin_interfaces/msg/Time"](sec=1, nanosec=2)
-    header: Any = kinds["std_msgs/msg/Header"]
-    sequence = {"seq": 0} if "seq" in header.__dataclass_fields__ else {}
-    return kinds[_CLOUD](
-        header=header(**sequence, stamp=stamp, frame_id=frame), height=shape[0], width=shape[1],
-        fields=[
-            field(name=name, offset=offset, datatype=_CODES[code[1:]], count=1)
-            for name, offset, code in zip(names, offsets, formats, strict=True)
-        ],
-        is_bigendian=big, point_step=at, row_step=rows.shape[1], data=rows.ravel(), is_dense=False,
-    )  # fmt: skip
+    """Write clouds (time in ns, arguments of `cloud`) on topics; return the file that contains them."""
+    made = {topic: (CLOUD, [(when, cloud(**about)) for when, about in messages]) for topic, messages in topics.items()}
+    return write_recording(folder, kind, made, compressed=compressed)
 
 
 def assert_is_wall(scan: Scan, wall: Scan) -> None:
@@ -225,12 +167,12 @@ def test_storage_of_earlier_releases_is_read(tmp_path: Path, wall: Scan, qos: bo
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_FOXY)
-    data = bytes(store.serialize_cdr(message(store, **organised(wall)), _CLOUD))
+    data = bytes(store.serialize_cdr(cloud(**organised(wall))(store), CLOUD))
     more = ", offered_qos_profiles TEXT NOT NULL" if qos else ""
     with contextlib.closing(sqlite3.connect(tmp_path / "a.db3")) as base, base:
         base.execute(f"CREATE TABLE topics(id INTEGER, name TEXT, type TEXT, serialization_format TEXT{more})")
         base.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)")
-        base.execute(f"INSERT INTO topics VALUES(1, '/points', ?, 'cdr'{', ?' * qos})", (_CLOUD, *[""] * qos))
+        base.execute(f"INSERT INTO topics VALUES(1, '/points', ?, 'cdr'{', ?' * qos})", (CLOUD, *[""] * qos))
         base.execute("INSERT INTO messages VALUES(1, 1, 5, ?)", (data,))
     assert_is_wall(read_scan(tmp_path / "a.db3"), wall)
 
@@ -253,7 +195,7 @@ def test_chunks_are_not_expanded_beyond_the_limit(
     tmp_path: Path, wall: Scan, monkeypatch: pytest.MonkeyPatch, kind: str, compressed: str
 ) -> None:
     file = record(tmp_path / "a", kind, {"/points": [(0, organised(wall))]}, compressed=compressed)
-    monkeypatch.setattr(bag, "_LARGEST_CHUNK", 5000)
+    monkeypatch.setattr(recording, "_LARGEST_CHUNK", 5000)
     with pytest.raises(FormatError, match="a compressed chunk expands to more than"):
         read_scan(file)
 

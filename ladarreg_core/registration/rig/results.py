@@ -11,7 +11,7 @@ import numpy as np
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
-from ladarreg_core.photo import Photo
+from ladarreg_core.photo import Photo, TimedPhoto
 from ladarreg_core.progress import Step
 from ladarreg_core.scan import Scan
 
@@ -26,6 +26,10 @@ class RigPair:
     """For messages."""
     scan: Scan
     photo: Photo
+    camera_name: str = ""
+    """Of the camera, where the rig has several."""
+    taken: tuple[TimedPhoto, ...] = ()
+    """Photographs of the same camera before, at and after the time of the scan; needed for a time offset only."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,7 @@ from ladarreg_core.formats.documents.pose_file import read_pose, write_pose
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.simulate.outdoor_case import OutdoorCase, simulate_rig
 from ladarreg_core.storage.manifest import visible_files
+from testing.files.recordings import CLOUD, IMAGE, INFO, camera_info, image, point_cloud, write_recording
 from testing.files.small_scans import pcd_bytes
 
 PAIRS = 3
@@ -116,6 +117,29 @@ def test_the_folder_is_described_and_replaced_by_force_only(
     assert "held out" in capsys.readouterr().out
     assert main(["register", *arguments(rig, "out")]) == ExitCode.BAD_INPUT
     assert "--force" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_recording_gives_the_same_rig(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("rosbags")
+    clouds, images, info = [], [], [(0, camera_info(rig.cases[0].true_camera))]
+    for number, case in enumerate(rig.cases):
+        stamp = (100 + number) * 10**9
+        clouds.append((stamp, point_cloud(case.cloud.points, case.cloud.intensity, stamp_ns=stamp)))
+        images.append((stamp, image(case.photo.pixels, stamp_ns=stamp + 10**7)))
+    topics = {"/points": (CLOUD, clouds), "/front/image_raw": (IMAGE, images), "/front/camera_info": (INFO, info)}
+    file = write_recording(rig.folder / "recorded", "mcap", topics)
+    out, initial = rig.folder / "recorded_out", str(rig.folder / "rough.json")
+    words = ["register", "--rig", str(file), "--cloud", "/points", "--image", "/front/image_raw", "--initial", initial]
+    assert main([*words, "-o", str(out)]) == ExitCode.ACCEPTED
+    said = capsys.readouterr().out
+    assert "3 clouds of /points and pictures of /front/image_raw are pairs" in said
+    assert "the camera is that of /front/camera_info" in said
+    assert off_px(rig, read_pose(out / "rig.json")) < RIGHT_PX
+    fields = json.loads((out / "rig.json").read_text())
+    assert fields["used"] == ["front 0.00 s", "front 1.00 s", "front 2.00 s"]
+    assert main([*words[:3], "--image", "/none", "-o", str(rig.folder / "y")]) == ExitCode.BAD_INPUT
+    assert "there is /front/image_raw" in capsys.readouterr().err
 
 
 @pytest.mark.slow
