@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from testing.scenes.color_room import POSE, paint, photo_of, registered, scan_of, seen_along
 
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, FisheyeCamera
 from ladarreg_core.errors import Cancelled, ExportError, LadarregError
@@ -28,6 +27,7 @@ from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
 from testing.attacks.bombs import e57_with_xml
 from testing.attacks.full_disk import largest_file
+from testing.scenes.color_room import POSE, paint, photo_of, registered, scan_of, seen_along
 from tests.unit.export import e57_samples
 from tests.unit.export.e57_samples import COLORS, KINDS, differences, libe57, raw_values
 
