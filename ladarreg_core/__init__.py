@@ -127,7 +127,7 @@ _HOMES = {
     "read_photo": "formats",
     "read_pose": "formats",
     "read_registration": "formats",
-    "read_rig": "rig_folder",
+    "read_rig": "outputs.rig_folder",
     "read_scan": "formats",
     "register": "registration.register",
     "register_photos": "batch.photo_run",

@@ -22,8 +22,8 @@ from ladarreg_core.formats.parsing.budget import ReadBudget
 from ladarreg_core.formats.parsing.untrusted import PathLike, one_line, reading
 from ladarreg_core.formats.photo_file import read_photo
 from ladarreg_core.formats.photos.image_file import as_rgb, read_image
-from ladarreg_core.formats.recorded_images import recorded_camera, write_picture
-from ladarreg_core.formats.recording import (
+from ladarreg_core.formats.recordings.images import recorded_camera, write_picture
+from ladarreg_core.formats.recordings.recording import (
     CLOUD_TYPES,
     IMAGE_TYPES,
     METADATA_FILE,

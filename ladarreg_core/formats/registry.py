@@ -39,7 +39,7 @@ from ladarreg_core.formats.parsing.begun_read import BegunRead
 from ladarreg_core.formats.parsing.json_file import looks_like_json, parsed_once, read_json_object
 from ladarreg_core.formats.parsing.untrusted import PathLike, reading
 from ladarreg_core.formats.photos.image_file import image_format
-from ladarreg_core.formats.recording import sniff_recording
+from ladarreg_core.formats.recordings.recording import sniff_recording
 from ladarreg_core.formats.results_info import describe_results
 from ladarreg_core.formats.scans.accumulated import read_accumulated
 from ladarreg_core.formats.scans.bag import read_bag

@@ -36,7 +36,7 @@ def rig_files_of(path: str | Path) -> list[Path]:
     """
     from ladarreg_core.formats.documents.rig_file import read_rig_table
     from ladarreg_core.formats.recorded_frames import recording_in
-    from ladarreg_core.formats.recording import storage_of
+    from ladarreg_core.formats.recordings.recording import storage_of
 
     if not is_recording(path):
         return list(dict.fromkeys([Path(path), *(file for row in read_rig_table(path) for file in row.files)]))
@@ -48,7 +48,7 @@ def rig_files_of(path: str | Path) -> list[Path]:
 def is_recording(path: str | Path) -> bool:
     """Return whether a rig is given as a recording, or as its folder, rather than as a table."""
     from ladarreg_core.formats.recorded_frames import recording_in
-    from ladarreg_core.formats.recording import sniff_recording
+    from ladarreg_core.formats.recordings.recording import sniff_recording
 
     file = recording_in(path)
     if not file.is_file():

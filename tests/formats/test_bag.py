@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from ladarreg_core.errors import DependencyError, FormatError, OptionError, UnderspecifiedError
-from ladarreg_core.formats import describe, read_scan, recognise, recording
+from ladarreg_core.formats import describe, read_scan, recognise
+from ladarreg_core.formats.recordings import recording
 from ladarreg_core.scan import NO_INTENSITY_NOTE, Scan
 from testing.files.recordings import CLOUD, cloud, write_recording
 from testing.files.small_scans import make_scan

@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.parsing.budget import ReadBudget
 from ladarreg_core.formats.parsing.untrusted import PathLike, one_line, reading, require_cells
-from ladarreg_core.formats.recording import CLOUD_TYPES, Recording, chosen_topic, opened_recording, shown, storage_of
+from ladarreg_core.formats.recordings.recording import (
+    CLOUD_TYPES,
+    Recording,
+    chosen_topic,
+    opened_recording,
+    shown,
+    storage_of,
+)
 from ladarreg_core.formats.scans.cloud import most_cells_of
 from ladarreg_core.formats.scans.field_cloud import scan_of_fields
 from ladarreg_core.formats.scans.scan_request import IntensitySource

@@ -19,7 +19,7 @@ from ladarreg_core.camera.focal import FocalCamera
 from ladarreg_core.errors import CameraError, FormatError
 from ladarreg_core.formats.cameras.calibration import cameras_of_calibration
 from ladarreg_core.formats.parsing.untrusted import one_line
-from ladarreg_core.formats.recording import CAMERA_TYPES, Recording, shown
+from ladarreg_core.formats.recordings.recording import CAMERA_TYPES, Recording, shown
 
 _STATE_CAMERA = "state the camera: a camera file (`camera`), or its focal length (`focal_px`)"
 _PLAIN = {"mono8": 1, "8uc1": 1, "rgb8": 3, "bgr8": 3, "8uc3": 3, "rgba8": 4, "bgra8": 4, "8uc4": 4, "mono16": 1}
