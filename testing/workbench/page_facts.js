@@ -30,7 +30,7 @@
   const owned = [
     one(".photo-shelf"), ...all(".steps"), verdict, one("section[aria-label=Matches]"), stages, depth, stations,
     one("section[aria-label='How the stations fit']"), ...all(".pipeline"), ...all(".pipeline-failure"), one(".job-bar > .clip"),
-    one(".job-bar + [role=status]"), one(".export-part .verdict"), one(".scan-chip"), one(".self-test"),
+    one(".job-bar + [role=status]"), one(".export-part"), one(".scan-chip"), one(".self-test"),
   ];
   const telling = /\d|verified|accepted|out of date|contradict|refused|agree/i;
   const rest = [];
@@ -81,7 +81,7 @@
     }))),
     job: one(".job-bar")?.hidden ? "" : text(".job-bar > .clip"),
     job_level: level(one(".job-bar > .sign")),
-    export: { text: text(".export-part .verdict"), level: level(one(".export-part .verdict")), zip: one(".export-part .button.primary")?.disabled ?? null,
+    export: { text: text(".export-part .part-body > [role=status]"), zip: one(".export-part .button.primary")?.disabled ?? null,
       ticks: all(".export-list .sign.ok").length },
     stations: {
       rows: all(".station", stations).map((row) => [text(".station-name", row), text(".station-state", row)]),

@@ -13,7 +13,7 @@ from ladarreg.gateway.viser_backend import close_server
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.export.registered_scan import RegisteredScan
-from ladarreg_core.export.targets.hand_over import export_to
+from ladarreg_core.export.targets.pipeline import export_to
 from testing.workbench.open_viser import address, open_server
 from testing.workbench.pages import SIZE, wait_for_pixels
 from tests.unit.export.test_tiles import POSES, all_tiles, photograph, uneven_room

@@ -17,7 +17,7 @@ from PIL import Image
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, FisheyeCamera
 from ladarreg_core.errors import Cancelled, ExportError, LadarregError
 from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
-from ladarreg_core.export.targets.hand_over import export_files, export_to
+from ladarreg_core.export.targets.pipeline import export_files, export_to
 from ladarreg_core.formats import extract_images, read_scan
 from ladarreg_core.formats.cameras.camera_file import read_camera
 from ladarreg_core.formats.documents.pose_file import read_pose

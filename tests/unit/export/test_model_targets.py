@@ -16,7 +16,7 @@ from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, Fis
 from ladarreg_core.errors import Cancelled, ExportError
 from ladarreg_core.export.output_frame import OutputFrame
 from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
-from ladarreg_core.export.targets.hand_over import export_to
+from ladarreg_core.export.targets.pipeline import export_to
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.photo import Photo

@@ -11,7 +11,7 @@ import pytest
 
 from ladarreg_core.errors import Cancelled, ExportError, OptionError
 from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan, photo_id
-from ladarreg_core.export.targets.hand_over import export_files, export_to
+from ladarreg_core.export.targets.pipeline import export_files, export_to
 from ladarreg_core.export.targets.zip_file import write_zip
 from ladarreg_core.progress import Progress
 from ladarreg_core.storage.manifest import MANIFEST_FILE
