@@ -1,6 +1,6 @@
 /** The newest run of the simplex on the shown photograph: what is shown of it, live or replayed. No DOM here. */
 
-const MOST_FRAMES = 600;
+const MAX_FRAMES = 600;
 const EXPIRES_AFTER_MS = 2500;
 const TICK_MS = 40;
 
@@ -53,7 +53,7 @@ export class SimplexRun {
     if (this.#last && (frame.iteration < this.#last.iteration || frame.photo !== this.#last.photo)) this.clear();
     this.#last = frame;
     if (this.#seen++ % this.#every === 0) this.#frames.push(frame);
-    if (this.#frames.length > MOST_FRAMES) {
+    if (this.#frames.length > MAX_FRAMES) {
       this.#frames = this.#frames.filter((_, index) => index % 2 === 0);
       this.#every *= 2;
     }
