@@ -13,12 +13,12 @@ from ladarreg.argument_names import ARGUMENTS, as_fields, as_flags, reading_slic
 from ladarreg.arguments import ScanArguments
 from ladarreg.messages import one_line
 
-from ladarreg_core.formats.scan_request import SCAN_OPTIONS, ScanOptions
+from ladarreg_core.formats.scans.scan_request import SCAN_OPTIONS, ScanOptions
 
 CORE = Path(__file__).resolve().parents[2] / "ladarreg_core"
 _FLAG = re.compile(r"(?<![\w`-])--[a-z][a-z-]+")
 _ARGUMENT = re.compile(r"`(\w+)(?:=[^`]*)?`")
-_NOT_OURS = {"report_style.py", "ros.py", "report.py"}  # style sheets, and commands of ROS
+_NOT_OURS = {"style.py", "ros.py", "report.py"}  # style sheets, and commands of ROS
 _ONLY_IN_PYTHON = {"xyz", "ranges", "rays", "azimuth_rad", "elevation_rad", "white", "points", "to_json"}
 
 

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ladarreg_core.errors import FormatError, LadarregError
-from ladarreg_core.formats.rig_file import read_rig_table
+from ladarreg_core.formats.documents.rig_file import read_rig_table
 
 
 @pytest.fixture

@@ -7,13 +7,13 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.frames import look_along, rotation_from_rotvec
-from ladarreg_core.matching.views import (
+from ladarreg_core.matching.images.views import (
     MIN_RETURNS_IN_PHOTO,
     direction_towards_overlap,
     scan_density,
     viewing_directions,
 )
-from ladarreg_core.registration import register
+from ladarreg_core.registration.register import register
 from ladarreg_core.scanner.grids import PinholeGrid
 from ladarreg_core.surface.perspective import perspective_view
 from testing.scenes.painted_room import PaintedRoom, painted_room

@@ -11,17 +11,17 @@ import pytest
 from ladarreg.messages import length_lines
 
 import ladarreg_core as lr
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.errors import FormatError, OptionError, ShapeError
 from ladarreg_core.export.json import registration_document
-from ladarreg_core.formats.matches_file import read_matches, write_matches
+from ladarreg_core.formats.documents.matches_file import read_matches, write_matches
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.inspection.picks import pick_points
 from ladarreg_core.matching.image_check import ImageCheck, with_image_check
 from ladarreg_core.picks.lengths import check_lengths
 from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.quality.findings import findings
-from ladarreg_core.registration import RegisterOptions, register
+from ladarreg_core.registration.register import RegisterOptions, register
 from ladarreg_core.surface.ranges import surface_range
 from testing.scenes.painted_room import PaintedRoom, painted_room
 
