@@ -45,7 +45,7 @@ REPLAY = """async () => {
   return said;
 }"""
 THROWN = """async ([positions, faces, camera, pose]) => {
-  const { thrownOnto } = await import('/js/panels/photo_slide.js');
+  const { thrownOnto } = await import('/js/panels/model/photo_slide.js');
   const found = thrownOnto({ positions: new Float32Array(positions), faces: new Uint32Array(faces) }, camera, pose);
   return [[...found.uv], [...found.faces]];
 }"""
