@@ -312,7 +312,7 @@ def test_the_photograph_slides_over_the_model_and_is_replayed(browser: Browser, 
     assert socket.ask("set_settings", start_from="scanner")["ok"]
     assert socket.ask("run", photo="p1", job="simplex")["ok"]
     frame.wait_for_function(f"({SLIDING})() !== null")
-    socket.until(lambda slices: slices["job"]["state"] == "done")
+    socket.until(lambda slices: (slices.get("job") or {}).get("state") == "done")
     frame.wait_for_function(f"({SLIDING})() === null")
     page.get_by_role("tab", name="Solve", exact=True).click()
     slider = page.get_by_role("slider", name="Iteration")
