@@ -46,7 +46,8 @@ class RigArguments(CameraArguments):
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
     """Output folder; an existing one is refused, but see --force."""
     initial: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """A rough pose of the camera relative to the scanner, to begin with: a pose JSON."""
+    """A rough pose of the camera relative to the scanner, to begin with: a pose JSON; of several cameras an earlier
+    rig.json."""
     seed: int = 0
     """Random seed; equal seeds give equal results."""
     force: bool = False
@@ -63,7 +64,7 @@ def run_rig(arguments: RigArguments) -> ExitCode:
     """Read the pairs, register them together, write the results, and print the verdict."""
     from ladarreg_core.export.folder import check_folder
     from ladarreg_core.formats.own_results import edited_note
-    from ladarreg_core.formats.pose_file import read_initial
+    from ladarreg_core.formats.pose_file import read_initial_of_rig
     from ladarreg_core.manifest import visible_files
     from ladarreg_core.rig.options import RigOptions
     from ladarreg_core.rig.registration import register_rig
@@ -74,7 +75,7 @@ def run_rig(arguments: RigArguments) -> ExitCode:
     first, *others = rig_files_of(arguments.rig)
     inputs = list(dict.fromkeys([first, *common, *others]))
     check_folder(arguments.out, force=arguments.force, inputs=inputs)
-    initial = None if arguments.initial is None else read_initial(arguments.initial, None)
+    initial = None if arguments.initial is None else read_initial_of_rig(arguments.initial)
     said = "" if arguments.initial is None else edited_note(arguments.initial)
     with progress_bar(quiet=arguments.quiet or arguments.json) as bar:
         pairs = read_rig(
@@ -105,11 +106,20 @@ def run_rig(arguments: RigArguments) -> ExitCode:
 
 
 def _verdict(result: RigResult) -> str:
+    if result.by_camera:
+        refused = [name for name, one in result.by_camera.items() if not one.accepted]
+        cameras = f"{len(result.by_camera) - len(refused)} of {len(result.by_camera)} cameras accepted"
+        return f"{cameras}; not {', '.join(refused)}." if refused else f"Accepted: {cameras}, each by pairs held out."
     return "Accepted: verified by pairs that were held out." if result.accepted else "Not accepted."
 
 
 def _lines(result: RigResult) -> list[str]:
     lines = [_verdict(result)]
+    for name, one in result.by_camera.items():
+        first, *others = _lines(one)
+        lines += ["", f"{name}: {first[:1].lower()}{first[1:]}", *others]
+    if result.by_camera:
+        return lines
     pose, sigma = result.camera_from_scanner, result.sigmas
     if result.accepted and pose is not None:
         from ladarreg_core.frames import ThesisParameters

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +15,10 @@ from ladarreg_core.progress import Progress, Report
 
 if TYPE_CHECKING:
     from ladarreg_core.rig.results import RigPair, RigResult
+    from ladarreg_core.scan import Scan
 
 _VERSION = 1
+_OF_ONE_CAMERA = ("rejected_guess", "covariance", "covariance_is", "sigma_deg", "sigma_mm", "cameras")
 _FRAMES = 8
 _HEAD_BYTES = 4096
 _POSE_IS = (
@@ -126,16 +129,37 @@ def _read_table(
     from ladarreg_core.rig.results import RigPair
 
     rows = read_rig_table(path)
+    several = len({row.camera_name for row in rows}) > 1
     found = []
+    scans: dict[tuple[Path, ...], Scan] = {}
     for done, row in enumerate(rows):
         if report is not None:
             report(Progress(done, len(rows), f"reading {row.name}"))
-        scan = read_scan(row.scan, **{**scan_options, "more": row.more})
+        files = (row.scan, *row.more)
+        if files not in scans:
+            scans[files] = read_scan(row.scan, **{**scan_options, "more": row.more})
         own: dict[str, Any] = dict(photo_options)
         if row.camera is not None:
             own = {"camera": row.camera, "camera_name": own.get("camera_name")}
-        found.append(RigPair(row.name, scan, read_photo(row.photo, **own)))
+        if (
+            own.get("camera") is not None
+            and own.get("camera_name") is None
+            and _is_named(own["camera"], row.camera_name)
+        ):
+            own["camera_name"] = row.camera_name
+        photo = read_photo(row.photo, **own)
+        found.append(RigPair(row.name, scans[files], photo, row.camera_name if several else ""))
     return found
+
+
+def _is_named(camera_file: str | Path, name: str) -> bool:
+    """Return whether a camera file has several cameras, one of which has a name."""
+    from ladarreg_core.formats.camera_file import read_cameras
+
+    if not name:
+        return False
+    cameras = read_cameras(camera_file)
+    return len(cameras) > 1 and any(each.name.casefold() == name.casefold() for each in cameras)
 
 
 def write_rig(
@@ -167,20 +191,26 @@ def write_rig(
     from ladarreg_core.export.targets.kalibr import lidar_chain
     from ladarreg_core.export.targets.photo_files import text_writer
     from ladarreg_core.export.targets.ros import rig_files
+    from ladarreg_core.formats.pose_file import write_pose
 
     fields = rig_document(result, inputs=inputs)
     jobs: list[FileJob] = [(RIG_FILE, lambda path: write_result(path, fields))]
-    pose = result.camera_from_scanner
-    if result.accepted and pose is not None:
-        words = [
-            result.reasons[0],
-            f"Standard deviations: {_list(fields['sigma_deg'])} deg about the axes of the camera, "
-            f"{_list(fields['sigma_mm'])} mm of its centre in the scanner's frame.",
-        ]
-        jobs += [(name, text_writer(text)) for name, text in rig_files(pose, words).items()]
-        chain = lidar_chain(pose, result.cameras[0], words)
+    known = {
+        name: (one.camera_from_scanner, one.cameras[0], _words(one))
+        for name, one in (result.by_camera or {"camera": result}).items()
+        if one.accepted and one.camera_from_scanner is not None
+    }
+    if known:
+        texts = rig_files({name: (pose, words) for name, (pose, _, words) in known.items()})
+        jobs += [(name, text_writer(text)) for name, text in texts.items()]
+        chain = lidar_chain(known)
         if chain is not None:
             jobs.append(("camchain-lidar.yaml", text_writer(chain)))
+        if result.by_camera:
+            jobs += [
+                (f"{name}.pose.json", partial(write_pose, camera_from_scanner=one[0])) for name, one in known.items()
+            ]
+    fields["files"] = [name for name, _ in jobs] if known else []
     write_folder(folder, lambda: jobs, inputs=inputs, force=force, report=report)
     return fields
 
@@ -189,15 +219,30 @@ def rig_document(result: RigResult, *, inputs: Sequence[str | Path] = ()) -> dic
     """Return the contents of `rig.json`, JSON-ready."""
     from ladarreg_core.export.json import input_documents, plain, software_document
     from ladarreg_core.export.replacement import RIG_FILES
+
+    own = _verdict_fields(result)
+    fields: dict[str, Any] = {"version": _VERSION, "kind": "rig", "software": software_document(), **own}
+    if result.by_camera:
+        fields = {name: value for name, value in fields.items() if name not in _OF_ONE_CAMERA}
+        fields["by_camera"] = {name: _verdict_fields(one) for name, one in result.by_camera.items()}
+    fields |= {
+        "steps": [{"name": step.name, "seconds": round(step.seconds, 4), **step.detail} for step in result.steps],
+        "options": dict(result.options),
+        "seed": result.seed,
+        "files": list(RIG_FILES) if result.accepted and not result.by_camera else [],
+        "inputs": input_documents(list(inputs)),
+    }
+    return dict(plain(fields))
+
+
+def _verdict_fields(result: RigResult) -> dict[str, Any]:
+    """Return the pose, its uncertainty, the verdict and the evidence of a rig, or of one of its cameras."""
     from ladarreg_core.frames import ThesisParameters
 
     pose, known = result.camera_from_scanner, bool(np.isfinite(result.covariance).all())
     sigma = np.sqrt(np.diag(result.covariance)) if known else np.full(6, np.nan)
     matrix = None if pose is None else pose.matrix.tolist()
     fields: dict[str, Any] = {
-        "version": _VERSION,
-        "kind": "rig",
-        "software": software_document(),
         "camera_from_scanner": matrix if result.accepted else None,
         "camera_from_scanner_is": _POSE_IS,
     }
@@ -221,13 +266,18 @@ def rig_document(result: RigResult, *, inputs: Sequence[str | Path] = ()) -> dic
         "used": list(result.used),
         "refused": list(result.refused),
         "cameras": [camera.as_fields() for camera in result.cameras],
-        "steps": [{"name": step.name, "seconds": round(step.seconds, 4), **step.detail} for step in result.steps],
-        "options": dict(result.options),
-        "seed": result.seed,
-        "files": list(RIG_FILES) if result.accepted else [],
-        "inputs": input_documents(list(inputs)),
     }
-    return dict(plain(fields))
+    return fields
+
+
+def _words(result: RigResult) -> list[str]:
+    """Return what the files of a camera say of its pose."""
+    sigma = np.sqrt(np.diag(result.covariance))
+    return [
+        result.reasons[0],
+        f"Standard deviations: {_list(np.degrees(sigma[:3]).tolist())} deg about the axes of the camera, "
+        f"{_list((1e3 * sigma[3:]).tolist())} mm of its centre in the scanner's frame.",
+    ]
 
 
 def _list(numbers: Sequence[float | None]) -> str:

@@ -27,7 +27,7 @@ class RigPair:
     scan: Scan
     photo: Photo
     camera_name: str = ""
-    """Of the camera, where the rig has several."""
+    """Of the camera, where the rig has several: letters, digits, _ and -."""
     taken: tuple[TimedPhoto, ...] = ()
     """Photographs of the same camera before, at and after the time of the scan; needed for a time offset only."""
 
@@ -94,17 +94,18 @@ class RigResult:
     """The one pose of a rig, with its verdict; a refused pose is only the best guess."""
 
     camera_from_scanner: Rigid | None
-    """The pose; None: nothing was found."""
+    """The pose; None: nothing was found, or the rig has several cameras, see `by_camera`."""
     covariance: FloatArray
     """(6, 6) of (w, c) as `PoseResult.covariance`; NaN without a pose."""
     accepted: bool
-    """Whether pairs that were held out verified it."""
+    """Whether pairs that were held out verified it; of several cameras, each of them."""
     reasons: tuple[str, ...]
     """The verdict in sentences."""
     pairs: tuple[PairEvidence, ...]
     """The evidence of each pair at the pose of the others, in the order given."""
     false_alarm: float
-    """Bound on the probability of the held-out agreement by chance, without the pair that agrees best."""
+    """Bound on the probability of the held-out agreement by chance, without the pair that agrees best; of several
+    cameras, the highest."""
     cameras: tuple[CameraModel, ...]
     """The camera of each pair."""
     steps: tuple[Step, ...] = ()
@@ -113,6 +114,8 @@ class RigResult:
     """The options, JSON-ready."""
     seed: int = 0
     """The random seed."""
+    by_camera: Mapping[str, RigResult] = field(default_factory=dict)
+    """The result of each camera by its name, where the rig has several; each has a verdict of its own."""
 
     @property
     def sigmas(self) -> RigSigmas:
