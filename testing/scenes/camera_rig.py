@@ -41,17 +41,17 @@ def mounted(
 
 def three_cameras() -> dict[str, MountedCamera]:
     """Return two pinholes, ahead and to the right, and a fisheye of 150 degrees that looks ahead."""
-    fisheye = FisheyeCamera(960, 760, 350.0, 350.0, 480.0, 379.0, (0.02, -0.004, 0.0, 0.0))
+    fisheye = FisheyeCamera(800, 640, 300.0, 300.0, 400.0, 319.0, (0.02, -0.004, 0.0, 0.0))
     return {
         "ahead": mounted(Camera.from_focal(960, 640, 649.0), yaw_deg=3, pitch_deg=-2, centre=(0.2, 0.15, -0.1)),
-        "right": mounted(Camera.from_focal(800, 600, 560.0), yaw_deg=-38, pitch_deg=1, centre=(0.1, -0.25, -0.12)),
+        "right": mounted(Camera.from_focal(640, 480, 448.0), yaw_deg=-38, pitch_deg=1, centre=(0.1, -0.25, -0.12)),
         "wide": mounted(fisheye, yaw_deg=-4, pitch_deg=-3, centre=(0.25, 0.0, 0.2)),
     }
 
 
 def panorama_camera() -> MountedCamera:
     """Return a panorama above the lidar."""
-    return mounted(EquirectangularCamera(2400, 1200), yaw_deg=8, pitch_deg=1, centre=(0.0, 0.05, 0.3))
+    return mounted(EquirectangularCamera(1600, 800), yaw_deg=8, pitch_deg=1, centre=(0.0, 0.05, 0.3))
 
 
 def camera_rig(
