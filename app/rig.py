@@ -43,6 +43,8 @@ class RigArguments(CameraArguments):
     """Most pairs that are chosen of a recording, at different places (8)."""
     deskewed: bool = False
     """The clouds of a recording are corrected for the motion of the scanner."""
+    estimate_time_offset: bool = False
+    """Estimate by how much the pictures of a recording are stamped later than its clouds, where the rig moves."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
     """Output folder; an existing one is refused, but see --force."""
     initial: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
@@ -80,10 +82,12 @@ def run_rig(arguments: RigArguments) -> ExitCode:
     with progress_bar(quiet=arguments.quiet or arguments.json) as bar:
         pairs = read_rig(
             arguments.rig, cloud=arguments.cloud, images=arguments.image, frames=arguments.frames,
-            deskewed=arguments.deskewed, scan_options=arguments.scan_options, photo_options=arguments.photo_options,
+            deskewed=arguments.deskewed, neighbors=arguments.estimate_time_offset,
+            scan_options=arguments.scan_options, photo_options=arguments.photo_options,
             report=bar.progress,
         )  # fmt: skip
-        result = register_rig(pairs, initial=initial, options=RigOptions(seed=arguments.seed), report=bar.step)
+        options = RigOptions(seed=arguments.seed, estimate_time_offset=arguments.estimate_time_offset)
+        result = register_rig(pairs, initial=initial, options=options, report=bar.step)
         fields = write_rig(arguments.out, result, inputs=inputs, force=arguments.force, report=bar.progress)
     files, edited = visible_files(arguments.out), [said] if said else []
     if arguments.json:

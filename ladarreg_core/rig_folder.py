@@ -267,6 +267,8 @@ def _verdict_fields(result: RigResult) -> dict[str, Any]:
         "refused": list(result.refused),
         "cameras": [camera.as_fields() for camera in result.cameras],
     }
+    if result.time_offset is not None:
+        fields["time_offset"] = result.time_offset.as_dict()
     return fields
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -25,6 +25,7 @@ from ladarreg_core.rig.evidence import ADVICE, Jury, held_out, joint_alarm, reas
 from ladarreg_core.rig.joint import JointPairs, PairViews
 from ladarreg_core.rig.options import LEAST_PAIRS, RigOptions
 from ladarreg_core.rig.results import PairEvidence, RigPair, RigResult
+from ladarreg_core.rig.time_offset import estimate_time_offset, paired_at
 from ladarreg_core.validation import require_type
 
 # Variance factors of the covariance from regions, for pairs with intensity and for those whose shape alone is compared;
@@ -62,7 +63,7 @@ def register_rig(
     by_camera = _by_camera(pairs)
     initials = _initials(initial, list(by_camera))
     with threadpool_limits(limits=1, user_api="blas"):
-        results = {name: _registered(own, initials[name], StepLog(report), o) for name, own in by_camera.items()}
+        results = {name: _of_camera(own, initials[name], StepLog(report), o) for name, own in by_camera.items()}
     return next(iter(results.values())) if len(results) == 1 else _of_all(results)
 
 
@@ -119,8 +120,24 @@ def _of_all(results: Mapping[str, RigResult]) -> RigResult:
         tuple(step for one in every for step in one.steps),
         first.options,
         first.seed,
-        dict(results),
+        by_camera=dict(results),
     )
+
+
+def _of_camera(pairs: Sequence[RigPair], initial: Rigid | None, steps: StepLog, o: RigOptions) -> RigResult:
+    """Return the result of one camera, with the photographs of the same moment if a time offset is asked for."""
+    result = _registered(pairs, initial, steps, o)
+    if not o.estimate_time_offset:
+        return result
+    starts = [pose for pose in (result.camera_from_scanner, initial) if pose is not None]
+    with steps.step("rig time offset") as note:
+        offset = estimate_time_offset(pairs, starts, seed=o.seed)
+        note.update(seconds=round(offset.seconds, 4), known=offset.known)
+    moved = [paired_at(pair, offset.seconds) if offset.known else pair for pair in pairs]
+    if any(new.photo is not old.photo for new, old in zip(moved, pairs, strict=True)):
+        result = _registered(moved, initial or result.camera_from_scanner, steps, o)
+    return replace(result, reasons=(*result.reasons, f"{offset.sentence[0].upper()}{offset.sentence[1:]}."),
+                   time_offset=offset)  # fmt: skip
 
 
 def _registered(pairs: Sequence[RigPair], initial: Rigid | None, steps: StepLog, o: RigOptions) -> RigResult:

@@ -80,6 +80,28 @@ class PairEvidence:
         }
 
 
+@dataclass(frozen=True, slots=True)
+class TimeOffset:
+    """The time by which photographs are stamped later than scans of the same moment."""
+
+    seconds: float
+    """Add it to the time of a scan for the time stamp of its photograph, s; 0 if it cannot be told."""
+    sigma_s: float
+    """Its standard deviation, s; inf if it cannot be told."""
+    sentence: str
+    """The finding in words."""
+
+    @property
+    def known(self) -> bool:
+        """Whether it could be told."""
+        return bool(np.isfinite(self.sigma_s))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the finding, JSON-ready."""
+        sigma = self.sigma_s if self.known else None
+        return {"seconds": self.seconds, "sigma_s": sigma, "known": self.known, "sentence": self.sentence}
+
+
 class RigSigmas(NamedTuple):
     """The largest standard deviations of a rig's pose."""
 
@@ -114,6 +136,8 @@ class RigResult:
     """The options, JSON-ready."""
     seed: int = 0
     """The random seed."""
+    time_offset: TimeOffset | None = None
+    """That of the camera's clock, if it was asked for."""
     by_camera: Mapping[str, RigResult] = field(default_factory=dict)
     """The result of each camera by its name, where the rig has several; each has a verdict of its own."""
 

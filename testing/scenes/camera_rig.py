@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, FisheyeCamera
-from ladarreg_core.frames import Rigid, look_along
-from ladarreg_core.photo import Photo
+from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
+from ladarreg_core.photo import Photo, TimedPhoto
 from ladarreg_core.rig.results import RigPair
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.outdoors import OUTDOORS, build_outdoors
@@ -52,6 +52,44 @@ def three_cameras() -> dict[str, MountedCamera]:
 def panorama_camera() -> MountedCamera:
     """Return a panorama above the lidar."""
     return mounted(EquirectangularCamera(1600, 800), yaw_deg=8, pitch_deg=1, centre=(0.0, 0.05, 0.3))
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """How the rig moves at one place."""
+
+    turn_deg_s: float
+    ahead_m_s: float
+
+    def world_from_scanner(self, seconds: float) -> Rigid:
+        """Return where the scanner is, so long after it was at the world's origin."""
+        turn = rotation_from_rotvec(np.radians([0.0, 0.0, self.turn_deg_s * seconds]))
+        return Rigid(turn, np.array([self.ahead_m_s * seconds, 0.0, 0.0]))
+
+
+def moving_rig(
+    camera: MountedCamera, motions: Sequence[Motion], *, after_s: Sequence[float], offset_s: float, seed: int
+) -> list[RigPair]:
+    """Return a pair for each motion, at its own place, with the photographs that are stamped so long after the scan.
+
+    Photographs are stamped `offset_s` later than they are taken.
+    """
+    found = []
+    scenes = sorted(OUTDOORS)
+    for place, motion in enumerate(motions):
+        layout, scan_rng, photo_rng = (np.random.default_rng([_SEED, seed, place, k]) for k in range(3))
+        world = build_outdoors(scenes[place % len(scenes)], layout=layout)
+        caster = RayCaster(world.triangles)
+        cloud = scan_points(world, caster, lidar_rays("64 lines", scan_rng), rng=scan_rng)
+        taken = []
+        for after in after_s:
+            pose = camera.camera_from_scanner @ motion.world_from_scanner(after - offset_s).inverse
+            pixels = take_photograph(world, caster, camera.model, pose, lighting=_LIT, rng=photo_rng)
+            taken.append(TimedPhoto(after, Photo(pixels, camera.model, name=f"place {place}", calibrated=True)))
+        own = min(taken, key=lambda one: abs(one.after_s))
+        scan = Scan.from_points(cloud.points, cloud.intensity, name=f"place {place}")
+        found.append(RigPair(scan.name, scan, own.photo, taken=tuple(taken)))
+    return found
 
 
 def camera_rig(
