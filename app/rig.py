@@ -88,7 +88,9 @@ def run_rig(arguments: RigArguments) -> ExitCode:
         )  # fmt: skip
         options = RigOptions(seed=arguments.seed, estimate_time_offset=arguments.estimate_time_offset)
         result = register_rig(pairs, initial=initial, options=options, report=bar.step)
-        fields = write_rig(arguments.out, result, inputs=inputs, force=arguments.force, report=bar.progress)
+        fields = write_rig(
+            arguments.out, result, pairs=pairs, inputs=inputs, force=arguments.force, report=bar.progress
+        )  # fmt: skip
     files, edited = visible_files(arguments.out), [said] if said else []
     if arguments.json:
         from .json_output import print_json

@@ -14,6 +14,7 @@ from ladarreg_core.formats.untrusted import reading
 from ladarreg_core.progress import Progress, Report
 
 if TYPE_CHECKING:
+    from ladarreg_core.export.overlay_video import OverlayFrame
     from ladarreg_core.rig.results import RigPair, RigResult
     from ladarreg_core.scan import Scan
 
@@ -166,6 +167,7 @@ def write_rig(
     folder: str | Path,
     result: RigResult,
     *,
+    pairs: Sequence[RigPair] = (),
     inputs: Sequence[str | Path] = (),
     force: bool = False,
     report: Report | None = None,
@@ -175,6 +177,7 @@ def write_rig(
     Args:
         folder: output folder.
         result: the result.
+        pairs: what it was registered from, for the overlay video; empty: none is written.
         inputs: the table and the files that it names.
         force: replace an earlier folder of a rig and nothing else.
         report: receives the progress.
@@ -187,6 +190,7 @@ def write_rig(
     """
     from ladarreg_core.export.folder import FileJob, write_folder
     from ladarreg_core.export.json import write_result
+    from ladarreg_core.export.overlay_video import write_overlay_video
     from ladarreg_core.export.replacement import RIG_FILE
     from ladarreg_core.export.targets.kalibr import lidar_chain
     from ladarreg_core.export.targets.photo_files import text_writer
@@ -210,6 +214,13 @@ def write_rig(
             jobs += [
                 (f"{name}.pose.json", partial(write_pose, camera_from_scanner=one[0])) for name, one in known.items()
             ]
+        for name in known:
+            own = result.by_camera.get(name, result)
+            shown = _overlay_frames(own, [pair for pair in pairs if not result.by_camera or pair.camera_name == name])
+            if shown:
+                prefix = f"{name}." if result.by_camera else ""
+                draw = partial(write_overlay_video, frames=shown, camera_from_scanner=known[name][0])
+                jobs.append((f"{prefix}overlay.webp", draw))
     fields["files"] = [name for name, _ in jobs] if known else []
     write_folder(folder, lambda: jobs, inputs=inputs, force=force, report=report)
     return fields
@@ -270,6 +281,21 @@ def _verdict_fields(result: RigResult) -> dict[str, Any]:
     if result.time_offset is not None:
         fields["time_offset"] = result.time_offset.as_dict()
     return fields
+
+
+def _overlay_frames(result: RigResult, pairs: Sequence[RigPair]) -> list[OverlayFrame]:
+    """Return what the overlay video of a camera shows of each pair."""
+    from ladarreg_core.export.overlay_video import OverlayFrame
+    from ladarreg_core.rig.time_offset import paired_at
+
+    offset, evidence = result.time_offset, {one.name: one for one in result.pairs}
+    found = []
+    for pair in pairs:
+        photo = paired_at(pair, offset.seconds).photo if offset is not None and offset.known else pair.photo
+        one = evidence[pair.name]
+        said = f"{one.fraction:.0%} of the regions agree" if one.outcome == "agrees" else f"{one.outcome}, not used"
+        found.append(OverlayFrame(pair.scan, photo, f"{pair.name}: {said}"))
+    return found
 
 
 def _words(result: RigResult) -> list[str]:

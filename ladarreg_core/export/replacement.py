@@ -50,9 +50,10 @@ STATIONS_FILE = "stations.json"
 """File that describes stations, beside their scans."""
 RIG_FILE = "rig.json"
 """File that describes a rig."""
-RIG_FILES = (RIG_FILE, "camera.transform.yaml", "static_transforms.launch.py", "camchain-lidar.yaml")
+RIG_FILES = (RIG_FILE, "camera.transform.yaml", "static_transforms.launch.py", "camchain-lidar.yaml",
+             "overlay.webp")  # fmt: skip
 """Files of a rig of one camera; all but the first are only written if it is accepted."""
-RIG_CAMERA_FILES = (".transform.yaml", ".pose.json")
+RIG_CAMERA_FILES = (".transform.yaml", ".pose.json", ".overlay.webp")
 """How the names of the files of each camera end, where a rig has several, behind the camera's name."""
 _SIMULATION_FILES = ("scan.npz", "photo.png", "camera.json", "truth.json")
 _STAGE_PICTURE = re.compile(r"(registered|not_accepted)_[a-z0-9_]+\.png")
