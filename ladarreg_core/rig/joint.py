@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.agreement import Agreement, agreement, joined
@@ -186,6 +186,56 @@ class JointPairs:
         parts = [part.aligner.agreement_at(part.pose(pose), level) for part in self.parts[index]]
         return _joined(parts)
 
+    def moved(self, pose: Rigid, index: int, others: Sequence[int]) -> dict[int, list[BoolArray]]:
+        """Return which points of a scan are of things that stand where no other scan of the place has any.
+
+        Args:
+            pose: `camera_from_scanner`.
+            index: the pair of the scan.
+            others: pairs of the same place, the rig not having moved between them.
+
+        Returns:
+            for levels 1 and 0, a mask (N,) for each picture of the pair: of points that lie before the nearest surface
+            of every other scan.
+        """
+        found: dict[int, list[BoolArray]] = {1: [], 0: []}
+        for part in self.parts[index]:
+            own = part.pose(pose)
+            occluders = [
+                other.aligner.occluder for k in others for other in self.parts[k] if other.number == part.number
+            ]
+            for level, masks in found.items():
+                points = _compared_points(part.aligner, level).points
+                in_camera = own @ points.astype(np.float64)
+                masks.append(np.logical_and.reduce(
+                    [occluder.in_front(in_camera, occluder.depth_buffer(own)) for occluder in occluders]
+                    or [np.zeros(len(points), np.bool_)]
+                ))  # fmt: skip
+        return found
+
+    def agreement_of(
+        self, pose: Rigid, index: int, level: int, only: Sequence[BoolArray], *, photo: int, mirrored: bool = False
+    ) -> Agreement | None:
+        """Return the agreement of some points of a scan with a photograph; None if none can be compared.
+
+        Args:
+            pose: `camera_from_scanner`.
+            index: the pair of the scan.
+            level: 1, or 0 with its own photograph.
+            only: a mask (N,) of the points for each picture, as of `moved`.
+            photo: the pair of the photograph.
+            mirrored: whether left and right of the photograph, or of each of its faces, are exchanged.
+        """
+        parts = []
+        for part, mask in zip(self.parts[index], only, strict=True):
+            swapped = photo != index or mirrored
+            target = self._swapped_target(part, photo, mirrored) if swapped else part.aligner.targets[level]
+            if target is not None:
+                points = _compared_points(part.aligner, level)
+                parts.append(agreement(points, target, part.aligner.occluder, part.pose(pose), level=level,
+                                       radius=_RADIUS, only=mask))  # fmt: skip
+        return _joined(parts)
+
     def swapped_agreement(self, pose: Rigid, index: int, other: int, *, mirrored: bool = False) -> Agreement | None:
         """Return the agreement of the scan of a pair with the photograph of another one, of the same size.
 
@@ -198,22 +248,24 @@ class JointPairs:
         level = _LEVEL_OF_SWAPPED
         found = []
         for part in self.parts[index]:
-            aligner = part.aligner
-            working, harmonics = aligner.photo.cameras[0], aligner.photo.harmonics
-            key = (other, part.number, mirrored, working, harmonics)
-            if key not in self._swapped:
-                side = self._pairs[other].side(part.number, working, harmonics)
-                if side is None:
-                    continue
-                side = mirrored_photo(side) if mirrored else side
-                self._swapped[key] = Target(side.cameras[level], side.channels[level], side.usable[level])
-            found.append(
-                agreement(
-                    aligner.points[level], self._swapped[key], aligner.occluder, part.pose(pose),
-                    level=level, radius=_RADIUS,
-                )
-            )  # fmt: skip
+            aligner, target = part.aligner, self._swapped_target(part, other, mirrored)
+            if target is not None:
+                points = aligner.points[level]
+                found.append(agreement(points, target, aligner.occluder, part.pose(pose), level=level, radius=_RADIUS))
         return _joined(found)
+
+    def _swapped_target(self, part: PairPart, other: int, mirrored: bool) -> Target | None:
+        """Return the photograph of another pair, or its mirror image, as a picture is compared with it."""
+        level = _LEVEL_OF_SWAPPED
+        working, harmonics = part.aligner.photo.cameras[0], part.aligner.photo.harmonics
+        key = (other, part.number, mirrored, working, harmonics)
+        if key not in self._swapped:
+            side = self._pairs[other].side(part.number, working, harmonics)
+            if side is None:
+                return None
+            side = mirrored_photo(side) if mirrored else side
+            self._swapped[key] = Target(side.cameras[level], side.channels[level], side.usable[level])
+        return self._swapped[key]
 
     def covariance(self, pose: Rigid, members: Sequence[int]) -> FloatArray | None:
         """Return the (6, 6) covariance of a finished pose by leaving out regions of pairs; None if they are few."""
@@ -293,6 +345,10 @@ class JointPairs:
             if motion < STILL_STEP_PX:
                 break
         return result
+
+
+def _compared_points(aligner: Aligner, level: int) -> ViewPoints:
+    return aligner.verification_points if level == 0 else aligner.points[level]
 
 
 def _joined(parts: Sequence[Agreement]) -> Agreement | None:

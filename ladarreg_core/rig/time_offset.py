@@ -21,7 +21,8 @@ from ladarreg_core.rig.options import LEAST_PAIRS
 from ladarreg_core.rig.results import RigPair, TimeOffset
 
 _LEAST_SHIFTS = 3
-_LEAST_SIGMAS = 3.0  # by which the maximum exceeds the shifts beyond its neighbours
+_LEAST_SIGMAS = 3.0  # by which the maximum exceeds the mean of the shifts beyond its neighbours, over the pairs
+_LEAST_LEAD = 0.25  # the same, relative to the maximum: a rig that stands differs by noise
 _OF_PERIOD = 0.1  # standard deviation of the interpolated maximum, in periods, that no scatter undercuts
 
 
@@ -98,11 +99,12 @@ def _maximum(offsets: FloatArray, scores: FloatArray, period: float) -> TimeOffs
     mean = np.nanmean(usable, axis=1)
     best = int(np.nanargmax(mean))
     far = [k for k in range(len(offsets)) if abs(k - best) > 1]
-    lead = usable[best] - usable[far]
-    count = np.isfinite(lead).sum(axis=1)
-    error = np.nanstd(lead, axis=1, ddof=1) / np.sqrt(np.maximum(count, 1))
-    sure = np.nanmean(lead, axis=1) > _LEAST_SIGMAS * np.maximum(error, 1e-6)
-    if not sure.all():
+    lead = usable[best] - np.nanmean(usable[far], axis=0)
+    lead = lead[np.isfinite(lead)]
+    error = float(lead.std(ddof=1) / np.sqrt(len(lead))) if len(lead) > 1 else np.inf
+    without = [np.nanmean(np.delete(usable, k, axis=1), axis=1) for k in range(usable.shape[1])]
+    alike = all(abs(int(np.nanargmax(each)) - best) <= 1 for each in without)
+    if not (alike and lead.mean() > max(_LEAST_LEAD * mean[best], _LEAST_SIGMAS * error)):
         return _unknown(
             "the images agree about as well at other offsets: the rig stands, or moves alike in all pairs; take pairs "
             "where it turns"
@@ -113,11 +115,9 @@ def _maximum(offsets: FloatArray, scores: FloatArray, period: float) -> TimeOffs
             "differ by more; correct the time stamps first"
         )
     seconds = _vertex(offsets, mean)
-    without = np.array([
-        _vertex(offsets, np.nanmean(np.delete(usable, k, axis=1), axis=1)) for k in range(usable.shape[1])
-    ])  # fmt: skip
-    count_pairs = len(without)
-    scatter = float(np.sqrt((count_pairs - 1) / count_pairs * ((without - without.mean()) ** 2).sum()))
+    maxima = np.array([_vertex(offsets, each) for each in without])
+    count = len(maxima)
+    scatter = float(np.sqrt((count - 1) / count * ((maxima - maxima.mean()) ** 2).sum()))
     sigma = float(np.hypot(scatter, _OF_PERIOD * period))
     return TimeOffset(
         seconds,

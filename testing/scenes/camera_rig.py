@@ -12,10 +12,11 @@ from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
 from ladarreg_core.photo import Photo, TimedPhoto
 from ladarreg_core.rig.results import RigPair
 from ladarreg_core.scan import Scan
-from ladarreg_core.simulate.outdoors import OUTDOORS, build_outdoors
+from ladarreg_core.simulate.outdoors import EYE_M, OUTDOORS, build_outdoors
 from ladarreg_core.simulate.photograph import Lighting, take_photograph
 from ladarreg_core.simulate.ray_cast import RayCaster
 from ladarreg_core.simulate.robot_lidar import LidarName, lidar_rays, scan_points
+from ladarreg_core.simulate.world import Placement
 
 _LIT = Lighting(ambient=0.38, strength=(1.0,), tints=((1.0, 0.97, 0.9),))
 _SEED = 1_000_000  # apart from the places of `simulate_outdoors`
@@ -89,6 +90,28 @@ def moving_rig(
         own = min(taken, key=lambda one: abs(one.after_s))
         scan = Scan.from_points(cloud.points, cloud.intensity, name=f"place {place}")
         found.append(RigPair(scan.name, scan, own.photo, taken=tuple(taken)))
+    return found
+
+
+def standing_rig(camera: MountedCamera, *, moments: int, people: int, seed: int) -> list[RigPair]:
+    """Return the pairs of a rig that stands in one place, with so many people who stand elsewhere at every moment."""
+    found = []
+    places = np.random.default_rng([_SEED, seed, 9])
+    for moment in range(moments):
+        layout, scan_rng, photo_rng = (np.random.default_rng([_SEED, seed, k + 9 * moment * (k > 0)]) for k in range(3))
+        where = [
+            Placement(
+                float(places.uniform(3.5, 6)), float(places.uniform(-2.2, 2.2)), -EYE_M, float(places.uniform(0, 6))
+            )
+            for _ in range(people)
+        ]
+        world = build_outdoors("courtyard", layout=layout, people=where)
+        caster = RayCaster(world.triangles)
+        cloud = scan_points(world, caster, lidar_rays("64 lines", scan_rng), rng=scan_rng)
+        pixels = take_photograph(world, caster, camera.model, camera.camera_from_scanner, lighting=_LIT, rng=photo_rng)
+        name = f"moment {moment}"
+        photo = Photo(pixels, camera.model, name=name, calibrated=True)
+        found.append(RigPair(name, Scan.from_points(cloud.points, cloud.intensity, name=name), photo))
     return found
 
 

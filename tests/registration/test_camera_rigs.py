@@ -19,6 +19,7 @@ from ladarreg_core.rig.results import RigResult
 from ladarreg_core.rig_folder import write_rig
 from testing.scenes.camera_rig import MountedCamera, camera_rig, panorama_camera, three_cameras
 
+pytestmark = pytest.mark.timeout(1200)
 PLACES = 5
 CAMERAS = three_cameras()
 _QUICK = lr.RigOptions(candidates_per_pair=1, refined=1)

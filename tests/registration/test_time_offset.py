@@ -14,6 +14,7 @@ from ladarreg_core.photo import TimedPhoto
 from ladarreg_core.rig.time_offset import estimate_time_offset, paired_at
 from testing.scenes.camera_rig import Motion, mounted, moving_rig
 
+pytestmark = pytest.mark.timeout(1200)
 CAMERA = mounted(Camera.from_focal(480, 320, 330.0), yaw_deg=3, pitch_deg=-2, centre=(0.2, 0.15, -0.1))
 PERIOD, OFFSET = 0.1, 0.17
 AFTER = [round(PERIOD * k, 6) for k in range(-2, 6)]
