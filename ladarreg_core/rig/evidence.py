@@ -19,6 +19,7 @@ ADVICE = "Add pairs of other places with near objects, accumulate longer, or giv
 """What to do about a rig that is not accepted."""
 _LEAST_EXCHANGED = 3  # photographs of other places, mirror images included: fewer have no scatter
 _LEAST_BLOCKS = 8  # of a mean; refinement needs as many
+_LEAST_MOVED = 4  # blocks of things that moved: a person 6 m away
 
 
 class Jury:
@@ -135,26 +136,26 @@ class Jury:
 
         coarse, fine = maps(1, index), maps(0, index)
         count = 0 if coarse is None else len(coarse.block_maps)
-        if coarse is None or fine is None or count < _LEAST_BLOCKS:
+        if coarse is None or fine is None or count < _LEAST_MOVED:
             return replace(whole, sentence=f"{whole.sentence}, and too little moved between them")
         exchanged = [maps(1, k) for k in others] + [maps(1, k, mirrored=True) for k in (index, *others)]
         shares = [_block_share(each) for each in exchanged]
         share, agreeing = _block_share(coarse), coarse.agreeing_blocks(NEAR_PX)
         swapped = max(shares[: len(others)])
         alarm = coarse.false_alarm(NEAR_PX, least_chance=max(o.least_chance, float(np.mean(shares))))
-        gains, variances = np.array([_gain(each) for each in exchanged]).T
+        gains, variances = np.array([_gain(each, _LEAST_MOVED) for each in exchanged]).T
         known = np.isfinite(gains)
         exchange_alarm = 1.0
         if known.sum() >= _LEAST_EXCHANGED:
             exchange_alarm = chance_of_gain(
-                _gain(coarse)[0], gains[known], least_variance=float(variances[known].mean())
+                _gain(coarse, _LEAST_MOVED)[0], gains[known], least_variance=float(variances[known].mean())
             )  # fmt: skip
         least = max(o.agrees_fraction, o.of_swapped * swapped)
         sentence = (
             f"{agreeing} of {count} regions of what moved in {name} agree at the pose of the other pairs ({share:.0%})"
         )
         outcome: PairOutcome = "agrees"
-        if share < least or (agreeing < o.few and alarm > o.few_false_alarm):
+        if share < least or (agreeing < o.few and min(alarm, exchange_alarm) > o.few_false_alarm):
             outcome = "undecided"
             sentence += ", which may be chance"
         fine_blocks = max(len(fine.block_maps), 1)
@@ -212,9 +213,9 @@ def _block_share(maps: Agreement | None) -> float:
     return 0.0 if maps is None else maps.agreeing_blocks(NEAR_PX) / max(len(maps.block_maps), 1)
 
 
-def _gain(maps: Agreement | None) -> tuple[float, float]:
+def _gain(maps: Agreement | None, least: int = _LEAST_BLOCKS) -> tuple[float, float]:
     """Return the mean gain of the blocks, and its variance; NaN for few."""
-    if maps is None or len(maps.block_maps) < _LEAST_BLOCKS:
+    if maps is None or len(maps.block_maps) < least:
         return np.nan, np.nan
     gains = maps.gains()
     return float(gains.mean()), float(gains.var(ddof=1) / len(gains))

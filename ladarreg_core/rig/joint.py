@@ -44,6 +44,7 @@ _KEPT_VIEWS = 3
 _RADIUS = 6
 _LEVEL_OF_SWAPPED = 1
 _MOST_FACES = 64
+_MOVED_SHARE = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,8 +196,8 @@ class JointPairs:
             others: pairs of the same place, the rig not having moved between them.
 
         Returns:
-            for levels 1 and 0, a mask (N,) for each picture of the pair: of points that lie before the nearest surface
-            of every other scan.
+            for levels 1 and 0, a mask (N,) for each picture of the pair: the points of blocks of which a quarter
+            lies before the nearest surface of every other scan.
         """
         found: dict[int, list[BoolArray]] = {1: [], 0: []}
         for part in self.parts[index]:
@@ -205,12 +206,14 @@ class JointPairs:
                 other.aligner.occluder for k in others for other in self.parts[k] if other.number == part.number
             ]
             for level, masks in found.items():
-                points = _compared_points(part.aligner, level).points
-                in_camera = own @ points.astype(np.float64)
-                masks.append(np.logical_and.reduce(
-                    [occluder.in_front(in_camera, occluder.depth_buffer(own)) for occluder in occluders]
-                    or [np.zeros(len(points), np.bool_)]
-                ))  # fmt: skip
+                points = _compared_points(part.aligner, level)
+                in_camera = own @ points.points.astype(np.float64)
+                before = [occluder.in_front(in_camera, occluder.depth_buffer(own)) for occluder in occluders]
+                new = np.logical_and.reduce(before) if before else np.zeros(len(in_camera), np.bool_)
+                # Whole blocks, since the outline of a thing is half of what stands behind it.
+                blocks = points.blocks
+                share = blocks.sum(new.astype(np.float32)) / np.maximum(blocks.sum(np.ones(len(new), np.float32)), 1)
+                masks.append((share >= _MOVED_SHARE)[blocks.of_point])
         return found
 
     def agreement_of(

@@ -23,6 +23,7 @@ from ladarreg_core.rig.results import RigPair, TimeOffset
 _LEAST_SHIFTS = 3
 _LEAST_SIGMAS = 3.0  # by which the maximum exceeds the mean of the shifts beyond its neighbours, over the pairs
 _LEAST_LEAD = 0.25  # the same, relative to the maximum: a rig that stands differs by noise
+_LEAST_GAIN = 0.06  # of correlation at the maximum: that of wrong poses is below .05
 _OF_PERIOD = 0.1  # standard deviation of the interpolated maximum, in periods, that no scatter undercuts
 
 
@@ -104,7 +105,7 @@ def _maximum(offsets: FloatArray, scores: FloatArray, period: float) -> TimeOffs
     error = float(lead.std(ddof=1) / np.sqrt(len(lead))) if len(lead) > 1 else np.inf
     without = [np.nanmean(np.delete(usable, k, axis=1), axis=1) for k in range(usable.shape[1])]
     alike = all(abs(int(np.nanargmax(each)) - best) <= 1 for each in without)
-    if not (alike and lead.mean() > max(_LEAST_LEAD * mean[best], _LEAST_SIGMAS * error)):
+    if not (alike and mean[best] > _LEAST_GAIN and lead.mean() > max(_LEAST_LEAD * mean[best], _LEAST_SIGMAS * error)):
         return _unknown(
             "the images agree about as well at other offsets: the rig stands, or moves alike in all pairs; take pairs "
             "where it turns"
