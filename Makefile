@@ -53,6 +53,7 @@ $(VENV)/.installed: pyproject.toml $(VENV)/.created
 
 $(VENV)/.installed-dev: pyproject.toml $(VENV)/.created
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
+	@if command -v npm >/dev/null; then npm ci --silent --no-audit --no-fund || true; fi
 	@touch $@ $(VENV)/.installed
 
 # The browser tests skip with a reason where none of these ways leads to a Chromium.

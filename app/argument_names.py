@@ -1,64 +1,99 @@
-"""The core's texts name arguments in backquotes; here they become options of the command line or fields of the page."""
+"""Arguments of the core as users know them: options of the command line, and fields of the page.
+
+The core's texts name arguments in backquotes; here they become the one or the other.
+"""
 
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
+from typing import Literal
 
+InputKind = Literal["whole", "coordinates", "names", "text", "duration", "temperature_unit", "switch"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Argument:
+    """An argument of the core."""
+
+    flag: str
+    """Its option, with what follows it."""
+    label: str = ""
+    """Its field on the page; empty: it has none."""
+    words: str = ""
+    """How texts on the page name it; empty: by its label."""
+    value_shown: bool = False
+    """Whether a value that a text gives it is shown on the page."""
+    hint: str = ""
+    """What is entered in the form for reading a file."""
+    example: str = ""
+    """An example of it."""
+    kind: InputKind | None = None
+    """How it is entered there; None: it is not."""
+
+    @property
+    def named(self) -> str:
+        """Its name in texts on the page."""
+        return self.words or f"'{self.label}'"
+
+
+ARGUMENTS: dict[str, Argument] = {
+    "scan_index": Argument(
+        flag="--scan", label="Scan of the file", value_shown=True,
+        hint="its number, counted from 0", example="0", kind="whole",
+    ),
+    "origin": Argument(
+        flag="--origin X,Y,Z", label="Scanner stood at",
+        hint="x, y, z in the file's coordinates, m", example="12.5, -3, 1.8", kind="coordinates",
+    ),
+    "columns": Argument(
+        flag="--columns", label="Columns", value_shown=True,
+        hint="names in order; - skips one", example="x, y, z, intensity", kind="names",
+    ),
+    "topic": Argument(
+        flag="--topic", label="Topic", hint="of the clouds in the recording", example="/points", kind="text"
+    ),
+    "seconds": Argument(
+        flag="--seconds", label="Accumulate over", hint="seconds", example="2", kind="duration"
+    ),
+    "intensity": Argument(
+        flag="--intensity", label="Use the brightness of the colours as the intensity", example="luma", kind="switch"
+    ),
+    "temperature_unit": Argument(
+        flag="--temperature-unit", label="Unit of its temperatures", value_shown=True,
+        hint="K or C; none for an ordinary picture", example="C", kind="temperature_unit",
+    ),
+    "camera_name": Argument(
+        flag="--camera-name", label="Camera", hint="its name in the file", example="cam0", kind="text"
+    ),
+    "calibrate_mount": Argument(flag="--calibrate-mount", words="ladarreg panorama --calibrate-mount"),
+    "camera": Argument(flag="--camera FILE", words="a camera file"),
+    "camera_model": Argument(flag="--camera-model", label="It is a panorama"),
+    "cloud": Argument(flag="--cloud TOPIC", words="ladarreg register --rig FILE --cloud"),
+    "deskewed": Argument(flag="--deskewed", words="ladarreg register --rig FILE --deskewed"),
+    "fixed": Argument(flag="--fixed", words="the fixed scan"),
+    "focal_mm": Argument(flag="--focal-mm", words="the focal length in mm"),
+    "focal_px": Argument(flag="--focal-px", words="the focal length in pixels"),
+    "force": Argument(flag="--force", label="replace an earlier export"),
+    "images": Argument(flag="--image TOPIC", words="ladarreg register --rig FILE --image"),
+    "inputs": Argument(flag="--inputs"),
+    "match_tolerance_m": Argument(flag="--match-tolerance-m", words="the setting 'Lengths of targets'"),
+    "poses": Argument(flag="--poses", words="'Poses in the files':", value_shown=True),
+    "processes": Argument(flag="--processes", words="ladarreg register --processes"),
+    "resume": Argument(flag="--resume", label="Resume"),
+    "sensor_mm": Argument(flag="--sensor-mm", words="the sensor width"),
+    "trust_edited": Argument(flag="--trust-edited", words="ladarreg export --trust-edited"),
+}  # fmt: skip
 _NAMED = re.compile(r"`(\w+)(?:=([^`]*))?`")
-_FLAGS = {
-    "calibrate_mount": "--calibrate-mount",
-    "camera": "--camera FILE",
-    "camera_model": "--camera-model",
-    "camera_name": "--camera-name",
-    "cloud": "--cloud TOPIC",
-    "columns": "--columns",
-    "deskewed": "--deskewed",
-    "fixed": "--fixed",
-    "focal_mm": "--focal-mm",
-    "focal_px": "--focal-px",
-    "force": "--force",
-    "images": "--image TOPIC",
-    "inputs": "--inputs",
-    "intensity": "--intensity",
-    "match_tolerance_m": "--match-tolerance-m",
-    "origin": "--origin X,Y,Z",
-    "poses": "--poses",
-    "processes": "--processes",
-    "resume": "--resume",
-    "scan_index": "--scan",
-    "seconds": "--seconds",
-    "sensor_mm": "--sensor-mm",
-    "temperature_unit": "--temperature-unit",
-    "topic": "--topic",
-    "trust_edited": "--trust-edited",
-}
-_FIELDS = {
-    "calibrate_mount": "ladarreg panorama --calibrate-mount",
-    "camera": "a camera file",
-    "camera_model": "'It is a panorama'",
-    "camera_name": "'Camera'",
-    "cloud": "ladarreg register --rig FILE --cloud",
-    "columns": "'Columns'",
-    "deskewed": "ladarreg register --rig FILE --deskewed",
-    "fixed": "the fixed scan",
-    "focal_mm": "the focal length in mm",
-    "focal_px": "the focal length in pixels",
-    "force": "'replace earlier results'",
-    "images": "ladarreg register --rig FILE --image",
-    "intensity": "'Use the brightness of the colours as the intensity'",
-    "match_tolerance_m": "the setting 'Lengths of targets'",
-    "origin": "'Scanner stood at'",
-    "poses": "'Poses in the files':",
-    "processes": "ladarreg register --processes",
-    "resume": "'Resume'",
-    "scan_index": "'Scan of the file'",
-    "seconds": "'Accumulate over'",
-    "sensor_mm": "the sensor width",
-    "temperature_unit": "'Unit of its temperatures'",
-    "topic": "'Topic'",
-    "trust_edited": "ladarreg export --trust-edited",
-}
-_SHOWN_ON_PAGE = {"columns", "poses", "scan_index", "temperature_unit"}
+
+
+def reading_slice() -> dict[str, dict[str, str]]:
+    """Return the slice `reading`: the fields of the form for what a file does not state itself."""
+    return {
+        name: {"label": one.label, "hint": one.hint, "example": one.example, "kind": one.kind}
+        for name, one in ARGUMENTS.items()
+        if one.kind is not None
+    }
 
 
 def as_flags(text: str) -> str:
@@ -73,15 +108,17 @@ def as_fields(text: str) -> str:
 
 def _flag(found: re.Match[str]) -> str:
     name, value = found.groups()
-    flag = _FLAGS.get(name)
-    if flag is None:
+    argument = ARGUMENTS.get(name)
+    if argument is None:
         return found[0]
-    return flag if value in (None, "True") else f"{flag.partition(' ')[0]} {value.strip(chr(39))}"
+    if value in (None, "True"):
+        return argument.flag
+    return f"{argument.flag.partition(' ')[0]} {value.strip(chr(39))}"
 
 
 def _field(found: re.Match[str]) -> str:
     name, value = found.groups()
-    field = _FIELDS.get(name)
-    if field is None:
+    argument = ARGUMENTS.get(name)
+    if argument is None or not (argument.label or argument.words):
         return found[0]
-    return f"{field} {value.strip(chr(39))}" if value and name in _SHOWN_ON_PAGE else field
+    return f"{argument.named} {value.strip(chr(39))}" if value and argument.value_shown else argument.named

@@ -115,16 +115,15 @@ class ScanArguments:
         """The arguments of `read_scan`.
 
         Raises:
-            OptionError: if the origin is not three numbers.
+            OptionError: if one is not of its type or range.
         """
-        return {
-            "scan_index": self.scan_index,
-            "origin": None if self.origin is None else _coordinates(self.origin),
-            "intensity": self.intensity,
-            "columns": tuple(name.strip() for name in self.columns.split(",")) if self.columns else (),
-            "topic": self.topic,
-            "seconds": self.seconds,
-        }
+        from ladarreg_core.formats.scan_request import SCAN_OPTIONS, ScanOptions
+
+        stated = {name: getattr(self, name) for name in SCAN_OPTIONS}
+        if self.origin is not None:
+            stated["origin"] = _coordinates(self.origin)
+        stated["columns"] = tuple(name.strip() for name in self.columns.split(",")) if self.columns else ()
+        return ScanOptions(**stated).as_arguments()
 
 
 @dataclass(frozen=True, kw_only=True)

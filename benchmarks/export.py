@@ -58,7 +58,7 @@ def handed_over(folder: Path) -> Any:
 def ours(folder: Path, targets: list[str], cancel_at: float | None) -> dict[str, Any]:
     """Export in this process."""
     from ladarreg_core.errors import Cancelled
-    from ladarreg_core.export.targets.hand_over import export_to
+    from ladarreg_core.export.targets.pipeline import export_to
     from ladarreg_core.progress import Progress
 
     handed = handed_over(folder)

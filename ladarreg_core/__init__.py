@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ladarreg_core.errors import Cancelled as Cancelled
     from ladarreg_core.errors import LadarregError as LadarregError
     from ladarreg_core.export.folder import export_registration as export_registration
-    from ladarreg_core.export.targets.hand_over import export_to as export_to
+    from ladarreg_core.export.targets.pipeline import export_to as export_to
     from ladarreg_core.export.targets.registered_scan import RegisteredPhoto as RegisteredPhoto
     from ladarreg_core.export.targets.registered_scan import RegisteredScan as RegisteredScan
     from ladarreg_core.formats import read_camera as read_camera
@@ -117,7 +117,7 @@ _HOMES = {
     "compare": "comparison",
     "estimate_pose": "pose.estimate",
     "export_registration": "export.folder",
-    "export_to": "export.targets.hand_over",
+    "export_to": "export.targets.pipeline",
     "given_pose": "given",
     "intensity_picture": "surface.texture",
     "perspective_view": "surface.perspective",

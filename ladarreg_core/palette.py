@@ -57,6 +57,8 @@ STATIONS: tuple[Colour, ...] = (
 )  # fmt: skip
 """Of further stations, by their place in the list."""
 SCANNER: Colour = (255, 211, 77)
+OTHER_CAMERA: Colour = (76, 122, 158)
+"""The camera of another photograph than the shown one: a duller accent."""
 REFUSED: Colour = DIM
 """A pose that is not accepted."""
 

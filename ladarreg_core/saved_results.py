@@ -16,6 +16,7 @@ from ladarreg_core.export.output_frame import FrameName, OutputFrame
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan, photo_id
 from ladarreg_core.formats import read_photo, read_scan
 from ladarreg_core.formats.registration_file import read_result
+from ladarreg_core.formats.scan_request import ScanOptions, stated_options
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.results import Registration
@@ -25,18 +26,6 @@ RESULT_FILE = "registration.json"
 """The file by which a folder of results is recognised."""
 _DAMAGED = "give an unmodified one"
 _MOST_SUBFOLDERS = 500
-
-
-class _ScanReading(msgspec.Struct):
-    """Recorded arguments of `read_scan`."""
-
-    scan_index: int | msgspec.UnsetType = msgspec.UNSET
-    origin: tuple[float, float, float] | msgspec.UnsetType = msgspec.UNSET
-    intensity: Literal["auto", "luma"] | msgspec.UnsetType = msgspec.UNSET
-    columns: tuple[str, ...] | msgspec.UnsetType = msgspec.UNSET
-    topic: str | msgspec.UnsetType = msgspec.UNSET
-    seconds: float | msgspec.UnsetType = msgspec.UNSET
-    more: tuple[str, ...] | msgspec.UnsetType = msgspec.UNSET
 
 
 class _PhotoReading(msgspec.Struct):
@@ -222,9 +211,9 @@ def read_saved_result(
     if not isinstance(inputs, list) or len(inputs) < 2 or not all(isinstance(one, dict) for one in inputs):
         raise FormatError(f"{file} does not name the scan and the photo that it was made of")
     try:
-        scan = _recorded(inputs[0], _ScanReading)
+        scan = _recorded_scan(inputs[0])
         photo = _recorded(inputs[1], _PhotoReading)
-    except msgspec.ValidationError as error:
+    except (msgspec.ValidationError, OptionError) as error:
         raise FormatError(f"{file}: the options of an input are damaged ({error}); {_DAMAGED}") from None
     return SavedResult(file, registration, document, inputs, scan or {}, photo, within)
 
@@ -378,11 +367,16 @@ def _recorded(record: Mapping[str, Any], kind: type[msgspec.Struct]) -> dict[str
     return {name: value for name, value in values.items() if value is not msgspec.UNSET}
 
 
+def _recorded_scan(record: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the recorded arguments of `read_scan`, `more` among them; None in results of earlier versions."""
+    fields = record.get("read_with")
+    if fields is None:
+        return None
+    fields = msgspec.convert(fields, dict[str, Any])
+    more = {"more": msgspec.convert(fields["more"], tuple[str, ...])} if "more" in fields else {}
+    return {**stated_options(fields), **more}
+
+
 def _changed(given: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return the arguments of `read_scan` that are no defaults."""
-    default = {"scan_index": 0, "intensity": "auto"}
-    return {
-        name: value
-        for name, value in (given or {}).items()
-        if value is not None and value != () and value != default.get(name)
-    }
+    return {} if given is None else ScanOptions(**given).given()

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from ladarreg_core.progress import Progress, Report
 
 if TYPE_CHECKING:
+    from ladarreg_core.export.targets.stations import StationScans
     from ladarreg_core.frames import Rigid
     from ladarreg_core.scan import Scan
     from ladarreg_core.stations.results import StationNetwork
@@ -93,26 +94,21 @@ def write_stations(
     Raises:
         ExportError: if the folder exists and must not be replaced, or cannot be written.
     """
-    from ladarreg_core.export.folder import write_folder
-    from ladarreg_core.export.json import write_result
-    from ladarreg_core.export.replacement import STATIONS_FILE
-    from ladarreg_core.formats.npz import write_npz_xyz
+    from functools import partial
+
+    from ladarreg_core.export.targets.pipeline import export_to
+    from ladarreg_core.export.targets.stations import StationScans
 
     fields = stations_document(network.as_fields(), [(one.path, one.scan_index) for one in stations])
-    placed = {one.index: one for one in network.stations if one.world_from_scanner is not None}
-
-    def writer(index: int) -> Any:
-        scan = replace(stations[index].scan, world_from_scanner=placed[index].world_from_scanner)
-        return lambda path: write_npz_xyz(path, scan)
-
-    write_folder(
-        folder,
-        lambda: [
-            (STATIONS_FILE, lambda path: write_result(path, fields)),
-            *((fields["stations"][index]["scan"], writer(index)) for index in placed),
-        ],
-        inputs=sorted({one.path for one in stations}), force=force, report=report,
-    )  # fmt: skip
+    scans = {
+        fields["stations"][one.index]["scan"]: partial(
+            replace, stations[one.index].scan, world_from_scanner=one.world_from_scanner
+        )
+        for one in network.stations
+        if one.world_from_scanner is not None
+    }
+    source = StationScans(fields, scans, inputs=sorted({one.path for one in stations}))
+    export_to(folder, source, ["stations"], force=force, report=report)
     return fields
 
 
@@ -173,36 +169,24 @@ def station_files(folder: str | Path, *, trust_edited: bool = False) -> dict[Pat
     return {home / name: pose for name, pose in poses.items()}
 
 
-def export_station_folder(
-    folder: str | Path,
-    out: str | Path,
-    *,
-    trust_edited: bool = False,
-    force: bool = False,
-    report: Report | None = None,
-) -> bool:
-    """Write the scans of a folder of stations with their poses into one E57.
+def read_station_folder(folder: str | Path, *, trust_edited: bool = False) -> StationScans:
+    """Return the stations of a folder, to be exported; each scan is read when it is written.
 
     Args:
         folder: what `write_stations` wrote.
-        out: output folder.
         trust_edited: take the poses that the folder states even if it was changed after it was written; the export then
             says that they were given.
-        force: replace an earlier export and nothing else.
-        report: receives the progress; may raise `Cancelled`.
-
-    Returns:
-        whether the poses are marked as given.
 
     Raises:
         FormatError: if the folder is damaged, or was changed.
-        ExportError: if the output cannot be written.
     """
     from functools import partial
 
     from ladarreg_core.errors import FormatError
-    from ladarreg_core.export.targets.e57_stations import export_stations
+    from ladarreg_core.export.replacement import STATIONS_FILE
+    from ladarreg_core.export.targets.stations import StationScans
     from ladarreg_core.formats import read_scan
+    from ladarreg_core.formats.json_file import read_json_object
     from ladarreg_core.formats.own_results import TRUST_OPTION
     from ladarreg_core.results import GIVEN_MARK
 
@@ -210,9 +194,12 @@ def export_station_folder(
     changed = _changed_file(Path(folder), list(files))
     if changed and not trust_edited:
         raise FormatError(f"{changed}; {TRUST_OPTION}")
-    named = [partial(_named_scan, read_scan, path, pose, trusted=bool(changed)) for path, pose in files.items()]
-    export_stations(out, named, mark=GIVEN_MARK if changed else "", inputs=list(files), force=force, report=report)
-    return bool(changed)
+    scans = {
+        path.relative_to(folder).as_posix(): partial(_named_scan, read_scan, path, pose, trusted=bool(changed))
+        for path, pose in files.items()
+    }
+    document = read_json_object(Path(folder) / STATIONS_FILE, "stations")
+    return StationScans(document, scans, GIVEN_MARK if changed else "", list(files))
 
 
 def _changed_file(folder: Path, scans: Sequence[Path]) -> str:

@@ -17,12 +17,14 @@ from ..inputs import suit_heap, timed
 from ..progress_bar import ProgressBar, progress_bar
 
 if TYPE_CHECKING:
+    from ladarreg_core.export.targets.pipeline import Source
     from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
+    from ladarreg_core.export.targets.stations import StationScans
     from ladarreg_core.export.targets.target import Target
     from ladarreg_core.project.document import Document
     from ladarreg_core.project.folder import ProjectFolder
 
-    from ..session.hand_over import LeftOut
+    from ..session.exported import Chosen
 
 EXAMPLES = (
     "ladarreg export results --to colmap,laz,report -o handover",
@@ -81,8 +83,10 @@ def run(arguments: Arguments) -> ExitCode:
     """Open the results with their inputs, and write the targets."""
     from ladarreg_core.errors import OptionError
     from ladarreg_core.export.folder import check_folder
-    from ladarreg_core.export.targets.hand_over import export_to
+    from ladarreg_core.export.targets.pipeline import export_to
+    from ladarreg_core.export.targets.registered_scan import RegisteredScan
     from ladarreg_core.export.targets.registry import targets_of
+    from ladarreg_core.export.targets.stations import StationScans
     from ladarreg_core.export.targets.target import ExportOptions
     from ladarreg_core.project.folder import ProjectFolder, is_project
     from ladarreg_core.saved_results import is_saved_result
@@ -104,35 +108,43 @@ def run(arguments: Arguments) -> ExitCode:
     started = time.perf_counter()
     targets = targets_of([name.strip() for name in arguments.to.split(",") if name.strip()])
     first = arguments.results[0]
-    if is_station_folder(first):
-        return _stations(arguments, first, [target.name for target in targets])
     project = is_project(first) and not is_saved_result(first)
+    stations = is_station_folder(first)
     apart = [first] if project else []
     check_folder(arguments.out, force=arguments.force, inputs=[] if project else arguments.results, apart_from=apart)
-    left_out: Sequence[LeftOut] = ()
+    left_out = ""
     with progress_bar(quiet=arguments.quiet) as bar, ExitStack() as stack:
         if project:
             folder = ProjectFolder(first)
             stack.callback(folder.close)
-            handed, left_out = _of_project(arguments, folder, targets, bar)
+            sources, chosen = _of_project(arguments, folder, targets, bar)
+            left_out = "".join(f"Left out {one.name}: {one.why}\n" for one in chosen.left_out)
+        elif stations:
+            sources = [_of_stations(arguments, first)]
         else:
-            handed = _of_results(arguments, targets, bar)
-        suit_heap(handed.scan)
+            sources = [_of_results(arguments, targets, bar)]
+        for source in sources:
+            if isinstance(source, RegisteredScan):
+                suit_heap(source.scan)
         export_to(
             arguments.out,
-            handed,
+            sources,
             [target.name for target in targets],
             options=ExportOptions(full=arguments.full, crop=arguments.crop),
             apart_from=apart,
             force=arguments.force,
             report=bar.progress,
         )
-    for photo in left_out:
-        print(f"Left out {photo.name}: {photo.why}")
+    print(left_out, end="")
+    for source in sources:
+        if isinstance(source, StationScans) and source.mark:
+            print(f"Poses    {source.mark}: the folder was changed after it was written")
     if not arguments.quiet:
-        for one in (*handed.photos, *handed.refused):
-            print(f"Photo    {one.id}: {_state(one)}")
-        print(f"Frame    {handed.frame.sentence}")
+        for source in sources:
+            if isinstance(source, RegisteredScan):
+                for one in (*source.photos, *source.refused):
+                    print(f"Photo    {one.id}: {_state(one)}")
+                print(f"Frame    {source.frame.sentence}")
         print(f"Wrote    {', '.join(target.name for target in targets)} in {arguments.out}")
         print(f"Took     {time.perf_counter() - started:.1f} s")
     return ExitCode.ACCEPTED
@@ -151,25 +163,14 @@ def _with_accepted_photos(arguments: Arguments) -> Arguments:
     return replace(arguments, results=results)
 
 
-def _stations(arguments: Arguments, folder: Path, targets: Sequence[str]) -> ExitCode:
-    """Write the scans of stations into one E57."""
+def _of_stations(arguments: Arguments, folder: Path) -> StationScans:
+    """Return the stations of a folder."""
     from ladarreg_core.errors import OptionError
-    from ladarreg_core.station_folder import export_station_folder
+    from ladarreg_core.station_folder import read_station_folder
 
-    assert arguments.out is not None
-    if len(arguments.results) > 1 or list(targets) != ["e57"]:
-        raise OptionError("a folder of stations is exported by itself and to e57 only; for photos, give their results")
-    started = time.perf_counter()
-    with progress_bar(quiet=arguments.quiet) as bar:
-        given = export_station_folder(
-            folder, arguments.out, trust_edited=arguments.trust_edited, force=arguments.force, report=bar.progress
-        )
-    if given:
-        print("Poses    given, not verified: the folder was changed after it was written")
-    if not arguments.quiet:
-        print(f"Wrote    e57 in {arguments.out}")
-        print(f"Took     {time.perf_counter() - started:.1f} s")
-    return ExitCode.ACCEPTED
+    if len(arguments.results) > 1:
+        raise OptionError("a folder of stations is exported by itself; for photos, give their results")
+    return read_station_folder(folder, trust_edited=arguments.trust_edited)
 
 
 def _state(photo: RegisteredPhoto) -> str:
@@ -183,7 +184,7 @@ def _state(photo: RegisteredPhoto) -> str:
 def _of_results(arguments: Arguments, targets: Sequence[Target], bar: ProgressBar) -> RegisteredScan:
     """Return results on one scan, whose inputs are found by their names and hashes."""
     from ladarreg_core.errors import OptionError
-    from ladarreg_core.export.targets.hand_over import require_shown
+    from ladarreg_core.export.targets.pipeline import require_shown
     from ladarreg_core.saved_results import is_saved_result, read_saved_result, registered_scan
 
     for path in arguments.results:
@@ -216,11 +217,11 @@ def _of_results(arguments: Arguments, targets: Sequence[Target], bar: ProgressBa
 
 def _of_project(
     arguments: Arguments, folder: ProjectFolder, targets: Sequence[Target], bar: ProgressBar
-) -> tuple[RegisteredScan, Sequence[LeftOut]]:
-    """Return a project's scan with its photographs, and which of these were left out."""
+) -> tuple[Sequence[Source], Chosen]:
+    """Return what of a project is exported, and which photographs of it."""
     from ladarreg_core.errors import OptionError
 
-    from ..session.hand_over import chosen_photos, project_scan
+    from ..session.exported import chosen_photos, project_sources
     from ..session.loader import Loader
 
     if len(arguments.results) > 1:
@@ -229,17 +230,25 @@ def _of_project(
         raise OptionError("--scan and --root are for folders of results; a project knows its files")
     document, loader = folder.read().document, Loader(folder)
     photos = {_photo_id(document, name) for name in arguments.photo} or None
-    reports_alone = all(target.shows_refused for target in targets)
-    chosen = chosen_photos(loader, document, photos, last_solved=arguments.last_solved, with_refused=reports_alone)
+    chosen = chosen_photos(loader, document, photos, targets=targets, last_solved=arguments.last_solved)
     if (photos is not None or not chosen.entries) and chosen.left_out:
-        reasons = "; ".join(f"{one.name}: {one.why}" for one in chosen.left_out)
-        raise OptionError(f"nothing was written: {reasons}")
-    handed = timed(
+        raise OptionError(f"nothing was written: {chosen.reasons}")
+    alone = len(chosen.entries) == 1 and [target.name for target in targets] == ["results"]
+    sources = timed(
         "Read inputs",
         bar,
-        lambda: project_scan(loader, folder, document, chosen.entries, frame=arguments.frame, report=bar.loading),
+        lambda: project_sources(
+            loader,
+            folder,
+            document,
+            chosen.entries,
+            targets,
+            frame=arguments.frame,
+            written_into=arguments.out if alone else None,
+            report=bar.loading,
+        ),
     )
-    return handed, chosen.left_out
+    return sources, chosen
 
 
 def _photo_id(document: Document, name: str) -> str:

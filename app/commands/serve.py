@@ -116,7 +116,7 @@ def _reading(arguments: Arguments) -> Reading:
         OptionError: if an option has no meaning, or a file does not exist.
     """
     from ladarreg_core.errors import OptionError
-    from ladarreg_core.formats.scan_request import ScanRequest
+    from ladarreg_core.formats.scan_request import ScanOptions
 
     from ..workbench.given_files import Reading
 
@@ -131,7 +131,7 @@ def _reading(arguments: Arguments) -> Reading:
         if value is not None and name not in ("camera", "temperature_unit")
     }
     return Reading(
-        scan_options=ScanRequest(**arguments.scan_options).given(),
+        scan_options=ScanOptions(**arguments.scan_options).given(),
         camera_options=camera,
         temperature_unit=arguments.temperature_unit,
         **{name: None if path is None else Path(os.path.abspath(path)) for name, path in files.items()},

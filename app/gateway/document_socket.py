@@ -8,7 +8,7 @@ import logging
 import re
 import threading
 from collections import defaultdict, deque
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Callable, Collection, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -20,7 +20,7 @@ from ladarreg_core.errors import LadarregError
 
 from ..process_resources import return_memory_soon
 from .encoding import InvalidMessageError, SharedEncoder, decode_object, encode, joined
-from .protocol import URGENT, Client, Message, Visitor, Workbench
+from .protocol import Client, Message, Visitor, Workbench
 
 log = logging.getLogger(__name__)
 _FAULT, _FULL = 1011, 1013
@@ -118,7 +118,7 @@ class DocumentSocket:
         """Read commands; urgent ones are executed at once, and only their replies wait for their turn."""
         while (received := await websocket.receive())["type"] != "websocket.disconnect":
             text = received.get("text")
-            if text is not None and _is_urgent(text):
+            if text is not None and _is_urgent(text, self._workbench.urgent_commands):
                 loop = asyncio.get_running_loop()
                 await waiting.put(loop.run_in_executor(self._urgent, self._answer, client, text))
             else:
@@ -297,11 +297,11 @@ class ClientRegistry:
         return next(named, clients[-1] if clients else None)
 
 
-def _is_urgent(text: str) -> bool:
-    if len(text) > _MAX_URGENT_CHARACTERS or not any(command in text for command in URGENT):
+def _is_urgent(text: str, urgent: Collection[str]) -> bool:
+    if len(text) > _MAX_URGENT_CHARACTERS or not any(command in text for command in urgent):
         return False
     try:
-        return decode_object(text).get("do") in URGENT
+        return decode_object(text).get("do") in urgent
     except InvalidMessageError:
         return False
 

@@ -57,20 +57,20 @@ class Pictures:
 
 
 class Exports:
-    """Serves `/export/PHOTO.zip` and `/export/PHOTO.html`.
+    """Serves `/export/NAME.zip` and `/export/NAME.html`, where NAME is a photograph's id or `all`.
 
     Args:
-        workbench: has the latest export and the latest report of each photograph.
+        workbench: has the latest export and the latest report of each.
     """
 
     def __init__(self, workbench: Workbench) -> None:
         self._workbench = workbench
 
     async def serve(self, request: Request) -> Response:
-        """Return the latest export of a photograph."""
-        found = await run_in_threadpool(self._workbench.export_file, request.path_params["photo"])
+        """Return the latest zip."""
+        found = await run_in_threadpool(self._workbench.export_file, request.path_params["name"])
         if found is None or not found[0].is_file():
-            return PlainTextResponse("This photograph has no export yet; run the export first.\n", status_code=404)
+            return PlainTextResponse("There is no such export yet; run the export first.\n", status_code=404)
         path, name = found
         return FileResponse(
             path, filename=name, media_type="application/zip", headers={"cache-control": "private, no-cache"}
@@ -78,7 +78,7 @@ class Exports:
 
     async def serve_report(self, request: Request) -> Response:
         """Return the latest report of a photograph, to be shown in a tab of its own."""
-        found = await run_in_threadpool(self._workbench.report_file, request.path_params["photo"])
+        found = await run_in_threadpool(self._workbench.export_file, request.path_params["name"], "html")
         if found is None or not found[0].is_file():
             return PlainTextResponse("This photograph has no report yet; write one first.\n", status_code=404)
         path, name = found

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
-URGENT = frozenset({"acquire_stop"})
-"""Commands that wait neither for earlier ones of their page nor for a thread."""
 READ_ONLY = "This page is read-only: to change anything, open the workbench with the link that permits editing."
 """Refusal of everything but looking."""
 Message = dict[str, Any]
@@ -74,6 +72,10 @@ class Workbench(Protocol):
     def limits(self) -> Limits:
         """Its limits."""
 
+    @property
+    def urgent_commands(self) -> Collection[str]:
+        """The commands that wait neither for earlier ones of their page nor for a thread."""
+
     def slices(self, client: Any) -> dict[str, Any]:
         """Return all slices of the state, as this client sees them."""
 
@@ -107,8 +109,5 @@ class Workbench(Protocol):
         The workbench owns the file from then on: it removes files that it refuses, but never those of the project.
         """
 
-    def report_file(self, photo: str) -> tuple[Path, str] | None:
-        """Return the latest report of a photograph and its download name."""
-
-    def export_file(self, photo: str) -> tuple[Path, str] | None:
-        """Return the latest export of a photograph and its download name."""
+    def export_file(self, name: str, ending: Literal["zip", "html"] = "zip") -> tuple[Path, str] | None:
+        """Return the latest zip or report of a photograph's id, or `all`, and its download name."""

@@ -1,43 +1,287 @@
-"""The export jobs: a zip to download, a folder with the files that the command line writes, or the report alone."""
+"""The export job: photographs and stations written to targets, as a zip, into a folder, or a report as a page."""
 
 from __future__ import annotations
 
 import json
 import logging
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
 from ladarreg_core.atomic_write import write_bytes
 from ladarreg_core.errors import ExportError, OptionError
+from ladarreg_core.project.edits import require_photo
 from ladarreg_core.project.station_edits import scans_of
 
-from ..session.exported import ExportedPose, exported_pose
-from .inputs import Inputs, Workspace
+from ..session.exported import Chosen, chosen_photos, exported_pose, project_sources, stations_fault
+from .inputs import Workspace
 from .runner import JobContext
 
 if TYPE_CHECKING:
-    from ladarreg_core.export.folder import FileJob
     from ladarreg_core.export.output_frame import FrameName
+    from ladarreg_core.export.targets.pipeline import Source as ExportSource
+    from ladarreg_core.export.targets.target import Crop, ExportOptions, Target
     from ladarreg_core.project.document import Document, PhotoEntry, Source
 
 log = logging.getLogger(__name__)
-Work = Callable[[Inputs, JobContext], str]
+ALL = "all"
+"""Name, in place of a photograph's id, of the zip of several; ids of photographs are a letter and a number."""
+Ending = Literal["zip", "html"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wanted:
+    """What is exported."""
+
+    targets: Sequence[str] = ()
+    """Names of targets."""
+    photos: Sequence[str] | None = None
+    """Ids of photographs; None: all that the targets can show."""
+    frame: FrameName = "scanner"
+    """Frame of points, models and poses."""
+    full: bool = False
+    """Whole meshes."""
+    crop: Crop = "none"
+    """`photo` leaves out of models what no photograph covers."""
+    last_solved: bool = False
+    """Include poses that are out of date, as they were solved."""
+
+    @property
+    def options(self) -> ExportOptions:
+        """The options of the targets."""
+        from ladarreg_core.export.targets.target import ExportOptions
+
+        return ExportOptions(full=self.full, crop=self.crop)
+
+    @property
+    def name(self) -> str:
+        """The name of the file that it becomes, without its ending: a photograph's id, or `ALL`."""
+        return self.photos[0] if self.photos is not None and len(self.photos) == 1 else ALL
+
+
+@dataclass(frozen=True, slots=True)
+class Export:
+    """An export that can begin."""
+
+    label: str
+    """Label of the job."""
+    photo: str
+    """Id of the first photograph; empty without any."""
+    work: Callable[[JobContext], str]
+    """Writes it and returns a sentence."""
+    event: dict[str, Any] | None
+    """Sent to all clients once it is written; None: it goes into a folder."""
 
 
 class ExportJobs:
-    """Exports the files that the command line writes, and the matches."""
+    """Exports what a project has.
+
+    Args:
+        workspace: provides the project.
+    """
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace = workspace
         self._exported: dict[str, str] | None = None
 
-    def zip_path(self, photo: str) -> Path:
-        """Return the path of a photograph's zip."""
-        return self._workspace.session.folder.exports / f"{photo}.zip"
+    def table(self, wanted: Wanted) -> dict[str, Any]:
+        """Return all targets, which cannot be written and why, and the photographs that are exported or left out.
 
-    def record(self, entries: Iterable[PhotoEntry]) -> None:
+        Of photographs with cameras alike only one is read: what refuses a target is the lens.
+
+        Raises:
+            LadarregError: if a target or the frame is unknown, or a file can no longer be read.
+        """
+        from ladarreg_core.export.targets.registry import TARGETS, targets_of
+
+        document = self._workspace.session.document
+        chosen = self._chosen(document, wanted, targets_of(wanted.targets) if wanted.targets else ())
+        refusals = self._refusals(document, wanted)
+        return {
+            "targets": [
+                {
+                    "name": target.name,
+                    "title": target.title,
+                    "purpose": target.purpose,
+                    "refusal": refusals[target.name],
+                }
+                for target in TARGETS
+            ],
+            "photos": [{"id": entry.id, "name": entry.source.name} for entry in chosen.entries],
+            "left_out": [
+                {"id": one.id, "name": one.name, "why": one.why, "is_stale": one.is_stale} for one in chosen.left_out
+            ],
+        }
+
+    def begin(self, wanted: Wanted, folder: Path | None, *, force: bool) -> Export:
+        """Return an export into a folder of the workbench's computer, or as a zip if there is none.
+
+        Raises:
+            LadarregError: if a target, the frame or a photograph is unknown, nothing can be exported, or the folder
+                must not be written or replaced.
+        """
+        from ladarreg_core.export.output_frame import OutputFrame
+        from ladarreg_core.export.targets.pipeline import export_files, export_to
+        from ladarreg_core.export.targets.registry import targets_of
+        from ladarreg_core.export.targets.stations import StationScans
+        from ladarreg_core.export.zip_file import write_zip
+
+        targets, document, options = targets_of(wanted.targets), self._workspace.session.document, wanted.options
+        names = list(dict.fromkeys(wanted.targets))
+        for photo in wanted.photos or ():
+            require_photo(document, photo)
+        if folder is not None:
+            self.check_folder(folder, document, force=force)
+        chosen = self._chosen(document, wanted, targets)
+        if not chosen.entries and any(StationScans not in target.reads for target in targets):
+            raise OptionError(f"no photograph can be exported ({chosen.reasons or 'there is none'})")
+        if not chosen.entries and (fault := stations_fault(document)):
+            raise OptionError(fault)
+        scan = self._workspace.loader.scan(document)
+        if scan is None:
+            raise OptionError("there is no scan; open one")
+        OutputFrame.of(scan, wanted.frame)
+        alone = names == ["results"] and len(chosen.entries) == 1
+
+        def work(context: JobContext) -> str:
+            sources = self._sources(document, chosen.entries, targets, wanted, context, folder if alone else None)
+            if folder is not None:
+                export_to(
+                    folder,
+                    sources,
+                    names,
+                    options=options,
+                    apart_from=[self._workspace.session.folder.path],
+                    force=force,
+                    report=context.progress,
+                )
+                said = f"Wrote {', '.join(names)} into {folder.name}."
+            else:
+                path = self._path(wanted.name, "zip")
+                write_zip(
+                    path,
+                    lambda: export_files(sources, names, options=options, report=context.progress),
+                    report=context.progress,
+                )
+                said = f"Wrote a zip of {_size_of(path)} with {', '.join(names)}."
+            self._record(chosen.entries)
+            return f"{said} Left out: {chosen.reasons}." if chosen.left_out else said
+
+        label = f"Export {', '.join(names)}" if folder is None else f"Export into {folder.name}"
+        event = _event(wanted, "zip") if folder is None else None
+        return Export(label, chosen.entries[0].id if chosen.entries else "", work, event)
+
+    def begin_page(self, photo: object) -> Export:
+        """Return an export of a photograph's report as a page, which states itself if its pose is refused or stale.
+
+        Raises:
+            LadarregError: if the photograph is unknown, or has no pose.
+        """
+        document, loader = self._workspace.session.document, self._workspace.loader
+        entry = require_photo(document, photo)
+        if entry.pose is None:
+            raise OptionError("there is no pose to report on; solve first")
+
+        def work(context: JobContext) -> str:
+            scan = loader.scan(document)
+            if scan is None:
+                raise OptionError("there is no scan; open one")
+            pose = exported_pose(loader, self._workspace.session.folder, document, entry, scan)
+            context.check()
+            path = self._path(entry.id, "html")
+            pose.write_report(path, scan, loader.photo(entry))
+            return f"Wrote a report of {_size_of(path)}."
+
+        return Export("Report", entry.id, work, _event(Wanted(targets=["report"], photos=[entry.id]), "html"))
+
+    def file(self, name: str, ending: Ending) -> tuple[Path, str] | None:
+        """Return the last zip or report of a photograph (or `ALL`), and its download name; None: there is none."""
+        document = self._workspace.session.document
+        entry = document.photo(name)
+        if entry is None and name != ALL:
+            return None
+        words = re.sub(
+            r"[^A-Za-z0-9._-]+", "-", f"{document.name}-{Path(entry.source.name).stem if entry else 'export'}"
+        ).strip("-.")
+        path = self._path(ALL if entry is None else entry.id, ending)
+        saved = f"{words[:80] or 'registration'}{'-report.html' if ending == 'html' else '.zip'}"
+        return (path, saved) if path.is_file() else None
+
+    def is_exported(self, entry: PhotoEntry) -> bool:
+        """Return whether the shown pose of a photograph was exported."""
+        return entry.pose is not None and self._known_exports().get(entry.id) == entry.pose.arrays.name
+
+    def check_folder(self, folder: Path, document: Document, *, force: bool) -> None:
+        """Refuse a folder that must not be written or replaced.
+
+        Raises:
+            LadarregError: naming the reason.
+        """
+        from ladarreg_core.export.folder import check_folder
+
+        if not folder.is_absolute():
+            raise OptionError(f"{folder} is not an absolute path; give one")
+        project = self._workspace.session.folder
+        check_folder(folder, force=force, inputs=self._files_of(document), apart_from=[project.path])
+
+    def _chosen(self, document: Document, wanted: Wanted, targets: Sequence[Target]) -> Chosen:
+        loader = self._workspace.loader
+        return chosen_photos(loader, document, wanted.photos, targets=targets, last_solved=wanted.last_solved)
+
+    def _refusals(self, document: Document, wanted: Wanted) -> dict[str, str | None]:
+        """Return why each target cannot be written; None for those that can."""
+        from ladarreg_core.export.targets.pipeline import refusal
+        from ladarreg_core.export.targets.registered_scan import RegisteredScan
+        from ladarreg_core.export.targets.registry import TARGETS
+        from ladarreg_core.export.targets.stations import StationScans
+
+        fault = stations_fault(document)
+        plain = [target for target in TARGETS if RegisteredScan in target.reads and not target.shows_refused]
+        registered = self._chosen(document, wanted, plain)
+        sources: list[ExportSource] = [] if fault else [StationScans({}, {})]
+        if registered.entries:  # of stations nothing is read for this
+            one_a_camera = _alike(registered.entries)
+            photographs_only = [target for target in plain if StationScans not in target.reads]
+            sources += self._sources(document, one_a_camera, photographs_only, wanted, None, None)
+        found: dict[str, str | None] = {}
+        for target in TARGETS:
+            if target.shows_refused:
+                chosen = self._chosen(document, wanted, [target])
+                found[target.name] = None if chosen.entries else chosen.reasons or "there is no photograph"
+            elif any(isinstance(one, target.reads) for one in sources):
+                found[target.name] = refusal(target, sources, wanted.options)
+            elif RegisteredScan in target.reads:
+                found[target.name] = registered.reasons or "there is no photograph with an accepted pose"
+            else:
+                found[target.name] = fault
+        return found
+
+    def _sources(
+        self,
+        document: Document,
+        entries: Sequence[PhotoEntry],
+        targets: Sequence[Target],
+        wanted: Wanted,
+        context: JobContext | None,
+        written_into: Path | None,
+    ) -> list[ExportSource]:
+        return project_sources(
+            self._workspace.loader,
+            self._workspace.session.folder,
+            document,
+            entries,
+            targets,
+            frame=wanted.frame,
+            written_into=written_into,
+            report=None if context is None else context.progress,
+        )
+
+    def _path(self, name: str, ending: Ending) -> Path:
+        return self._workspace.session.folder.exports / f"{name}.{ending}"
+
+    def _record(self, entries: Iterable[PhotoEntry]) -> None:
         """Record that the shown poses of photographs were exported; it is known after a restart, too."""
         known = self._known_exports()
         known |= {entry.id: entry.pose.arrays.name for entry in entries if entry.pose is not None}
@@ -46,10 +290,6 @@ class ExportJobs:
             write_bytes(self._record_path, json.dumps(known).encode())
         except (ExportError, OSError) as error:
             log.warning("exports are not recorded: %s", error)
-
-    def is_exported(self, entry: PhotoEntry) -> bool:
-        """Return whether the shown pose of a photograph was exported."""
-        return entry.pose is not None and self._known_exports().get(entry.id) == entry.pose.arrays.name
 
     def _known_exports(self) -> dict[str, str]:
         """Return the name of the pose of each photograph that was exported last."""
@@ -65,111 +305,7 @@ class ExportJobs:
     def _record_path(self) -> Path:
         return self._workspace.session.folder.exports / "exported.json"
 
-    def require_current(self, document: Document, entry: PhotoEntry, *, last_solved: bool) -> None:
-        """Refuse to export a pose that is out of date, unless its state when it was solved is wanted.
-
-        Raises:
-            OptionError: stating what changed.
-        """
-        stale = "" if entry.pose is None else self._workspace.loader.stale(document, entry, entry.pose)
-        if stale and not last_solved:
-            raise OptionError(f"{stale}, or choose 'export the last solved state'")
-
-    def check_frame(self, inputs: Inputs, frame: object) -> FrameName:
-        """Return the frame of exported models.
-
-        Raises:
-            OptionError: if it is unknown, or `world` and the scan does not state where it stands.
-        """
-        from ladarreg_core.export.output_frame import OutputFrame
-
-        return OutputFrame.of(inputs.scan, frame).name
-
-    def export(self, inputs: Inputs, context: JobContext, *, frame: FrameName = "scanner") -> str:
-        """Write a zip."""
-        from ladarreg_core.export.zip_file import write_zip
-
-        target = self.zip_path(inputs.entry.id)
-        write_zip(target, lambda: self._files(inputs, frame), report=context.progress)
-        self.record([inputs.entry])
-        return f"Wrote a zip of {size_of(target)}."
-
-    def report_path(self, photo: str) -> Path:
-        """Return the path of a photograph's report."""
-        return self._workspace.session.folder.exports / f"{photo}.html"
-
-    def report(self, inputs: Inputs, context: JobContext) -> str:
-        """Write the report, which states by itself if the pose is refused or out of date."""
-        pose = self._pose(inputs)
-        context.check()
-        target = self.report_path(inputs.entry.id)
-        pose.write_report(target, inputs.scan, inputs.photo)
-        return f"Wrote a report of {size_of(target)}."
-
-    def check_folder(self, folder: Path, document: Document, *, force: bool) -> None:
-        """Refuse a folder that must not be written or replaced.
-
-        Raises:
-            LadarregError: naming the reason.
-        """
-        from ladarreg_core.export.folder import check_folder
-
-        if not folder.is_absolute():
-            raise OptionError(f"{folder} is not an absolute path; give one")
-        check_folder(folder, force=force, inputs=self._sources(document), apart_from=self._projects)
-
-    def into_folder(self, folder: Path, *, force: bool, frame: FrameName = "scanner") -> Work:
-        """Return the work of a job that exports into a folder."""
-        from ladarreg_core.export.folder import write_folder
-        from ladarreg_core.manifest import visible_files
-
-        def work(inputs: Inputs, context: JobContext) -> str:
-            write_folder(
-                folder,
-                lambda: self._files(inputs, frame, folder),
-                inputs=self._sources(inputs.document),
-                apart_from=self._projects,
-                force=force,
-                report=context.progress,
-            )
-            self.record([inputs.entry])
-            return f"Wrote {', '.join(visible_files(folder))}."
-
-        return work
-
-    def _files(self, inputs: Inputs, frame: FrameName, folder: Path | None = None) -> list[FileJob]:
-        from ladarreg_core.export.folder import registration_files
-        from ladarreg_core.export.replacement import MATCHES_FILE
-        from ladarreg_core.formats.matches_file import write_matches
-
-        if inputs.entry.pose is None:
-            drawn = [pick.as_pick() for pick in inputs.entry.picks]
-            if not drawn:
-                raise OptionError("there is nothing to export yet; draw matches and solve, or register automatically")
-            return [(MATCHES_FILE, lambda path: write_matches(path, drawn))]
-        pose = self._pose(inputs)
-        files = registration_files(
-            pose.registration,
-            inputs.scan,
-            inputs.photo,
-            inputs=pose.inputs,
-            read_with=pose.read_with,
-            assessment=pose.assessment,
-            rests_on=pose.rests_on,
-            frame=frame,
-            folder=folder,
-        )
-        return [*files, (MATCHES_FILE, lambda path: write_matches(path, pose.picks))] if pose.picks else files
-
-    def _pose(self, inputs: Inputs) -> ExportedPose:
-        workspace = self._workspace
-        return exported_pose(workspace.loader, workspace.session.folder, inputs.document, inputs.entry, inputs.scan)
-
-    @property
-    def _projects(self) -> list[Path]:
-        return [self._workspace.session.folder.path]
-
-    def _sources(self, document: Document) -> list[Path]:
+    def _files_of(self, document: Document) -> list[Path]:
         """Return all files that the document refers to."""
         sources: list[Source | None] = [*scans_of(document)]
         for entry in document.photos:
@@ -178,13 +314,23 @@ class ExportJobs:
         return [path for source in sources if source is not None for path in folder.source_files(source)]
 
 
-def download_name(project: str, photo: str, *, ending: str = ".zip") -> str:
-    """Return the name of a downloaded file, in ASCII letters, digits, dots, hyphens and underscores."""
-    words = re.sub(r"[^A-Za-z0-9._-]+", "-", f"{project}-{photo}").strip("-.")
-    return f"{words[:80] or 'registration'}{ending}"
+def _event(wanted: Wanted, ending: Ending) -> dict[str, Any]:
+    url = f"export/{wanted.name}.{ending}"
+    return {"event": "export_ready", "targets": list(wanted.targets), "name": wanted.name, "url": url}
 
 
-def size_of(path: Path) -> str:
+def _alike(entries: Sequence[PhotoEntry]) -> list[PhotoEntry]:
+    """Return one photograph of each kind of camera."""
+    found: dict[tuple[Any, ...], PhotoEntry] = {}
+    for entry in entries:
+        camera = {} if entry.pose is None else entry.pose.camera
+        terms = camera.get("distortion") or ()
+        key = (camera.get("model"), camera.get("width"), camera.get("height"), len(terms))
+        found.setdefault(key, entry)
+    return list(found.values())
+
+
+def _size_of(path: Path) -> str:
     """Return the size of a file, in words."""
     count = path.stat().st_size
     return f"{count / 1e6:.1f} MB" if count >= 1e5 else f"{count / 1e3:.0f} kB"

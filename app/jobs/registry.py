@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
-from ladarreg_core.project.edits import require_photo
 from ladarreg_core.project.history import Author
 
 from .automatic import IDLE, AutomaticSolver
-from .export import ExportJobs, download_name
-from .hand_over import HAND_OVER, HandOverJobs, Wanted
+from .export import Export, ExportJobs
 from .inputs import Inputs, Workspace
 from .matching import MatchingJobs
 from .registration import RegistrationJobs
 from .runner import FULL_SPEED, WATCHED_SPEED, Control, JobContext, JobRunner
 from .simplex import Frame, SimplexJobs, frame_event
 from .solve import SolveJobs
-
-if TYPE_CHECKING:
-    from ladarreg_core.export.output_frame import FrameName
-    from ladarreg_core.project.document import PhotoEntry
 
 Work = Callable[[Inputs, JobContext], str]
 _WATCHED: tuple[Control, ...] = ("pause", "stop", "speed", "step")
@@ -41,7 +34,7 @@ class JobKind:
 
 
 class JobRegistry:
-    """Starts jobs by name, and holds their results that are not part of the document.
+    """Starts jobs by name, and holds their results that are not part of the document; `exports` prepares exports.
 
     Args:
         workspace: provides inputs and commits results.
@@ -66,8 +59,7 @@ class JobRegistry:
         self._automatic = AutomaticSolver(workspace, runner, solve, on_change) if on_change else None
         simplex = SimplexJobs(solve, self._show_frame)
         self._registration = RegistrationJobs(workspace, solve)
-        self._exports = ExportJobs(workspace)
-        self._hand_over = HandOverJobs(workspace, self._exports)
+        self.exports = ExportJobs(workspace)
         self._kinds = {
             "find_corners": JobKind("Find corners", self._matching.find_corners),
             "match": JobKind("Match corners", self._matching.match),
@@ -84,16 +76,10 @@ class JobRegistry:
             "thesis": JobKind("Thesis chain", self._registration.thesis),
             "compare": JobKind("Compare all stages", self._registration.compare),
             "self_test": JobKind("Self-test", self._registration.self_test),
-            "export": JobKind("Export", self._export_zip_in("scanner")),
-            "report": JobKind("Report", self._write_report),
         }
 
-    def run(
-        self, name: str, photo: object, author: Author, *, last_solved: bool = False, frame: object = "scanner"
-    ) -> str:
-        """Start a job and return its id; `last_solved` lets an export write a pose that is out of date.
-
-        `frame` is that of the models that an export writes.
+    def run(self, name: str, photo: object, author: Author) -> str:
+        """Start a job and return its id.
 
         Raises:
             LadarregError: if there is no such job, an input is missing, or another job is running.
@@ -101,9 +87,6 @@ class JobRegistry:
         kind = self._kinds.get(name)
         if kind is None:
             raise OptionError(f"there is no job {name[:40]!r}")
-        if name == "export":
-            self._require_current(photo, last_solved=last_solved)
-            kind = replace(kind, work=self._export_zip_in(self._frame(photo, frame)))
         return self._start(name, kind, photo, author)
 
     def run_refine(self, photo: object, author: Author, initial: Rigid) -> str:
@@ -111,36 +94,16 @@ class JobRegistry:
         kind = JobKind("Refine the rough pose", self._registration.refine(initial))
         return self._start("refine", kind, photo, author)
 
-    def run_export(
-        self, folder: Path, photo: object, author: Author, *, force: bool, last_solved: bool, frame: object = "scanner"
-    ) -> str:
-        """Start an export into a folder; raises as `run`."""
-        self._require_current(photo, last_solved=last_solved)
-        self._exports.check_folder(folder, self._workspace.session.document, force=force)
-        kind = JobKind(
-            f"Export into {folder.name}",
-            self._exports.into_folder(folder, force=force, frame=self._frame(photo, frame)),
-        )
-        return self._start("export", kind, photo, author)
+    def run_export(self, export: Export, author: Author) -> str:
+        """Start an export and return the job's id; raises as `run`."""
 
-    def export_targets(self, wanted: Wanted) -> dict[str, Any]:
-        """Return the table of targets; raises as `HandOverJobs.table`."""
-        return self._hand_over.table(wanted)
-
-    def run_hand_over(
-        self, names: Sequence[str], wanted: Wanted, author: Author, *, folder: Path | None, force: bool
-    ) -> str:
-        """Start an export to targets, as a zip or into a folder; raises as `run` and `HandOverJobs.work`."""
-        work, photo = self._hand_over.work(names, wanted, folder, force=force)
-
-        def and_report(context: JobContext) -> str:
-            sentence = work(context)
-            if folder is None:
-                self._publish_event({"event": "hand_over_ready", "url": f"export/{HAND_OVER}.zip"})
+        def work(context: JobContext) -> str:
+            sentence = export.work(context)
+            if export.event is not None:
+                self._publish_event(export.event)
             return sentence
 
-        label = "Export to other programs" if folder is None else f"Export into {folder.name}"
-        return self._runner.start("hand_over", and_report, label=label, photo=photo, author=author)
+        return self._runner.start("export", work, label=export.label, photo=export.photo, author=author)
 
     def corners(self, photo: str) -> dict[str, Any] | None:
         """Return the corners found in a photograph and the scan."""
@@ -159,36 +122,6 @@ class JobRegistry:
         if self._automatic is not None:
             self._automatic.close()
 
-    def export_file(self, photo: str) -> tuple[Path, str] | None:
-        """Return the last zip of a photograph, or of a hand-over, and its download name; None before there is one."""
-        document = self._workspace.session.document
-        if photo == HAND_OVER:
-            path = self._hand_over.zip_path
-            return (path, download_name(document.name, HAND_OVER)) if path.is_file() else None
-        entry = document.photo(photo)
-        if entry is None:
-            return None
-        path = self._exports.zip_path(entry.id)
-        return (path, download_name(document.name, Path(entry.source.name).stem)) if path.is_file() else None
-
-    def is_exported(self, entry: PhotoEntry) -> bool:
-        """Return whether the shown pose of a photograph was exported."""
-        return self._exports.is_exported(entry)
-
-    def report_file(self, photo: str) -> tuple[Path, str] | None:
-        """Return the last report of a photograph and its download name; None before there is one."""
-        document = self._workspace.session.document
-        entry = document.photo(photo)
-        if entry is None:
-            return None
-        path = self._exports.report_path(entry.id)
-        name = download_name(document.name, Path(entry.source.name).stem, ending="-report.html")
-        return (path, name) if path.is_file() else None
-
-    def _require_current(self, photo: object, *, last_solved: bool) -> None:
-        document = self._workspace.session.document
-        self._exports.require_current(document, require_photo(document, photo), last_solved=last_solved)
-
     def _start(self, name: str, kind: JobKind, photo: object, author: Author) -> str:
         inputs = self._workspace.inputs(photo)  # raises at once if an input is missing
 
@@ -205,24 +138,6 @@ class JobRegistry:
             return f"{sentence} {solve.linear(self._workspace.inputs(inputs.entry.id), context)}"
 
         return work
-
-    def _frame(self, photo: object, frame: object) -> FrameName:
-        return self._exports.check_frame(self._workspace.inputs(photo), frame)
-
-    def _export_zip_in(self, frame: FrameName) -> Work:
-        def work(inputs: Inputs, context: JobContext) -> str:
-            sentence = self._exports.export(inputs, context, frame=frame)
-            url = f"export/{inputs.entry.id}.zip"
-            self._publish_event({"event": "export_ready", "photo": inputs.entry.id, "url": url})
-            return sentence
-
-        return work
-
-    def _write_report(self, inputs: Inputs, context: JobContext) -> str:
-        sentence = self._exports.report(inputs, context)
-        url = f"export/{inputs.entry.id}.html"
-        self._publish_event({"event": "report_ready", "photo": inputs.entry.id, "url": url})
-        return sentence
 
     def _show_frame(self, frame: Frame) -> None:
         self._publish_event(frame_event(frame))

@@ -3,30 +3,25 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import msgspec
 
-from ladarreg_core.errors import DependencyError, LadarregError, OptionError
+from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress
 from ladarreg_core.project.document import Document, PhotoCheck, PhotoEntry, Source, Survey
-from ladarreg_core.project.station_edits import is_stale, scans_of, surveyed_pose
+from ladarreg_core.project.station_edits import scans_of, surveyed_pose
 
-from .export import size_of
+from ..session.exported import stations_fault
 from .inputs import Workspace
 from .runner import JobContext
 
 if TYPE_CHECKING:
     from ladarreg_core.scan import Scan
     from ladarreg_core.stations.registration import PoseUse
-
-STATIONS = "station-scans"
-"""Name of the zip among the exports; ids of photographs have no hyphen."""
 
 
 class StationJobs:
@@ -38,11 +33,6 @@ class StationJobs:
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace = workspace
-
-    @property
-    def zip_path(self) -> Path:
-        """Path of the zip of all stations."""
-        return self._workspace.session.folder.exports / f"{STATIONS}.zip"
 
     def require_stations(self) -> Document:
         """Return the document.
@@ -61,9 +51,10 @@ class StationJobs:
         Raises:
             OptionError: if they have not been registered as they are now.
         """
-        document = self.require_stations()
-        if document.survey is None or is_stale(document):
-            raise OptionError("the stations have not been registered as they are now; register them first")
+        document = self._workspace.session.document
+        fault = stations_fault(document)
+        if fault or document.survey is None:
+            raise OptionError(fault)
         return document, document.survey
 
     def register(self, context: JobContext, poses: PoseUse = "refine") -> str:
@@ -139,44 +130,6 @@ class StationJobs:
             return msgspec.structs.replace(check, sentence=f"{error}.")
         fraction = None if found.verification is None else float(found.verification.fraction)
         return msgspec.structs.replace(check, outcome=found.outcome, sentence=found.sentence, fraction=fraction)
-
-    def export(self, context: JobContext) -> str:
-        """Write a zip of what `register-scans` writes, and all stations in one E57."""
-        from ladarreg_core.export.json import write_result
-        from ladarreg_core.export.replacement import STATIONS_FILE
-        from ladarreg_core.export.targets.e57_stations import write_stations_e57
-        from ladarreg_core.export.targets.e57_tree import library
-        from ladarreg_core.export.zip_file import write_zip
-        from ladarreg_core.formats.npz import write_npz_xyz
-        from ladarreg_core.station_folder import stations_document
-
-        document, survey = self.require_survey()
-        folder = self._workspace.session.folder
-        inputs = [(folder.source_path(source.path), source.index) for source in survey.scans]
-        fields = stations_document(survey.fields, inputs)
-        placed = [k for k, one in enumerate(fields["stations"]) if one["scan"] is not None]
-
-        def read(k: int) -> Scan:
-            context.check()
-            scan = self._scan(document, survey.scans[k])
-            pose = surveyed_pose(survey, survey.scans[k])
-            return replace(scan, name=fields["stations"][k]["name"], world_from_scanner=pose)
-
-        def writer(k: int) -> Callable[[Path], Any]:
-            return lambda path: write_npz_xyz(path, read(k))
-
-        files: list[tuple[str, Callable[[Path], Any]]] = [
-            (STATIONS_FILE, lambda path: write_result(path, fields)),
-            *((fields["stations"][k]["scan"], writer(k)) for k in placed),
-        ]
-        note = ""
-        try:
-            library()
-            files.append(("stations.e57", lambda path: write_stations_e57(path, [partial(read, k) for k in placed])))
-        except DependencyError as error:
-            note = f" There is no E57 among them: {error}."
-        write_zip(self.zip_path, lambda: files, report=context.progress)
-        return f"Wrote {len(placed)} stations, a zip of {size_of(self.zip_path)}.{note}"
 
     def _scan(self, document: Document, source: Source) -> Scan:
         loader = self._workspace.loader

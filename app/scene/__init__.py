@@ -5,9 +5,10 @@ from .picks_layer import Picks, residual_colours
 from .scene import Scene3D, Shown
 from .simplex_frame import SimplexFrame
 from .stations_layer import StationShown
-from .subject import ScanShown, Subject
+from .subject import CameraShown, ScanShown, Subject
 
 __all__ = [
+    "CameraShown",
     "Person",
     "Picks",
     "ScanShown",

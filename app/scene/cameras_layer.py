@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from ladarreg_core.export.viser_colors import line_colours_for_viewer
 from ladarreg_core.inspection.model_textures import small_picture, view_picture
 from ladarreg_core.inspection.scene_geometry import camera_outline, dashed, for_both_ends, repeated
 from ladarreg_core.inspection.viewpoints import field_of_view
-from ladarreg_core.palette import ACCENT, REFUSED, SCANNER
+from ladarreg_core.palette import ACCENT, OTHER_CAMERA, REFUSED, SCANNER
 from ladarreg_core.surface.texture import intensity_picture
 
 if TYPE_CHECKING:
@@ -22,27 +23,33 @@ if TYPE_CHECKING:
     from ladarreg_core.palette import Colour
 
     from .place import Place
-    from .subject import Subject
+    from .subject import CameraShown, Subject
 
 NOT_ACCEPTED = "not accepted"
 _DASHES = 9
 _JPEG_QUALITY = 88
 _PICTURE_PX = 512
+_OTHERS_SIZE = 0.7
+"""Size of the frusta of other photographs, in depths of the shown one's."""
 _SCANNER_SIZE = 0.6
 """Size of the mark of a scanner that looks all around, in depths of a frustum."""
 
 
 class CamerasLayer:
-    """Both frusta; the camera of a pose that is not accepted is a dashed outline without the photograph."""
+    """The scanner's frustum and the camera's, and those of all other photographs whose poses are accepted.
+
+    The camera of a pose that is not accepted is a dashed outline without the photograph.
+    """
 
     def __init__(self, place: Place) -> None:
         self._place = place
         self._scanner: list[viser.SceneNodeHandle] = []
         self._camera: list[viser.SceneNodeHandle] = []
+        self._others: dict[str, tuple[CameraShown, viser.SceneNodeHandle]] = {}
         self._drawn: tuple[object, ...] = (None, None, None)
 
-    def draw(self, subject: Subject | None, *, visible: bool) -> None:
-        """Draw the scanner and the camera."""
+    def draw(self, subject: Subject | None, others: Sequence[CameraShown] = (), *, visible: bool) -> None:
+        """Draw the scanner, the camera, and those of other photographs."""
         requested = (None, None, None) if subject is None else (subject.shown, subject.photo, subject.result)
         if requested != self._drawn:
             self.clear()
@@ -50,14 +57,15 @@ class CamerasLayer:
                 self._draw_scanner(subject)
                 self._draw_camera(subject)
             self._drawn = requested
-        for node in self._scanner + self._camera:
+        self._draw_others(subject, others)
+        for node in [*self._scanner, *self._camera, *(node for _, node in self._others.values())]:
             node.visible = visible
 
     def clear(self) -> None:
         """Remove both."""
-        for node in self._scanner + self._camera:
+        for node in [*self._scanner, *self._camera, *(node for _, node in self._others.values())]:
             node.remove()
-        self._scanner, self._camera, self._drawn = [], [], (None, None, None)
+        self._scanner, self._camera, self._others, self._drawn = [], [], {}, (None, None, None)
 
     def _draw_scanner(self, subject: Subject) -> None:
         if subject.shown.all_around:  # a frustum would show one direction out of all
@@ -78,6 +86,19 @@ class CamerasLayer:
         self._scanner.append(
             add_camera(self._place, "/scanner", view.camera, view.view_from_scanner, SCANNER, depth, picture=picture)
         )
+
+    def _draw_others(self, subject: Subject | None, others: Sequence[CameraShown]) -> None:
+        wanted = {} if subject is None else {other.photo: other for other in others}
+        for photo, (drawn, node) in list(self._others.items()):
+            if wanted.get(photo) is not drawn:
+                node.remove()
+                del self._others[photo]
+        for photo, other in wanted.items():
+            if photo not in self._others and subject is not None:
+                self._others[photo] = other, add_camera(
+                    self._place, f"/cameras/{photo}", other.camera, other.camera_from_scanner, OTHER_CAMERA,
+                    _OTHERS_SIZE * subject.shown.frustum_depth_m, picture=other.picture, thickness=1.2,
+                )  # fmt: skip
 
     def _draw_camera(self, subject: Subject) -> None:
         result, depth = subject.result, subject.shown.frustum_depth_m

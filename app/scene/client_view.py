@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .picks_layer import Picks
     from .place import Place
     from .simplex_frame import SimplexFrame
-    from .subject import Subject
+    from .subject import CameraShown, Subject
 
 _NEAR_M, _NEAR_PER_FRUSTUM = 0.01, 1.05
 _MOVED_M = 1e-3
@@ -62,11 +62,12 @@ class ClientView:
 
     def draw(
         self, person: Person, subject: Subject | None, picks: Picks | None, simplex: SimplexShown | None,
-        stations: Sequence[StationShown],
+        stations: Sequence[StationShown], cameras: Sequence[CameraShown] = (),
     ) -> None:  # fmt: skip
         """Draw everything that has changed."""
         before, self._subject = self._subject, subject
-        self._cameras.draw(subject, visible=person.model.cameras)
+        others = [camera for camera in cameras if camera.photo != person.photo]
+        self._cameras.draw(subject, others, visible=person.model.cameras)
         self._matches.draw(subject, picks, person.model)
         self._matches.highlight(person.highlighted)
         self._stations.draw(stations, hidden=person.model.hidden_stations)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from .place import Place
     from .simplex_frame import SimplexFrame
     from .stations_layer import StationShown
-    from .subject import Subject
+    from .subject import CameraShown, Subject
 
 MODEL_NODE = "/model"
 """Node of the model. It is empty here: the page, which fetches mesh and textures, fills it in the browser."""
@@ -79,6 +79,7 @@ class Scene3D:
         self._lock = threading.RLock()
         self._photos: Mapping[str | None, Shown] = {}
         self._stations: Sequence[StationShown] = ()
+        self._cameras: Sequence[CameraShown] = ()
         self._people: Mapping[str, Person] = {}
         self._highlights: dict[str, str | None] = {}
         self._looks: dict[str, ViewpointName] = {}  # of people whose views have yet to connect
@@ -100,10 +101,15 @@ class Scene3D:
         server.on_client_connect(self._connected)
         server.on_client_disconnect(lambda client: self.remove_view(client.client_id))
 
-    def show(self, photos: Mapping[str | None, Shown]) -> None:
-        """Show a scan with photographs: by id what is shown to the clients that look at one, None: at none."""
+    def show(self, photos: Mapping[str | None, Shown], cameras: Sequence[CameraShown] = ()) -> None:
+        """Show a scan with photographs.
+
+        Args:
+            photos: by id what is shown to the clients that look at one, None: at none.
+            cameras: all photographs whose poses are accepted, of which everybody sees the frusta.
+        """
         with self._lock:
-            self._photos = photos
+            self._photos, self._cameras = photos, cameras
             if self._simplex is not None and not self._simplex.runs:
                 self._simplex = None  # the pose shown now replaces it
         self._request_views()
@@ -217,11 +223,12 @@ class Scene3D:
     def _draw_views(self) -> None:
         with self._lock:
             views, photos, simplex = list(self._views.values()), self._photos, self._simplex
-            stations = self._stations
+            stations, cameras = self._stations, self._cameras
         for view in views:
             person = self._person(view)
             shown = photos.get(person.photo) or photos.get(None)
-            view.draw(person, shown.subject if shown else None, shown.picks if shown else None, simplex, stations)
+            subject, picks = (shown.subject, shown.picks) if shown else (None, None)
+            view.draw(person, subject, picks, simplex, stations, cameras)
             if self._run_view is not None:
                 view.look_at_run(self._run_view)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.arrays import ByteArray, FloatArray
 from ladarreg_core.camera import Camera, CameraModel, axial_pinhole
 from ladarreg_core.frames import Rigid
 from ladarreg_core.inspection.viewpoints import (
@@ -48,6 +48,20 @@ class ScanShown:
     def frustum_depth_m(self) -> float:
         """Depth of the drawn camera frusta, m."""
         return float(_FRUSTUM_DEPTH * self.range_m**0.5)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraShown:
+    """A photograph with an accepted pose, as a frustum with a small picture."""
+
+    photo: str
+    """Id of the photograph."""
+    camera: CameraModel
+    """Its intrinsics."""
+    camera_from_scanner: Rigid
+    """Its pose."""
+    picture: ByteArray | None
+    """(h, w, 3) uint8 RGB; None: an outline alone."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,20 +1,28 @@
-"""A photograph's pose with everything that an export or a report of it states."""
+"""What of a project is exported: its scan with photographs, their poses and matches, and its stations."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import OptionError
+from ladarreg_core.progress import Progress, Report
+from ladarreg_core.project.station_edits import is_stale, surveyed_pose
 
 from .loader import Loader
 
 if TYPE_CHECKING:
+    from ladarreg_core.export.output_frame import FrameName
+    from ladarreg_core.export.targets.pipeline import Source as ExportSource
+    from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
+    from ladarreg_core.export.targets.stations import StationScans
+    from ladarreg_core.export.targets.target import Target
     from ladarreg_core.matches import Pick
     from ladarreg_core.photo import Photo
-    from ladarreg_core.project.document import Document, PhotoEntry
+    from ladarreg_core.project.document import Document, PhotoEntry, Source, Survey
     from ladarreg_core.project.folder import ProjectFolder
     from ladarreg_core.quality.assessment import Assessment
     from ladarreg_core.results import Registration
@@ -39,8 +47,8 @@ class ExportedPose:
     rests_on: Mapping[str, Any] | None
     """The matches that it was solved on, and whether these and the scan are still the same; None: not known."""
 
-    def document(self) -> dict[str, Any]:
-        """Return its `registration.json`.
+    def document(self, folder: Path | None = None) -> dict[str, Any]:
+        """Return its `registration.json`, with the inputs' paths from a folder where that is known.
 
         Raises:
             ExportError: if an input cannot be read again.
@@ -48,7 +56,7 @@ class ExportedPose:
         from ladarreg_core.export.json import registration_document
 
         document = registration_document(
-            self.registration, assessment=self.assessment, inputs=self.inputs, read_with=self.read_with
+            self.registration, assessment=self.assessment, inputs=self.inputs, read_with=self.read_with, folder=folder
         )
         return document if self.rests_on is None else {**document, "rests_on": self.rests_on}
 
@@ -87,12 +95,221 @@ def exported_pose(
         names = document.scan.names[1:]
         inputs += zip(folder.source_files(document.scan)[1:], names, strict=True)
         reading = {**document.scan.scan_options, "more": names}
-    stale, then = loader.stale(document, entry, pose), loader.solved_on(pose)
     return ExportedPose(
         replace(loader.registration(pose), world_from_scanner=scan.world_from_scanner),
         loader.assessment(scan, pose),
         inputs,
         [reading, entry.photo_options],
-        [pick.as_pick() for pick in (then if stale and then is not None else entry.picks)],
-        rests_on(entry, pose, then, document.clouds),
+        _matches(loader, document, entry),
+        rests_on(entry, pose, loader.solved_on(pose), document.clouds),
     )
+
+
+def _matches(loader: Loader, document: Document, entry: PhotoEntry) -> list[Pick]:
+    """Return the matches that belong to the shown pose: those it was solved on if it is out of date."""
+    then = None if entry.pose is None else loader.solved_on(entry.pose)
+    stale = entry.pose is not None and loader.stale(document, entry, entry.pose)
+    return [pick.as_pick() for pick in (then if stale and then is not None else entry.picks)]
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """A photograph that is not exported."""
+
+    id: str
+    """Its id in the project."""
+    name: str
+    """Its file name."""
+    why: str
+    """The reason, without a full stop."""
+    is_stale: bool = False
+    """Whether its pose is only out of date."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """Photographs of a project that can be exported to certain targets, and those that cannot."""
+
+    entries: Sequence[PhotoEntry]
+    """Those whose pose was accepted or given, or, if the targets show them, refused or missing beside matches."""
+    left_out: Sequence[LeftOut]
+    """The others."""
+
+    @property
+    def reasons(self) -> str:
+        """Why the others are left out, in one clause; empty if there are none."""
+        return "; ".join(f"{one.name}: {one.why}" for one in self.left_out)
+
+
+def chosen_photos(
+    loader: Loader,
+    document: Document,
+    photos: Collection[str] | None,
+    *,
+    targets: Collection[Target] = (),
+    last_solved: bool = False,
+) -> Chosen:
+    """Return which photographs of a project are exported together.
+
+    Args:
+        loader: the project's loader.
+        document: its document.
+        photos: ids of photographs; None: all.
+        targets: what they are written to; poses that were refused, and matches without a pose, are exported if all
+            show them.
+        last_solved: include poses that are out of date, as they were solved.
+
+    Raises:
+        LadarregError: if matches are missing or damaged.
+    """
+    with_refused = bool(targets) and all(target.shows_refused for target in targets)
+    with_drawn = bool(targets) and all(target.shows_drawn for target in targets)
+    entries, left_out = [], []
+    for entry in document.photos:
+        if photos is not None and entry.id not in photos:
+            continue
+        pose, name, stale = entry.pose, entry.source.name, ""
+        if pose is None:
+            why = "" if with_drawn and entry.picks else "it has no pose; register it"
+        elif not loader.registration(pose).is_shown and not with_refused:
+            why = "its pose was not accepted; register it again"
+        else:
+            stale = "" if last_solved else loader.stale(document, entry, pose)
+            why = f"its pose is out of date: {stale}, or export the last solved state" if stale else ""
+        if why:
+            left_out.append(LeftOut(entry.id, name, why, is_stale=bool(stale)))
+        else:
+            entries.append(entry)
+    return Chosen(entries, left_out)
+
+
+def project_sources(
+    loader: Loader,
+    folder: ProjectFolder,
+    document: Document,
+    entries: Sequence[PhotoEntry],
+    targets: Sequence[Target],
+    *,
+    frame: FrameName = "scanner",
+    written_into: Path | None = None,
+    report: Report | None = None,
+) -> list[ExportSource]:
+    """Return what targets of a project are written from.
+
+    Args:
+        loader: the project's loader.
+        folder: its folder.
+        document: its document.
+        entries: the photographs, see `chosen_photos`.
+        targets: the targets.
+        frame: of written points and poses.
+        written_into: the folder of the results of one photograph, from which the inputs' paths are recorded.
+        report: receives the progress, with the files' names.
+
+    Raises:
+        OptionError: if there is no scan, or the frame is `world` and the scan does not state where it stands.
+        LadarregError: if a file can no longer be read.
+    """
+    from ladarreg_core.export.targets.registered_scan import RegisteredScan
+    from ladarreg_core.export.targets.stations import StationScans
+
+    found: list[ExportSource] = []
+    if entries and any(issubclass(RegisteredScan, target.reads) for target in targets):
+        found.append(_registered_scan(loader, folder, document, entries, frame, written_into, report))
+    if any(issubclass(StationScans, target.reads) for target in targets) and not stations_fault(document):
+        found.append(_station_scans(loader, folder, document))
+    return found
+
+
+def stations_fault(document: Document) -> str:
+    """Return why the stations of a project cannot be exported; empty if they can."""
+    if not document.stations:
+        return "there is one scan only; add scans of other stations"
+    if document.survey is None or is_stale(document):
+        return "the stations have not been registered as they are now; register them first"
+    return ""
+
+
+def _registered_scan(
+    loader: Loader,
+    folder: ProjectFolder,
+    document: Document,
+    entries: Sequence[PhotoEntry],
+    frame: FrameName,
+    written_into: Path | None,
+    report: Report | None,
+) -> RegisteredScan:
+    from ladarreg_core.export.output_frame import OutputFrame
+    from ladarreg_core.export.targets.registered_scan import RegisteredScan, photo_id
+
+    scan = loader.scan(document)
+    if document.scan is None or scan is None:
+        raise OptionError("the project has no scan; open one in the workbench")
+    placed = OutputFrame.of(scan, frame)
+    photos: list[RegisteredPhoto] = []
+    drawn: dict[str, Sequence[Pick]] = {}
+    for done, entry in enumerate(entries):
+        if report is not None:
+            report(Progress(done, len(entries), f"reading {entry.source.name}"))
+        name = photo_id(entry.source.name, [*(one.id for one in photos), *drawn])
+        if entry.pose is None:
+            drawn[name] = _matches(loader, document, entry)
+        else:
+            photos.append(_photo(loader, folder, document, entry, scan, name, written_into))
+    return RegisteredScan(
+        scan,
+        [one for one in photos if one.registration.is_shown],
+        folder.source_path(document.scan.path),
+        folder.scan_options(document.scan),
+        placed,
+        [one for one in photos if not one.registration.is_shown],
+        drawn,
+    )
+
+
+def _photo(
+    loader: Loader,
+    folder: ProjectFolder,
+    document: Document,
+    entry: PhotoEntry,
+    scan: Scan,
+    name: str,
+    written_into: Path | None,
+) -> RegisteredPhoto:
+    from ladarreg_core.export.targets.registered_scan import RegisteredPhoto
+
+    pose, camera = entry.pose, entry.camera.file
+    assert pose is not None, "it is among those with a pose"
+    return RegisteredPhoto(
+        name,
+        loader.photo(entry),
+        replace(loader.registration(pose), world_from_scanner=scan.world_from_scanner),
+        folder.source_path(entry.source.path),
+        None if camera is None else folder.source_path(camera.path),
+        entry.photo_options,
+        lambda: exported_pose(loader, folder, document, entry, scan).document(written_into),
+        lambda: loader.assessment(scan, pose),
+        _matches(loader, document, entry),
+    )
+
+
+def _station_scans(loader: Loader, folder: ProjectFolder, document: Document) -> StationScans:
+    from ladarreg_core.export.targets.stations import StationScans
+    from ladarreg_core.station_folder import stations_document
+
+    survey = document.survey
+    assert survey is not None, "the stations were registered"
+    inputs = [(folder.source_path(source.path), source.index) for source in survey.scans]
+    fields = stations_document(survey.fields, inputs)
+    scans = {
+        one["scan"]: partial(_placed, loader, document, survey, source, one["name"])
+        for one, source in zip(fields["stations"], survey.scans, strict=True)
+        if one["scan"] is not None
+    }
+    return StationScans(fields, scans, inputs=[path for path, _ in inputs])
+
+
+def _placed(loader: Loader, document: Document, survey: Survey, source: Source, name: str) -> Scan:
+    scan = loader.scan(document) if source == document.scan else None
+    found = loader.read_scan(source) if scan is None else scan
+    return replace(found, name=name, world_from_scanner=surveyed_pose(survey, source))

@@ -2,123 +2,157 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from ladarreg_core.errors import OptionError
-from ladarreg_core.project import edits
+from msgspec import Meta
 
-from .acquisition import Acquisition
-from .clients import Client
-from .files import Files
+from .command import Context, Plan, Reply, WorkbenchCommand
 
-Fields = Mapping[str, Any]
-Reply = dict[str, Any]
+if TYPE_CHECKING:
+    from .clients import Client
 
-
-class Acquiring(Protocol):
-    """The parts of the workbench that these commands use."""
-
-    acquisition: Acquisition
-    files: Files
+_DEGREES = "give the degrees to move, of pan and of tilt"
+Degrees = Annotated[float, Meta(ge=-1e6, le=1e6, title=_DEGREES)]
 
 
-def acquire_ports(context: Acquiring, client: Client, fields: Fields) -> Reply:
-    """Return the serial ports of the server, and an example of a plan."""
-    return context.acquisition.ports()
+class AcquirePorts(WorkbenchCommand, frozen=True):
+    """the server's serial ports `{port, said}`, a plan with simulated devices, and the plan that was being edited last,
+    or null
+    """
+
+    replies: ClassVar[str] = "ports, example, draft"
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Return them."""
+        return context.acquisition.ports()
 
 
-def acquire_check(context: Acquiring, client: Client, fields: Fields) -> Reply:
-    """Return the faults of a plan, and what its run will be."""
-    return context.acquisition.check(_plan(fields))
+class AcquireCheck(WorkbenchCommand, frozen=True):
+    """all faults of a plan, `{field, said}` with the field as in plan.json, such as `scanner.folder`, and `{stops,
+    pieces, cells, seconds, overlap}`
+    """
+
+    replies: ClassVar[str] = "faults, forecast"
+    plan: Plan
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Return them."""
+        return context.acquisition.check(self.plan)
 
 
-def acquire_keep(context: Acquiring, client: Client, fields: Fields) -> Reply:
-    """Keep a plan that is being edited in the project."""
-    context.acquisition.keep(_plan(fields))
-    return {}
+class AcquireKeep(WorkbenchCommand, frozen=True):
+    """keeps a plan that is being edited, right or not, in the project's folder `runs`"""
+
+    plan: Plan
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Keep it."""
+        context.acquisition.keep(self.plan)
+        return {}
 
 
-def acquire_connect(context: Acquiring, client: Client, fields: Fields) -> Reply:
-    """Connect to the devices of a plan."""
-    context.acquisition.connect(client, _plan(fields))
-    return {}
+class AcquireConnect(WorkbenchCommand, frozen=True):
+    """connects to the devices of a plan; only ports that the server has, or simulated devices"""
+
+    plan: Plan
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Connect."""
+        context.acquisition.connect(client, self.plan)
+        return {}
 
 
-def acquire_disconnect(context: Acquiring, client: Client, fields: Fields) -> Reply:
-    """Stop everything and disconnect."""
-    context.acquisition.disconnect(client)
-    return {}
+class AcquireDisconnect(WorkbenchCommand, frozen=True):
+    """stops everything at once, and disconnects when what was asked of the devices has ended"""
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Disconnect."""
+        context.acquisition.disconnect(client)
+        return {}
 
 
-def acquire_jog(context: Acquiring, client: Client, fields: Fields) -> Reply:
-    """Move the unit by some degrees."""
-    pan, tilt = (edits.finite(fields.get(name)) for name in ("pan_deg", "tilt_deg"))
-    if pan is None or tilt is None:
-        raise OptionError("give the degrees to move, of pan and of tilt")
-    context.acquisition.jog(client, pan, tilt)
-    return {}
+class AcquireJog(WorkbenchCommand, frozen=True):
+    """moves the unit by some degrees, at most 30; halted if the client disconnects"""
+
+    pan_deg: Degrees
+    tilt_deg: Degrees
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Move it."""
+        context.acquisition.jog(client, self.pan_deg, self.tilt_deg)
+        return {}
 
 
-def acquire_start(context: Acquiring, client: Client, fields: Fields) -> Reply:
-    """Begin a run, or go on with one of the project."""
-    resume = fields.get("resume")
-    if resume is not None and not isinstance(resume, str):
-        raise OptionError("the run to go on with is the name of one")
-    context.acquisition.start(client, {} if resume is not None else _plan(fields), resume=resume)
-    return {}
+class AcquireStart(WorkbenchCommand, frozen=True):
+    """begins a run in the project's folder `runs`, or resumes the one that `resume` names, by its own plan"""
+
+    plan: Plan | None = None
+    resume: Annotated[str, Meta(title="a run to resume is given by its name")] | None = None
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Begin it."""
+        context.acquisition.start(client, {} if self.resume is not None else self.plan or {}, resume=self.resume)
+        return {}
 
 
-def acquire_pause(context: Acquiring, client: Client, fields: Fields) -> Reply:
-    """Have the run wait after the piece that is being measured."""
-    context.acquisition.pause(client)
-    return {}
+class AcquirePause(WorkbenchCommand, frozen=True):
+    """pauses the run after the piece that is being measured"""
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Pause it."""
+        context.acquisition.pause(client)
+        return {}
 
 
-def acquire_resume(context: Acquiring, client: Client, fields: Fields) -> Reply:
-    """Have a run that waits go on."""
-    context.acquisition.resume(client)
-    return {}
+class AcquireResume(WorkbenchCommand, frozen=True):
+    """resumes a paused run, also after a fault"""
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Resume it."""
+        context.acquisition.resume(client)
+        return {}
 
 
-def acquire_stop(context: Acquiring, client: Client, fields: Fields) -> Reply:
-    """Halt the unit and switch the laser off at once."""
-    context.acquisition.stop()
-    return {}
+class AcquireStop(WorkbenchCommand, frozen=True):
+    """halts the unit and switches the laser off at once, from the client's own thread"""
+
+    urgent: ClassVar[bool] = True
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Halt it."""
+        context.acquisition.stop()
+        return {}
 
 
-def acquire_take_over(context: Acquiring, client: Client, fields: Fields) -> Reply:
-    """Drive the devices from now on."""
-    context.acquisition.take_over(client)
-    return {}
+class AcquireTakeOver(WorkbenchCommand, frozen=True):
+    """this client drives from now on"""
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Take over."""
+        context.acquisition.take_over(client)
+        return {}
 
 
-def acquire_open(context: Acquiring, client: Client, fields: Fields) -> Reply:
-    """Open the panorama of a finished run as the project's scan."""
-    run = fields.get("run")
-    context.acquisition.open_panorama(client, run if isinstance(run, str) else None)
-    return {}
+class AcquireOpen(WorkbenchCommand, frozen=True):
+    """opens the panorama of a finished run as the project's scan; of the latest without a name"""
+
+    run: str | None = None
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Open it."""
+        context.acquisition.open_panorama(client, self.run)
+        return {}
 
 
-def acquire_photos(context: Acquiring, client: Client, fields: Fields) -> Reply:
-    """Add the photographs of a run to the project."""
-    run = fields.get("run")
-    if not isinstance(run, str):
-        raise OptionError("say whose photographs are wanted: give the name of a run")
-    found = context.acquisition.photos(run)
-    for path, name in found:
-        context.files.open(path, name, "photo", None, client)
-    return {"photos": len(found)}
+class AcquirePhotos(WorkbenchCommand, frozen=True):
+    """adds the photographs of a run to the project; their number"""
 
+    replies: ClassVar[str] = "photos"
+    run: Annotated[str, Meta(title="no run is given; specify one by its name")]
 
-ACQUISITION_COMMANDS = (
-    acquire_ports, acquire_check, acquire_keep, acquire_connect, acquire_disconnect, acquire_jog, acquire_start,
-    acquire_pause, acquire_resume, acquire_stop, acquire_take_over, acquire_open, acquire_photos,
-)  # fmt: skip
-
-
-def _plan(fields: Fields) -> Fields:
-    plan = fields.get("plan")
-    if not isinstance(plan, Mapping):
-        raise OptionError("the plan is an object")
-    return plan
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Add them."""
+        found = context.acquisition.photos(self.run)
+        for path, name in found:
+            context.files.open(path, name, "photo", None, client)
+        return {"photos": len(found)}

@@ -10,7 +10,7 @@ import shutil
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -21,13 +21,15 @@ from ladarreg_core.project.duplicate import duplicate_project
 from ladarreg_core.project.folder import ProjectFolder, is_project
 
 from ..argument_names import as_fields
-from ..gateway.protocol import READ_ONLY, Picture, Visitor
+from ..gateway.protocol import Picture, Visitor
 from ..gateway.uploads import remove_partial_uploads
+from ..jobs.export import Ending
 from ..session.session import Change, now
 from .clients import Client
-from .commands import Reply, reply_to
+from .command import Reply
+from .commands import answer_command, reply_to
 from .given_files import Reading
-from .project_commands import LOOKING_AT_PROJECTS, PROJECT_COMMANDS
+from .project_commands import PROJECT_COMMANDS
 from .recent import RecentProjects, project_id
 from .sample import SAMPLE_NAME, register_sample, sample_files
 from .thumbnail import draw_thumbnail
@@ -103,6 +105,11 @@ class Desk:
         """The limits of the workbench."""
         return self._workbench.limits
 
+    @property
+    def urgent_commands(self) -> Collection[str]:
+        """The urgent commands of the workbench."""
+        return self._workbench.urgent_commands
+
     def subscribe(self, listener: Callable[[Message], None], client: Client) -> Callable[[], None]:
         """Send every message of the open project for a client to a listener; return what ends this."""
         return self._workbench.subscribe(listener, client)
@@ -131,10 +138,7 @@ class Desk:
                 return reply_to(message, _refuse_other_project)
             if command is None:
                 return workbench.answer(client, message)
-        if client.read_only and do not in LOOKING_AT_PROJECTS:
-            return reply_to(message, _refuse_read_only)
-        found = command
-        return reply_to(message, lambda: found(self, client, message))
+        return answer_command(PROJECT_COMMANDS, message, client, lambda found: found.execute(self, client))
 
     def picture(self, path: str, query: Mapping[str, str]) -> Picture:
         """Return an image of the open project, or the one of another project (`project/ID`)."""
@@ -164,13 +168,9 @@ class Desk:
                 raise OptionError("another project was opened during the upload; drop the file again")
             return workbench.take_upload(path, name, what, photo, client)
 
-    def report_file(self, photo: str) -> tuple[Path, str] | None:
-        """Return the latest report of a photograph and its download name."""
-        return self._workbench.report_file(photo)
-
-    def export_file(self, photo: str) -> tuple[Path, str] | None:
-        """Return the last zip of a photograph and its download name; None before there is one."""
-        return self._workbench.export_file(photo)
+    def export_file(self, name: str, ending: Ending = "zip") -> tuple[Path, str] | None:
+        """Return the last zip or report of that name, and its download name; None before there is one."""
+        return self._workbench.export_file(name, ending)
 
     # projects
 
@@ -380,10 +380,6 @@ class Desk:
     def _new_folder(self, name: str) -> Path:
         words = re.sub(r"[^\w-]+", "-", name).strip("-")[:40] or "project"
         return self._data / "projects" / f"{words}-{secrets.token_hex(4)}"
-
-
-def _refuse_read_only() -> Reply:
-    raise OptionError(READ_ONLY)
 
 
 def _refuse_other_project() -> Reply:

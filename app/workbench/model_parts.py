@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from ladarreg_core.arrays import ByteArray
     from ladarreg_core.inspection.model_textures import Legend
     from ladarreg_core.photo import Photo
-    from ladarreg_core.project.document import Document, PhotoEntry
+    from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
     from ladarreg_core.results import PoseResult
     from ladarreg_core.scan import Scan
     from ladarreg_core.surface.grid_block import GridBlock
@@ -52,6 +52,8 @@ MOST_VERTICES = 400_000
 """Most vertices that a page shows of the model at once."""
 BLOCK_VERTICES = 37_500
 """Most vertices of a block of the mesh; the page shows at most four, so that there are 400,000 with the dense mesh."""
+_MOST_COLOURED_CELLS = 200_000_000
+"""Most cells, counted once for each photograph, that are coloured by all photographs together."""
 _LONGEST_BLOCK = 20
 _FACES_PER_VERTEX = 4  # of a photo layer; a surface has two before it is divided
 
@@ -111,14 +113,17 @@ class ModelParts:
         """Return the slice `textures`: the kinds of texture, and a text that changes with scan, photograph or pose."""
         result = self._result(entry)
         made_of: list[object] = [document.scan]
-        if entry is not None:
-            pose = entry.pose
-            made_of += [entry.source, entry.camera]
+        for one in [*([] if entry is None else [entry]), *_accepted(document)]:
+            pose = one.pose
+            made_of += [one.source, one.camera]
             made_of += [] if pose is None else [pose.camera_from_scanner, pose.camera, pose.covariance, pose.accepted]
         choices = [
             {"value": choice.kind, "label": choice.label, "usable": choice.usable, "said": choice.description}
             for choice in texture_choices(_accepted_only(result))
         ]
+        others = [one for one in _accepted(document) if one is not entry]
+        if others and choices[0]["value"] == "colour":
+            choices[0] |= {"usable": True, "said": "each place in the colours of the photograph that shows it best"}
         rev = hashlib.sha256(repr(made_of).encode()).hexdigest()[:12]
         return {"rev": rev, "accepted": bool(result is not None and result.accepted), "choices": choices}
 
@@ -136,6 +141,9 @@ class ModelParts:
         if entry is None and name != NO_PHOTO:
             raise OptionError("there is no such photograph")
         result, kind, z_buffer = self._result(entry), query.get("kind", "intensity"), query.get("z_buffer") != "0"
+        others = entry is not None and any(one is not entry for one in _accepted(document))
+        if kind == "colour" and z_buffer and others:
+            return self._colours_of_all(document, scan, longest_px)
         if usable_texture(kind, _accepted_only(result)) != kind:
             raise OptionError(f"the texture {kind!r} needs an accepted pose")
         of_scan = kind in ("intensity", "range")
@@ -146,6 +154,37 @@ class ModelParts:
         return self._loader.cached(
             "model", key, lambda: ((pose, photo), _picture_of(make(), longest_px, lossless=kind in _OF_CODES))
         )[1]
+
+    def _colours_of_all(self, document: Document, scan: Scan, longest_px: int) -> Picture:
+        """Return the colours of all accepted photographs: of each place, from the one that shows it best."""
+        from ladarreg_core.surface.best_photo import PosedPhoto, best_photo
+
+        seen_by: list[tuple[PoseEntry, Photo, PoseResult]] = []
+        for entry in _accepted(document)[: max(1, _MOST_COLOURED_CELLS // scan.ranges.size)]:
+            result = self._result(entry)
+            if entry.pose is None or result is None or _accepted_only(result) is not result:
+                continue
+            try:
+                seen_by.append((entry.pose, self._loader.photo(entry), result))
+            except LadarregError:  # its file has gone, which the slice `photos` states
+                continue
+        if not seen_by:
+            raise OptionError("the texture 'colour' needs an accepted pose")
+        key = tuple((id(pose), id(photo)) for pose, photo, _ in seen_by)
+
+        def colours() -> tuple[object, RegisteredTexture]:
+            views = [
+                PosedPhoto(photo, result.camera_from_scanner, result.camera, result.joint_covariance)
+                for _, photo, result in seen_by
+            ]
+            return seen_by, best_photo(scan, views).texture
+
+        def make() -> tuple[object, Picture]:
+            registered = self._loader.cached("model", ("best photographs", key), colours)[1]
+            texture = model_texture(scan, "colour", photo=seen_by[0][1], result=seen_by[0][2], registered=registered)
+            return seen_by, _picture_of(texture, longest_px, lossless=False)
+
+        return self._loader.cached("model", ("colours of all", longest_px, key), make)[1]
 
     def _photo_part(
         self, document: Document, scan: Scan, name: str, query: Mapping[str, str], level: Detail
@@ -179,6 +218,11 @@ class ModelParts:
     def _registered(self, scan: Scan, photo: Photo, result: PoseResult) -> RegisteredTexture:
         key = ("registered", id(result), id(photo))
         return self._loader.cached("model", key, lambda: ((result, photo), registered_texture(scan, photo, result)))[1]
+
+
+def _accepted(document: Document) -> list[PhotoEntry]:
+    """Return the photographs whose poses are accepted, in their order."""
+    return [entry for entry in document.photos if entry.pose is not None and entry.pose.accepted]
 
 
 def _accepted_only(result: PoseResult | None) -> PoseResult | None:

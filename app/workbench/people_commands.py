@@ -2,63 +2,72 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from ladarreg_core.errors import OptionError
+from msgspec import Meta
+
 from ladarreg_core.project import edits
 
-from .clients import Client, Clients
+from .command import Context, Pixel, Reply, Side, ViewIndex, WorkbenchCommand
 
-Fields = Mapping[str, Any]
-Reply = dict[str, Any]
-_SIDES = ("scan", "photo")
-_MOST_VIEWS = 1000
+if TYPE_CHECKING:
+    from .clients import Client
 
-
-class People(Protocol):
-    """The parts of the workbench that these commands use."""
-
-    clients: Clients
-
-    def tell(self, event: Reply, to: set[str]) -> None:
-        """Send an event to clients by their ids."""
+_ZOOM = "the zoom must be a positive number, relative to the whole picture"
 
 
-def follow(context: People, client: Client, fields: Fields) -> Reply:
-    """Follow another client's view, or nobody's."""
-    context.clients.follow(client, fields.get("client"))
-    return {}
+class Follow(WorkbenchCommand, frozen=True):
+    """shows this client the photograph that another one sees, and, by events, the part of the pictures; null: nobody's;
+    `show_photo` ends it
+    """
+
+    looks: ClassVar[bool] = True
+    client: Annotated[str, Meta(title="this person is not connected any more; choose another")] | None = None
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Follow it."""
+        context.clients.follow(client, self.client)
+        return {}
 
 
-def point(context: People, client: Client, fields: Fields) -> Reply:
-    """Show the client's pointer to the others; without a position it disappears."""
-    others = {other.id for other in context.clients.present} - {client.id}
-    if others:
-        context.tell({"event": "cursor", "client": client.id, **_position(fields, "uv")}, others)
-    return {}
+class PictureCommand(WorkbenchCommand, frozen=True):
+    """A command on a place in a picture."""
+
+    side: Side
+    photo: str | None = None
+    view: ViewIndex = 0
+
+    def place(self, name: str, at: list[float] | None) -> Reply:
+        """Return the picture, and the place under a name."""
+        uv = None if at is None else list(edits.pixels([at])[0])
+        return {"side": self.side, "view": self.view, "photo": self.photo, name: uv}
 
 
-def show_view(context: People, client: Client, fields: Fields) -> Reply:
-    """Show the client's part of a picture to those who follow."""
-    followers = {other.id for other in context.clients.present if other.follows == client.id} - {client.id}
-    zoom = edits.finite(fields.get("zoom"))
-    if zoom is None or not 1e-6 <= zoom <= 1e6:
-        raise OptionError("the zoom must be a positive number, relative to the whole picture")
-    if followers:
-        context.tell({"event": "view", "client": client.id, "zoom": zoom, **_position(fields, "centre")}, followers)
-    return {}
+class Point(PictureCommand, frozen=True):
+    """shows this client's pointer to the others; null: none"""
+
+    looks: ClassVar[bool] = True
+    uv: Pixel | None = None
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Show it."""
+        others = {other.id for other in context.clients.present} - {client.id}
+        if others:
+            context.tell({"event": "cursor", "client": client.id, **self.place("uv", self.uv)}, others)
+        return {}
 
 
-PEOPLE_COMMANDS = (follow, point, show_view)
+class ShowView(PictureCommand, frozen=True, kw_only=True):
+    """shows this client's part of a picture to those who follow; the zoom is relative to the whole picture"""
 
+    looks: ClassVar[bool] = True
+    zoom: Annotated[float, Meta(ge=1e-6, le=1e6, title=_ZOOM)]
+    centre: Pixel | None = None
 
-def _position(fields: Fields, name: str) -> Reply:
-    side, view, photo = fields.get("side"), fields.get("view", 0), fields.get("photo")
-    if side not in _SIDES:
-        raise OptionError("the side is 'scan' or 'photo'")
-    if isinstance(view, bool) or not isinstance(view, int) or not 0 <= view < _MOST_VIEWS:
-        raise OptionError("the view is the number of one of the scan's views")
-    at = fields.get(name)
-    uv = None if at is None else list(edits.pixels([at])[0])
-    return {"side": side, "view": view, "photo": photo if isinstance(photo, str) else None, name: uv}
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Show it."""
+        followers = {other.id for other in context.clients.present if other.follows == client.id} - {client.id}
+        place = self.place("centre", self.centre)
+        if followers:
+            context.tell({"event": "view", "client": client.id, "zoom": self.zoom, **place}, followers)
+        return {}

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Annotated, ClassVar, Protocol
+
+from msgspec import Meta
 
 from ladarreg_core.errors import OptionError
 
-from .clients import Client
-from .commands import file_ids
+from .command import Command, FileIds, Reply, commands_in
 
-Fields = Mapping[str, Any]
-Reply = dict[str, Any]
-_MOST_LETTERS, _LONGEST_PATH = 80, 4000
+if TYPE_CHECKING:
+    from .clients import Client
+
+_MAX_LETTERS, _MAX_PATH = 80, 4000
+_NO_FOLDER = "no folder is given; enter the path of a project's folder"
+Wanted = Annotated[str, Meta(title="no project is given; choose one of the list")]
 
 
 class Projects(Protocol):
@@ -44,63 +48,93 @@ class Projects(Protocol):
         """Return the folder of a project of the list."""
 
 
-ProjectCommand = Callable[[Any, Client, Fields], Reply]
+class ProjectCommand(Command, frozen=True):
+    """A command on projects as a whole."""
+
+    def execute(self, projects: Projects, client: Client) -> Reply:
+        """Execute it and return the fields of the reply; raises `LadarregError`."""
+        raise NotImplementedError
 
 
-def list_projects(projects: Projects, client: Client, fields: Fields) -> Reply:
-    """List the recent projects."""
-    return projects.listed()
+class ListProjects(ProjectCommand, frozen=True):
+    """the recent projects; `anywhere`: whether any folder may be opened"""
+
+    looks: ClassVar[bool] = True
+    replies: ClassVar[str] = "projects: [{id, name, folder, state, edited, missing, current, picture}], anywhere"
+
+    def execute(self, projects: Projects, client: Client) -> Reply:
+        """Return them."""
+        return projects.listed()
 
 
-def new_project(projects: Projects, client: Client, fields: Fields) -> Reply:
-    """Begin a project."""
-    name = fields.get("name") or ""
-    if not isinstance(name, str) or len(name.strip()) > _MOST_LETTERS or not name.isprintable():
-        raise OptionError(f"the name of a project has at most {_MOST_LETTERS} letters")
-    files = file_ids(fields) if "files" in fields else []
-    return projects.new(name.strip(), files, client, sure=fields.get("sure") is True)
+class NewProject(ProjectCommand, frozen=True):
+    """begins a project, and opens waiting files in it"""
+
+    replies: ClassVar[str] = "opened | asks: [sentence, ..]"
+    name: Annotated[str, Meta(title=f"the name of a project has at most {_MAX_LETTERS} letters")] | None = None
+    files: FileIds | None = None
+    sure: bool = False
+
+    def execute(self, projects: Projects, client: Client) -> Reply:
+        """Begin it."""
+        name = self.name or ""
+        if len(name.strip()) > _MAX_LETTERS or not name.isprintable():
+            raise OptionError(f"the name of a project has at most {_MAX_LETTERS} letters")
+        return projects.new(name.strip(), self.files or (), client, sure=self.sure)
 
 
-def open_project(projects: Projects, client: Client, fields: Fields) -> Reply:
-    """Open a project of the list, or one by its folder."""
-    sure = fields.get("sure") is True
-    wanted, path = fields.get("wanted"), fields.get("folder")
-    if isinstance(wanted, str):
-        folder = projects.find(wanted)
-        if folder is None:
-            raise OptionError("this project is not in the list any more; reload the page")
-        return projects.open(folder, client, sure=sure)
-    if not isinstance(path, str) or not path.strip() or len(path) > _LONGEST_PATH or "\0" in path:
-        raise OptionError("no folder is given; enter the path of a project's folder")
-    return projects.open_path(path.strip(), client, sure=sure)
+class OpenProject(ProjectCommand, frozen=True):
+    """opens a project of the list, `wanted`, or of a folder of the server's machine"""
+
+    replies: ClassVar[str] = "opened | asks"
+    wanted: Wanted | None = None
+    folder: Annotated[str, Meta(max_length=_MAX_PATH, title=_NO_FOLDER)] | None = None
+    sure: bool = False
+
+    def execute(self, projects: Projects, client: Client) -> Reply:
+        """Open it."""
+        if self.wanted is not None:
+            folder = projects.find(self.wanted)
+            if folder is None:
+                raise OptionError("this project is not in the list any more; reload the page")
+            return projects.open(folder, client, sure=self.sure)
+        path = (self.folder or "").strip()
+        if not path or "\0" in path:
+            raise OptionError(_NO_FOLDER)
+        return projects.open_path(path, client, sure=self.sure)
 
 
-def open_sample(projects: Projects, client: Client, fields: Fields) -> Reply:
-    """Open the sample."""
-    return projects.open_sample(client, sure=fields.get("sure") is True)
+class OpenSample(ProjectCommand, frozen=True):
+    """opens the sample, and registers it unless there is work on it"""
+
+    replies: ClassVar[str] = "opened | asks"
+    sure: bool = False
+
+    def execute(self, projects: Projects, client: Client) -> Reply:
+        """Open it."""
+        return projects.open_sample(client, sure=self.sure)
 
 
-def duplicate_project(projects: Projects, client: Client, fields: Fields) -> Reply:
-    """Copy a project of the list."""
-    return projects.duplicate(_wanted(fields))
+class DuplicateProject(ProjectCommand, frozen=True):
+    """copies a project with its history and the files in its folder"""
+
+    replies: ClassVar[str] = "duplicate: ID"
+    wanted: Wanted
+
+    def execute(self, projects: Projects, client: Client) -> Reply:
+        """Copy it."""
+        return projects.duplicate(self.wanted)
 
 
-def forget_project(projects: Projects, client: Client, fields: Fields) -> Reply:
-    """Remove a project from the list; its folder stays."""
-    return projects.forget(_wanted(fields))
+class ForgetProject(ProjectCommand, frozen=True):
+    """removes a project from the list; its folder stays"""
+
+    wanted: Wanted
+
+    def execute(self, projects: Projects, client: Client) -> Reply:
+        """Remove it."""
+        return projects.forget(self.wanted)
 
 
-PROJECT_COMMANDS: dict[str, ProjectCommand] = {
-    command.__name__: command
-    for command in (list_projects, new_project, open_project, open_sample, duplicate_project, forget_project)
-}
-
-LOOKING_AT_PROJECTS = frozenset({"list_projects"})
-"""The commands of a read-only client; it is refused all others."""
-
-
-def _wanted(fields: Fields) -> str:
-    wanted = fields.get("wanted")
-    if not isinstance(wanted, str):
-        raise OptionError("no project is given; choose one of the list")
-    return wanted
+PROJECT_COMMANDS: dict[str, type[ProjectCommand]] = commands_in(globals(), ProjectCommand)
+"""The commands on projects, by name."""

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, get_args
+from typing import Annotated, Any, Literal
 
 import msgspec
+from msgspec import Meta
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project.document import Source
 
-_NAMES = ("scan_index", "origin", "intensity", "columns", "topic", "seconds")
-_OF_OTHERS = ("temperature_unit", "camera_name")
+from .decoding import decoded
+
+
+class _OfOthers(msgspec.Struct):
+    """Options of photographs and cameras, which are opened by the same form."""
+
+    temperature_unit: Annotated[Literal["K", "C", "none"], Meta(description="K, C or none")] | None = None
+    camera_name: Annotated[str, Meta(description="one of the file's cameras")] | None = None
 
 
 def reading_of(value: object) -> Mapping[str, Any]:
@@ -22,33 +29,23 @@ def reading_of(value: object) -> Mapping[str, Any]:
     Raises:
         OptionError: if an option is unknown, or its value is not of its type or range.
     """
-    from ladarreg_core.formats.scan_request import ScanRequest
-    from ladarreg_core.thermal import TemperatureUnit
+    from ladarreg_core.formats.scan_request import SCAN_OPTIONS, ScanOptions
 
-    if value is None:
-        return {}
-    if not isinstance(value, Mapping):
+    if value is not None and not isinstance(value, Mapping):
         raise OptionError("how the scan is to be read is not a list of options; reload the page")
-    given = dict(value)
-    others = {name: given.pop(name) for name in _OF_OTHERS if given.get(name) is not None}
-    if others.get("temperature_unit", "K") not in get_args(TemperatureUnit):
-        raise OptionError("the unit of temperature must be K, C or none; choose one of them")
-    if not isinstance(others.get("camera_name", ""), str):
-        raise OptionError("the name of the camera is not a text; choose one of the file's cameras")
-    value = given
-    unknown = sorted(set(map(str, value)) - set(_NAMES))
+    given = dict(value or {})
+    others = {name: given.pop(name) for name in _OfOthers.__struct_fields__ if name in given}
+    unknown = sorted(given.keys() - {*SCAN_OPTIONS})
     if unknown:
-        raise OptionError(f"a scan cannot be read with {unknown[0][:40]!r}; it takes {', '.join(_NAMES)}")
-    index = value.get("scan_index", 0)
-    if isinstance(index, bool) or not isinstance(index, int) or index < 0:
-        raise OptionError("the number of the scan is not a whole number from 0; choose one of the file's scans")
-    lists = {name: tuple(value[name]) for name in ("origin", "columns") if isinstance(value.get(name), list)}
-    chosen = {"scan_index": index} if "scan_index" in value else {}  # the first scan, too, can be chosen
-    return {**ScanRequest(**{**value, **lists}).given(), **chosen, **others}
+        raise OptionError(f"a scan cannot be read with {unknown[0][:40]!r}; it takes {', '.join(SCAN_OPTIONS)}")
+    options, of_others = decoded(ScanOptions, given, arguments=True), decoded(_OfOthers, others, arguments=True)
+    chosen = {name: options.scan_index for name in ("scan_index",) if name in given}  # the first one, too
+    stated = {name: one for name in others if (one := getattr(of_others, name)) is not None}
+    return {**options.given(), **chosen, **stated}
 
 
 def with_reading(source: Source, reading: Mapping[str, Any]) -> Source:
     """Return the reference to a scan's file with the options that it is to be read with."""
-    given = {name: value for name, value in reading.items() if name not in _OF_OTHERS}
+    given = {name: value for name, value in reading.items() if name not in _OfOthers.__struct_fields__}
     fields = {("index" if name == "scan_index" else name): value for name, value in given.items()}
     return msgspec.structs.replace(source, **fields)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from ladarreg_core.errors import LadarregError
@@ -20,9 +20,11 @@ if TYPE_CHECKING:
 
     from ..jobs.runner import Job
     from ..jobs.simplex import Frame
-    from ..scene import Person, Picks, ScanShown, Scene3D, Shown, StationShown, Subject
+    from ..scene import CameraShown, Person, Picks, ScanShown, Scene3D, Shown, StationShown, Subject
 
 log = logging.getLogger(__name__)
+_MOST_PICTURES, _PICTURE_PX = 24, 192
+"""How many frusta of other photographs have pictures, and the longer side of these, px."""
 
 
 class SceneSync:
@@ -51,6 +53,7 @@ class SceneSync:
         self._scan_shown: ScanShown | None = None
         self._subjects: dict[str, tuple[tuple[object, ...], Subject]] = {}
         self._picks: dict[str, tuple[tuple[object, ...], Picks]] = {}
+        self._cameras: dict[str, tuple[tuple[object, ...], CameraShown]] = {}
         self._simplex_runs = False
         self._iterations = 0
         self._last_iteration = 0
@@ -130,8 +133,32 @@ class SceneSync:
                 if entry is not None:
                     residuals = any(p.model.residuals for p in people.values() if p.photo == photo_id)
                     photos[entry.id] = self._shown(scan_shown, entry, with_residuals=residuals)
-        scene.show(photos)
+        cameras = list(self._cameras_of(document))
+        scene.show(photos, cameras if scan_shown is not None else ())
         scene.show_stations(self._stations())
+
+    def _cameras_of(self, document: Document) -> Iterator[CameraShown]:
+        """Yield the cameras of all photographs whose poses are accepted; the pictures of the first ones only."""
+        from ladarreg_core.inspection.model_textures import small_picture
+
+        from ..scene import CameraShown
+
+        before, self._cameras = self._cameras, {}
+        for entry in document.photos:
+            if entry.pose is None or not entry.pose.accepted:
+                continue
+            key = (entry.pose, entry.source)
+            known = before.get(entry.id)
+            if known is None or any(a is not b for a, b in zip(known[0], key, strict=True)):
+                try:
+                    result = self._loader.registration(entry.pose)
+                    pictured = len(self._cameras) < _MOST_PICTURES
+                    picture = small_picture(self._loader.photo(entry).pixels, _PICTURE_PX) if pictured else None
+                except LadarregError:  # a file has gone, which the slice `photos` states
+                    continue
+                known = key, CameraShown(entry.id, result.camera, result.camera_from_scanner, picture)
+            self._cameras[entry.id] = known
+            yield known[1]
 
     def _shown_scan(self, document: Document) -> ScanShown | None:
         from ..scene import ScanShown

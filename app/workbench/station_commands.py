@@ -2,59 +2,75 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+from msgspec import Meta
 
 from ladarreg_core.project import station_edits
 
-from .clients import Client
-from .stations import Stations
+from .command import Context, Reply, StationId, WorkbenchCommand
 
-Fields = Mapping[str, Any]
-Reply = dict[str, Any]
-
-
-class WithStations(Protocol):
-    """The part of the workbench that these commands use."""
-
-    stations: Stations
+if TYPE_CHECKING:
+    from .clients import Client
 
 
-def register_stations(context: WithStations, client: Client, fields: Fields) -> Reply:
-    """Register the stations to each other; `poses` says what those in their files are used for."""
-    return {"job": context.stations.register(fields.get("poses", "refine"), client.author)}
+class RegisterStations(WorkbenchCommand, frozen=True):
+    """registers all stations to each other; the scan that is shown is fixed; `poses` as
+    [`--poses`](stations.md#poses-in-the-files)
+    """
+
+    replies: ClassVar[str] = "job"
+    poses: Literal["keep", "refine", "search"] = "refine"
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Start it."""
+        return {"job": context.stations.register(self.poses, client.author)}
 
 
-def check_at_stations(context: WithStations, client: Client, fields: Fields) -> Reply:
-    """Verify the registered photographs at the other stations."""
-    return {"job": context.stations.check_photos(client.author)}
+class CheckAtStations(WorkbenchCommand, frozen=True):
+    """verifies the registered photographs, their poses carried over, by the scans of the other stations"""
+
+    replies: ClassVar[str] = "job"
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Start it."""
+        return {"job": context.stations.check_photos(client.author)}
 
 
-def export_stations(context: WithStations, client: Client, fields: Fields) -> Reply:
-    """Export all stations with their poses, as a zip."""
-    return {"job": context.stations.export(client.author)}
+class PlaceStation(WorkbenchCommand, frozen=True):
+    """says roughly where a station stands in the frame of the scan that is shown, `{x, y, z, yaw_deg}`, m and degrees;
+    null: nobody knows
+    """
+
+    station: StationId
+    place: Annotated[dict[str, Any], Meta(title="a place is x, y, z and yaw_deg; enter all of them")] | None = None
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Place it."""
+        rough = None if self.place is None else station_edits.rough_pose(self.place)
+        context.stations.place(self.station, rough, client.author)
+        return {}
 
 
-def place_station(context: WithStations, client: Client, fields: Fields) -> Reply:
-    """Give a station a rough place where its search begins, or take it away."""
-    place = fields.get("place")
-    rough = station_edits.rough_pose(place if isinstance(place, Mapping) else {}) if place is not None else None
-    context.stations.place(fields.get("station"), rough, client.author)
-    return {}
+class ShowStation(WorkbenchCommand, frozen=True):
+    """shows another station's scan, to which photographs are registered from now on; the matches and poses at each
+    station are kept
+    """
+
+    station: StationId
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Show it."""
+        context.stations.show(self.station, client.author)
+        return {}
 
 
-def show_station(context: WithStations, client: Client, fields: Fields) -> Reply:
-    """Show another station's scan, to which photographs are registered from now on."""
-    context.stations.show(fields.get("station"), client.author)
-    return {}
+class RemoveStation(WorkbenchCommand, frozen=True):
+    """removes a station from the project"""
 
+    station: StationId
 
-def remove_station(context: WithStations, client: Client, fields: Fields) -> Reply:
-    """Remove a station from the project."""
-    context.stations.remove(fields.get("station"), client.author)
-    return {}
-
-
-STATION_COMMANDS = (
-    register_stations, check_at_stations, export_stations, place_station, show_station, remove_station,
-)  # fmt: skip
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Remove it."""
+        context.stations.remove(self.station, client.author)
+        return {}

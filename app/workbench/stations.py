@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -18,7 +17,7 @@ from ladarreg_core.validation import require_choice
 from ..argument_names import as_fields
 from ..jobs.inputs import Workspace
 from ..jobs.runner import JobContext, JobRunner
-from ..jobs.stations import STATIONS, StationJobs
+from ..jobs.stations import StationJobs
 from ..session.session import Session
 
 if TYPE_CHECKING:
@@ -39,13 +38,10 @@ class Stations:
     Args:
         workspace: provides the project.
         runner: runs the jobs.
-        publish_event: sends an event to all clients.
     """
 
-    def __init__(
-        self, workspace: Workspace, runner: JobRunner, publish_event: Callable[[dict[str, Any]], None]
-    ) -> None:
-        self._workspace, self._runner, self._publish_event = workspace, runner, publish_event
+    def __init__(self, workspace: Workspace, runner: JobRunner) -> None:
+        self._workspace, self._runner = workspace, runner
         self._jobs = StationJobs(workspace)
 
     @property
@@ -127,24 +123,6 @@ class Stations:
         """Start verifying the photographs at the other stations; raises as `register`."""
         self._jobs.require_survey()
         return self._start("check_at_stations", "Check photographs at the stations", self._jobs.check_photos, author)
-
-    def export(self, author: Author) -> str:
-        """Start writing a zip of all stations; raises as `register`."""
-        self._jobs.require_survey()
-
-        def work(context: JobContext) -> str:
-            sentence = self._jobs.export(context)
-            self._publish_event({"event": "stations_ready", "url": f"export/{STATIONS}.zip"})
-            return sentence
-
-        return self._start("export_stations", "Export all stations", work, author)
-
-    def export_file(self) -> tuple[Path, str] | None:
-        """Return the last zip of all stations and its download name; None before there is one."""
-        from ..jobs.export import download_name
-
-        path = self._jobs.zip_path
-        return (path, download_name(self.session.document.name, "stations")) if path.is_file() else None
 
     def remove(self, station: object, author: Author) -> None:
         """Remove a station from the project; raises `OptionError` if it is not there."""

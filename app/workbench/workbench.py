@@ -15,10 +15,11 @@ from ladarreg_core.project import edits
 from ladarreg_core.project.edits import MOST_PHOTOS
 from ladarreg_core.project.history import NOBODY
 
+from ..argument_names import reading_slice
+from ..jobs.export import Ending
 from ..jobs.inputs import Workspace
 from ..jobs.registry import JobRegistry
 from ..jobs.runner import Job, JobRunner
-from ..jobs.stations import STATIONS
 from ..process_resources import return_memory_soon
 from ..scene.person import ANYBODY, Person
 from ..session.cache import IdentityCache, ListCache
@@ -27,7 +28,7 @@ from ..session.session import RETRY_S, Change, Session
 from .acquisition import Acquisition
 from .batches import ANY, Batches
 from .clients import Client, Clients
-from .commands import answer
+from .commands import URGENT, answer
 from .embedded import EmbeddedPictures
 from .files import Files
 from .images import Images
@@ -101,6 +102,7 @@ class Workbench:
         self.session = session
         self.loader = loader
         self.limits = Limits(upload_bytes)
+        self.urgent_commands = URGENT
         self.opening_message = ""
         self.opening_remarks: list[str] = []
         self._reported_unsaved = False
@@ -110,7 +112,7 @@ class Workbench:
         self.queries = Queries(session, loader)
         workspace = Workspace(session, loader)
         self.runner = JobRunner(self._job_changed)
-        self.stations = Stations(workspace, self.runner, self.publish_event)
+        self.stations = Stations(workspace, self.runner)
         self.scene_sync = SceneSync(session, loader, self._people, self.stations.shown)
         self.files = Files(session, loader, self.queries, self.selection, served)
         self.batches = Batches(session, loader, self.files, self.selection, self._publish)
@@ -205,13 +207,9 @@ class Workbench:
             return self.batches.take(path, name)
         return self.files.take(path, name, what, photo, client)
 
-    def report_file(self, photo: str) -> tuple[Path, str] | None:
-        """Return the latest report of a photograph and its download name."""
-        return self.jobs.report_file(photo)
-
-    def export_file(self, photo: str) -> tuple[Path, str] | None:
-        """Return the last zip of a photograph and its download name; None before there is one."""
-        return self.stations.export_file() if photo == STATIONS else self.jobs.export_file(photo)
+    def export_file(self, name: str, ending: Ending = "zip") -> tuple[Path, str] | None:
+        """Return the last zip or report of that name, and its download name; None before there is one."""
+        return self.jobs.exports.file(name, ending)
 
     def close(self) -> None:
         """End all work; commits are on the disk already.
@@ -291,6 +289,7 @@ class Workbench:
             "served": self.files.served_slice(),
             "waiting": self.batches.slice(),
             "formats": formats_slice(),
+            "reading": reading_slice(),
             "embedded": self.embedded.slice(),
             "acquisition": self.acquisition.slice(),
             "stations": self.stations.slice(),
@@ -301,7 +300,7 @@ class Workbench:
             found[f"picks:{entry.id}"] = self._pick_entries.get(entry.id, entry.picks)
             found[f"poses:{entry.id}"] = self._poses_slice(document, entry)
             found[f"progress:{entry.id}"] = progress_slice(
-                loader, document, entry, exported=self.jobs.is_exported(entry)
+                loader, document, entry, exported=self.jobs.exports.is_exported(entry)
             )
             found[f"outline:{entry.id}"] = self._outline_slice(entry)
             found[f"solving:{entry.id}"] = self.jobs.solving(entry.id)
@@ -340,8 +339,9 @@ class Workbench:
         return f"{self.opening_message} The scan cannot be shown: {error}.".strip()
 
     def _shown_parts(self, shown: PhotoEntry | None) -> tuple[object, ...]:
-        scan = self.session.document.scan
-        return ("model", scan) if shown is None else ("model", scan, shown.source, shown.camera, shown.pose)
+        document = self.session.document
+        own = () if shown is None else (shown.id, shown.source, shown.camera)
+        return ("model", document.scan, *own, *(entry.pose for entry in document.photos))
 
     def _people(self) -> dict[str, Person]:
         """Return what every client looks at in the 3-D scene."""

@@ -27,7 +27,7 @@ from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.export.json import input_document, plain, write_result
 from ladarreg_core.export.output_frame import FrameName, OutputFrame
 from ladarreg_core.formats import read_scan
-from ladarreg_core.formats.scan_request import ScanRequest
+from ladarreg_core.formats.scan_request import ScanOptions
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.registration import RegisterOptions
@@ -137,7 +137,7 @@ class _Run:
             if not Path(file).is_file():
                 raise OptionError(f"{file}: file not found; give the file of a scan")
         inputs = [input_document(Path(file)) for file in files]
-        stated = ScanRequest(**{name: value for name, value in options.items() if name != "more"}).given()
+        stated = ScanOptions(**{name: value for name, value in options.items() if name != "more"}).given()
         key = ContentCache.key(kind="scan", files=[one["sha256"] for one in inputs], options=plain(stated))
         self._tell(0, f"reading {path.name}")
         scan = cache.get(key)

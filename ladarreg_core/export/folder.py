@@ -49,7 +49,8 @@ if TYPE_CHECKING:
 
 FILE_NAMES = REGISTRATION_FILES
 """Files of a results folder; all but the first two are only written for accepted registrations."""
-_MOST_CELLS_TOGETHER = 4_000_000  # of larger scans, the memory matters more than the time
+MAX_CELLS_TOGETHER = 4_000_000
+"""Cells of a scan up to which two files are written at a time; of larger ones the memory matters more than the time."""
 _MOST_CELLS_AHEAD = 2_000_000
 FileJob = tuple[str, Callable[[Path], None]]
 """File name, with `/` between folders, and the function that writes the file to a path."""
@@ -124,7 +125,7 @@ def export_registration(
         apart_from=apart_from,
         more_names=[name for name, _ in more],
         force=force,
-        together=scan.ranges.size <= _MOST_CELLS_TOGETHER,
+        together=scan.ranges.size <= MAX_CELLS_TOGETHER,
         report=report,
     )
 
@@ -300,31 +301,34 @@ def registration_files(
     inputs: Sequence[InputFile] = (),
     assessment: Assessment | None = None,
     smoothed: SmoothedScan | None = None,
-    rests_on: Mapping[str, Any] | None = None,
     *,
     read_with: Sequence[Mapping[str, Any]] = (),
     frame: FrameName = "scanner",
     open_command: str | None = None,
     folder: Path | None = None,
+    saved_document: Callable[[], Mapping[str, Any]] | None = None,
 ) -> list[FileJob]:
     """Return the names and writers of a registration's files; the arguments are those of `export_registration`.
 
-    `rests_on` states the matches that the pose was solved on, where they are known; `folder` is where they are put;
-    None: that is not known, as of a zip file.
+    `folder` is where they are put; None: that is not known, as of a zip file. `saved_document` returns the document
+    that `registration.json` is to be; None: one is made of the registration.
     """
     placed = OutputFrame.of(scan, frame)
     found = assess(scan, registration) if assessment is None else assessment
 
     @cache  # hashing the inputs takes longest
     def document() -> dict[str, Any]:
-        described = registration_document(
-            registration, assessment=found, smoothed=smoothed, inputs=inputs, read_with=read_with, folder=folder
-        )
+        if saved_document is not None:
+            described = dict(saved_document())
+        else:
+            described = registration_document(
+                registration, assessment=found, smoothed=smoothed, inputs=inputs, read_with=read_with, folder=folder
+            )
         if registration.is_shown:
             described["models"] = placed.as_dict()
         elif open_command is not None:
             described["open_in_workbench"] = open_command
-        return described if rests_on is None else {**described, "rests_on": rests_on}
+        return described
 
     if registration.is_shown:
         with OtherCore() as other_core:  # the document beside the texture

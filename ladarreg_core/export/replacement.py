@@ -72,7 +72,7 @@ class FolderContent:
     names: tuple[str, ...]
     """All entries, sorted."""
     document: str | None
-    """The document that identifies the results; None: there are no results."""
+    """A file of the results, as a rule the document that describes them; None: there are no results."""
     others: tuple[str, ...]
     """Entries that are not part of the results."""
     refused: bool
@@ -100,24 +100,47 @@ def folder_content(folder: Path, *, more_names: Collection[str] = ()) -> FolderC
         listed = read_manifest(folder)
     except FormatError:
         return FolderContent(names, None, (), False, (MANIFEST_FILE,))
+    if listed is not None:
+        own: Collection[str] = {*listed}
+        document = next((name for name in (*_DOCUMENTS, *sorted(own)) if name in own and name in entries), None)
+    else:
+        document, own = _recognised(folder, [name for name in names if entries[name]], more_names)
+    if document is None:
+        return FolderContent(names, None, names, False)
+    others = tuple(name for name in names if not (name in own if entries[name] else _only_contains(folder, name, own)))
+    refused = bool(entries.get("registration.json")) and _is_refused(folder / "registration.json")
+    return FolderContent(names, document, others, refused, () if others or listed is None else _changed(folder, listed))
+
+
+def _recognised(
+    folder: Path, files: Collection[str], more_names: Collection[str]
+) -> tuple[str | None, Collection[str]]:
+    """Return the document by which a folder of an earlier version, without a manifest, is known, and its files.
+
+    Args:
+        folder: the folder.
+        files: the names of its files that are no links.
+        more_names: as in `folder_content`.
+    """
     for document, files_of in _DOCUMENTS.items():
-        fields = _read(folder / document) if entries.get(document) else None
+        fields = _read(folder / document) if document in files else None
         own = None if fields is None else files_of(fields)
-        if fields is not None and own is not None:
-            ours = {*own, *more_names} if listed is None else {*listed}
-            others = tuple(
-                name for name in names if not (name in ours if entries[name] else _only_contains(folder, name, ours))
-            )
-            refused = (
-                document == "registration.json" and fields["accepted"] is False and fields.get("evidence") != "given"
-            )
-            return FolderContent(names, document, others, refused, () if others else _changed(folder, listed))
-    return FolderContent(names, None, names, False)
+        if own is not None:
+            return document, {*own, *more_names}
+    return None, ()
 
 
-def _changed(folder: Path, listed: Mapping[str, ListedFile] | None) -> tuple[str, ...]:
+def _is_refused(document: Path) -> bool:
+    """Return whether a document is of a registration that was not accepted."""
+    fields = _read(document) or {}
+    return (
+        _files_of_registration(fields) is not None and fields["accepted"] is False and fields.get("evidence") != "given"
+    )
+
+
+def _changed(folder: Path, listed: Mapping[str, ListedFile]) -> tuple[str, ...]:
     """Return the files that are not as a manifest lists them; those that are missing are nobody's loss."""
-    there = [one for one in (listed or {}).values() if (folder / one.name).exists()]
+    there = [one for one in listed.values() if (folder / one.name).exists()]
     return tuple(sorted(one.name for one in there if one.fault(folder)))
 
 
@@ -379,8 +402,8 @@ _DOCUMENTS: Mapping[str, Callable[[Mapping[str, Any]], Collection[str] | None]] 
     STATIONS_FILE: _files_of_stations,
     RIG_FILE: _files_of_rig,
 }
-"""Identifying document of each kind of results, and a function that returns the names of all their files; None if the
-document was not written by ladarreg."""
+"""Document of each kind of results, and a function by which folders without a manifest are recognised: it returns the
+names of all their files; None if the document was not written by ladarreg."""
 
 
 def _lies_in(path: Path, folder: Path) -> bool:

@@ -9,9 +9,11 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
 from ladarreg_core.formats.accumulated import read_accumulated
@@ -376,7 +378,7 @@ def begin_scan(path: PathLike, *, more: Sequence[PathLike] = (), **options: Any)
 
 
 def _read_files(path: PathLike, more: Sequence[Path], asked: ScanRequest, report: Report | None = None) -> Scan:
-    asked = replace(asked, report=report)
+    asked = msgspec.structs.replace(asked, report=report)
     if not more:
         return _read_one(path, asked)
     files = [Path(path), *more]
@@ -413,7 +415,12 @@ def describe(
         LadarregError: if it cannot be read.
     """
     asked = ScanRequest(
-        scan_index=scan_index, origin=origin, intensity=intensity, columns=columns, topic=topic, seconds=seconds
+        scan_index=scan_index,
+        origin=origin,
+        intensity=intensity,
+        columns=columns,  # type: ignore[arg-type]  # any sequence; it is made a tuple
+        topic=topic,
+        seconds=seconds,
     )
     with parsed_once():
         results = describe_results(Path(path), trust_edited=trust_edited)

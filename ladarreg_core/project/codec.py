@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from ladarreg_core.errors import FormatError, NewerVersionError
+from ladarreg_core.errors import FormatError, NewerVersionError, OptionError
 from ladarreg_core.project.document import VERSION, Document, PoseEntry
 from ladarreg_core.project.station_edits import checked_survey
 from ladarreg_core.project.stored_arrays import StoredArrays
@@ -49,6 +49,8 @@ def decode_document(data: bytes, find: FindArrays) -> Document:
         raise FormatError(f"it is not a ladarreg project, or it is damaged: {error}") from None
     except UnicodeDecodeError as error:
         raise FormatError(f"it is not a ladarreg project, or it is damaged: {error.reason}") from None
+    except OptionError as error:
+        raise FormatError(f"the project is damaged: {error}") from None
     if found.version != VERSION:
         raise FormatError(f"there is no project version {found.version}; the file is damaged")
     for photo in (*found.photos, *(each for station in found.stations for each in station.photos)):

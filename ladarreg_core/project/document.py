@@ -11,6 +11,7 @@ from typing import Any, Literal, get_args
 
 import msgspec
 
+from ladarreg_core.formats.scan_request import FileOptions
 from ladarreg_core.matches import Pick
 from ladarreg_core.project.settings import Settings
 from ladarreg_core.project.stored_arrays import StoredArrays
@@ -23,7 +24,7 @@ Numbers = tuple[float, ...]
 Rows = tuple[Numbers, ...]
 
 
-class Source(msgspec.Struct, frozen=True, kw_only=True):
+class Source(FileOptions, frozen=True, kw_only=True):
     """Reference to an opened file."""
 
     path: str
@@ -34,16 +35,6 @@ class Source(msgspec.Struct, frozen=True, kw_only=True):
     """File size, bytes."""
     index: int = 0
     """Index of the scan in a file with several."""
-    origin: tuple[float, float, float] | None = None
-    """Where the scanner stood, in the coordinates of the file, m, if that was given."""
-    intensity: Literal["auto", "luma"] = "auto"
-    """Source of a scan's intensity."""
-    columns: tuple[str, ...] = ()
-    """Names of the columns of a text file, if they were given."""
-    topic: str | None = None
-    """Topic of the clouds in a recording, if it was chosen."""
-    seconds: float | None = None
-    """Duration over which the clouds of a recording are accumulated, s."""
     temperature_unit: Literal["K", "C", "none"] | None = None
     """Unit of a thermal image's pixels, if it was given."""
     more: tuple[str, ...] = ()
@@ -65,8 +56,7 @@ class Source(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def scan_options(self) -> dict[str, Any]:
         """The arguments of `read_scan` for this file, except `more`: see `ProjectFolder.scan_options`."""
-        names = ("origin", "intensity", "columns", "topic", "seconds")
-        return {"scan_index": self.index, **{name: getattr(self, name) for name in names}}
+        return {"scan_index": self.index, **{name: getattr(self, name) for name in FileOptions.__struct_fields__}}
 
 
 def file_name(path: str) -> str:

@@ -30,6 +30,7 @@ _MOST_SUGGESTIONS = 100
 _BORDER = 0.02  # of the photo's shorter side: nearer to its edge there is too little context to pick by
 _TAKEN = 0.02  # of the photo's diagonal around a match: picking the same detail again adds no measurement
 _HALF = 0.6  # remaining share of an uncertainty that the text calls halved
+_NOTABLE = 0.02  # share of the median uncertainty that is worth a word
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,18 +55,26 @@ class SuggestedMatch:
     def summary(self) -> str:
         """Return the suggestion as a sentence."""
         now, then = self.local_px
-        remaining = then / now if now > 0 else 1.0
+        remaining = _share_left(self.local_px)
         if remaining <= 1 - _HALF:
             effect = "more than halve the uncertainty there"
         elif remaining <= _HALF:
             effect = "halve the uncertainty there"
         else:
             effect = f"reduce the uncertainty there by {1 - remaining:.0%}"
+        # as a share: this median is over a sample of the photo, and another figure than that of the whole photo
+        gained = 1 - _share_left(self.median_px)
         return (
             f"A match near {self.where} of the photo, around pixel ({self.uv[0]:.0f}, {self.uv[1]:.0f}), would "
-            f"{effect} ({format_number(now)} to {format_number(then)} px) and the median over the photo from "
-            f"{format_number(self.median_px[0])} to {format_number(self.median_px[1])} px."
+            f"{effect} ({format_number(now)} to {format_number(then)} px)"
+            + (f" and the median over the photo by {gained:.0%}." if gained >= _NOTABLE else ".")
         )
+
+
+def _share_left(sigma_px: tuple[float, float]) -> float:
+    """Return the share of an uncertainty, now and then, that remains."""
+    now, then = sigma_px
+    return then / now if now > 0 else 1.0
 
 
 def suggest_matches(

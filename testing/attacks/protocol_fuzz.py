@@ -15,7 +15,7 @@ from testing.attacks.server_process import Page, Server, ServerGone
 
 _ANSWERED_S = 120.0
 """Time after which a reply is taken to be missing."""
-_NEVER = {"export_folder"}
+_NEVER = {"export"}
 """Commands that are not sent at random because they write to local folders; they have separate tests."""
 _RARE = {"remove_photo", "go_to", "set_camera", "run"}
 """Commands that remove what the other commands need, or take long."""

@@ -55,6 +55,7 @@ class CountingWorkbench:
 
     def __init__(self, room: Path) -> None:
         self.room, self.limits = room, Limits()
+        self.urgent_commands = frozenset({"acquire_stop"})
         self.lock = threading.Lock()
         self.number, self.version, self.joined, self.most = 0, 0, 0, 100
         self.listeners: list[Callable[[Message], None]] = []
@@ -129,13 +130,9 @@ class CountingWorkbench:
         self.taken.append((name, what, photo, data, client))
         return f"u{len(self.taken)}"
 
-    def report_file(self, photo: str) -> tuple[Path, str] | None:
-        path = self.room / f"{photo}.html"
-        return (path, "wände.html") if photo == "p1" and path.is_file() else None
-
-    def export_file(self, photo: str) -> tuple[Path, str] | None:
-        path = self.room / f"{photo}.zip"
-        return (path, "wände.zip") if photo == "p1" and path.is_file() else None
+    def export_file(self, name: str, ending: str = "zip") -> tuple[Path, str] | None:
+        path = self.room / f"{name}.{ending}"
+        return (path, f"wände.{ending}") if name == "p1" and path.is_file() else None
 
 
 class _SocketConnection(http.client.HTTPConnection):

@@ -91,9 +91,13 @@ class Page:
         )
         self.number = 0
         self.slices: dict[str, Any] = {}
+        self.events: dict[str, dict[str, Any]] = {}
+        """The newest event of each kind."""
         self.take(json.loads(self.socket.recv(timeout=60)))
 
     def take(self, message: dict[str, Any]) -> dict[str, Any]:
+        if "event" in message:
+            self.events[message["event"]] = message
         self.slices.update(message.get("slices", {}))
         for name, change in message.get("changes", {}).items():
             self.slices[name] = apply_change(self.slices[name], change)

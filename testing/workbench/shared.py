@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from ladarreg.workbench.recent import project_id
 
 from ladarreg_core.simulate.sample import sample_folder
 from testing.scenes.true_matches import true_points
@@ -48,6 +49,8 @@ class SharedWorkbench:
         self.server, self._folder = server, folder
         self._prepared = {"sample": folder / "project"}
         self._copies = 0
+        self.folder = folder / "project"
+        """The project that is open."""
         self._looked_at = ""
         """What is open, if only prepared and looked at."""
         socket = Socket(server)
@@ -60,7 +63,19 @@ class SharedWorkbench:
 
     def open_new(self) -> None:
         """Open a project in which there is nothing yet."""
-        self._ask("new_project", sure=True)
+        reply = self._ask("new_project", sure=True)
+        found = (path for path in self._folder.rglob("*") if path.is_dir() and project_id(path) == reply["opened"])
+        self.folder = next(found)
+
+    def reopen(self) -> None:
+        """Close the open project and open it again, as a restart does."""
+        folder = self.folder
+        self.open("sample")
+        self._open(folder)
+
+    def _open(self, folder: Path) -> None:
+        self._ask("open_project", folder=str(folder), sure=True)
+        self.folder = folder
 
     def open_files(self, files: Sequence[Path]) -> Socket:
         """Open a project with these files; also return a connection to it."""
@@ -90,10 +105,10 @@ class SharedWorkbench:
     def _open_copy(self, prepared: Path) -> Path:
         self._copies += 1
         folder = _copied(prepared, self._folder / f"copy-{self._copies}")
-        self._ask("open_project", folder=str(folder), sure=True)
+        self._open(folder)
         return folder
 
-    def _ask(self, do: str, **fields: Any) -> None:
+    def _ask(self, do: str, **fields: Any) -> dict[str, Any]:
         """Send a command that opens another project, after which this connection ends."""
         self._looked_at = ""
         socket = Socket(self.server)
@@ -101,6 +116,7 @@ class SharedWorkbench:
         reply = socket.ask(do, **fields)
         socket.socket.close()
         assert reply["ok"], reply
+        return reply
 
 
 def _copied(project: Path, target: Path) -> Path:

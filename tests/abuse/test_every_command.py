@@ -54,11 +54,9 @@ FEW = {
     ("open_served", "photo"): OTHERS[:3],
     ("open_served", "scan"): (*OTHERS[:3], '"frames"', '"stations"'),
     ("refine", "photo"): OTHERS,
-    ("export_folder", "photo"): (*OTHERS, *WORDS),
-    ("export_folder", "folder"): BAD_FOLDERS,
-    ("export_folder", "force"): OTHERS[:2],
-    ("hand_over", "folder"): BAD_FOLDERS,
-    **dict.fromkeys((("hand_over", name) for name in ("force", "full", "last_solved")), OTHERS[:2]),
+    ("export", "photos"): (*OTHERS, *WORDS, *LISTS),
+    ("export", "folder"): BAD_FOLDERS,
+    **dict.fromkeys((("export", name) for name in ("force", "full", "last_solved")), OTHERS[:2]),
     **dict.fromkeys(
         (("set_settings", name) for name in Settings.__struct_fields__), (*NUMBERS, *OTHERS[:6], *WORDS[:6])
     ),
@@ -73,7 +71,6 @@ PLAN = {
 SOUND: dict[str, list[dict[str, Any]]] = {
     "register_stations": [{}, {"poses": "keep"}],
     "check_at_stations": [{}],
-    "export_stations": [{}],
     "place_station": [
         {"station": "s1", "place": {"x": 1, "y": 2, "z": 0, "yaw_deg": 90}},
         {"station": "s1", "place": None},
@@ -159,14 +156,19 @@ SOUND: dict[str, list[dict[str, Any]]] = {
     "run": [{"photo": "p1", "job": "linear"}],
     "refine": [{"photo": "p1", "camera_from_scanner": [[1, 0, 0, 9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}],
     "job_control": [{"action": "speed", "value": 3}],
-    "export_targets": [{"photos": ["p1"], "frame": "scanner", "full": True, "crop": "photo", "last_solved": True}],
-    "hand_over": [
+    "export_targets": [
+        {
+            "targets": ["results"], "photos": ["p1"], "frame": "scanner", "full": True, "crop": "photo",
+            "last_solved": True,
+        }
+    ],
+    "write_report": [{"photo": "p3"}],
+    "export": [
         {
             "targets": ["opencv"], "photos": ["p1"], "frame": "scanner", "full": False, "crop": "none",
             "last_solved": True, "folder": "FOLDER", "force": False,
         }
     ],
-    "export_folder": [{"photo": "p1", "folder": "FOLDER", "force": False}],
 }  # fmt: skip
 """Arguments of each command; each is replaced by hostile ones, one at a time."""
 

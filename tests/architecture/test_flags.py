@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import ast
 import re
+from dataclasses import fields
 from functools import cache
 from pathlib import Path
 
 import pytest
-from ladarreg.argument_names import _FIELDS, _FLAGS, as_fields, as_flags
+from ladarreg.argument_names import ARGUMENTS, as_fields, as_flags, reading_slice
+from ladarreg.arguments import ScanArguments
 from ladarreg.messages import one_line
+
+from ladarreg_core.formats.scan_request import SCAN_OPTIONS, ScanOptions
 
 CORE = Path(__file__).resolve().parents[2] / "ladarreg_core"
 _FLAG = re.compile(r"(?<![\w`-])--[a-z][a-z-]+")
@@ -46,21 +50,31 @@ def test_every_argument_that_is_named_has_an_option() -> None:
     named = {name for path, strings in texts().items() if path not in _NOT_OURS
              for text in strings for name in _ARGUMENT.findall(text)}  # fmt: skip
     assert len(named) > 10
-    assert named - _ONLY_IN_PYTHON <= {*_FLAGS}, named - _ONLY_IN_PYTHON - {*_FLAGS}
-    assert {*_FLAGS} - {*_FIELDS} == {"inputs"}, "files are uploaded to the page"
+    assert named - _ONLY_IN_PYTHON <= {*ARGUMENTS}, named - _ONLY_IN_PYTHON - {*ARGUMENTS}
+    nameless = {name for name, one in ARGUMENTS.items() if not (one.label or one.words)}
+    assert nameless == {"inputs"}, "files are uploaded to the page"
+
+
+def test_each_option_of_reading_a_scan_is_given_on_the_command_line_and_in_the_form_of_the_page() -> None:
+    defaults = {name: getattr(ScanOptions(), name) or None for name in SCAN_OPTIONS}
+    options = {one.name: one.default or None for one in fields(ScanArguments)}
+    assert options == defaults
+    assert {*reading_slice()} == {*SCAN_OPTIONS, "temperature_unit", "camera_name"}
+    for name in SCAN_OPTIONS:
+        assert ARGUMENTS[name].flag.split()[0] in ("--scan", f"--{name.replace('_', '-')}")
 
 
 @pytest.mark.parametrize(
-    ("text", "flags", "fields"),
+    ("text", "flags", "labels"),
     [
         ("give it by `origin`", "give it by --origin X,Y,Z", "give it by 'Scanner stood at'"),
         ("(`scan_index=3`)", "(--scan 3)", "('Scan of the file' 3)"),
-        ("by `force=True`", "by --force", "by 'replace earlier results'"),
+        ("by `force=True`", "by --force", "by 'replace an earlier export'"),
         ("or `intensity='luma'`", "or --intensity luma",
          "or 'Use the brightness of the colours as the intensity'"),
         ("the field `of another`, `x`", "the field `of another`, `x`", "the field `of another`, `x`"),
     ],
 )  # fmt: skip
-def test_arguments_are_worded_for_their_readers(text: str, flags: str, fields: str) -> None:
+def test_arguments_are_worded_for_their_readers(text: str, flags: str, labels: str) -> None:
     assert as_flags(text) == flags == one_line(text)
-    assert as_fields(text) == fields
+    assert as_fields(text) == labels

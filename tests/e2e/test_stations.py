@@ -40,7 +40,7 @@ def test_a_station_is_added_registered_and_shown(browser: Browser, workbench: Sh
     part.get_by_role("checkbox", name="Show the points of window.npz").uncheck()
     with page.expect_download() as download:
         part.get_by_role("button", name="Export all stations").click()
-    assert download.value.suggested_filename == "hall-stations.zip"
+    assert download.value.suggested_filename == "hall-export.zip"
     part.get_by_role("button", name="Show window.npz").click()
     part.get_by_role("button", name="Show hall.npz").wait_for()
     page.get_by_role("button", name=re.compile("Undo")).first.click()

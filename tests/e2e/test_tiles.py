@@ -12,7 +12,7 @@ import pytest
 from ladarreg.gateway.viser_backend import close_server
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.export.targets.hand_over import export_to
+from ladarreg_core.export.targets.pipeline import export_to
 from ladarreg_core.export.targets.registered_scan import RegisteredScan
 from testing.workbench.open_viser import address, open_server
 from testing.workbench.pages import SIZE, wait_for_pixels

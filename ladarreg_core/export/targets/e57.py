@@ -38,6 +38,7 @@ from ladarreg_core.export.targets.e57_nodes import (
 from ladarreg_core.export.targets.e57_pictures import Picture, pictures
 from ladarreg_core.export.targets.e57_tree import E57Copy, Made, library, new_e57
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan, photo_id
+from ladarreg_core.export.targets.stations import StationScans, stations_e57_files, stations_e57_refusal
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.formats.e57_header import E57ScanInfo, contents_of, read_e57_info, sniff_e57
 from ladarreg_core.formats.e57_records import fields_of
@@ -50,9 +51,11 @@ _SENSOR_WIDTH_M = 0.036  # of a pinhole image whose sensor is not known: only th
 _PICTURE_WEIGHT = 500_000  # points that take about as long as a picture
 
 
-def e57_refusal(handed: RegisteredScan, options: ExportOptions) -> str | None:
-    """Return why the scan's file cannot be copied; None if it can."""
+def e57_refusal(handed: RegisteredScan | StationScans, options: ExportOptions) -> str | None:
+    """Return why the scan's file cannot be copied, or stations cannot be written; None if they can."""
     del options
+    if isinstance(handed, StationScans):
+        return stations_e57_refusal()
     try:
         library()
         source = _source(handed)
@@ -73,9 +76,13 @@ def e57_refusal(handed: RegisteredScan, options: ExportOptions) -> str | None:
     return None
 
 
-def e57_files(handed: RegisteredScan, options: ExportOptions, report: Report | None) -> Sequence[FileJob]:
-    """Return `NAME.e57`, named like the scan's file."""
+def e57_files(
+    handed: RegisteredScan | StationScans, options: ExportOptions, report: Report | None
+) -> Sequence[FileJob]:
+    """Return `NAME.e57`, named like the scan's file; of stations, `stations.e57` with all of them."""
     del options
+    if isinstance(handed, StationScans):
+        return stations_e57_files(handed, report)
     name = photo_id(handed.scan.name if handed.scan_file is None else handed.scan_file.name)
     return [(f"{name}.e57", lambda path: _write(path, handed, report))]
 

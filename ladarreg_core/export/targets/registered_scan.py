@@ -14,6 +14,7 @@ from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.output_frame import OutputFrame
 from ladarreg_core.frames import Rigid
+from ladarreg_core.matches import Pick
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Report
 from ladarreg_core.quality.assessment import Assessment, assess
@@ -43,6 +44,10 @@ class RegisteredPhoto:
     """How the photograph was read: the arguments of `read_photo`."""
     saved_document: Callable[[], Mapping[str, Any]] | None = None
     """Returns the `registration.json` that it was read from; None: one is made of the registration."""
+    saved_assessment: Callable[[], Assessment] | None = None
+    """Returns its assessment, if it was made before; None: it is made anew."""
+    matches: Sequence[Pick] = ()
+    """The drawn matches that belong to the pose."""
 
     @property
     def camera(self) -> CameraModel:
@@ -66,12 +71,12 @@ class RegisteredPhoto:
 
     def assessment(self, scan: Scan) -> Assessment:
         """Return what the result is worth."""
-        return assess(scan, self.registration)
+        return assess(scan, self.registration) if self.saved_assessment is None else self.saved_assessment()
 
 
 @dataclass(frozen=True, eq=False)
 class RegisteredScan:
-    """A scan with at least one registered photograph.
+    """A scan with at least one registered photograph, or one with matches.
 
     Raises:
         ExportError: if there is no photograph, two have the same id, a pose was refused, or
@@ -89,7 +94,9 @@ class RegisteredScan:
     frame: OutputFrame = field(default_factory=OutputFrame)
     """The frame of written points, models and poses; formats with a frame of their own say so."""
     refused: Sequence[RegisteredPhoto] = ()
-    """Photographs whose pose was refused: a report shows them with the reasons, and nothing else may."""
+    """Photographs whose pose was refused: results and reports show them with the reasons, and nothing else may."""
+    drawn: Mapping[str, Sequence[Pick]] = field(default_factory=dict)
+    """The matches of photographs without a pose, by their ids: results contain them, and nothing else does."""
 
     def __post_init__(self) -> None:
         photos, refused = tuple(self.photos), tuple(self.refused)
@@ -97,9 +104,9 @@ class RegisteredScan:
         object.__setattr__(self, "refused", refused)
         if any(one.registration.is_shown for one in refused):
             raise ExportError("a photograph with a pose is listed as refused; list it among the others")
-        if not photos and not refused:
+        if not photos and not refused and not self.drawn:
             raise ExportError("there is no registered photograph to export; register one, or give its pose")
-        ids = [one.id for one in (*photos, *refused)]
+        ids = [*(one.id for one in (*photos, *refused)), *self.drawn]
         if len(set(ids)) < len(ids):
             raise ExportError(f"two photographs have the same id ({', '.join(ids)}); give each its own")
         for one in photos:

@@ -13,12 +13,26 @@ from ladarreg_core.export.targets.model import glb_files, obj_files
 from ladarreg_core.export.targets.nerfstudio import nerfstudio_files
 from ladarreg_core.export.targets.opencv import opencv_files, opencv_refusal
 from ladarreg_core.export.targets.ply import ply_files
+from ladarreg_core.export.targets.registered_scan import RegisteredScan
 from ladarreg_core.export.targets.report import report_files
+from ladarreg_core.export.targets.results import results_files
 from ladarreg_core.export.targets.ros import ros_files, ros_refusal
+from ladarreg_core.export.targets.stations import StationScans, stations_files, stations_refusal
 from ladarreg_core.export.targets.target import Target
 from ladarreg_core.export.targets.tiles import tiles_files
 
 TARGETS: tuple[Target, ...] = (
+    Target(
+        name="results",
+        title="Results",
+        purpose="Pose, report, matches, pictures, coloured cloud and model of a photograph, to look at and to open "
+        "again.",
+        files=results_files,
+        stands_alone=True,
+        shows_refused=True,
+        shows_drawn=True,
+        together=True,
+    ),
     Target(
         name="colmap",
         title="COLMAP",
@@ -40,6 +54,8 @@ TARGETS: tuple[Target, ...] = (
         purpose="The scan's file as it was, plus colours and the photographs with their poses: for CloudCompare, ReCap "
         "and other programs for laser scans.",
         files=e57_files,
+        reads=(RegisteredScan, StationScans),
+        needs="a registered photograph, or stations that are registered to each other",
         refusal=e57_refusal,
     ),
     Target(
@@ -103,6 +119,16 @@ TARGETS: tuple[Target, ...] = (
         purpose="One HTML page a photograph with verdict, figures and pictures, to read, print and sign.",
         files=report_files,
         shows_refused=True,
+    ),
+    Target(
+        name="stations",
+        title="Stations",
+        purpose="All scans that were registered to each other, each with its pose, and how well they fit.",
+        files=stations_files,
+        reads=(StationScans,),
+        needs="stations that are registered to each other",
+        stands_alone=True,
+        refusal=stations_refusal,
     ),
 )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -39,12 +39,20 @@ def _of(handed: RegisteredScan, one: RegisteredPhoto, k: int | None) -> list[Fil
 
     def write(path: Path) -> None:
         texture: RegisteredTexture | None = None if k is None else handed.textures[k]
+        write_report(path, one.registration, handed.scan, one.photo, document(), texture=texture)
+
+    return [(f"{one.id}.html", read_right(one, write)), (f"{one.id}.json", lambda path: write_result(path, document()))]
+
+
+def read_right(one: RegisteredPhoto, write: Callable[[Path], None]) -> Callable[[Path], None]:
+    """Return a writer that raises `FormatError` where a document that was read does not hold what is written there."""
+    if one.saved_document is None:
+        return write
+
+    def written(path: Path) -> None:
         try:
-            write_report(path, one.registration, handed.scan, one.photo, document(), texture=texture)
+            write(path)
         except (KeyError, TypeError, ValueError, AttributeError):
-            if one.saved_document is None:
-                raise
-            # fields of other types than those that are written
             raise FormatError(f"the registration.json of {one.photo.name} is damaged; give an unmodified one") from None
 
-    return [(f"{one.id}.html", write), (f"{one.id}.json", lambda path: write_result(path, document()))]
+    return written

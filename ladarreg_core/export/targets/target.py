@@ -1,10 +1,10 @@
-"""What a target of `ladarreg export` is."""
+"""What a target of an export is: anything that is written."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from ladarreg_core.export.folder import FileJob
 from ladarreg_core.export.targets.registered_scan import RegisteredScan
@@ -34,7 +34,7 @@ class ExportOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """A format or set of files that another program reads."""
+    """A format or set of files, for people or for another program."""
 
     name: str
     """Its name in `--to`, and of the folder that it writes."""
@@ -42,12 +42,22 @@ class Target:
     """Its name for people."""
     purpose: str
     """A sentence: what it contains and which programs read it."""
-    files: Callable[[RegisteredScan, ExportOptions, Report | None], Sequence[FileJob]]
-    """Returns the names, relative to its folder and with `/`, and writers of its files.
+    files: Callable[[Any, ExportOptions, Report | None], Sequence[FileJob]]
+    """Returns the names, relative to its folder and with `/`, and writers of its files, given a source of `reads`.
 
     A writer of a large file reports its progress (`Progress`) at least every second; the report may raise `Cancelled`.
     """
+    reads: tuple[type, ...] = (RegisteredScan,)
+    """The sources that it is written from; a file for each of those that there are."""
+    needs: str = "a registered photograph"
+    """What there has to be, for messages."""
+    stands_alone: bool = False
+    """Whether its files, written without those of other targets, need no folder and no `export.json` beside them."""
     shows_refused: bool = False
     """Whether it may show poses that were refused."""
-    refusal: Callable[[RegisteredScan, ExportOptions], str | None] = lambda handed, options: None
+    shows_drawn: bool = False
+    """Whether it writes the matches of photographs without a pose."""
+    together: bool = False
+    """Whether two of its files may be written at a time if the scan is not large."""
+    refusal: Callable[[Any, ExportOptions], str | None] = lambda source, options: None
     """Returns a sentence (found, needed, what to do) if it cannot be written, before anything is; None otherwise."""

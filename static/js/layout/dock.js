@@ -6,7 +6,6 @@ import { mountRun } from "../panels/acquire/run.js";
 import { mountConvergence } from "../panels/convergence.js";
 import { mountDepthPlot } from "../panels/depth_plot.js";
 import { mountExport } from "../panels/export.js";
-import { mountHandOver } from "../panels/hand_over.js";
 import { mountMatchTable } from "../panels/match_table.js";
 import { mountPipeline } from "../panels/pipeline.js";
 import { mountStages } from "../panels/stages.js";
@@ -22,7 +21,7 @@ const SHOWN = {
   match: ["table", "matching", "verdict"],
   solve: ["table", "pipeline", "convergence"],
   judge: ["depth", "verdict", "stages"],
-  export: ["export", "programs", "files", "verdict"],
+  export: ["export", "files", "verdict"],
 };
 
 /** @param {HTMLElement} dock */
@@ -43,7 +42,6 @@ export const mountDock = (dock) => {
     verdict: mountVerdict(),
     stages: mountStages(),
     export: exporting,
-    programs: mountHandOver(),
     files,
   };
   const row = element("div", { class: "dock-row" }, ...Object.values(parts));

@@ -62,13 +62,16 @@ export const socketAddress = (page = location.href) => {
   return address;
 };
 
+/** @typedef {import("../protocol.d.ts").Commands} Commands */
+
 /**
  * Send a command (docs/workbench.md, commands).
- * @param {string} command
- * @param {Record<string, any>} [args]
+ * @template {keyof Commands} Name
+ * @param {Name} command
+ * @param {Commands[Name]} [args]
  * @returns {Promise<any>} the answer; rejects with an Error whose message is one sentence
  */
-export const ask = (command, args = {}) => {
+export const ask = (command, args) => {
   if (state !== "connected") return Promise.reject(new Error(OFFLINE));
   const id = nextId++;
   return new Promise((resolve, reject) => {

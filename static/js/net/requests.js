@@ -4,13 +4,20 @@ import { notice } from "../ui/notices.js";
 import { ask } from "./connection.js";
 import { store } from "./store.js";
 
+/** @typedef {import("../protocol.d.ts").Commands} Commands */
+/**
+ * The commands that name a photograph.
+ * @typedef {{[Name in keyof Commands]: Commands[Name] extends {photo: string} ? Name : never}[keyof Commands]} OfPhoto
+ */
+
 /**
  * Send a command; a refusal becomes a notice.
- * @param {string} command
- * @param {Record<string, any>} [args]
+ * @template {keyof Commands} Name
+ * @param {Name} command
+ * @param {Commands[Name]} [args]
  * @returns {Promise<any>} the answer, or null if it was refused
  */
-export const request = async (command, args = {}) => {
+export const request = async (command, args) => {
   try {
     return await ask(command, args);
   } catch (error) {
@@ -19,5 +26,11 @@ export const request = async (command, args = {}) => {
   }
 };
 
-/** Send a command about the shown photograph; see `request`. */
-export const requestForPhoto = (command, args = {}) => request(command, { photo: store.shown(), ...args });
+/**
+ * Send a command about the shown photograph; see `request`.
+ * @template {OfPhoto} Name
+ * @param {Name} command
+ * @param {Omit<Commands[Name], "photo">} [args]
+ */
+export const requestForPhoto = (command, args) =>
+  request(command, /** @type {Commands[Name]} */ (/** @type {unknown} */ ({ photo: store.shown(), ...args })));

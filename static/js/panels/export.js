@@ -1,16 +1,19 @@
-/** Export of results, as a zip or into a folder: which files are written, and why some are not. */
+/** Export: targets with what each is for, of all photographs or of the shown one, as a zip or into a folder. */
 
-import { requestForPhoto } from "../net/requests.js";
+import { ask } from "../net/connection.js";
+import { request, requestForPhoto } from "../net/requests.js";
 import { store } from "../net/store.js";
-import { isRunning } from "../state/pipeline.js";
+import { isRunning, shareDone } from "../state/pipeline.js";
 import { progressNow } from "../state/progress.js";
-import { button } from "../ui/controls.js";
-import { element, newId, setChildren, setText } from "../ui/dom.js";
+import { view } from "../state/view.js";
+import { button, fill } from "../ui/controls.js";
+import { element, newId, setAttribute, setChildren, setText } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
-import { lightOf } from "../ui/lights.js";
 import { notice } from "../ui/notices.js";
-import { sentences } from "../ui/numbers.js";
+import { throttled } from "../ui/throttle.js";
 
+const RESULTS = "results";
+const ALL = "all";
 const MATCHES = "matches.json";
 const FILES = [
   ["registration.json", "pose, covariance, matches, options", false],
@@ -24,13 +27,59 @@ const FILES = [
   ["cloud.ply", "coloured points", true],
 ];
 const OFFSET = ["offset.json", "what was subtracted from the coordinates of the world", true];
+const TARGETS_KEY = "ladarreg-targets";
 const FOLDER_KEY = "ladarreg-folder";
+/** Interval between two requests of the table, ms. */
+const EVERY_MS = 400;
 
-/** What each file is; it has a tick once it was exported from the present pose. */
-const listed = (accepted, any, posed, frame, exported) =>
-  [...FILES, ...(frame === "world" ? [OFFSET] : [])].map(([name, description, needsAcceptance]) => {
-    const known = posed || (name === MATCHES && store.picksOf().length > 0);
-    const written = any && known && (accepted || !needsAcceptance);
+const stored = (key, otherwise) => {
+  try {
+    return localStorage.getItem(key) ?? otherwise;
+  } catch {
+    return otherwise;
+  }
+};
+
+const keep = (key, text) => {
+  try {
+    localStorage.setItem(key, text);
+  } catch {
+    // storage is disabled: it has to be chosen again next time
+  }
+};
+
+/** A target with its tick box, its sentence, and why it cannot be written. */
+const targetRow = ({ name, title, purpose }, ticked, changed) => {
+  const [purposeId, refusalId] = [newId("purpose"), newId("refusal")];
+  const box = element("input", {
+    type: "checkbox",
+    checked: ticked,
+    "aria-describedby": `${purposeId} ${refusalId}`,
+    on: { change: changed },
+  });
+  const refusal = element("span", { id: refusalId, class: "refusal", hidden: true });
+  const item = element(
+    "li",
+    {},
+    element("label", { class: "target-name" }, box, title),
+    element("span", { id: purposeId, class: "dim" }, purpose),
+    refusal,
+  );
+  const show = (why) => {
+    refusal.hidden = !why;
+    setChildren(refusal, ...(why ? [icon("warn"), element("span", {}, `Cannot be written: ${why}`)] : []));
+    item.classList.toggle("left-out", Boolean(why));
+    box.disabled = Boolean(why);
+  };
+  return { name, item, box, show, refused: () => box.disabled };
+};
+
+/** The files of the shown photograph's results; each has a tick once it was exported from the present pose. */
+const mountFiles = (frameNow, isCurrent) => {
+  const list = element("ul", { class: "export-list" });
+  const row = ([name, description, needsAcceptance], { stage, exported }) => {
+    const known = Boolean(stage) || (name === MATCHES && store.picksOf().length > 0);
+    const written = isCurrent() && known && (Boolean(stage?.accepted) || !needsAcceptance);
     return element(
       "li",
       { class: written ? "" : "left-out" },
@@ -42,43 +91,43 @@ const listed = (accepted, any, posed, frame, exported) =>
       element("code", {}, name),
       element("span", { class: "dim" }, written ? description : `${description} (not written)`),
     );
-  });
-
-const storedFolder = () => {
-  try {
-    return localStorage.getItem(FOLDER_KEY) ?? "";
-  } catch {
-    return "";
-  }
+  };
+  const show = () => {
+    const stage = store.stageOf();
+    const exported = Boolean(progressNow().steps.find(({ name }) => name === "export")?.done);
+    const files = [...FILES, ...(frameNow() === "world" ? [OFFSET] : [])];
+    setChildren(list, ...files.map((file) => row(file, { stage, exported })));
+  };
+  const part = element(
+    "section",
+    { class: "dock-part export-files", "aria-label": "Files of the results" },
+    element("div", { class: "part-head" }, element("h2", {}, "Files of the results")),
+    element("div", { class: "part-body" }, list),
+  );
+  return { part, show };
 };
 
-/** @returns {HTMLElement[]} the form and the list of files */
+/** @returns {HTMLElement[]} the panel, and the list of files */
 export const mountExport = () => {
-  let requested = null; // the photograph whose zip is saved as soon as it is ready
-  const verdict = element("div", {});
-  const zip = button({ label: "Download zip", kind: "primary", icon: "download", act: () => download() });
-  const ready = element("a", { class: "ready", hidden: true, download: "" }, "Save the finished zip");
-  const report = button({ label: "Write report", icon: "file", act: () => writeReport() });
-  const written = element("a", { class: "ready", hidden: true, target: "_blank", rel: "noopener" }, "Open the report");
-  const id = newId("field");
-  const folder = element(
-    "input",
-    {
-      id,
-      class: "folder",
-      placeholder: "/home/me/results/office-7",
-      spellcheck: false,
-      autocomplete: "off",
-      value: storedFolder(),
-    },
+  let rows = [];
+  let table = null;
+  let failed = "";
+  let started = null; // id of the job that this page has started
+  let saves = ""; // the URL that this page has asked for, and saves as soon as it is written
+  const ticked = new Set(stored(TARGETS_KEY, RESULTS).split(",").filter(Boolean));
+
+  const list = element("ul", { class: "target-list" });
+  const scope = element("select", { class: "select small", "aria-label": "Photographs to export" });
+  const frame = element("select", { class: "select small", "aria-label": "Frame of coordinates" });
+  const frameRow = element(
+    "label",
+    { class: "inline", title: "Coordinates of points, models and poses", hidden: true },
+    "in the frame of the",
+    frame,
   );
-  const force = element("input", { type: "checkbox" });
-  const write = element(
-    "button",
-    { type: "submit", class: "button" },
-    icon("folder"),
-    element("span", {}, "Write to folder"),
-  );
+  const place = element("p", { class: "dim", hidden: true });
+  const full = element("input", { type: "checkbox" });
+  const crop = element("input", { type: "checkbox" });
   const last = element("input", { type: "checkbox" });
   const lastRow = element(
     "label",
@@ -86,145 +135,253 @@ export const mountExport = () => {
     last,
     "export the last solved state",
   );
-  const frame = element(
-    "select",
-    { class: "select small" },
-    element("option", { value: "scanner" }, "scanner"),
-    element("option", { value: "world" }, "world"),
-  );
-  const frameRow = element(
-    "label",
-    { class: "inline", title: "Coordinates of model.glb and cloud.ply", hidden: true },
-    "Model and cloud in the frame of the",
-    frame,
-  );
-  const place = element("p", { class: "dim", hidden: true });
+  const goes = element("p", { class: "dim", role: "status" });
   const wrong = element("p", { class: "form-wrong", role: "alert", hidden: true });
+  const zip = button({ label: "Download zip", kind: "primary small", icon: "download", act: () => run("") });
+  const ready = element("a", { class: "ready", hidden: true, download: "" }, "Save the finished zip");
+  const report = button({ label: "Write report", icon: "file", act: () => writeReport() });
+  const written = element("a", { class: "ready", hidden: true, target: "_blank", rel: "noopener" }, "Open the report");
+  const id = newId("field");
+  const folder = element("input", {
+    id,
+    class: "folder",
+    placeholder: "/home/me/results/office-7",
+    spellcheck: false,
+    autocomplete: "off",
+    value: stored(FOLDER_KEY, ""),
+  });
+  const force = element("input", { type: "checkbox" });
+  const write = element("button", { type: "submit", class: "button" }, icon("folder"), element("span", {}, "Write to folder"));
   const form = element(
     "form",
-    { class: "export-form" },
+    { class: "export-form edits" },
     element("label", { for: id }, "Folder on the workbench's computer"),
     folder,
-    element("div", { class: "row" }, write, element("label", { class: "inline" }, force, "replace earlier results")),
+    element("div", { class: "row" }, write, element("label", { class: "inline" }, force, "replace an earlier export")),
     element(
       "p",
       { class: "dim" },
-      "A folder is replaced only if it contains exported results and nothing else. The old results are kept until the " +
-        "new ones are complete.",
+      "A folder is replaced only if it contains exported files and nothing else. The old ones are kept until the new " +
+        "ones are complete.",
     ),
-    wrong,
   );
-  const left = element(
+  const bar = element("progress", { max: 1, "aria-label": "Progress of the export" });
+  const said = element("span", { class: "clip" });
+  const cancel = button({
+    label: "Cancel the export",
+    text: "Cancel",
+    icon: "stop",
+    kind: "small edits",
+    act: () => request("job_control", { action: "stop" }),
+  });
+  const running = element("div", { class: "export-running", hidden: true }, bar, said, cancel);
+  const options = element(
+    "fieldset",
+    { class: "export-options edits" },
+    element("legend", { class: "visually-hidden" }, "Options of the export"),
+    frameRow,
+    element("label", { class: "inline", title: "Instead of meshes reduced by error: larger files" }, full, "whole meshes"),
+    element(
+      "label",
+      { class: "inline", title: "Models without what no photograph covers" },
+      crop,
+      "models only where photographs cover them",
+    ),
+    lastRow,
+  );
+  const part = element(
     "section",
     { class: "dock-part export-part", "aria-label": "Export" },
-    element("div", { class: "part-head" }, element("h2", {}, "Export")),
-    element("div", { class: "part-body" }, verdict, lastRow, frameRow, element("div", { class: "row" }, zip, ready, report, written), place, form),
-  );
-  const files = element("ul", { class: "export-list" });
-  const right = element(
-    "section",
-    { class: "dock-part export-files", "aria-label": "Exported files" },
-    element("div", { class: "part-head" }, element("h2", {}, "Exported files")),
-    element("div", { class: "part-body" }, files),
+    element(
+      "div",
+      { class: "part-head" },
+      element("h2", {}, "Export"),
+      element("div", { class: "end" }, element("span", { class: "edits" }, scope), zip),
+    ),
+    element(
+      "div",
+      { class: "part-body" },
+      running,
+      wrong,
+      element("div", { class: "row" }, ready, report, written),
+      goes,
+      element("fieldset", { class: "edits" }, element("legend", { class: "visually-hidden" }, "Targets"), list),
+      options,
+      place,
+      form,
+    ),
   );
 
-  /** A page that may only look downloads what others have exported. */
-  const downloadLatest = async () => {
-    const url = `export/${encodeURIComponent(store.shown() ?? "")}.zip`;
-    const { ok } = await fetch(url, { method: "HEAD", cache: "no-store" }).catch(() => ({ ok: false }));
-    if (!ok) {
-      notice("Nothing has been exported from this photograph yet: ask someone who is allowed to edit to export it.", "warn");
-      return;
-    }
-    ready.href = url;
-    ready.click();
+  const chosen = () => rows.filter(({ box, refused }) => box.checked && !refused()).map(({ name }) => name);
+  const ofShown = () => scope.value === "shown";
+  const zipUrl = () => `export/${encodeURIComponent(ofShown() ? store.shown() ?? "" : ALL)}.zip`;
+  const wanted = () => ({
+    targets: chosen(),
+    ...(ofShown() ? { photos: [store.shown()].filter(Boolean) } : {}),
+    frame: frame.value || "scanner",
+    full: full.checked,
+    crop: crop.checked ? "photo" : "none",
+    last_solved: last.checked,
+  });
+  const files = mountFiles(() => frame.value, () => !store.stageOf()?.stale || last.checked);
+
+  const complain = (text) => {
+    wrong.hidden = !text;
+    setText(wrong, text);
   };
 
-  const download = async () => {
+  /** Export into a folder; as a zip if there is none. */
+  const run = async (into) => {
+    complain("");
     ready.hidden = true;
     if (store.readOnly) {
-      await downloadLatest();
+      await saveLatest();
       return;
     }
-    requested = store.shown();
-    if (!(await requestForPhoto("run", { job: "export", last_solved: last.checked, frame: frame.value }))) requested = null;
+    saves = into ? "" : zipUrl();
+    try {
+      started = (await ask("export", { ...wanted(), ...(into ? { folder: into, force: force.checked } : {}) })).job;
+    } catch (error) {
+      saves = "";
+      complain(error.message);
+      return;
+    }
+    if (into) notice(`Writing to ${into}.`);
   };
+
+  /** A page that may only look saves what others have exported. */
+  const saveLatest = async () => {
+    for (const url of [zipUrl(), `export/${ALL}.zip`]) {
+      const { ok } = await fetch(url, { method: "HEAD", cache: "no-store" }).catch(() => ({ ok: false }));
+      if (!ok) continue;
+      ready.href = url;
+      ready.click();
+      return;
+    }
+    notice("Nothing has been exported yet: ask someone who is allowed to edit to export it.", "warn");
+  };
+
   const writeReport = async () => {
     written.hidden = true;
-    await requestForPhoto("run", { job: "report" });
+    await requestForPhoto("write_report");
   };
-  store.onEvent("report_ready", ({ photo, url }) => {
-    if (photo !== store.shown()) return;
-    written.href = url;
-    written.hidden = false;
-  });
-  form.addEventListener("submit", async (event) => {
+
+  form.addEventListener("submit", (event) => {
     event.preventDefault();
     const name = folder.value.trim();
-    wrong.hidden = name !== "";
-    setText(wrong, name ? "" : "Enter the folder for the results.");
-    if (!name) return;
-    try {
-      localStorage.setItem(FOLDER_KEY, name);
-    } catch {
-      // storage is disabled: it has to be entered again next time
+    if (!name) {
+      complain("Enter the folder for the export.");
+      return;
     }
-    const asked = { folder: name, force: force.checked, last_solved: last.checked, frame: frame.value };
-    if (await requestForPhoto("export_folder", asked)) notice(`Writing to ${name}.`);
+    keep(FOLDER_KEY, name);
+    run(name);
   });
-  store.onEvent("export_ready", ({ photo, url }) => {
-    if (photo !== store.shown()) return;
+  store.onEvent("export_ready", ({ name, url }) => {
+    if (url.endsWith(".html")) {
+      if (name !== store.shown()) return;
+      written.href = url;
+      written.hidden = false;
+      return;
+    }
+    if (url !== zipUrl()) return;
     ready.href = url;
     ready.hidden = false;
-    if (requested === photo) ready.click();
-    requested = null;
+    if (saves === url) ready.click();
+    saves = "";
   });
-  store.on("shown", () => {
-    ready.hidden = written.hidden = true;
-  });
-  last.addEventListener("change", () => show());
-  frame.addEventListener("change", () => show());
+
+  const isOpen = () => view.get().step === "export" && !store.readOnly;
+  const refresh = throttled(async () => {
+    if (!isOpen() || !store.get("scan")) return;
+    try {
+      table = await ask("export_targets", { ...wanted(), targets: [...ticked] });
+      failed = "";
+    } catch (error) {
+      table = null;
+      failed = error.message;
+    }
+    show();
+  }, EVERY_MS);
+
+  const changed = () => {
+    for (const { name, box } of rows) box.checked ? ticked.add(name) : ticked.delete(name);
+    keep(TARGETS_KEY, [...ticked].join(","));
+    show();
+    refresh();
+  };
+
+  const showRows = () => {
+    if (table && rows.map(({ name }) => name).join() !== table.targets.map(({ name }) => name).join()) {
+      const known = new Set(table.targets.map(({ name }) => name));
+      for (const name of ticked) if (!known.has(name)) ticked.delete(name);
+      rows = table.targets.map((target) => targetRow(target, ticked.has(target.name), changed));
+      setChildren(list, ...rows.map(({ item }) => item));
+    }
+    for (const [k, row] of rows.entries()) row.show(table ? table.targets[k]?.refusal : failed);
+  };
+
+  const sentence = () => {
+    if (store.readOnly) return "A page that may only look saves what was exported last.";
+    if (failed) return failed;
+    if (!table) return store.get("scan") ? "" : "Open a scan and register photographs first.";
+    const [go, out] = [table.photos, table.left_out];
+    const names = go.length > 3 ? `${go.length} photographs` : go.map(({ name }) => name).join(", ");
+    const left = out.map(({ name, why }) => `${name}: ${why}`).join("; ");
+    return [go.length ? `To be exported: ${names}.` : "", out.length ? `Left out: ${left}.` : ""].filter(Boolean).join(" ");
+  };
 
   const show = () => {
-    const stage = store.stageOf();
-    const accepted = Boolean(stage?.accepted);
-    const exported = Boolean(progressNow().steps.find(({ name }) => name === "export")?.done);
-    const light = lightOf(stage?.summary?.light);
-    const busy = isRunning(store.get("job"));
-    const stale = stage?.stale ?? "";
+    const job = store.get("job");
+    const busy = isRunning(job);
+    const own = busy && job.kind === "export";
     const world = store.get("scan")?.world;
+    fill(scope, [["all", "all photographs"], ["shown", "this photograph"]], scope.value || "all");
+    fill(frame, [["scanner", "scanner"], ["world", "world"]], world ? frame.value || "scanner" : "scanner");
     frameRow.hidden = place.hidden = !world;
-    if (!world) frame.value = "scanner";
     setText(place, world ? `The scanner stands at ${world.position} in the world; ${world.heading}.` : "");
-    lastRow.hidden = !stale;
-    if (!stale) last.checked = false;
-    const outdated = stale && !last.checked;
-    const matches = store.picksOf().length;
-    const empty = !stage && !matches;
-    zip.disabled = write.disabled = empty || busy || Boolean(outdated);
-    zip.title = empty ? "Solve first" : busy ? "A job is running" : outdated ? "Solve again first" : "";
-    report.disabled = !stage || busy;
-    report.title = stage ? (busy ? "A job is running" : "The report alone, to read and to print") : "Solve first";
-    const text = !stage
-      ? `There is no pose yet: solve first, or register automatically.${matches ? " The matches are written." : ""}`
-      : stale
-        ? `${stage.label}: out of date. ${stale}, or export the last solved state.`
-      : accepted
-        ? `${stage.label}: ${stage.summary.words}. ${exported ? "Exported." : "All files will be written."}`
-        : `${stage.label}: ${stage.summary.words}. Only the data files ${exported ? "were" : "will be"} written, with the ` +
-          "reasons; no coloured output.";
-    setChildren(
-      verdict,
-      element(
-        "div",
-        { class: `verdict ${light.level}` },
-        icon(stage ? light.sign : "info"),
-        element("p", {}, text, stage && !accepted && !stale ? ` ${sentences(stage.reasons ?? [])}` : ""),
-      ),
-    );
-    setChildren(files, ...listed(accepted, !outdated, Boolean(stage), frame.value, exported));
+    if (table?.left_out.some(({ is_stale }) => is_stale)) lastRow.hidden = false;
+    else if (!last.checked) lastRow.hidden = true;
+    showRows();
+    files.show();
+    setText(goes, sentence());
+    if (job && job.id === started && !busy) {
+      started = null;
+      if (job.state !== "done") saves = "";
+      if (job.state === "failed") complain(job.said);
+    }
+    running.hidden = !own;
+    if (own) {
+      const share = shareDone(job);
+      if (share === null) bar.removeAttribute("value");
+      else bar.value = share;
+      setText(said, job.said || job.label);
+    }
+    const nothing = !store.readOnly && !chosen().length;
+    zip.disabled = write.disabled = busy || nothing;
+    zip.title = write.title = busy ? "A job is running" : nothing ? "Select at least one target" : "";
+    report.disabled = !store.stageOf() || busy;
+    report.title = store.stageOf() ? (busy ? "A job is running" : "The report alone, to read and to print") : "Solve first";
+    setAttribute(list, "aria-busy", isOpen() && !table && !failed && Boolean(store.get("scan")));
   };
-  store.watch(["poses:*", "shown", "job", "picks:*", "scan", "progress:*"], show);
+
+  for (const field of [scope, frame, full, crop, last]) field.addEventListener("change", () => refresh());
+  scope.addEventListener("change", () => {
+    ready.hidden = true;
+  });
+  last.addEventListener("change", () => show());
+  view.on((_, names) => {
+    if (!names.has("step")) return;
+    if (!isOpen()) table = null; // what it says would be out of date
+    show();
+    refresh();
+  });
+  store.on("shown", () => {
+    written.hidden = true;
+    if (ofShown()) ready.hidden = true;
+  });
+  store.watch(["poses:*", "picks:*", "photos", "scan", "shown", "stations"], () => refresh());
+  store.watch(["job", "scan", "shown", "poses:*", "picks:*", "progress:*"], show);
   show();
-  return [left, right];
+  refresh();
+  return [part, files.part];
 };

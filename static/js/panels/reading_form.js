@@ -1,51 +1,21 @@
 /** The form for what a file does not say itself: where the scanner stood, the unit of temperatures, and so on. */
 
+import { store } from "../net/store.js";
 import { element, newId, setText } from "../ui/dom.js";
 
 const numberOf = (text) => (text.trim() === "" ? Number.NaN : Number(text));
 
-/** Options of a scan's reader: how each is asked for, and its value from what was typed; null if that is wrong. */
-const OPTIONS = {
-  scan_index: {
-    label: "Scan of the file",
-    hint: "its number, counted from 0",
-    example: "0",
-    read: (text) => (/^\d+$/u.test(text) ? Number(text) : null),
+/** What was typed, by the kind of a field; null if that is wrong. */
+const READ = {
+  whole: (text) => (/^\d+$/u.test(text) ? Number(text) : null),
+  coordinates: (text) => {
+    const values = text.split(/[\s,;]+/u).map(numberOf);
+    return values.length === 3 && values.every(Number.isFinite) ? values : null;
   },
-  origin: {
-    label: "Scanner stood at",
-    hint: "x, y, z in the file's coordinates, m",
-    example: "12.5, -3, 1.8",
-    read: (text) => {
-      const values = text.split(/[\s,;]+/u).map(numberOf);
-      return values.length === 3 && values.every(Number.isFinite) ? values : null;
-    },
-  },
-  columns: {
-    label: "Columns",
-    hint: "names in order; - skips one",
-    example: "x, y, z, intensity",
-    read: (text) => text.split(/[\s,;]+/u),
-  },
-  topic: { label: "Topic", hint: "of the clouds in the recording", example: "/points", read: (text) => text },
-  seconds: {
-    label: "Accumulate over",
-    hint: "seconds",
-    example: "2",
-    read: (text) => (numberOf(text) > 0 ? numberOf(text) : null),
-  },
-  temperature_unit: {
-    label: "Unit of its temperatures",
-    hint: "K or C; none for an ordinary picture",
-    example: "C",
-    read: (text) => ({ k: "K", c: "C", none: "none" })[text.toLowerCase().replace(/°|deg\s*/u, "")] ?? null,
-  },
-  camera_name: {
-    label: "Camera",
-    hint: "its name in the file",
-    example: "cam0",
-    read: (text) => text,
-  },
+  names: (text) => text.split(/[\s,;]+/u),
+  text: (text) => text,
+  duration: (text) => (numberOf(text) > 0 ? numberOf(text) : null),
+  temperature_unit: (text) => ({ k: "K", c: "C", none: "none" })[text.toLowerCase().replace(/°|deg\s*/u, "")] ?? null,
 };
 
 /**
@@ -55,11 +25,12 @@ const OPTIONS = {
  * @returns {HTMLFormElement}
  */
 export const readingForm = (takes, submit, scans = []) => {
+  const fields = store.get("reading") ?? {};
   const inputs = new Map();
   const rows = takes
-    .filter((name) => name in OPTIONS)
+    .filter((name) => fields[name]?.kind in READ)
     .map((name) => {
-      const { label, hint, example } = OPTIONS[name];
+      const { label, hint, example } = fields[name];
       const id = newId("reading");
       const isChoice = name === "scan_index" && scans.length > 0;
       const input = isChoice
@@ -81,8 +52,8 @@ export const readingForm = (takes, submit, scans = []) => {
     "form",
     { class: "reading-form", noValidate: true },
     ...rows,
-    takes.includes("intensity")
-      ? element("label", { class: "row" }, luma, "Use the brightness of the colours as the intensity")
+    takes.includes("intensity") && fields.intensity
+      ? element("label", { class: "row" }, luma, fields.intensity.label)
       : null,
     wrong,
     element("div", { class: "form-foot" }, element("button", { class: "button primary edits", type: "submit" }, act)),
@@ -93,10 +64,10 @@ export const readingForm = (takes, submit, scans = []) => {
     wrong.hidden = true;
     for (const [name, input] of inputs) {
       const text = input.value.trim();
-      const value = text === "" ? undefined : OPTIONS[name].read(text);
+      const value = text === "" ? undefined : READ[fields[name].kind](text);
       input.toggleAttribute("aria-invalid", value === null);
       if (value === null) {
-        setText(wrong, `${OPTIONS[name].label}: “${text.slice(0, 30)}” is not ${OPTIONS[name].hint}.`);
+        setText(wrong, `${fields[name].label}: “${text.slice(0, 30)}” is not ${fields[name].hint}.`);
         wrong.hidden = false;
         input.focus();
         return;

@@ -92,7 +92,9 @@ export const mountStations = () => {
     kind: "small",
     title: "A zip of all scans with their poses, as files of their own and as one E57",
     act: async () => {
-      savesZip = Boolean(await request("export_stations"));
+      const { targets } = (await request("export_targets", { photos: [] })) ?? { targets: [] };
+      const written = ["stations", "e57"].filter((name) => name === "stations" || targets.some((target) => target.name === name && !target.refusal));
+      savesZip = Boolean(await request("export", { targets: written, photos: [] }));
     },
   });
   const said = element("p", { class: "acquire-said", role: "status" });
@@ -221,8 +223,8 @@ export const mountStations = () => {
   };
   store.watch(["stations", "scan", "job", "model", "served", "people"], show);
   list.addEventListener("focusout", () => setTimeout(show));
-  store.onEvent("stations_ready", ({ url }) => {
-    if (savesZip) element("a", { href: url, download: "" }).click();
+  store.onEvent("export_ready", ({ targets, url }) => {
+    if (savesZip && targets.includes("stations")) element("a", { href: url, download: "" }).click();
     savesZip = false;
   });
   show();

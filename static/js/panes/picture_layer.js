@@ -70,7 +70,6 @@ export class Slot {
   #loadingWhole = false;
   #address = null;
   #subject = null;
-  #stretch = null;
   #kept = [];
   #preview = null;
   #previewed = null;

@@ -124,7 +124,7 @@ def test_results_of_several_photographs_go_out_together(
 def test_photographs_that_are_left_out_are_listed(
     bench: WorkbenchDriver,
 ) -> None:
-    from ladarreg.session.hand_over import chosen_photos
+    from ladarreg.session.exported import chosen_photos
 
     workbench = bench.workbench
     chosen = chosen_photos(workbench.loader, workbench.session.document, None)
@@ -184,28 +184,29 @@ def test_the_page_lists_the_targets_and_exports_all_photographs_together(
     assert [(one["name"], one["purpose"]) for one in table["targets"]] == [(one.name, one.purpose) for one in TARGETS]
     assert [one["id"] for one in table["photos"]] == ["p1", "p2"]
     assert [(one["name"], one["is_stale"]) for one in table["left_out"]] == [("three.png", False)]
-    assert {one["refusal"] for one in table["targets"] if one["name"] in ("opencv", "report")} == {None}
-    bench.do("hand_over", targets=["kalibr", "opencv"])
+    assert {one["refusal"] for one in table["targets"] if one["name"] in ("opencv", "report", "results")} == {None}
+    assert next(one["refusal"] for one in table["targets"] if one["name"] == "stations").startswith("there is one scan")
+    bench.do("export", targets=["kalibr", "opencv"])
     bench.workbench.runner.wait(240)
     job = bench.workbench.runner.job
     assert job is not None
     assert job.state == "done", job.message
     assert job.message.endswith("with kalibr, opencv. Left out: three.png: it has no pose; register it.")
-    (ready,) = [m for m in bench.received if m.get("event") == "hand_over_ready"]
-    assert ready["url"] == "export/hand-over.zip"
-    path, name = bench.workbench.export_file("hand-over") or (Path(), "")
-    assert name.endswith("-hand-over.zip")
+    (ready,) = [m for m in bench.received if m.get("event") == "export_ready"]
+    assert (ready["url"], ready["targets"]) == ("export/all.zip", ["kalibr", "opencv"])
+    path, name = bench.workbench.export_file("all") or (Path(), "")
+    assert name.endswith("-export.zip")
     with zipfile.ZipFile(path) as file:
         names = set(file.namelist())
         assert [one["id"] for one in json.loads(file.read("export.json"))["photos"]] == ["one", "Gr-e-2"]
     assert {"opencv/one.yaml", "opencv/Gr-e-2.yaml"} <= names
     assert any(name.startswith("kalibr/") for name in names)
     folder = tmp_path / "opencv"
-    bench.do("hand_over", targets=["opencv"], photos=["p2"], folder=str(folder))
+    bench.do("export", targets=["opencv"], photos=["p2"], folder=str(folder))
     bench.workbench.runner.wait(240)
     assert ids(folder) == ["Gr-e-2"]
-    assert "contains earlier results" in bench.refused("hand_over", targets=["opencv"], folder=str(folder))
-    bench.do("hand_over", targets=["opencv"], folder=str(folder), force=True)
+    assert "contains earlier results" in bench.refused("export", targets=["opencv"], folder=str(folder))
+    bench.do("export", targets=["opencv"], folder=str(folder), force=True)
     bench.workbench.runner.wait(240)
     assert ids(folder) == ["one", "Gr-e-2"]
 
@@ -223,13 +224,57 @@ def test_the_page_lists_the_targets_and_exports_all_photographs_together(
     ],
 )
 def test_the_page_refuses_at_once(bench: WorkbenchDriver, fields: dict[str, object], said: str) -> None:
-    assert said.lower() in bench.refused("hand_over", **fields).lower()
+    assert said.lower() in bench.refused("export", **fields).lower()
 
 
 def test_targets_say_why_they_cannot_be_written(bench: WorkbenchDriver) -> None:
     table = bench.do("export_targets", photos=["p3"])
     assert table["photos"] == []
-    assert {one["refusal"] for one in table["targets"]} == {"three.png: it has no pose; register it"}
+    of_photographs = [one for one in table["targets"] if one["name"] != "stations"]
+    assert {one["refusal"] for one in of_photographs} == {"three.png: it has no pose; register it"}
+
+
+@pytest.mark.slow
+def test_results_of_several_photographs_have_a_folder_each_beside_other_targets(
+    bench: WorkbenchDriver, tmp_path: Path
+) -> None:
+    bench.do("export", targets=["opencv", "results"], folder=str(tmp_path / "both"))
+    bench.workbench.runner.wait(240)
+    listed = json.loads((tmp_path / "both" / "export.json").read_text())["files"]
+    assert {"opencv/one.yaml", "results/one/registration.json", "results/Gr-e-2/cloud.ply"} <= {*listed}
+    bench.do("export", targets=["results"], photos=["p1"], folder=str(tmp_path / "alone"))
+    bench.workbench.runner.wait(240)
+    assert (tmp_path / "alone" / "registration.json").is_file()
+    assert not (tmp_path / "alone" / "export.json").exists()
+    both = json.loads((tmp_path / "both" / "results" / "one" / "registration.json").read_text())
+    alone = json.loads((tmp_path / "alone" / "registration.json").read_text())
+    hints = [one.pop("path_hint", None) for one in alone["inputs"]]
+    assert all(hints)
+    assert [one.pop("path_hint", None) for one in both["inputs"]] == [None] * len(hints)
+    assert {**both, "sha256": 0} == {**alone, "sha256": 0}
+
+
+@pytest.mark.parametrize(
+    ("former", "present"),
+    [
+        (
+            {"id": 4, "do": "run", "job": "export", "photo": "p1", "frame": "world"},
+            {"id": 4, "do": "export", "targets": ["results"], "photos": ["p1"], "frame": "world"},
+        ),
+        (
+            {"do": "export_folder", "photo": "p1", "folder": "/a", "force": True, "project": "x"},
+            {"do": "export", "targets": ["results"], "photos": ["p1"], "folder": "/a", "force": True, "project": "x"},
+        ),
+        ({"do": "hand_over", "targets": ["laz"]}, {"do": "export", "targets": ["laz"]}),
+        ({"do": "export_stations"}, {"do": "export", "targets": ["stations", "e57"], "photos": []}),
+        ({"do": "run", "job": "report", "photo": "p1"}, {"do": "write_report", "photo": "p1"}),
+        ({"do": "run", "job": "auto", "photo": "p1"}, {"do": "run", "job": "auto", "photo": "p1"}),
+    ],
+)
+def test_export_commands_of_earlier_versions_are_read(former: dict[str, object], present: dict[str, object]) -> None:
+    from ladarreg.workbench.former_commands import present_form
+
+    assert present_form(former) == present
 
 
 def test_an_earlier_result_says_how_the_same_files_are_read(results: Path, tmp_path: Path) -> None:

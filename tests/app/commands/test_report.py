@@ -66,12 +66,12 @@ def test_a_report_of_results_is_the_one_that_was_exported(results: Path, moved: 
 def test_the_page_writes_the_same_report(bench: WorkbenchDriver, results: Path) -> None:
     job = bench.job("report")
     assert (job.state, job.message[:16]) == ("done", "Wrote a report o")
-    (ready,) = [m for m in bench.received if m.get("event") == "report_ready"]
-    assert (ready["photo"], ready["url"]) == ("p1", "export/p1.html")
-    path, name = bench.workbench.report_file("p1") or (Path(), "")
+    (ready,) = [m for m in bench.received if m.get("event") == "export_ready" and m["url"].endswith(".html")]
+    assert (ready["name"], ready["url"]) == ("p1", "export/p1.html")
+    path, name = bench.workbench.export_file("p1", "html") or (Path(), "")
     assert path.read_bytes() == (results / "report.html").read_bytes()
     assert name.endswith("-report.html")
-    assert bench.workbench.report_file("p9") is None
+    assert bench.workbench.export_file("p9", "html") is None
 
 
 def test_a_refused_result_has_a_report_too(moved: Path) -> None:

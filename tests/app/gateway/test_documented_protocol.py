@@ -9,11 +9,12 @@ from typing import Any, get_args
 
 import pytest
 from ladarreg.gateway.uploads import KINDS, STATION
-from ladarreg.workbench.commands import COMMANDS
-from ladarreg.workbench.project_commands import PROJECT_COMMANDS
+from ladarreg.workbench.commands import EVERY_COMMAND
+from ladarreg.workbench.decoding import types_of
 
 from ladarreg_core.project.settings import Settings
 from ladarreg_core.results import StageId
+from testing.workbench.protocol_text import DECLARATIONS, declarations, with_rows
 from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 
 DATA_KEYED = ("by_pick", "predicted", "lines", "camera_sigmas", "absent")
@@ -100,7 +101,25 @@ def keys_of(value: Any) -> set[str]:
 def test_the_commands_are_documented(document: str) -> None:
     rows = re.findall(r"^\| (`[^|]*`) \|", section(document, "Commands"), flags=re.MULTILINE)
     found = [name for row in rows for name in names_in(row)]
-    assert sorted(found) == sorted([*COMMANDS, *PROJECT_COMMANDS])
+    assert sorted(found) == sorted(EVERY_COMMAND)
+    assert with_rows(document) == document, "python -m testing.workbench.protocol_text writes the rows anew"
+
+
+def test_the_types_of_the_page_are_those_of_the_commands() -> None:
+    """Written by python -m testing.workbench.protocol_text."""
+    assert DECLARATIONS.read_text(encoding="utf-8") == declarations()
+
+
+def test_choices_that_the_core_defines_are_those_of_the_commands() -> None:
+    """The commands repeat them, since the core's modules are imported only when they are needed."""
+    from ladarreg_core.export.output_frame import FrameName
+    from ladarreg_core.export.targets.target import Crop
+    from ladarreg_core.stations.registration import PoseUse
+
+    for command, field, choices in (
+        ("export", "frame", FrameName), ("export", "crop", Crop), ("register_stations", "poses", PoseUse)
+    ):  # fmt: skip
+        assert get_args(types_of(EVERY_COMMAND[command])[field]) == get_args(choices)
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ import pytest
 import viser
 from ladarreg.gateway.pages import static_text
 from ladarreg.gateway.viser_backend import close_server
-from ladarreg.scene import Person, Picks, ScanShown, Scene3D, Shown, SimplexFrame, Subject
+from ladarreg.scene import CameraShown, Person, Picks, ScanShown, Scene3D, Shown, SimplexFrame, Subject
 from ladarreg.scene.draw_queue import DrawQueue
 from ladarreg.scene.model_view import ModelChoice
 from ladarreg.scene.picks_layer import residual_colours
@@ -125,6 +125,23 @@ def test_everybody_shares_an_empty_node_for_the_model(server: viser.ViserServer,
     model = drawn(scene, server)["/model"]
     assert isinstance(model, viser.GlbHandle)
     assert len(model.glb_data) < 3000, "the page fetches the model itself"
+
+
+def test_the_frusta_of_all_accepted_photographs_stay(server: viser.ViserServer, scene: Scene3D) -> None:
+    picture = np.full((20, 30, 3), 90, np.uint8)
+    own, other = (CameraShown(name, CAMERA, pose().camera_from_scanner, picture) for name in ("p1", "p2"))
+    scene.show(shown(pose()), [own, other])
+    nodes = drawn(scene, server)
+    assert "/camera" in nodes
+    assert [name for name in nodes if name.startswith("/cameras/")] == ["/cameras/p2"], "one's own is drawn once"
+    before = nodes["/cameras/p2"]
+    scene.set_people({"ann": Person("p2")})
+    assert [name for name in drawn(scene, server) if name.startswith("/cameras/")] == ["/cameras/p1"]
+    scene.set_people({"ann": Person("p1", ModelChoice(cameras=False))})
+    assert not drawn(scene, server)["/cameras/p2"].visible
+    scene.show(shown(pose()), [own])
+    assert not [name for name in drawn(scene, server) if name.startswith("/cameras/")]
+    assert before._impl.removed
 
 
 def test_nodes_have_their_names(server: viser.ViserServer, scene: Scene3D) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import json
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import unquote
@@ -12,10 +13,11 @@ from urllib.parse import unquote
 import numpy as np
 import pytest
 from ladarreg.workbench.model_parts import LEVELS, MOST_VERTICES
-from PIL import Image
+from PIL import Image, ImageOps
 
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.palette import VISIBILITY
+from ladarreg_core.simulate.sample import sample_folder
 from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 
 
@@ -41,6 +43,33 @@ def texture(bench: WorkbenchDriver, kind: str, **query: str) -> tuple[np.ndarray
     data, headers = part(bench, "texture", kind=kind, **query)
     image = np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
     return image, json.loads(unquote(headers["x-legend"]))
+
+
+@pytest.mark.slow
+def test_a_second_photograph_does_not_wipe_the_first(tmp_path: Path) -> None:
+    """The colours of all accepted photographs are shown, whichever is looked at, and whether that one is accepted."""
+    bench = sample_bench(tmp_path / "project")
+    assert bench.job("auto").state == "done"
+    alone, _ = texture(bench, "colour", photo="p1")
+    folder = sample_folder()
+    with Image.open(next(folder.glob("photo.*"))) as image:
+        ImageOps.invert(image.convert("RGB")).save(tmp_path / "second.png")
+    waiting = bench.workbench.take_upload(
+        shutil.copy(tmp_path / "second.png", bench.workbench.upload_folder() / "u.png"), "second.png", "any", None, None
+    )
+    assert bench.do("open_files", files=[waiting])["opened"]
+    bench.do("set_camera", photo="p2", focal_px=json.loads((folder / "camera.json").read_text())["fx"])
+    bench.do("show_photo", photo="p2")
+    model = bench.slice("model")
+    assert not model["accepted"]
+    assert next(choice for choice in model["choices"] if choice["value"] == "colour")["usable"]
+    shown, _ = texture(bench, "colour", photo="p2")
+    np.testing.assert_array_equal(shown, alone)
+    before = model["rev"]
+    bench.do("remove_photo", photo="p1")
+    assert bench.slice("model")["rev"] != before
+    assert not bench.slice("model")["choices"][0]["usable"]
+    bench.workbench.close()
 
 
 @pytest.mark.slow

@@ -120,14 +120,14 @@ def test_work_at_each_station_is_kept_and_carried(bench: WorkbenchDriver) -> Non
 
 def test_all_stations_are_exported(bench: WorkbenchDriver, tmp_path: Path) -> None:
     pytest.importorskip("pye57")
-    job(bench, "export_stations")
-    found = bench.workbench.export_file("station-scans")
+    job(bench, "export", targets=["stations", "e57"], photos=[])
+    found = bench.workbench.export_file("all")
     assert found is not None
     with zipfile.ZipFile(found[0]) as packed:
         packed.extractall(tmp_path / "out")
-    described = json.loads((tmp_path / "out/stations.json").read_text())
+    described = json.loads((tmp_path / "out/stations/stations.json").read_text())
     assert [one["scan"] for one in described["stations"]] == ["hall.npz", "window.npz"]
-    poses = [read_scan(tmp_path / "out/stations.e57", scan_index=k).world_from_scanner for k in range(2)]
+    poses = [read_scan(tmp_path / "out/e57/stations.e57", scan_index=k).world_from_scanner for k in range(2)]
     assert poses[0] is not None
     assert poses[1] is not None
     assert (poses[0].inverse @ poses[1]).distance_to(BETWEEN) < 0.002

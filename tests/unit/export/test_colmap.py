@@ -17,7 +17,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import Cancelled, ExportError
 from ladarreg_core.export.output_frame import FrameName
 from ladarreg_core.export.targets import reconstruction
-from ladarreg_core.export.targets.hand_over import export_to
+from ladarreg_core.export.targets.pipeline import export_to
 from ladarreg_core.export.targets.registered_scan import RegisteredScan
 from ladarreg_core.formats.camera_file import read_cameras, read_stated_pose
 from ladarreg_core.frames import Rigid

@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 
 from ladarreg_core.export.folder import registration_files
+from ladarreg_core.export.json import registration_document
 from ladarreg_core.export.replacement import OFFSET_FILE, REFUSED_FILES, REGISTRATION_FILES
 from ladarreg_core.formats import read_photo, read_scan
 from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.given import given_pose
 from ladarreg_core.matches import Pick
+from ladarreg_core.quality.assessment import assess
 from ladarreg_core.quality.smoothing import SmoothedScan
 from ladarreg_core.registration import register
 from ladarreg_core.results import ComparedBlocks
@@ -75,9 +77,18 @@ def documents(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, A
     accepted = replace(accepted, blocks=block)
     refused = replace(accepted, accepted=False, evidence="none")
     rests_on = {"matches": ["1"], "current": True, "sentence": "The pose rests on 1 match."}
+    smoothed = SmoothedScan(scan, 1, "One.")
+    described = registration_document(
+        accepted,
+        assessment=assess(scan, accepted),
+        smoothed=smoothed,
+        inputs=[sample / "scan.npz"],
+        read_with=[{"scan_index": 0}],
+        folder=path.parent,
+    )
     found = {}
     for name, result, more in (
-        ("accepted", accepted, {"smoothed": SmoothedScan(scan, 1, "One."), "rests_on": rests_on}),
+        ("accepted", accepted, {"smoothed": smoothed, "saved_document": lambda: {**described, "rests_on": rests_on}}),
         ("refused", refused, {"open_command": "ladarreg serve"}),
         ("given", given_pose(scan, photo, truth, check_images=False), {}),
     ):

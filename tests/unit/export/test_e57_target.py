@@ -16,7 +16,7 @@ from PIL import Image
 
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, FisheyeCamera
 from ladarreg_core.errors import Cancelled, ExportError, LadarregError
-from ladarreg_core.export.targets.hand_over import export_files, export_to
+from ladarreg_core.export.targets.pipeline import export_files, export_to
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.formats import extract_images, read_scan
 from ladarreg_core.formats.camera_file import read_camera

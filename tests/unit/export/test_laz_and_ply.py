@@ -16,7 +16,7 @@ import trimesh
 from ladarreg_core.camera import Camera, EquirectangularCamera, FisheyeCamera
 from ladarreg_core.errors import Cancelled
 from ladarreg_core.export.output_frame import OutputFrame
-from ladarreg_core.export.targets.hand_over import export_to
+from ladarreg_core.export.targets.pipeline import export_to
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.formats import read_scan
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid

@@ -15,7 +15,7 @@ import trimesh
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, FisheyeCamera
 from ladarreg_core.errors import Cancelled, ExportError
 from ladarreg_core.export.output_frame import OutputFrame
-from ladarreg_core.export.targets.hand_over import export_to
+from ladarreg_core.export.targets.pipeline import export_to
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.frames import Rigid, look_along

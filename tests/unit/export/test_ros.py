@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from ladarreg_core.camera import Camera, EquirectangularCamera, FisheyeCamera
 from ladarreg_core.errors import Cancelled, ExportError
 from ladarreg_core.export.output_frame import OutputFrame
-from ladarreg_core.export.targets.hand_over import export_to
+from ladarreg_core.export.targets.pipeline import export_to
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.camera_file import read_camera

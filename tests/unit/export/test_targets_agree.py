@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.export.output_frame import OutputFrame
-from ladarreg_core.export.targets.hand_over import export_to
+from ladarreg_core.export.targets.pipeline import export_to
 from ladarreg_core.export.targets.registered_scan import RegisteredScan
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from testing.files.gltf_checks import Glb

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from ladarreg_core.errors import Cancelled, ExportError, OptionError
-from ladarreg_core.export.targets.hand_over import export_files, export_to
+from ladarreg_core.export.targets.pipeline import export_files, export_to
 from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan, photo_id
 from ladarreg_core.export.zip_file import write_zip
 from ladarreg_core.manifest import MANIFEST_FILE

@@ -1,4 +1,4 @@
-"""Export to other programs in a real browser: what is offered, refused, zipped, and read by programs of others."""
+"""Export in a real browser: what is offered, refused, zipped, and read by programs of others."""
 
 from __future__ import annotations
 
@@ -42,15 +42,16 @@ def operator(browser: Browser, workbench: SharedWorkbench, request: pytest.Fixtu
 @pytest.mark.slow
 def test_two_targets_in_a_zip_are_read_by_other_programs(operator: Operator, tmp_path: Path) -> None:
     page = operator.page
-    panel = page.get_by_role("region", name="For other programs")
+    panel = page.get_by_role("region", name="Export", exact=True)
     panel.get_by_text("Cannot be written: photo").first.wait_for()
     assert page.evaluate(ENABLED_BOXES) == 0, "nothing is registered yet, and each target says so"
-    assert operator.button("Export as zip").is_disabled()
+    assert operator.button("Download zip").is_disabled()
     operator.shot("refused")
     for point in true_points(20):
         assert operator.socket.ask("add_pick", photo="p1", **point)["ok"]
     assert operator.socket.ask("run", photo="p1", job="robust")["ok"]
-    panel.get_by_text("Goes out: photo").wait_for()
+    page.wait_for_function(f"{ENABLED_BOXES} > 9", timeout=120_000)
+    panel.get_by_text("To be exported: photo").wait_for()
     for scheme in ("light", "dark"):
         page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
         assert hard_to_read(page) == []
@@ -62,11 +63,12 @@ def test_two_targets_in_a_zip_are_read_by_other_programs(operator: Operator, tmp
     assert opencv.is_checked()
     assert "for programs that call OpenCV" in opencv.evaluate(DESCRIBED)
     cloud.check()
+    panel.get_by_role("checkbox", name="Results").uncheck()
     with page.expect_download(timeout=120_000) as saved:
-        operator.button("Export as zip").click()
+        operator.button("Download zip").click()
     path = tmp_path / saved.value.suggested_filename
     saved.value.save_as(path)
-    assert path.name.endswith("-hand-over.zip")
+    assert path.name.endswith("-export.zip")
     operator.shot("exported")
 
     with zipfile.ZipFile(path) as file:
