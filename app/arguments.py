@@ -14,7 +14,7 @@ import tyro
 
 if TYPE_CHECKING:
     from ladarreg_core.camera.uncertainty import CameraPrior
-    from ladarreg_core.registration import RegisterOptions
+    from ladarreg_core.registration.register import RegisterOptions
 
 # tyro checks a default of None against `X | None` by typeguard, which imports asyncio and a mock library and
 # takes as long as all else of the parsing; against `Optional[X]` it does without.
@@ -117,7 +117,7 @@ class ScanArguments:
         Raises:
             OptionError: if one is not of its type or range.
         """
-        from ladarreg_core.formats.scan_request import SCAN_OPTIONS, ScanOptions
+        from ladarreg_core.formats.scans.scan_request import SCAN_OPTIONS, ScanOptions
 
         stated = {name: getattr(self, name) for name in SCAN_OPTIONS}
         if self.origin is not None:
@@ -309,8 +309,8 @@ def register_prior(arguments: PriorArguments) -> CameraPrior:
 
 def register_options(arguments: RegisterArguments) -> RegisterOptions:
     """Return the options of a registration."""
-    from ladarreg_core.matching.thesis.chain import ThesisOptions
-    from ladarreg_core.registration import RegisterOptions
+    from ladarreg_core.registration.register import RegisterOptions
+    from ladarreg_core.thesis.matching.chain import ThesisOptions
 
     default = ThesisOptions()
     prior = register_prior(arguments)

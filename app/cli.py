@@ -39,7 +39,7 @@ COMMANDS = {
 _EXAMPLES = ("ladarreg demo", "ladarreg register room.e57 photo.jpg -o results", "ladarreg serve room.e57 photo.jpg")
 _LOOKING = ("info", "check", "devices")
 _OBJECTS_BEFORE_COLLECTION = 50_000
-_MOST_CAUSES = 20  # causes of errors can be circular
+_MAX_CAUSES = 20  # causes of errors can be circular
 _NO_MEMORY = (
     "failed to map segment", "cannot allocate memory",  # a library that is loaded late
     "can't start new thread", "bad_alloc", "insufficient memory",  # the last two: OpenCV
@@ -137,7 +137,7 @@ def _require_names(words: Sequence[str]) -> None:
         OptionError: if a word is not text.
     """
     from ladarreg_core.errors import OptionError
-    from ladarreg_core.formats.untrusted import one_line
+    from ladarreg_core.formats.parsing.untrusted import one_line
 
     for word in words:
         if not _is_text(word):
@@ -176,7 +176,7 @@ def _explain(error: BaseException) -> tuple[str, ExitCode]:
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:
     """Yield an error and those that caused it: Python 3.11 raises others from an interrupt in `__set_name__`."""
-    for _ in range(_MOST_CAUSES):
+    for _ in range(_MAX_CAUSES):
         if error is None:
             return
         yield error

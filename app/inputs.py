@@ -39,7 +39,7 @@ def read_inputs(
     """
     from ladarreg_core.formats.photo_file import begin_photo
     from ladarreg_core.formats.registry import begin_scan
-    from ladarreg_core.side_by_side import OtherCore
+    from ladarreg_core.foundations.parallel import OtherCore
 
     with (
         OtherCore() as other_core,
@@ -61,7 +61,7 @@ def _missing_scans(arguments: PhotoArguments, *results: Path) -> list[str]:
     """Return notes on the clouds that results were registered on and that are not there."""
     if not results:
         return []
-    from ladarreg_core.saved_results import missing_scans
+    from ladarreg_core.outputs.saved_results import missing_scans
 
     return [said for path in results if (said := missing_scans(path, arguments.scan, arguments.more or ()))]
 
@@ -70,7 +70,7 @@ def _edited(*results: Path) -> list[str]:
     """Return notes on results that were changed after they were written, and whose pose is taken all the same."""
     if not results:
         return []
-    from ladarreg_core.formats.own_results import edited_note
+    from ladarreg_core.formats.documents.own_results import edited_note
 
     return [said for path in results if (said := edited_note(path))]
 
@@ -85,7 +85,7 @@ def with_recorded_options(arguments: A, *results: Path | None) -> A:
     given = list(filter(None, results))
     if not given:
         return arguments
-    from ladarreg_core.saved_results import recorded_options, recorded_scans
+    from ladarreg_core.outputs.saved_results import recorded_options, recorded_scans
 
     found: dict[str, Any] = {}
     for path in given:
@@ -141,8 +141,8 @@ def spare_heap(scan: Scan) -> None:
 
 def read_start(arguments: InputArguments, scan: Scan) -> tuple[list[Pick] | None, Rigid | None]:
     """Read the manual matches and the initial pose; None for each that was not given."""
-    from ladarreg_core.formats.matches_file import read_matches
-    from ladarreg_core.formats.pose_file import read_initial
+    from ladarreg_core.formats.documents.matches_file import read_matches
+    from ladarreg_core.formats.documents.pose_file import read_initial
 
     picks = read_matches(arguments.matches, scan) if arguments.matches else None
     initial = None

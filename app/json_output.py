@@ -22,7 +22,7 @@ def print_json(document: Mapping[str, Any]) -> None:
 
 def print_written(folder: Path, document: str, scan: Scan, photo: Photo) -> None:
     """Print a document that was written into a folder, with the folder's files and the readers' notes."""
-    from ladarreg_core.manifest import visible_files
+    from ladarreg_core.storage.manifest import visible_files
 
     fields = json.loads((folder / document).read_text(encoding="utf-8"))
     output = {"folder": os.path.abspath(folder), "files": visible_files(folder)}

@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING
 from .argument_names import as_flags
 
 if TYPE_CHECKING:
-    from ladarreg_core.comparison import Comparison
-    from ladarreg_core.export.comparison_table import Table
+    from ladarreg_core.export.comparison.table import Table
     from ladarreg_core.quality.assessment import Assessment
     from ladarreg_core.quality.findings import Finding
+    from ladarreg_core.registration.comparison import Comparison
+    from ladarreg_core.registration.self_test.report import SelfTest
     from ladarreg_core.results import PoseResult, Registration
     from ladarreg_core.scan import Scan
-    from ladarreg_core.self_test.report import SelfTest
 
 _HEAD_WIDTH = 16
-_MOST_FINDINGS = 4
-_MOST_LENGTHS = 40
+_MAX_FINDINGS = 4
+_MAX_LENGTHS = 40
 _IN_REASONS = {"matches", "inliers", "residuals", "lengths"}
 """Findings that the reasons of a refusal already state."""
 _IN_CAUTIONS = {"matches", "spread", "relief", "baseline", "disparity"}
@@ -52,7 +52,7 @@ def verdict(result: PoseResult) -> str:
 
 def position(result: PoseResult) -> str:
     """Return the camera position relative to the scanner, with its standard deviation."""
-    from ladarreg_core.formatting import format_length
+    from ladarreg_core.foundations.formatting import format_length
 
     sigma = format_length(result.sigma_position_m) if math.isfinite(result.sigma_position_m) else "unknown"
     return f"{result.thesis_parameters.describe_position()} (sigma {sigma})"
@@ -100,7 +100,7 @@ def length_lines(result: PoseResult) -> list[str]:
     listed = (result.diagnostics.get("lengths") or {}).get("matches") or []
     if not listed:
         return []
-    from ladarreg_core.export.comparison_table import Table
+    from ladarreg_core.export.comparison.table import Table
 
     rows = [
         (
@@ -111,12 +111,12 @@ def length_lines(result: PoseResult) -> list[str]:
             f"{one['tolerance_m']:.3f}",
             "beyond" if one["beyond"] else "" if one["state"] == "compared" else one["state"],
         )
-        for one in listed[:_MOST_LENGTHS]
+        for one in listed[:_MAX_LENGTHS]
     ]
     lines = ["Lengths of the matches and the scan's own ranges, m:"]
     lines += aligned(Table(heads=("length", "scan", "difference", "tolerance", ""), rows=tuple(rows))).splitlines()
-    if len(listed) > _MOST_LENGTHS:
-        lines.append(f"and {len(listed) - _MOST_LENGTHS} more in registration.json")
+    if len(listed) > _MAX_LENGTHS:
+        lines.append(f"and {len(listed) - _MAX_LENGTHS} more in registration.json")
     return [line.rstrip() for line in lines]
 
 
@@ -126,10 +126,10 @@ def assessment_lines(assessment: Assessment, result: Registration) -> list[str]:
     if result.accepted and assessment.uncertainty is not None:
         lines.append(f"Image    {assessment.uncertainty.summary()}")
     shown = notable_findings(assessment, result)
-    for finding in shown[:_MOST_FINDINGS]:
+    for finding in shown[:_MAX_FINDINGS]:
         lines.append(f"{finding.level.capitalize():<8} {one_line(f'{finding.sentence} {finding.what_to_do}')}")
-    if len(shown) > _MOST_FINDINGS:
-        lines.append(f"         and {len(shown) - _MOST_FINDINGS} more in registration.json")
+    if len(shown) > _MAX_FINDINGS:
+        lines.append(f"         and {len(shown) - _MAX_FINDINGS} more in registration.json")
     if result.method == "manual":
         if assessment.match_to_check:
             lines.append(f"Check    {one_line(assessment.match_to_check)}")
@@ -156,7 +156,7 @@ def notable_findings(assessment: Assessment, result: Registration) -> list[Findi
 
 def comparison_verdict(comparison: Comparison) -> str:
     """Return the verdict of a comparison, which is that of the default method."""
-    from ladarreg_core.export.comparison_table import default_of
+    from ladarreg_core.export.comparison.table import default_of
 
     default = default_of(comparison)
     if default is not None and default.stage.result is not None:
@@ -167,7 +167,7 @@ def comparison_verdict(comparison: Comparison) -> str:
 
 def comparison_report(comparison: Comparison, scan: Scan) -> str:
     """Return the cautions, the table of all stages, and each stage's verdict with its reasons."""
-    from ladarreg_core.export.comparison_table import cautions_of, comparison_table, title_of, verdict_of
+    from ladarreg_core.export.comparison.table import cautions_of, comparison_table, title_of, verdict_of
 
     lines = [f"Caution  {one_line(caution)}" for caution in cautions_of(comparison)]
     lines += [aligned(comparison_table(comparison, scan)), ""]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from ladarreg_core.shell_command import shell_command
+from ladarreg_core.foundations.shell_command import shell_command
 
 from .arguments import CameraArguments, InputArguments, ScanArguments
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from ladarreg_core.batch.cache import ContentCache
     from ladarreg_core.batch.photo_summary import PhotosResult
-    from ladarreg_core.registration import RegisterOptions
+    from ladarreg_core.registration.register import RegisterOptions
 
 EXAMPLES = (
     "ladarreg register room.e57 1.jpg 2.jpg 3.jpg -o results",
@@ -99,7 +99,7 @@ def flags_of(kind: type) -> list[str]:
 def run_photos(arguments: PhotosArguments) -> ExitCode:
     """Register the photos, write their results and the summary, and print the verdicts."""
     from ladarreg_core.batch.photo_run import register_photos
-    from ladarreg_core.manifest import visible_files
+    from ladarreg_core.storage.manifest import visible_files
 
     started = time.perf_counter()
     scans, photos = _scans_and_photos(arguments.files)
@@ -175,7 +175,7 @@ def _scans_and_photos(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
 
 
 def _options(arguments: PhotosArguments) -> RegisterOptions:
-    from ladarreg_core.registration import RegisterOptions
+    from ladarreg_core.registration.register import RegisterOptions
 
     prior = register_prior(arguments)
     options = RegisterOptions(seed=arguments.seed)

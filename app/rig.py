@@ -16,7 +16,7 @@ from .messages import one_line
 from .progress_bar import progress_bar
 
 if TYPE_CHECKING:
-    from ladarreg_core.rig.results import RigResult
+    from ladarreg_core.registration.rig.results import RigResult
 
 EXAMPLES = (
     "ladarreg register --rig pairs.csv --camera cam.json -o rig",
@@ -64,13 +64,13 @@ class RigArguments(CameraArguments):
 
 def run_rig(arguments: RigArguments) -> ExitCode:
     """Read the pairs, register them together, write the results, and print the verdict."""
-    from ladarreg_core.export.folder import check_folder
-    from ladarreg_core.formats.own_results import edited_note
-    from ladarreg_core.formats.pose_file import read_initial_of_rig
-    from ladarreg_core.manifest import visible_files
-    from ladarreg_core.rig.options import RigOptions
-    from ladarreg_core.rig.registration import register_rig
-    from ladarreg_core.rig_folder import is_recording, read_rig, rig_files_of, write_rig
+    from ladarreg_core.export.targets.folder import check_folder
+    from ladarreg_core.formats.documents.own_results import edited_note
+    from ladarreg_core.formats.documents.pose_file import read_initial_of_rig
+    from ladarreg_core.outputs.rig_folder import is_recording, read_rig, rig_files_of, write_rig
+    from ladarreg_core.registration.rig.options import RigOptions
+    from ladarreg_core.registration.rig.registration import register_rig
+    from ladarreg_core.storage.manifest import visible_files
 
     started = time.perf_counter()
     common = [path for path in (arguments.camera, arguments.initial) if path is not None]

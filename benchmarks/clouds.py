@@ -16,7 +16,7 @@ import laspy
 import numpy as np
 
 from ladarreg_core.formats import read_scan
-from ladarreg_core.formats.las import read_las_columns
+from ladarreg_core.formats.scans.las import read_las_columns
 from testing.scenes.simulated_clouds import brightness, in_room, rosette
 
 ORIGIN = (691_234.4, 5_334_321.4, 520.5)

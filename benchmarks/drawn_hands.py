@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 import ladarreg_core as lr
-from benchmarks.snapping_lines import DrawnScene, drawn_scene
-from ladarreg_core.arrays import FloatArray
+from benchmarks.page.snapping_lines import DrawnScene, drawn_scene
 from ladarreg_core.errors import LadarregError
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Pick
 from ladarreg_core.results import Registration
@@ -27,7 +27,7 @@ from testing.scenes.pose_case import difference
 
 SCENES = ("boxes", "desk", "office", "people")
 SCATTERS_PX = (1.0, 2.0, 4.0)
-LINES, LEAST_LINES = 8, 6
+LINES, MIN_LINES = 8, 6
 _WRONG_SHARE = 0.1
 _WRONG_PX = (6.0, 25.0)
 _ALONG = 2.0
@@ -133,7 +133,7 @@ def hands(seeds: range) -> Iterator[HandOutcome]:
     for seed in seeds:
         for scene in SCENES:
             drawn = drawn_scene(scene, seed, lines=LINES)
-            if len(drawn.photo) < LEAST_LINES:
+            if len(drawn.photo) < MIN_LINES:
                 continue
             for k, scatter_px in enumerate(SCATTERS_PX * _HANDS):
                 rng = np.random.default_rng([seed, SCENES.index(scene), k, 39])

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import ladarreg_core as lr
-from benchmarks.sparse_sets import REAL_LIMITS_PX, RIGHT_PX, real_cases
+from benchmarks.matching.sparse_sets import REAL_LIMITS_PX, RIGHT_PX, real_cases
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.frames import Rigid
@@ -28,9 +28,9 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.outdoor_case import outdoor_triangles, simulate_outdoors
-from ladarreg_core.simulate.outdoors import OUTDOORS
 from ladarreg_core.simulate.ray_cast import RayCaster
 from ladarreg_core.simulate.robot_lidar import LidarName
+from ladarreg_core.simulate.worlds.outdoors import OUTDOORS
 
 _PICKS, _WRONG = 10, 1
 _CLICK_CELLS, _CLICK_PX = 0.3, 1.0

@@ -20,11 +20,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.formats.e57_records import read_records
-from ladarreg_core.formats.e57_tree import open_e57
+from ladarreg_core.formats.e57.records import read_records
+from ladarreg_core.formats.e57.tree import open_e57
 
 _AT_ONCE = 131_072
-_COLOURS = ("colorRed", "colorGreen", "colorBlue")
+_COLORS = ("colorRed", "colorGreen", "colorBlue")
 _SCALE_M = 1e-5
 
 Buffers = dict[str, NDArray[Any]]
@@ -53,7 +53,7 @@ def write_file(path: Path, kind: str, points: int) -> None:
             precision = libe57.E57_SINGLE if kind == "single" else libe57.E57_DOUBLE
             prototype.set(name, libe57.FloatNode(file, 0.0, precision))
             columns[name] = random.normal(0, 9, points).astype("f" if kind == "single" else "d")
-    bits = {"rowIndex": 12, "columnIndex": 13, "cartesianInvalidState": 2} | dict.fromkeys(_COLOURS, 8)
+    bits = {"rowIndex": 12, "columnIndex": 13, "cartesianInvalidState": 2} | dict.fromkeys(_COLORS, 8)
     for name, width in bits.items():
         prototype.set(name, libe57.IntegerNode(file, 0, 0, 2**width - 1))
         columns[name] = random.integers(0, 2**width, points).astype("q")
@@ -76,7 +76,7 @@ def buffers_for(kind: str) -> Buffers:
     """Return arrays for a chunk of raw values."""
     real = {"single": "f", "scaled": "q", "double": "d"}[kind]
     codes = dict.fromkeys(("cartesianX", "cartesianY", "cartesianZ"), real) | {"intensity": "f"}
-    codes |= dict.fromkeys(("rowIndex", "columnIndex", "cartesianInvalidState", *_COLOURS), "q")
+    codes |= dict.fromkeys(("rowIndex", "columnIndex", "cartesianInvalidState", *_COLORS), "q")
     return {name: np.zeros(_AT_ONCE, code) for name, code in codes.items()}
 
 

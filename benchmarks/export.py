@@ -1,6 +1,6 @@
 """Time and memory of the export of a large scan: python -m benchmarks.export [FOLDER] [--cells 10] [--to laz,ply,e57].
 
-The scan is a dome made by `benchmarks.dome` in the folder, unless it is there already, with its photograph and the true
+The scan is a dome made by `benchmarks.shared.dome` in the folder, unless it is there already, with its photograph and the true
 pose. Ladarreg exports it in a fresh process; the peers then write the same arrays, read from what ladarreg wrote, in
 others: laspy alone the LAZ, pye57 alone the points of the E57. Also measured: how long a cancelled export takes to end,
 and what it leaves. Times are wall-clock and of the processor; the load before the run is printed, since other programs
@@ -22,14 +22,14 @@ from typing import Any
 
 import numpy as np
 
-MOST_SECONDS, MOST_BYTES = 15.0, 1.5e9
+MAX_SECONDS, MAX_BYTES = 15.0, 1.5e9
 
 
 def handed_over(folder: Path) -> Any:
     """Read the dome and return it with its photograph at the true pose."""
     import ladarreg_core as lr
-    from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
-    from ladarreg_core.formats.pose_file import read_pose
+    from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
+    from ladarreg_core.formats.documents.pose_file import read_pose
     from ladarreg_core.matches import Matches
 
     scan = lr.read_scan(folder / "scan.e57")
@@ -164,7 +164,7 @@ def main() -> None:
         folder = options.folder or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
         if not (folder / "scan.e57").exists():
-            from benchmarks.dome import dome_shape, make_dome
+            from benchmarks.shared.dome import dome_shape, make_dome
 
             make_dome(folder, dome_shape(options.cells * 1e6))
         print(f"load before: {os.getloadavg()[0]:.2f}")
@@ -192,7 +192,7 @@ def main() -> None:
         ]
         for one in (each for each in stopped if each["cancelled"]):
             print(f"cancelled: ended after {one['after_cancel_s']:.2f} s, left {one['left'] or 'nothing new'}")
-        for text, value, most in (("seconds", wall, MOST_SECONDS), ("bytes", best["peak_bytes"], MOST_BYTES)):
+        for text, value, most in (("seconds", wall, MAX_SECONDS), ("bytes", best["peak_bytes"], MAX_BYTES)):
             print(f"{text}: {value:.4g}; asked: at most {most:.4g}: {'met' if value <= most else 'not met'}")
 
 

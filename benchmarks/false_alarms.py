@@ -25,13 +25,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 import ladarreg_core as lr
-from benchmarks.sparse_sets import off_by, outdoor_case
+from benchmarks.matching.sparse_sets import off_by, outdoor_case
 from ladarreg_core.matching.auto import AutoOptions
-from ladarreg_core.matching.verification import GateOptions
-from ladarreg_core.registration import RegisterOptions
+from ladarreg_core.matching.verify.verification import GateOptions
+from ladarreg_core.registration.register import RegisterOptions
 from ladarreg_core.simulate.outdoor_case import simulate_outdoors
-from ladarreg_core.simulate.outdoors import OUTDOORS
 from ladarreg_core.simulate.robot_lidar import LidarName
+from ladarreg_core.simulate.worlds.outdoors import OUTDOORS
 
 _GUESS_DEG, _GUESS_M = 3.0, 0.2
 _NONE = 10**6

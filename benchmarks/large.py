@@ -1,6 +1,6 @@
 """Time and memory of a dome scan of 1 to 28 million cells: read, registered, coloured and written, stage by stage.
 
-Run it as `python -m benchmarks.large [FOLDER] [--cells 1 4 10 28]`. The scans are made by `benchmarks.dome` in the
+Run it as `python -m benchmarks.large [FOLDER] [--cells 1 4 10 28]`. The scans are made by `benchmarks.shared.dome` in the
 folder, unless they are there already. Every size runs in a fresh process on at most two cores. Reading by pye57 alone
 is measured in another process just before. Times are of the processor (user and system), since other programs may be
 running; wall-clock time and load are printed beside them. The exponent of a stage is the slope of log time over log
@@ -25,7 +25,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-MOST_SECONDS, MOST_BYTES, MOST_READ_FACTOR, MOST_KEPT_FACTOR = 60.0, 2e9, 1.3, 1.5
+MAX_SECONDS, MAX_BYTES, MAX_READ_FACTOR, MAX_KEPT_FACTOR = 60.0, 2e9, 1.3, 1.5
 STAGES = ("read", "register", "colour", "registered.png", "cloud.ply", "model.glb")
 
 T = TypeVar("T")
@@ -67,12 +67,12 @@ def chain(folder: Path) -> dict[str, Any]:
     from ladarreg.process_resources import keep_heap_small
 
     import ladarreg_core as lr
-    from ladarreg_core.export.glb import write_model_glb
-    from ladarreg_core.export.images import write_registered_png
-    from ladarreg_core.export.ply import write_ply
-    from ladarreg_core.formats.pose_file import read_pose
-    from ladarreg_core.surface.photo_model import ModelPhoto, photo_model
-    from ladarreg_core.surface.texture import texture_scan
+    from ladarreg_core.export.models.glb import write_model_glb
+    from ladarreg_core.export.models.ply import write_ply
+    from ladarreg_core.export.pictures.images import write_registered_png
+    from ladarreg_core.formats.documents.pose_file import read_pose
+    from ladarreg_core.surface.texture.photo_model import ModelPhoto, photo_model
+    from ladarreg_core.surface.texture.registered_texture import texture_scan
 
     import_module("pye57")  # as loading it is no part of reading, on either side
     idle = resident_bytes()
@@ -141,7 +141,7 @@ def in_child(what: str, folder: Path) -> dict[str, Any]:
 
 def measure(folder: Path, sizes: list[float]) -> None:
     """Measure all sizes and print the tables."""
-    from benchmarks.dome import dome_shape, make_dome
+    from benchmarks.shared.dome import dome_shape, make_dome
 
     results = []
     for size in sizes:
@@ -162,11 +162,11 @@ def measure(folder: Path, sizes: list[float]) -> None:
             f"  accepted {found['accepted']}, {found['error_deg']:.3f} deg and {found['error_mm']:.1f} mm off the truth"
         )
         print(f"  model of {found['faces']:,} triangles, reduced to an error of {found['tolerance_mm']:.1f} mm")
-        print(f"  reading: {read['cpu_s'] / by_pye57:.2f} x pye57 alone ({by_pye57:.2f} s; asked: {MOST_READ_FACTOR})")
-        print(f"  reading: peak {kept:.2f} x the arrays kept (asked: {MOST_KEPT_FACTOR})")
+        print(f"  reading: {read['cpu_s'] / by_pye57:.2f} x pye57 alone ({by_pye57:.2f} s; asked: {MAX_READ_FACTOR})")
+        print(f"  reading: peak {kept:.2f} x the arrays kept (asked: {MAX_KEPT_FACTOR})")
         print(f"  first progress after {found['first_progress_s']:.2f} s")
     last = results[-1]
-    print(f"\nasked of the largest: {MOST_SECONDS:.0f} s and {MOST_BYTES / 1e9:.0f} GB")
+    print(f"\nasked of the largest: {MAX_SECONDS:.0f} s and {MAX_BYTES / 1e9:.0f} GB")
     print(f"reached: {last['wall_s']:.0f} s ({last['cpu_s']:.0f} s of processor), {last['peak_bytes'] / 1e9:.2f} GB")
     if len(results) > 1:
         spread = np.log(last["cells"] / results[0]["cells"])

@@ -30,7 +30,7 @@ from xml.etree import ElementTree
 
 CHECKOUT = Path(__file__).parents[1]
 PACKAGES = ("ladarreg_core", "app")
-MOST_TESTS = 60
+MAX_TESTS = 60
 """Of those that reach a fault, the quickest; others repeat what these do."""
 LONGEST_S = 240.0
 SWAPPED: dict[type[ast.AST], str] = {
@@ -168,7 +168,7 @@ def fate(fault: Fault, tests: set[str], long: set[str], seconds: dict[str, float
         return "reached by another process" if tests else "not reached"
 
     def quickest(names: set[str]) -> list[str]:
-        return sorted(names, key=lambda name: seconds.get(name, 1.0))[:MOST_TESTS]
+        return sorted(names, key=lambda name: seconds.get(name, 1.0))[:MAX_TESTS]
 
     sound = fault.apply(copy.folder)
     try:

@@ -38,7 +38,7 @@ from testing.workbench.served import Served
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-MOST_ACTIONS = 18
+MAX_ACTIONS = 18
 _TOKEN = "a-token-for-newcomers-only"
 _FILM_WIDTH_MM, _FILM_DIAGONAL_MM = 36.0, 43.267
 _TAG_EXIF, _TAG_FOCAL_35MM = 0x8769, 0xA405
@@ -249,8 +249,8 @@ def main() -> None:
         found = newcomer(hands, options.shots)
         chromium.close()
     counts = ", ".join(f"{number} {kind}" for kind, number in hands.counts.items())
-    verdict = "met" if found["actions"] <= MOST_ACTIONS else "not met"
-    print(f"actions: {found['actions']} ({counts}); asked: at most {MOST_ACTIONS}: {verdict}")
+    verdict = "met" if found["actions"] <= MAX_ACTIONS else "not met"
+    print(f"actions: {found['actions']} ({counts}); asked: at most {MAX_ACTIONS}: {verdict}")
     print(f"from the drop to the verdict: {found['to the verdict, s']} s; to the file: {found['to the file, s']} s")
 
 

@@ -1,6 +1,6 @@
 """Stations registered to each other by their ranges: accuracy, false acceptance, loops, and a peer.
 
-Row `page_28m` is a panorama of 28 million cells in the page (benchmarks/panorama_page.py).
+Row `page_28m` is a panorama of 28 million cells in the page (benchmarks/page/panorama_page.py).
 
 Run it as `python -m benchmarks.panorama [--quick] [ROW ...]`. The rooms and seeds are kept aside: none was used for
 tuning.
@@ -16,18 +16,18 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.bars import Row, table
-from benchmarks.panorama_page import page_rows
-from ladarreg_core.arrays import FloatArray
+from benchmarks.page.panorama_page import page_rows
+from benchmarks.shared.bars import Row, table
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
+from ladarreg_core.registration.stations.network import adjusted
+from ladarreg_core.registration.stations.pair import prepare, register_pair
+from ladarreg_core.registration.stations.registration import register_scans
+from ladarreg_core.registration.stations.search import search
+from ladarreg_core.registration.stations.surfels import surfels_of
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.alike import alike_corridor, equal_rooms, symmetric_room
 from ladarreg_core.simulate.stations import scan_stations, station_room, upright_pose
-from ladarreg_core.stations.network import adjusted
-from ladarreg_core.stations.pair import prepare, register_pair
-from ladarreg_core.stations.registration import register_scans
-from ladarreg_core.stations.search import search
-from ladarreg_core.stations.surfels import surfels_of
 
 _SCENES = ("office", "boxes", "people", "desk", "plain")
 _FIRST_SEED = 7000

@@ -19,7 +19,7 @@ import numpy as np
 
 import ladarreg_core as lr
 from ladarreg_core.simulate.panorama import PanoramaCase, PanoramaOptions, WideLens, simulate_panorama
-from ladarreg_core.simulate.scenes import SCENES
+from ladarreg_core.simulate.worlds.scenes import SCENES
 
 _SCENES = tuple(SCENES)
 _WIDTH: dict[WideLens, int] = {"equirectangular": 4096, "fisheye": 2400}

@@ -162,7 +162,7 @@ def pump_cases(count: int) -> Iterator[Case]:
 
     import ladarreg_core as lr
     from ladarreg_core.frames import look_along, rotation_from_rotvec
-    from ladarreg_core.surface.render import render_scan_colors
+    from ladarreg_core.surface.visibility.render import render_scan_colors
 
     path = _data() / "pump" / "pumpAVisualReferenceImage.e57"
     if not path.is_file():
@@ -211,7 +211,7 @@ def dense_cases(count: int) -> Iterator[Case]:
 def real_cases(count: int) -> Iterator[Case]:
     """Real captures, from guesses that are 5 degrees and .3 m off; of the Kinect, from none."""
     import ladarreg_core as lr
-    from benchmarks.sparse_sets import off_by
+    from benchmarks.matching.sparse_sets import off_by
 
     captures = (
         ("kinect", "scan.json", "color_1.jpg"),

@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 
 import ladarreg_core as lr
-from benchmarks.matching_peers import THESIS, by_nid, by_sift, by_sift_on_gradients
+from benchmarks.matching.peers import THESIS, by_nid, by_sift, by_sift_on_gradients
 from ladarreg_core.camera import Camera
-from ladarreg_core.registration import RegisterOptions
+from ladarreg_core.registration.register import RegisterOptions
 from ladarreg_core.simulate import SimulatedCase
 
 

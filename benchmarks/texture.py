@@ -18,9 +18,9 @@ from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.surface.mesh import scan_mesh
-from ladarreg_core.surface.texture import texture_scan
-from ladarreg_core.surface.visibility import project_scan
+from ladarreg_core.surface.mesh.grid_mesh import scan_mesh
+from ladarreg_core.surface.texture.registered_texture import texture_scan
+from ladarreg_core.surface.visibility.visible_points import project_scan
 
 SIDE = 1000
 STEP_RAD = 0.0008

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.model_drawn import model_drawn
+from benchmarks.page.model_drawn import model_drawn
 from testing.workbench.served import Page, Served, many_clients, random_pick, served, with_camera_and_picks
 
 _MANY = 500

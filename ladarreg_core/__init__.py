@@ -10,7 +10,7 @@ import importlib
 import logging
 from typing import TYPE_CHECKING, Any
 
-from ladarreg_core.version import VERSION
+from ladarreg_core.foundations.version import VERSION
 
 if TYPE_CHECKING:
     from ladarreg_core import views as views
@@ -20,13 +20,12 @@ if TYPE_CHECKING:
     from ladarreg_core.camera import EquirectangularCamera as EquirectangularCamera
     from ladarreg_core.camera import FisheyeCamera as FisheyeCamera
     from ladarreg_core.camera import camera_from_json as camera_from_json
-    from ladarreg_core.comparison import compare as compare
     from ladarreg_core.errors import Cancelled as Cancelled
     from ladarreg_core.errors import LadarregError as LadarregError
-    from ladarreg_core.export.folder import export_registration as export_registration
+    from ladarreg_core.export.registered_scan import RegisteredPhoto as RegisteredPhoto
+    from ladarreg_core.export.registered_scan import RegisteredScan as RegisteredScan
+    from ladarreg_core.export.targets.folder import export_registration as export_registration
     from ladarreg_core.export.targets.pipeline import export_to as export_to
-    from ladarreg_core.export.targets.registered_scan import RegisteredPhoto as RegisteredPhoto
-    from ladarreg_core.export.targets.registered_scan import RegisteredScan as RegisteredScan
     from ladarreg_core.formats import read_camera as read_camera
     from ladarreg_core.formats import read_matches as read_matches
     from ladarreg_core.formats import read_photo as read_photo
@@ -35,45 +34,46 @@ if TYPE_CHECKING:
     from ladarreg_core.formats import read_scan as read_scan
     from ladarreg_core.frames import Rigid as Rigid
     from ladarreg_core.frames import ThesisParameters as ThesisParameters
-    from ladarreg_core.given import given_pose as given_pose
-    from ladarreg_core.given import verify_pose as verify_pose
+    from ladarreg_core.inspection.notebook.progress import NotebookProgress as NotebookProgress
     from ladarreg_core.matches import Matches as Matches
     from ladarreg_core.matches import Pick as Pick
     from ladarreg_core.matches import picks_of_arrays as picks_of_arrays
     from ladarreg_core.matching.auto import AutoOptions as AutoOptions
     from ladarreg_core.matching.image_check import ImageCheck as ImageCheck
     from ladarreg_core.matching.image_check import with_image_check as with_image_check
-    from ladarreg_core.matching.kept_channels import Channels as Channels
-    from ladarreg_core.notebook import NotebookProgress as NotebookProgress
+    from ladarreg_core.matching.images.kept_channels import Channels as Channels
+    from ladarreg_core.outputs.rig_folder import read_rig as read_rig
     from ladarreg_core.photo import Photo as Photo
     from ladarreg_core.pose.estimate import PoseOptions as PoseOptions
     from ladarreg_core.pose.estimate import estimate_pose as estimate_pose
     from ladarreg_core.progress import Progress as Progress
     from ladarreg_core.progress import Step as Step
-    from ladarreg_core.registration import RegisterOptions as RegisterOptions
     from ladarreg_core.registration import register as register
+    from ladarreg_core.registration.comparison import compare as compare
+    from ladarreg_core.registration.given import given_pose as given_pose
+    from ladarreg_core.registration.given import verify_pose as verify_pose
+    from ladarreg_core.registration.register import RegisterOptions as RegisterOptions
+    from ladarreg_core.registration.rig.options import RigOptions as RigOptions
+    from ladarreg_core.registration.rig.registration import register_rig as register_rig
+    from ladarreg_core.registration.rig.results import RigPair as RigPair
+    from ladarreg_core.registration.rig.results import RigResult as RigResult
+    from ladarreg_core.registration.stations.registration import register_scans as register_scans
+    from ladarreg_core.registration.stations.results import StationNetwork as StationNetwork
+    from ladarreg_core.registration.stations.results import StationPair as StationPair
     from ladarreg_core.results import ComparedBlocks as ComparedBlocks
     from ladarreg_core.results import PoseResult as PoseResult
     from ladarreg_core.results import Registration as Registration
-    from ladarreg_core.rig.options import RigOptions as RigOptions
-    from ladarreg_core.rig.registration import register_rig as register_rig
-    from ladarreg_core.rig.results import RigPair as RigPair
-    from ladarreg_core.rig.results import RigResult as RigResult
-    from ladarreg_core.rig_folder import read_rig as read_rig
     from ladarreg_core.scan import Scan as Scan
     from ladarreg_core.simulate import simulate_case as simulate_case
-    from ladarreg_core.stations.registration import register_scans as register_scans
-    from ladarreg_core.stations.results import StationNetwork as StationNetwork
-    from ladarreg_core.stations.results import StationPair as StationPair
     from ladarreg_core.surface.perspective import View as View
     from ladarreg_core.surface.perspective import perspective_view as perspective_view
-    from ladarreg_core.surface.photo_points import PhotoPoints as PhotoPoints
-    from ladarreg_core.surface.photo_points import PhotoPointsWithNormals as PhotoPointsWithNormals
-    from ladarreg_core.surface.photo_points import xyz_of_photo as xyz_of_photo
-    from ladarreg_core.surface.texture import Label as Label
-    from ladarreg_core.surface.texture import RegisteredTexture as RegisteredTexture
-    from ladarreg_core.surface.texture import intensity_picture as intensity_picture
-    from ladarreg_core.surface.texture import texture_scan as texture_scan
+    from ladarreg_core.surface.texture.photo_points import PhotoPoints as PhotoPoints
+    from ladarreg_core.surface.texture.photo_points import PhotoPointsWithNormals as PhotoPointsWithNormals
+    from ladarreg_core.surface.texture.photo_points import xyz_of_photo as xyz_of_photo
+    from ladarreg_core.surface.texture.registered_texture import Label as Label
+    from ladarreg_core.surface.texture.registered_texture import RegisteredTexture as RegisteredTexture
+    from ladarreg_core.surface.texture.registered_texture import intensity_picture as intensity_picture
+    from ladarreg_core.surface.texture.registered_texture import texture_scan as texture_scan
 
 __version__ = VERSION
 

@@ -19,8 +19,8 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.errors import DegenerateGeometryError, ShapeError
+from ladarreg_core.foundations.arrays import FloatArray, read_only
 
 CAMERA_AXES_FROM_SCANNER = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 """Rotation of a camera that looks along the scanner's X: x_camera = -Y, y_camera = -Z, z_camera = X."""
@@ -32,7 +32,7 @@ _STEREO_AXES = np.diag([-1.0, -1.0, 1.0])  # the thesis's stereo frame (x = -lam
 # where cores are shared; in blocks it stays in the processor's cache, with the same result to the bit.
 _BLOCK = 8192
 _ORTHONORMAL_TOLERANCE = 1e-3
-_LEAST_FROM_VERTICAL_DEG = 0.005
+_MIN_FROM_VERTICAL_DEG = 0.005
 _EYE = np.eye(3)
 
 
@@ -393,7 +393,7 @@ def describe_direction(direction: ArrayLike) -> str:
     x, y, z = np.asarray(direction, dtype=np.float64).reshape(3).tolist()
     level = float(np.hypot(x, y))
     pitch = float(np.degrees(np.arctan2(z, level)))
-    if 90 - abs(pitch) < _LEAST_FROM_VERTICAL_DEG:
+    if 90 - abs(pitch) < _MIN_FROM_VERTICAL_DEG:
         return "straight up" if pitch > 0 else "straight down"
     heading = round(float(np.degrees(np.arctan2(x, y))) % 360, 2) % 360
     return f"{heading:.2f} deg clockwise from the Y axis, {abs(pitch):.2f} deg {'down' if pitch < 0 else 'up'}"

@@ -10,9 +10,9 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import BoolArray, FloatArray, IntArray, read_only
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.validation import require_choice, require_positive
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray, read_only
+from ladarreg_core.foundations.validation import require_choice, require_positive
 
 PickKind = Literal["point", "line"]
 

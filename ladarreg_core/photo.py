@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ladarreg_core.arrays import ByteArray, FloatArray, read_only
 from ladarreg_core.camera import Camera, CameraModel, describe_in_short, require_camera, require_pinhole
 from ladarreg_core.errors import OptionError, ShapeError
-from ladarreg_core.source import Source
-from ladarreg_core.validation import require_number, require_positive
+from ladarreg_core.foundations.arrays import ByteArray, FloatArray, read_only
+from ladarreg_core.foundations.source import Source
+from ladarreg_core.foundations.validation import require_number, require_positive
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -157,7 +157,7 @@ class TimedPhoto:
 
 
 _USUAL_WHITE = {"u1": 255.0, "u2": 65535.0, "f": 1.0}
-_MOST_BEYOND = 0.5
+_MAX_BEYOND = 0.5
 
 
 def _eight_bit(pixels: ArrayLike, white: float | None, black: float) -> tuple[ByteArray, str | None]:
@@ -173,7 +173,7 @@ def _eight_bit(pixels: ArrayLike, white: float | None, black: float) -> tuple[By
     require_number(black, "black")
     if white is None:
         white = _USUAL_WHITE[kind]
-        if kind == "f" and np.mean(values > white) > _MOST_BEYOND:
+        if kind == "f" and np.mean(values > white) > _MAX_BEYOND:
             raise OptionError(
                 f"the pixels are floating point and reach {np.nanmax(values):g}, and it is not said which value is "
                 "white; give it as `white`, e.g. 255"

@@ -9,16 +9,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray, read_only
 from ladarreg_core.camera import CameraModel, camera_from_model_fields, require_pinhole
 from ladarreg_core.camera.uncertainty import CameraUncertainty, pose_jacobian
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.formatting import format_angle, format_length
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, read_only
+from ladarreg_core.foundations.formatting import format_angle, format_length
+from ladarreg_core.foundations.palette import BAD, OK, WARN
+from ladarreg_core.foundations.validation import require_number
 from ladarreg_core.frames import Rigid, ThesisParameters, describe_direction, describe_position, rotation_from_rotvec
 from ladarreg_core.matches import Matches, count_picks
-from ladarreg_core.palette import BAD, OK, WARN
 from ladarreg_core.progress import Step
-from ladarreg_core.validation import require_number
 
 Evidence = Literal["image", "statistics", "given", "none"]
 ThesisStage = Literal["linear", "constrained_linear", "simplex", "simplex_outliers_removed"]
@@ -53,8 +53,8 @@ STATED_OFFSET_SIGMA_RAD = float(np.radians(0.2))
 STATED_OFFSET_SIGMA_M = 0.005
 """Standard deviation assumed for the translation of an offset if none is given."""
 
-_MOST_ANGLE_RAD = float(np.radians(10.0))
-_MOST_POSITION_OF_RANGE = 0.5
+_MAX_ANGLE_RAD = float(np.radians(10.0))
+_MAX_POSITION_OF_RANGE = 0.5
 _USUAL_RANGE_M = 10.0
 
 
@@ -89,7 +89,7 @@ def is_determined(sigma_angle_rad: float, sigma_position_m: float, ranges_m: Flo
         ranges_m: (M,) ranges of the matches, m; the position is compared with their median.
     """
     reach = float(np.median(ranges_m)) if len(ranges_m) else _USUAL_RANGE_M
-    return sigma_angle_rad <= _MOST_ANGLE_RAD and sigma_position_m <= _MOST_POSITION_OF_RANGE * reach
+    return sigma_angle_rad <= _MAX_ANGLE_RAD and sigma_position_m <= _MAX_POSITION_OF_RANGE * reach
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -9,13 +9,13 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, read_only
 from ladarreg_core.errors import ShapeError
+from ladarreg_core.foundations.arrays import BoolArray, ByteArray, FloatArray, read_only
+from ladarreg_core.foundations.source import Source
+from ladarreg_core.foundations.validation import require_choice
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scanner.grid_window import GridWindow, grid_rays
 from ladarreg_core.scanner.grids import ScanGeometry
-from ladarreg_core.source import Source
-from ladarreg_core.validation import require_choice
 
 IntensityKind = Literal["raw", "range_normalised"]
 _SMALLEST_SIDE = 2

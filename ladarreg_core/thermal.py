@@ -7,9 +7,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import ShapeError
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.photo import Photo
 
 CENTIKELVIN_K = 0.01
@@ -22,7 +22,7 @@ _STEPS_K = (0.01, 0.1, 1.0)
 _POSSIBLE_K = (150.0, 3000.0)
 _SCALE_K, _GRAY_PER_UNIT = 0.5, 60.0
 _PLAUSIBLE_K = (220.0, 620.0)  # the range of uncooled cameras
-_MOST_SPREAD_K = 60.0
+_MAX_SPREAD_K = 60.0
 _CENTRE_GRAY, _SHOWN = 128.0, 0.5
 
 
@@ -92,7 +92,7 @@ def kelvin_of(values: NDArray[Any], unit: TemperatureUnit | None = None) -> NDAr
     if not low <= float(kelvin.min()) <= float(kelvin.max()) <= high:  # false if none is finite
         return None
     quarter, three_quarters = np.percentile(kelvin, (25, 75))
-    if three_quarters - quarter > _MOST_SPREAD_K:
+    if three_quarters - quarter > _MAX_SPREAD_K:
         return None
     return kelvin.astype(np.float32)
 

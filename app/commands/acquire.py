@@ -16,7 +16,7 @@ from ..progress_bar import progress_bar
 
 if TYPE_CHECKING:
     from ladarreg_core.acquisition.plan import Plan
-    from ladarreg_core.acquisition.runner import Run, RunEvent, StraysKept
+    from ladarreg_core.acquisition.runs.runner import Run, RunEvent, StraysKept
 
     from ..progress_bar import ProgressBar
     from ..stop_signals import StopSignals
@@ -69,9 +69,9 @@ def run(arguments: Arguments) -> ExitCode:
 
 
 def _acquire(plan: Plan, arguments: Arguments, out: Path) -> ExitCode:
-    from ladarreg_core.acquisition.connected import connected
-    from ladarreg_core.acquisition.run_folder import RunWriter
-    from ladarreg_core.shell_command import shell_command
+    from ladarreg_core.acquisition.runs.connected import connected
+    from ladarreg_core.acquisition.runs.run_folder import RunWriter
+    from ladarreg_core.foundations.shell_command import shell_command
 
     from ..stop_signals import StopSignals
 
@@ -104,7 +104,7 @@ def _acquire(plan: Plan, arguments: Arguments, out: Path) -> ExitCode:
 
 
 def _composed(out: Path, *, quiet: bool) -> ExitCode:
-    from ladarreg_core.panorama import add_to_run, compose
+    from ladarreg_core.acquisition.composition.panorama import add_to_run, compose
 
     with progress_bar(quiet=quiet) as bar:
         panorama = compose(out, report=bar.progress)
@@ -129,7 +129,15 @@ class _Watch:
 
     def see(self, event: RunEvent) -> None:
         """Show an event."""
-        from ladarreg_core.acquisition.runner import Compared, Ended, Paused, PieceKept, Repeated, Resumed, StraysKept
+        from ladarreg_core.acquisition.runs.runner import (
+            Compared,
+            Ended,
+            Paused,
+            PieceKept,
+            Repeated,
+            Resumed,
+            StraysKept,
+        )
         from ladarreg_core.progress import Progress
 
         if isinstance(event, PieceKept):
@@ -187,7 +195,7 @@ def _write_example(path: Path) -> ExitCode:
 
 
 def _described(plan: Plan) -> str:
-    from ladarreg_core.acquisition.stops import forecast
+    from ladarreg_core.acquisition.runs.stops import forecast
 
     ahead = forecast(plan)
     parts = [f"{plan.mode}, {ahead.stops:,} stops, {ahead.pieces:,} pieces"]

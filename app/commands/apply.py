@@ -36,12 +36,12 @@ class Arguments(PhotoArguments):
 
 def run(arguments: Arguments) -> ExitCode:
     """Read, colour and export with the given pose, and print what the images say of it."""
-    from ladarreg_core.export.folder import check_folder, export_registration
     from ladarreg_core.export.output_frame import OutputFrame
-    from ladarreg_core.formats.pose_file import read_initial
-    from ladarreg_core.given import given_pose
-    from ladarreg_core.manifest import visible_files
+    from ladarreg_core.export.targets.folder import check_folder, export_registration
+    from ladarreg_core.formats.documents.pose_file import read_initial
     from ladarreg_core.quality.assessment import assess
+    from ladarreg_core.registration.given import given_pose
+    from ladarreg_core.storage.manifest import visible_files
 
     started = time.perf_counter()
     arguments = with_photo_named(arguments)

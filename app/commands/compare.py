@@ -14,8 +14,8 @@ from ..messages import comparison_report, comparison_verdict
 from ..progress_bar import ProgressBar, progress_bar
 
 if TYPE_CHECKING:
-    from ladarreg_core.comparison import Comparison
     from ladarreg_core.photo import Photo
+    from ladarreg_core.registration.comparison import Comparison
     from ladarreg_core.scan import Scan
 
 EXAMPLES = (
@@ -31,8 +31,8 @@ class Arguments(RegisterArguments):
 
 def run(arguments: Arguments) -> ExitCode:
     """Read, register by every stage, export, and print the table."""
-    from ladarreg_core.export.comparison_table import default_of, verdict_of
-    from ladarreg_core.export.folder import check_folder
+    from ladarreg_core.export.comparison.table import default_of, verdict_of
+    from ladarreg_core.export.targets.folder import check_folder
 
     started = time.perf_counter()
     arguments = with_photo_named(arguments)
@@ -57,15 +57,15 @@ def run(arguments: Arguments) -> ExitCode:
 
 
 def _compare(arguments: Arguments, scan: Scan, photo: Photo, bar: ProgressBar) -> Comparison:
-    from ladarreg_core.comparison import compare
+    from ladarreg_core.registration.comparison import compare
 
     picks, initial = read_start(arguments, scan)
     return compare(scan, photo, picks=picks, initial=initial, options=register_options(arguments), report=bar.step)
 
 
 def _export(arguments: Arguments, comparison: Comparison, scan: Scan, photo: Photo, bar: ProgressBar) -> list[str]:
-    from ladarreg_core.export.comparison import export_comparison
-    from ladarreg_core.manifest import visible_files
+    from ladarreg_core.export.comparison.folder import export_comparison
+    from ladarreg_core.storage.manifest import visible_files
 
     export_comparison(
         arguments.out,

@@ -13,7 +13,7 @@ from ..exit_codes import ExitCode
 from ..messages import one_line
 
 if TYPE_CHECKING:
-    from ladarreg_core.acquisition.connected import FoundDevice
+    from ladarreg_core.acquisition.runs.connected import FoundDevice
 
 EXAMPLES = (
     "ladarreg devices",
@@ -37,7 +37,7 @@ class Arguments:
 def run(arguments: Arguments) -> ExitCode:
     """List the serial ports, or ask what stands at some."""
     if arguments.port:
-        from ladarreg_core.acquisition.connected import identified
+        from ladarreg_core.acquisition.runs.connected import identified
 
         found = [(port, identified(port)) for port in arguments.port]
         if arguments.json:
@@ -47,7 +47,7 @@ def run(arguments: Arguments) -> ExitCode:
                 print("\n".join(_lines(port, device)))
         return ExitCode.ACCEPTED
     from ladarreg_core.acquisition.serial_port import described_ports, why_shut
-    from ladarreg_core.shell_command import shell_command
+    from ladarreg_core.foundations.shell_command import shell_command
 
     ports = [(port, said, why_shut(port)) for port, said in described_ports()]
     if arguments.json:
@@ -78,7 +78,7 @@ def _lines(port: str, device: FoundDevice) -> list[str]:
 
 
 def _facts(device: FoundDevice) -> list[tuple[str, str]]:
-    from ladarreg_core.acquisition.devices import LineScannerIdentity, UnitIdentity
+    from ladarreg_core.acquisition.interfaces import LineScannerIdentity, UnitIdentity
 
     found = device.identity
     if isinstance(found, UnitIdentity):

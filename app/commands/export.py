@@ -17,12 +17,12 @@ from ..inputs import suit_heap, timed
 from ..progress_bar import ProgressBar, progress_bar
 
 if TYPE_CHECKING:
+    from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
     from ladarreg_core.export.targets.pipeline import Source
-    from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
     from ladarreg_core.export.targets.stations import StationScans
     from ladarreg_core.export.targets.target import Target
     from ladarreg_core.project.document import Document
-    from ladarreg_core.project.folder import ProjectFolder
+    from ladarreg_core.project.storage.folder import ProjectFolder
 
     from ..session.exported import Chosen
 
@@ -82,15 +82,15 @@ class Arguments(ScanArguments):
 def run(arguments: Arguments) -> ExitCode:
     """Open the results with their inputs, and write the targets."""
     from ladarreg_core.errors import OptionError
-    from ladarreg_core.export.folder import check_folder
+    from ladarreg_core.export.registered_scan import RegisteredScan
+    from ladarreg_core.export.targets.folder import check_folder
     from ladarreg_core.export.targets.pipeline import export_to
-    from ladarreg_core.export.targets.registered_scan import RegisteredScan
     from ladarreg_core.export.targets.registry import targets_of
     from ladarreg_core.export.targets.stations import StationScans
     from ladarreg_core.export.targets.target import ExportOptions
-    from ladarreg_core.project.folder import ProjectFolder, is_project
-    from ladarreg_core.saved_results import is_saved_result
-    from ladarreg_core.station_folder import is_station_folder
+    from ladarreg_core.outputs.saved_results import is_saved_result
+    from ladarreg_core.outputs.station_folder import is_station_folder
+    from ladarreg_core.project.storage.folder import ProjectFolder, is_project
 
     if arguments.list or arguments.to == _LIST:
         print(_table())
@@ -166,7 +166,7 @@ def _with_accepted_photos(arguments: Arguments) -> Arguments:
 def _of_stations(arguments: Arguments, folder: Path) -> StationScans:
     """Return the stations of a folder."""
     from ladarreg_core.errors import OptionError
-    from ladarreg_core.station_folder import read_station_folder
+    from ladarreg_core.outputs.station_folder import read_station_folder
 
     if len(arguments.results) > 1:
         raise OptionError("a folder of stations is exported by itself; for photos, give their results")
@@ -185,7 +185,7 @@ def _of_results(arguments: Arguments, targets: Sequence[Target], bar: ProgressBa
     """Return results on one scan, whose inputs are found by their names and hashes."""
     from ladarreg_core.errors import OptionError
     from ladarreg_core.export.targets.pipeline import require_shown
-    from ladarreg_core.saved_results import is_saved_result, read_saved_result, registered_scan
+    from ladarreg_core.outputs.saved_results import is_saved_result, read_saved_result, registered_scan
 
     for path in arguments.results:
         if not is_saved_result(path):

@@ -52,7 +52,7 @@ def run(arguments: Arguments) -> ExitCode:
     if file.is_dir() and (document := next(filter(Path.is_file, (file / name for name in _DOCUMENTS)), None)):
         file = document
     elif (file / "run.jsonl").is_file():
-        from ladarreg_core.panorama import describe_run
+        from ladarreg_core.acquisition.composition.panorama import describe_run
 
         return _print(describe_run(file), as_json=arguments.json)
     elif file.is_dir():

@@ -54,10 +54,10 @@ class Arguments:
 
 def run(arguments: Arguments) -> ExitCode:
     """Compose the pieces and write `scan.npz`, `panorama.json` and `provenance.png`."""
-    from ladarreg_core.export.folder import check_folder
-    from ladarreg_core.formats.panorama_info import panorama_lines
-    from ladarreg_core.manifest import visible_files
-    from ladarreg_core.panorama import compose, write_panorama
+    from ladarreg_core.acquisition.composition.panorama import compose, write_panorama
+    from ladarreg_core.export.targets.folder import check_folder
+    from ladarreg_core.formats.documents.panorama_info import panorama_lines
+    from ladarreg_core.storage.manifest import visible_files
 
     started = time.perf_counter()
     check_folder(arguments.out, force=arguments.force, inputs=[arguments.run])
@@ -83,6 +83,6 @@ def run(arguments: Arguments) -> ExitCode:
 def _mount(text: str | None) -> Rigid | None:
     if text is None:
         return None
-    from ladarreg_core.panorama import mount_of_text
+    from ladarreg_core.acquisition.composition.panorama import mount_of_text
 
     return mount_of_text(text)

@@ -89,10 +89,10 @@ def run(arguments: Arguments | RigArguments | PhotosArguments) -> ExitCode:
         return run_photos(arguments) if isinstance(arguments, PhotosArguments) else run_rig(arguments)
     import ladarreg_core as lr
     from ladarreg_core.camera import require_pinhole
-    from ladarreg_core.export.folder import check_folder, prepare_export
     from ladarreg_core.export.output_frame import OutputFrame
+    from ladarreg_core.export.targets.folder import check_folder, prepare_export
+    from ladarreg_core.foundations.parallel import OtherCore
     from ladarreg_core.quality.assessment import assess
-    from ladarreg_core.side_by_side import OtherCore
 
     started = time.perf_counter()
     arguments = with_photo_named(arguments)
@@ -157,8 +157,8 @@ def _register(arguments: Arguments, scan: Scan, photo: Photo, bar: ProgressBar) 
     import ladarreg_core as lr
 
     if arguments.carry and arguments.offset:
-        from ladarreg_core.carry import carry_over
-        from ladarreg_core.formats.registration_file import read_offset, read_registration
+        from ladarreg_core.formats.documents.registration_file import read_offset, read_registration
+        from ladarreg_core.registration.carry import carry_over
 
         first = read_registration(
             arguments.carry, option="register that photo again, or give the file as it was written"
@@ -199,8 +199,8 @@ def _export(
     assessment: Assessment,
     smoothed: SmoothedScan | None,
 ) -> list[str]:
-    from ladarreg_core.export.folder import export_registration
-    from ladarreg_core.manifest import visible_files
+    from ladarreg_core.export.targets.folder import export_registration
+    from ladarreg_core.storage.manifest import visible_files
 
     export_registration(
         arguments.out,

@@ -50,7 +50,7 @@ class Arguments(ScanArguments):
 def run(arguments: Arguments) -> ExitCode:
     """Write the report of a registration, accepted or not, and print its path."""
     from ladarreg_core.errors import OptionError
-    from ladarreg_core.project.folder import is_project
+    from ladarreg_core.project.storage.folder import is_project
 
     source = arguments.source
     if not source.is_dir():
@@ -70,12 +70,12 @@ def run(arguments: Arguments) -> ExitCode:
 
 def _of_results(arguments: Arguments, bar: ProgressBar) -> Path:
     """Write the report of a folder of results, whose inputs are found by their names and hashes."""
-    from ladarreg_core.atomic_write import replaced_file
     from ladarreg_core.errors import FormatError, OptionError
-    from ladarreg_core.export.replacement import REPORT_FILE
-    from ladarreg_core.export.report import write_report
-    from ladarreg_core.manifest import update_manifest
-    from ladarreg_core.saved_results import read_saved_result
+    from ladarreg_core.export.report.page import write_report
+    from ladarreg_core.outputs.saved_results import read_saved_result
+    from ladarreg_core.storage.atomic_write import replaced_file
+    from ladarreg_core.storage.manifest import update_manifest
+    from ladarreg_core.storage.replacement import REPORT_FILE
 
     folder = arguments.source
     if arguments.photo is not None:
@@ -99,7 +99,7 @@ def _of_results(arguments: Arguments, bar: ProgressBar) -> Path:
 def _of_project(arguments: Arguments, bar: ProgressBar) -> Path:
     """Write the report of the shown pose of a project's photo."""
     from ladarreg_core.errors import OptionError
-    from ladarreg_core.project.folder import ProjectFolder
+    from ladarreg_core.project.storage.folder import ProjectFolder
 
     from ..session.exported import exported_pose
     from ..session.loader import Loader
@@ -150,8 +150,8 @@ def _target(arguments: Arguments, own: Path) -> Path:
         ExportError: if it is not a report as the program wrote it.
     """
     from ladarreg_core.errors import OptionError
-    from ladarreg_core.export.replacement import require_own_report
-    from ladarreg_core.manifest import MANIFEST_FILE
+    from ladarreg_core.storage.manifest import MANIFEST_FILE
+    from ladarreg_core.storage.replacement import require_own_report
 
     out = own if arguments.out is None else arguments.out
     if not out.parent.is_dir():

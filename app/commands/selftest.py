@@ -50,8 +50,8 @@ class Arguments(ScanArguments):
 def run(arguments: Arguments) -> ExitCode:
     """Register photos rendered from the scan and print the expectation; exit code 3 if a wrong pose was accepted."""
     import ladarreg_core as lr
-    from ladarreg_core.self_test.report import self_test
-    from ladarreg_core.self_test.trials import SelfTestOptions
+    from ladarreg_core.registration.self_test.report import self_test
+    from ladarreg_core.registration.self_test.trials import SelfTestOptions
 
     options = SelfTestOptions(
         photos=arguments.photos,
@@ -77,6 +77,6 @@ def run(arguments: Arguments) -> ExitCode:
 
 def _camera(path: Path) -> Camera:
     from ladarreg_core.camera import require_pinhole
-    from ladarreg_core.formats.camera_file import read_camera
+    from ladarreg_core.formats.cameras.camera_file import read_camera
 
     return require_pinhole(read_camera(path), "The self-test")

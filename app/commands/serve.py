@@ -116,7 +116,7 @@ def _reading(arguments: Arguments) -> Reading:
         OptionError: if an option has no meaning, or a file does not exist.
     """
     from ladarreg_core.errors import OptionError
-    from ladarreg_core.formats.scan_request import ScanOptions
+    from ladarreg_core.formats.scans.scan_request import ScanOptions
 
     from ..workbench.given_files import Reading
 

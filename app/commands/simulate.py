@@ -53,8 +53,8 @@ class Arguments:
 
 def run(arguments: Arguments) -> ExitCode:
     """Simulate and write `scan.npz` (or `scan.raw` and `scan.json`), `photo.png`, `camera.json` and `truth.json`."""
-    from ladarreg_core.export.folder import check_folder, write_folder
-    from ladarreg_core.manifest import visible_files
+    from ladarreg_core.export.targets.folder import check_folder, write_folder
+    from ladarreg_core.storage.manifest import visible_files
 
     check_folder(arguments.out, force=arguments.force)  # before the simulation, which takes time
     files = _files(arguments)

@@ -23,8 +23,8 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.types import Receive, Scope, Send
 
-from ladarreg_core.atomic_write import move_file
 from ladarreg_core.errors import LadarregError, OptionError
+from ladarreg_core.storage.atomic_write import move_file
 
 from ..argument_names import as_fields
 from .document_socket import ClientRegistry

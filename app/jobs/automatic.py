@@ -32,7 +32,7 @@ PAUSE_S = 0.3
 """From the last edit to the start."""
 IDLE: dict[str, Any] = {"busy": False, "sentence": ""}
 """The state while nothing is solved."""
-_LEAST_POINTS = 4
+_MIN_POINTS = 4
 _DRAWN = ("manual", "file")
 _RETRY_S = 0.1
 
@@ -156,7 +156,7 @@ class AutomaticSolver:
         settings, pose = session.document.settings, entry.pose
         enabled = [pick for pick in entry.picks if pick.on]
         points = sum(len(pick.photo) for pick in enabled)
-        if not settings.solve_automatically or points < _LEAST_POINTS or len(enabled) > settings.solve_up_to:
+        if not settings.solve_automatically or points < _MIN_POINTS or len(enabled) > settings.solve_up_to:
             return False
         if session.history.redone is not None:
             return False  # its commit would discard what can be redone

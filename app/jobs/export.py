@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from ladarreg_core.atomic_write import write_bytes
 from ladarreg_core.errors import ExportError, OptionError
 from ladarreg_core.project.edits import require_photo
 from ladarreg_core.project.station_edits import scans_of
+from ladarreg_core.storage.atomic_write import write_bytes
 
 from ..session.exported import Chosen, chosen_photos, exported_pose, project_sources, stations_fault
 from .inputs import Workspace
@@ -126,7 +126,7 @@ class ExportJobs:
         from ladarreg_core.export.targets.pipeline import export_files, export_to
         from ladarreg_core.export.targets.registry import targets_of
         from ladarreg_core.export.targets.stations import StationScans
-        from ladarreg_core.export.zip_file import write_zip
+        from ladarreg_core.export.targets.zip_file import write_zip
 
         targets, document, options = targets_of(wanted.targets), self._workspace.session.document, wanted.options
         names = list(dict.fromkeys(wanted.targets))
@@ -219,7 +219,7 @@ class ExportJobs:
         Raises:
             LadarregError: naming the reason.
         """
-        from ladarreg_core.export.folder import check_folder
+        from ladarreg_core.export.targets.folder import check_folder
 
         if not folder.is_absolute():
             raise OptionError(f"{folder} is not an absolute path; give one")
@@ -232,8 +232,8 @@ class ExportJobs:
 
     def _refusals(self, document: Document, wanted: Wanted) -> dict[str, str | None]:
         """Return why each target cannot be written; None for those that can."""
+        from ladarreg_core.export.registered_scan import RegisteredScan
         from ladarreg_core.export.targets.pipeline import refusal
-        from ladarreg_core.export.targets.registered_scan import RegisteredScan
         from ladarreg_core.export.targets.registry import TARGETS
         from ladarreg_core.export.targets.stations import StationScans
 

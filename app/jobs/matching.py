@@ -17,8 +17,8 @@ from .runner import JobContext
 
 if TYPE_CHECKING:
     from ladarreg_core.matches import Pick
-    from ladarreg_core.matching.thesis.matcher import FoundMatches, ThesisSearch
     from ladarreg_core.project.document import PhotoEntry
+    from ladarreg_core.thesis.matching.matcher import FoundMatches, ThesisSearch
 
 CORNER, BETWEEN = "corner", "between corners"
 """Origins of picks."""
@@ -153,7 +153,7 @@ class MatchingJobs:
         known = self._searches.get(inputs.entry.id)
         if known is not None and known.key == key:
             return known
-        from ladarreg_core.matching.thesis.chain import thesis_search
+        from ladarreg_core.thesis.matching.chain import thesis_search
 
         context.job.message = "finding corners"
         found = thesis_search(inputs.scan, inputs.photo, inputs.settings.match_options, report=context.step)

@@ -71,7 +71,7 @@ class RegistrationJobs:
 
     def compare(self, inputs: Inputs, context: JobContext) -> str:
         """Register by every stage of the thesis and by the default method, on the same inputs."""
-        from ladarreg_core.comparison import compare
+        from ladarreg_core.registration.comparison import compare
 
         picks = inputs.picks or None
         found = compare(
@@ -108,8 +108,8 @@ class RegistrationJobs:
 
     def self_test(self, inputs: Inputs, context: JobContext) -> str:
         """Estimate how well the scan and the camera will register, on photos rendered from the scan."""
-        from ladarreg_core.self_test.report import SelfTest
-        from ladarreg_core.self_test.trials import run_trials
+        from ladarreg_core.registration.self_test.report import SelfTest
+        from ladarreg_core.registration.self_test.trials import run_trials
 
         trials = []
         for trial in run_trials(inputs.scan, inputs.photo.pinhole, report=context.progress):

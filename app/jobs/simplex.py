@@ -17,8 +17,8 @@ from .solve import SolveJobs
 if TYPE_CHECKING:
     from ladarreg_core.frames import Rigid
     from ladarreg_core.matches import Matches
-    from ladarreg_core.pose.thesis.stereo_simplex import DescentStep, SimplexFit
     from ladarreg_core.results import PoseResult
+    from ladarreg_core.thesis.estimators.stereo_simplex import DescentStep, SimplexFit
 
 _SHOW_EVERY_S = 1 / 20
 _LONGEST_DEBT_S = 0.2
@@ -63,7 +63,7 @@ class SimplexJobs:
         from ladarreg_core.pose.assumed_camera import with_assumed_camera
         from ladarreg_core.pose.estimate import STATED_SIGMA_PX
         from ladarreg_core.pose.simplex_result import build_simplex_result
-        from ladarreg_core.pose.thesis.stereo_simplex import descend
+        from ladarreg_core.thesis.estimators.stereo_simplex import descend
 
         begun = time.perf_counter()
         matches = inputs.matches()
@@ -121,7 +121,7 @@ class SimplexJobs:
         self, steps: Generator[DescentStep, None, SimplexFit], inputs: Inputs, matches: Matches, context: JobContext
     ) -> SimplexFit:
         """Iterate to the end or until stopped; show iterations at a limited rate, and always the last one."""
-        from ladarreg_core.pose.thesis.stereo_simplex import stopped_at
+        from ladarreg_core.thesis.estimators.stereo_simplex import stopped_at
 
         shown = due = time.monotonic()
         last: DescentStep | None = None

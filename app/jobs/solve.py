@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ladarreg_core.matching.image_check import Proposal
     from ladarreg_core.progress import StepReport
     from ladarreg_core.project.document import PhotoEntry
-    from ladarreg_core.registration import MatchesRegistered
+    from ladarreg_core.registration.register import MatchesRegistered
     from ladarreg_core.results import PoseResult, StageId
 
 FROM_IMAGES = ("refined", "auto", "carried")
@@ -100,7 +100,7 @@ class SolveJobs:
 
     def solved(self, inputs: Inputs, report: StepReport) -> MatchesRegistered:
         """Return the solution of the matches, and the pose that the images verify."""
-        from ladarreg_core.registration import register_matches
+        from ladarreg_core.registration.register import register_matches
 
         _ = inputs.matches()  # raises if matches are missing
         pose = inputs.entry.pose

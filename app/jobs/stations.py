@@ -20,8 +20,8 @@ from .inputs import Workspace
 from .runner import JobContext
 
 if TYPE_CHECKING:
+    from ladarreg_core.registration.stations.registration import PoseUse
     from ladarreg_core.scan import Scan
-    from ladarreg_core.stations.registration import PoseUse
 
 
 class StationJobs:

@@ -1,7 +1,7 @@
 """The 3-D scene in viser: the cameras, the matches and the moving simplex of each client, drawn by one thread."""
 
 from .person import Person
-from .picks_layer import Picks, residual_colours
+from .picks_layer import Picks, residual_colors
 from .scene import Scene3D, Shown
 from .simplex_frame import SimplexFrame
 from .stations_layer import StationShown

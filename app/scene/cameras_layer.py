@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ladarreg_core.export.viser_colors import line_colours_for_viewer
+from ladarreg_core.export.models.viser_colors import line_colors_for_viewer
+from ladarreg_core.foundations.palette import ACCENT, OTHER_CAMERA, REFUSED, SCANNER
 from ladarreg_core.inspection.model_textures import small_picture, view_picture
 from ladarreg_core.inspection.scene_geometry import camera_outline, dashed, for_both_ends, repeated
 from ladarreg_core.inspection.viewpoints import field_of_view
-from ladarreg_core.palette import ACCENT, OTHER_CAMERA, REFUSED, SCANNER
-from ladarreg_core.surface.texture import intensity_picture
+from ladarreg_core.surface.texture.registered_texture import intensity_picture
 
 if TYPE_CHECKING:
     import viser
 
-    from ladarreg_core.arrays import ByteArray
     from ladarreg_core.camera import CameraModel
+    from ladarreg_core.foundations.arrays import ByteArray
+    from ladarreg_core.foundations.palette import Color
     from ladarreg_core.frames import Rigid
-    from ladarreg_core.palette import Colour
 
     from .place import Place
     from .subject import CameraShown, Subject
@@ -110,10 +110,10 @@ class CamerasLayer:
             self._camera.append(add_camera(self._place, "/camera", camera, pose, ACCENT, depth, picture=picture))
             return
         lines = dashed(camera_outline(camera, pose, depth_m=depth), dashes=_DASHES)
-        colours = line_colours_for_viewer(for_both_ends(repeated(REFUSED, len(lines))))
+        colors = line_colors_for_viewer(for_both_ends(repeated(REFUSED, len(lines))))
         scene = self._place.scene
         self._camera.append(
-            scene.add_line_segments("/camera", points=lines, colors=colours, thickness=1.5, thickness_units="screen")
+            scene.add_line_segments("/camera", points=lines, colors=colors, thickness=1.5, thickness_units="screen")
         )
         label = f"{subject.name}: {NOT_ACCEPTED}" if subject.name else NOT_ACCEPTED
         self._camera.append(
@@ -126,7 +126,7 @@ def add_camera(
     name: str,
     camera: CameraModel,
     pose: Rigid,
-    colour: Colour,
+    color: Color,
     depth_m: float,
     *,
     picture: ByteArray | None = None,
@@ -142,7 +142,7 @@ def add_camera(
         scale=1.0,
         thickness=thickness,
         thickness_units="screen",
-        color=tuple(line_colours_for_viewer(colour).tolist()),
+        color=tuple(line_colors_for_viewer(color).tolist()),
         image=picture,
         format="jpeg",
         jpeg_quality=_JPEG_QUALITY,

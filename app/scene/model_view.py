@@ -9,7 +9,7 @@ from typing import Any
 from ladarreg_core.errors import OptionError
 from ladarreg_core.inspection.model_textures import usable_texture
 
-_MOST_HIDDEN = 100
+_MAX_HIDDEN = 100
 DETAILS = ("coarse", "standard", "dense")
 
 
@@ -42,7 +42,7 @@ class ModelChoice:
         """
         known = asdict(self)
         hidden = wanted.get("hidden_stations")
-        if isinstance(hidden, list) and len(hidden) <= _MOST_HIDDEN and all(isinstance(name, str) for name in hidden):
+        if isinstance(hidden, list) and len(hidden) <= _MAX_HIDDEN and all(isinstance(name, str) for name in hidden):
             wanted = {**wanted, "hidden_stations": tuple(hidden)}
         for name, value in wanted.items():
             if name not in known or type(value) is not type(known[name]):

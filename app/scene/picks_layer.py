@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ladarreg_core.export.viser_colors import line_colours_for_viewer
+from ladarreg_core.export.models.viser_colors import line_colors_for_viewer
+from ladarreg_core.foundations.palette import BACKGROUND, HIGHLIGHT, MATCHES, UNKNOWN, ramp_colors
 from ladarreg_core.inspection.scene_geometry import Marks, for_both_ends, marks_of_result, rays_to, repeated, spread
-from ladarreg_core.palette import BACKGROUND, HIGHLIGHT, MATCHES, UNKNOWN, ramp_colours
 
 if TYPE_CHECKING:
     import viser
     from numpy.typing import ArrayLike
 
-    from ladarreg_core.arrays import ByteArray, FloatArray
+    from ladarreg_core.foundations.arrays import ByteArray, FloatArray
     from ladarreg_core.results import PoseResult
 
     from .model_view import ModelChoice
@@ -29,7 +29,7 @@ _OFFSET = 2.0
 """Distance in front of the surface, in point sizes: a marker on the surface would be half hidden in it."""
 _MAX_RAYS, _MAX_RESULT_MATCHES = 24, 16
 _OFF_SHARE, _RAY_SHARE = 0.65, 0.5
-_LEAST_RESIDUAL_PX = 1.0
+_MIN_RESIDUAL_PX = 1.0
 """The scale of the residuals ends here at least: smaller ones are all good."""
 
 
@@ -47,7 +47,7 @@ class Picks:
     @staticmethod
     def of(
         points: ArrayLike,
-        colours: ArrayLike,
+        colors: ArrayLike,
         on: ArrayLike,
         ids: Sequence[str],
         *,
@@ -62,13 +62,13 @@ class Picks:
             ids: pick id of each point; several points may share one.
             by_residual: (N, 3) uint8 RGB; None: there are no residuals.
         """
-        marks = Marks.of(points, colours, on)
-        shades = np.asarray(colours if by_residual is None else by_residual, dtype=np.uint8).reshape(-1, 3)
+        marks = Marks.of(points, colors, on)
+        shades = np.asarray(colors if by_residual is None else by_residual, dtype=np.uint8).reshape(-1, 3)
         return Picks(marks, tuple(ids[k] for k in marks.given), shades[marks.given])
 
-    def with_colours(self, *, of_residuals: bool) -> Picks:
+    def with_colors(self, *, of_residuals: bool) -> Picks:
         """Return the picks with the colours of their residuals instead of those of their numbers."""
-        return replace(self, marks=replace(self.marks, colours=self.by_residual)) if of_residuals else self
+        return replace(self, marks=replace(self.marks, colors=self.by_residual)) if of_residuals else self
 
 
 class PicksLayer:
@@ -99,7 +99,7 @@ class PicksLayer:
             picks = _picks_of_result(accepted)
         if picks is None or not picks.ids:
             return
-        self._shown, self._range_m = picks.with_colours(of_residuals=choice.residuals), subject.shown.range_m
+        self._shown, self._range_m = picks.with_colors(of_residuals=choice.residuals), subject.shown.range_m
         self._centres = (subject.scanner_centre,)
         if accepted is not None:
             self._centres += (accepted.camera_from_scanner.centre,)
@@ -120,16 +120,16 @@ class PicksLayer:
         if not len(marks):
             return
         lines = rays_to(marks.points, self._centres)
-        colours = line_colours_for_viewer(for_both_ends(repeated(HIGHLIGHT, len(lines))))
+        colors = line_colors_for_viewer(for_both_ends(repeated(HIGHLIGHT, len(lines))))
         scene = self._place.scene
         self._marked.append(
             scene.add_line_segments(
-                "/highlight/rays", points=lines, colors=colours, thickness=2.2, thickness_units="screen"
+                "/highlight/rays", points=lines, colors=colors, thickness=2.2, thickness_units="screen"
             )
         )
         for name, shade, size in (
             ("halo", repeated(HIGHLIGHT, len(marks)), _HALO),
-            ("point", marks.colours, _HIGHLIGHTED),
+            ("point", marks.colors, _HIGHLIGHTED),
         ):
             self._marked.append(self._add_points(f"/highlight/{name}", marks, shade, size))
 
@@ -155,10 +155,10 @@ class PicksLayer:
         marks = picks.marks.at(spread(len(picks.marks), _MAX_RAYS))
         for name, centre in zip(("scanner", "camera"), self._centres, strict=False):
             lines = rays_to(marks.points, (centre,))
-            colours = line_colours_for_viewer(for_both_ends(marks.dimmed(BACKGROUND, on=_RAY_SHARE, off=_OFF_SHARE)))
+            colors = line_colors_for_viewer(for_both_ends(marks.dimmed(BACKGROUND, on=_RAY_SHARE, off=_OFF_SHARE)))
             self._nodes.append(
                 self._place.scene.add_line_segments(
-                    f"/matches/{name}_rays", points=lines, colors=colours, thickness=1.0, thickness_units="screen"
+                    f"/matches/{name}_rays", points=lines, colors=colors, thickness=1.0, thickness_units="screen"
                 )
             )
 
@@ -170,12 +170,12 @@ class PicksLayer:
     def _point_size(self) -> float:
         return _POINT_SIZE_PER_RANGE * self._range_m
 
-    def _add_points(self, name: str, marks: Marks, colours: ArrayLike, size: float) -> viser.PointCloudHandle:
+    def _add_points(self, name: str, marks: Marks, colors: ArrayLike, size: float) -> viser.PointCloudHandle:
         # Of two markers at one position the smaller is nearer to the viewer.
         return self._place.scene.add_point_cloud(
             name,
             marks.before((_OFFSET + _HALO - size) * self._point_size),
-            colours,  # type: ignore[arg-type]
+            colors,  # type: ignore[arg-type]
             point_size=size * self._point_size,
             point_shape="circle",
             point_shading="flat",
@@ -186,14 +186,14 @@ class PicksLayer:
 def _picks_of_result(result: PoseResult) -> Picks:
     marks = marks_of_result(result, MATCHES, most=_MAX_RESULT_MATCHES)
     residuals = np.linalg.norm(result.residuals_px, axis=-1)[marks.given]
-    return Picks(marks, tuple(result.matches.pick_ids[k] for k in marks.given), residual_colours(residuals))
+    return Picks(marks, tuple(result.matches.pick_ids[k] for k in marks.given), residual_colors(residuals))
 
 
-def residual_colours(residuals_px: ArrayLike) -> ByteArray:
+def residual_colors(residuals_px: ArrayLike) -> ByteArray:
     """Return the colours (N, 3) of residuals (N,), px: from small to the largest, gray where there is none."""
     values = np.asarray(residuals_px, dtype=np.float64).reshape(-1)
     known = np.isfinite(values)
-    most = max(float(values[known].max(initial=0.0)), _LEAST_RESIDUAL_PX)
-    colours = np.array(ramp_colours((np.where(known, values, 0) / most).astype(np.float32)))
-    colours[~known] = UNKNOWN
-    return colours
+    most = max(float(values[known].max(initial=0.0)), _MIN_RESIDUAL_PX)
+    colors = np.array(ramp_colors((np.where(known, values, 0) / most).astype(np.float32)))
+    colors[~known] = UNKNOWN
+    return colors

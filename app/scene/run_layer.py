@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     import viser
     from numpy.typing import NDArray
 
-    from ladarreg_core.arrays import ByteArray
+    from ladarreg_core.foundations.arrays import ByteArray
 
     from .place import Place
 

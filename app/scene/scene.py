@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ladarreg_core.export.glb import glb_bytes
+from ladarreg_core.export.models.glb import glb_bytes
+from ladarreg_core.foundations.palette import BACKGROUND
 from ladarreg_core.inspection.model_textures import uniform_picture
 from ladarreg_core.inspection.viewpoints import overview_of_points
-from ladarreg_core.palette import BACKGROUND
-from ladarreg_core.surface.mesh import Mesh
+from ladarreg_core.surface.mesh.grid_mesh import Mesh
 
 from .client_view import ClientView, SimplexShown
 from .draw_queue import DrawQueue
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import viser
     from numpy.typing import NDArray
 
-    from ladarreg_core.arrays import ByteArray
+    from ladarreg_core.foundations.arrays import ByteArray
     from ladarreg_core.frames import Rigid
     from ladarreg_core.inspection.viewpoints import Viewpoint
 

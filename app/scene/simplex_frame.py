@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ladarreg_core.frames import Rigid, ThesisParameters
-from ladarreg_core.pose.thesis.stereo import pose_of
+from ladarreg_core.thesis.estimators.stereo import pose_of
 
 if TYPE_CHECKING:
-    from ladarreg_core.pose.thesis.stereo_simplex import DescentStep
+    from ladarreg_core.thesis.estimators.stereo_simplex import DescentStep
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ladarreg_core.export.viser_colors import line_colours_for_viewer
+from ladarreg_core.export.models.viser_colors import line_colors_for_viewer
+from ladarreg_core.foundations.palette import ACCENT, BACKGROUND, REFUSED
 from ladarreg_core.inspection.scene_geometry import (
     camera_outline,
     camera_outlines,
@@ -13,17 +14,16 @@ from ladarreg_core.inspection.scene_geometry import (
     for_both_ends,
     repeated,
 )
-from ladarreg_core.palette import ACCENT, BACKGROUND, REFUSED
 
 from .cameras_layer import add_camera, viser_pose
 
 if TYPE_CHECKING:
     import viser
 
-    from ladarreg_core.arrays import FloatArray
     from ladarreg_core.camera import CameraModel
+    from ladarreg_core.foundations.arrays import FloatArray
+    from ladarreg_core.foundations.palette import Color
     from ladarreg_core.frames import Rigid
-    from ladarreg_core.palette import Colour
 
     from .place import Place
     from .simplex_frame import SimplexFrame
@@ -85,8 +85,8 @@ class SimplexLayer:
         placement = viser_pose(pose)
         frustum.wxyz, frustum.position = placement["wxyz"], placement["position"]
 
-    def _lines(self, name: str, lines: FloatArray, colour: Colour, thickness: float) -> viser.LineSegmentsHandle:
-        shades = line_colours_for_viewer(for_both_ends(repeated(colour, len(lines))))
+    def _lines(self, name: str, lines: FloatArray, color: Color, thickness: float) -> viser.LineSegmentsHandle:
+        shades = line_colors_for_viewer(for_both_ends(repeated(color, len(lines))))
         return self._place.scene.add_line_segments(
             name,
             points=lines,

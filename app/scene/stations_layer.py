@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     import viser
     from numpy.typing import NDArray
 
+    from ladarreg_core.foundations.palette import Color
     from ladarreg_core.frames import Rigid
-    from ladarreg_core.palette import Colour
 
     from .place import Place
 
@@ -30,7 +30,7 @@ class StationShown:
     """(N, 3) m, frame of its scanner."""
     shown_from_station: Rigid
     """Its pose in the frame of the scan that is shown."""
-    colour: Colour
+    color: Color
     """Its colour."""
 
 
@@ -39,7 +39,7 @@ class StationsLayer:
 
     def __init__(self, place: Place) -> None:
         self._place = place
-        self._nodes: dict[str, tuple[NDArray[np.float32], Colour, viser.PointCloudHandle]] = {}
+        self._nodes: dict[str, tuple[NDArray[np.float32], Color, viser.PointCloudHandle]] = {}
 
     def draw(self, stations: Sequence[StationShown], *, hidden: Collection[str]) -> None:
         """Draw the stations, those that are hidden invisible."""
@@ -47,8 +47,8 @@ class StationsLayer:
             self._nodes.pop(name)[2].remove()
         for station in stations:
             known = self._nodes.get(station.id)
-            if known is None or not np.array_equal(known[0], station.points) or known[1] != station.colour:
-                known = self._nodes[station.id] = station.points, station.colour, self._node(station)
+            if known is None or not np.array_equal(known[0], station.points) or known[1] != station.color:
+                known = self._nodes[station.id] = station.points, station.color, self._node(station)
             node = known[2]
             with self._place.atomic():
                 node.wxyz = station.shown_from_station.quaternion_wxyz
@@ -59,7 +59,7 @@ class StationsLayer:
         return self._place.scene.add_point_cloud(
             f"/stations/{station.id}",
             points=station.points,
-            colors=np.repeat(np.array([station.colour], np.uint8), len(station.points), axis=0),
+            colors=np.repeat(np.array([station.color], np.uint8), len(station.points), axis=0),
             point_size=_SIZE_PER_RANGE * float(np.median(np.linalg.norm(station.points, axis=1))),
             point_shading="flat",
         )

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-from ladarreg_core.arrays import ByteArray, FloatArray
 from ladarreg_core.camera import Camera, CameraModel, axial_pinhole
+from ladarreg_core.foundations.arrays import ByteArray, FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.inspection.viewpoints import (
     Viewpoint,

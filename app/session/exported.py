@@ -16,14 +16,14 @@ from .loader import Loader
 
 if TYPE_CHECKING:
     from ladarreg_core.export.output_frame import FrameName
+    from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
     from ladarreg_core.export.targets.pipeline import Source as ExportSource
-    from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
     from ladarreg_core.export.targets.stations import StationScans
     from ladarreg_core.export.targets.target import Target
     from ladarreg_core.matches import Pick
     from ladarreg_core.photo import Photo
     from ladarreg_core.project.document import Document, PhotoEntry, Source, Survey
-    from ladarreg_core.project.folder import ProjectFolder
+    from ladarreg_core.project.storage.folder import ProjectFolder
     from ladarreg_core.quality.assessment import Assessment
     from ladarreg_core.results import Registration
     from ladarreg_core.scan import Scan
@@ -66,8 +66,8 @@ class ExportedPose:
         Raises:
             LadarregError: if an input cannot be read again, or the file cannot be written.
         """
-        from ladarreg_core.atomic_write import replaced_file
-        from ladarreg_core.export.report import write_report
+        from ladarreg_core.export.report.page import write_report
+        from ladarreg_core.storage.atomic_write import replaced_file
 
         document = self.document()
         with replaced_file(path) as new:
@@ -210,7 +210,7 @@ def project_sources(
         OptionError: if there is no scan, or the frame is `world` and the scan does not state where it stands.
         LadarregError: if a file can no longer be read.
     """
-    from ladarreg_core.export.targets.registered_scan import RegisteredScan
+    from ladarreg_core.export.registered_scan import RegisteredScan
     from ladarreg_core.export.targets.stations import StationScans
 
     found: list[ExportSource] = []
@@ -240,7 +240,7 @@ def _registered_scan(
     report: Report | None,
 ) -> RegisteredScan:
     from ladarreg_core.export.output_frame import OutputFrame
-    from ladarreg_core.export.targets.registered_scan import RegisteredScan, photo_id
+    from ladarreg_core.export.registered_scan import RegisteredScan, photo_id
 
     scan = loader.scan(document)
     if document.scan is None or scan is None:
@@ -276,7 +276,7 @@ def _photo(
     name: str,
     written_into: Path | None,
 ) -> RegisteredPhoto:
-    from ladarreg_core.export.targets.registered_scan import RegisteredPhoto
+    from ladarreg_core.export.registered_scan import RegisteredPhoto
 
     pose, camera = entry.pose, entry.camera.file
     assert pose is not None, "it is among those with a pose"
@@ -295,7 +295,7 @@ def _photo(
 
 def _station_scans(loader: Loader, folder: ProjectFolder, document: Document) -> StationScans:
     from ladarreg_core.export.targets.stations import StationScans
-    from ladarreg_core.station_folder import stations_document
+    from ladarreg_core.outputs.station_folder import stations_document
 
     survey = document.survey
     assert survey is not None, "the stations were registered"

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ladarreg_core.matches import Pick
     from ladarreg_core.photo import Photo
     from ladarreg_core.project.document import Document, PhotoEntry, PickEntry, PoseEntry, Source
-    from ladarreg_core.project.folder import ProjectFolder
+    from ladarreg_core.project.storage.folder import ProjectFolder
     from ladarreg_core.quality.assessment import Assessment
     from ladarreg_core.results import Registration
     from ladarreg_core.scan import Scan
@@ -151,7 +151,7 @@ class Loader:
 
     def read_matches(self, path: Path, scan: Scan) -> list[Pick]:
         """Read a matches file."""
-        from ladarreg_core.formats.matches_file import read_matches
+        from ladarreg_core.formats.documents.matches_file import read_matches
 
         return READERS.run(read_matches, path, scan)
 
@@ -191,7 +191,7 @@ class Loader:
 
     def _read_photo(self, entry: PhotoEntry) -> Photo | LadarregError:
         from ladarreg_core.formats import read_photo
-        from ladarreg_core.formats.camera_file import read_noted_camera
+        from ladarreg_core.formats.cameras.camera_file import read_noted_camera
 
         given = entry.camera
         try:

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ladarreg_core.errors import LadarregError, UnsavedError
+from ladarreg_core.foundations.shell_command import shell_command
 from ladarreg_core.project import own_steps
-from ladarreg_core.project.delta import check_readable
 from ladarreg_core.project.document import Document
-from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import NOBODY, Author, Entry, History
-from ladarreg_core.project.rescue import write_rescue_copy
-from ladarreg_core.shell_command import shell_command
+from ladarreg_core.project.storage.delta import check_readable
+from ladarreg_core.project.storage.folder import ProjectFolder
+from ladarreg_core.project.storage.rescue import write_rescue_copy
 
 from .debounce import Debouncer
 

@@ -28,12 +28,12 @@ from .runs import Runs
 from .watchable import Watchable
 
 if TYPE_CHECKING:
-    from ladarreg_core.acquisition.connected import Connected
-    from ladarreg_core.acquisition.devices import PanTilt
+    from ladarreg_core.acquisition.interfaces import PanTilt
     from ladarreg_core.acquisition.plan import Plan, PlanFault
-    from ladarreg_core.acquisition.preview import RunPreview
-    from ladarreg_core.acquisition.run_folder import RunWriter
-    from ladarreg_core.acquisition.runner import Run, RunEvent
+    from ladarreg_core.acquisition.runs.connected import Connected
+    from ladarreg_core.acquisition.runs.preview import RunPreview
+    from ladarreg_core.acquisition.runs.run_folder import RunWriter
+    from ladarreg_core.acquisition.runs.runner import Run, RunEvent
 
     from ..scene import Scene3D
 
@@ -42,7 +42,7 @@ RUNS = "runs"
 """Folder of the runs in a project's folder."""
 _POSITION_EVERY_S = 0.25
 _PICTURE_EVERY_S = 0.25
-_MOST_JOG_DEG = 30.0
+_MAX_JOG_DEG = 30.0
 
 
 @dataclass(slots=True)
@@ -118,7 +118,7 @@ class Acquisition:
     def check(self, fields: Mapping[str, Any]) -> dict[str, Any]:
         """Return the faults of a plan, each with its field, as far as they are known, and what its run will be."""
         from ladarreg_core.acquisition.plan import PlanError, plan_from_fields
-        from ladarreg_core.acquisition.stops import device_faults, forecast
+        from ladarreg_core.acquisition.runs.stops import device_faults, forecast
 
         refused = self._watchable.faults(fields)
         try:
@@ -175,12 +175,12 @@ class Acquisition:
         Raises:
             OptionError: if another client drives, something moves already, or it would leave the limits.
         """
-        from ladarreg_core.acquisition.devices import PanTilt
+        from ladarreg_core.acquisition.interfaces import PanTilt
 
         self._require_driver(client)
-        if max(abs(pan_deg), abs(tilt_deg)) > _MOST_JOG_DEG:
+        if max(abs(pan_deg), abs(tilt_deg)) > _MAX_JOG_DEG:
             raise OptionError(
-                f"a step of more than {_MOST_JOG_DEG:g} deg is too far to move at once; take a smaller one"
+                f"a step of more than {_MAX_JOG_DEG:g} deg is too far to move at once; take a smaller one"
             )
         with self._lock:
             devices = self._require_ready()
@@ -202,8 +202,8 @@ class Acquisition:
         Raises:
             OptionError: if another client drives, the plan has faults, or the devices cannot run it.
         """
-        from ladarreg_core.acquisition.preview import RunPreview
-        from ladarreg_core.acquisition.run_folder import RunWriter
+        from ladarreg_core.acquisition.runs.preview import RunPreview
+        from ladarreg_core.acquisition.runs.run_folder import RunWriter
 
         self._require_driver(client)
         plan = self._allowed(fields if resume is None else self._runs.plan(resume).as_fields())
@@ -329,7 +329,7 @@ class Acquisition:
     # -- on the thread of the devices --------------------------------------------------------------------------
 
     def _connect(self) -> None:
-        from ladarreg_core.acquisition.connected import connected
+        from ladarreg_core.acquisition.runs.connected import connected
 
         assert self._plan is not None
         devices = self._stack.enter_context(connected(self._plan, read=READERS.run))
@@ -342,7 +342,7 @@ class Acquisition:
         self._at = devices.unit.move_to(target, check=self._check)
 
     def _go(self, run: Run, folder: RunWriter) -> None:
-        from ladarreg_core.panorama import add_to_run, compose
+        from ladarreg_core.acquisition.composition.panorama import add_to_run, compose
 
         try:
             assert self._preview is not None
@@ -373,7 +373,7 @@ class Acquisition:
             )  # fmt: skip
 
     def _see(self, event: RunEvent) -> None:
-        from ladarreg_core.acquisition.runner import Moved, Paused, PieceKept, Repeated, Resumed, StraysKept
+        from ladarreg_core.acquisition.runs.runner import Moved, Paused, PieceKept, Repeated, Resumed, StraysKept
 
         if isinstance(event, Moved):
             self._at = event.at

@@ -14,7 +14,7 @@ _WORDS = frozenset(
     ("cam", "camera", "calib", "calibration", "intrinsic", "intrinsics", "info", "match", "matches", "line", "lines")
 )
 """Words in the names of cameras and matches that do not say which photograph they belong to."""
-_MOST_NAMED = 3
+_MAX_NAMED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +241,7 @@ def _in_order(name: str) -> list[tuple[int, str]]:
 
 def listed(names: Sequence[str], joined: str = "and") -> str:
     """Return names as a phrase, at most a few of them."""
-    shown = list(names[:_MOST_NAMED])
-    if len(names) > _MOST_NAMED:
-        shown.append(f"{len(names) - _MOST_NAMED} more")
+    shown = list(names[:_MAX_NAMED])
+    if len(names) > _MAX_NAMED:
+        shown.append(f"{len(names) - _MAX_NAMED} more")
     return f" {joined} ".join([", ".join(shown[:-1]), shown[-1]] if len(shown) > 1 else shown)

@@ -30,7 +30,7 @@ ANY = "any"
 """Kind of an upload whose content decides."""
 _INDEX = "waiting.json"
 _DESCRIPTOR = "scan.json"
-_MOST_WAITING = 200
+_MAX_WAITING = 200
 _BATCH_ARRIVES_S = 60.0
 """Files that no page has opened after this time are offered to all."""
 _NOT_OPENED = Reason("uploaded, but not opened yet", needs_choice=True)
@@ -73,8 +73,8 @@ class Batches:
         from ladarreg_core.formats import survey_file
 
         try:
-            if len(self._waiting) >= _MOST_WAITING:
-                raise OptionError(f"{_MOST_WAITING} files wait to be opened; open or remove some first")
+            if len(self._waiting) >= _MAX_WAITING:
+                raise OptionError(f"{_MAX_WAITING} files wait to be opened; open or remove some first")
             survey = READERS.run(survey_file, path)
             file = BatchFile(path.stem, name, path.stat().st_size, survey)
         except BaseException:

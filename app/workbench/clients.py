@@ -20,7 +20,7 @@ from ..scene.model_view import ModelChoice
 
 MAX_CLIENTS = 64
 _LIMIT = Seats(MAX_CLIENTS)
-COLOURS = 6
+COLORS = 6
 """Number of colours that tell people apart."""
 _MAX_NAME = 80
 _REMEMBERED = 256
@@ -40,7 +40,7 @@ class Client:
     """Display name, which is also the author of the edits."""
     address: str
     """Network address."""
-    colour: int = 1
+    color: int = 1
     """Number of the colour that others see, from 1 to `COLOURS`."""
     photo: str | None = None
     """Id of the photograph that this person sees."""
@@ -180,7 +180,7 @@ class Clients:
                 {
                     "id": each.id,
                     "name": each.name,
-                    "colour": each.colour,
+                    "colour": each.color,
                     "photo": photo_of(each),
                     "follows": each.follows,
                     "read_only": each.read_only,
@@ -206,8 +206,8 @@ class Clients:
             name = visitor.name and valid_name(visitor.name)
             client.name = name or client.name
         client.name = self._free_name(client.name, client)
-        used = Counter(seat.client.colour for seat in self._seats.values())
-        client.colour = min(range(1, COLOURS + 1), key=lambda colour: (used[colour], colour != client.colour))
+        used = Counter(seat.client.color for seat in self._seats.values())
+        client.color = min(range(1, COLORS + 1), key=lambda color: (used[color], color != client.color))
         return client
 
     def _free_name(self, name: str, client: Client) -> str:

@@ -15,10 +15,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from ladarreg_core.atomic_write import files_below
 from ladarreg_core.errors import LadarregError, OptionError
-from ladarreg_core.project.duplicate import duplicate_project
-from ladarreg_core.project.folder import ProjectFolder, is_project
+from ladarreg_core.project.storage.duplicate import duplicate_project
+from ladarreg_core.project.storage.folder import ProjectFolder, is_project
+from ladarreg_core.storage.atomic_write import files_below
 
 from ..argument_names import as_fields
 from ..gateway.protocol import Picture, Visitor

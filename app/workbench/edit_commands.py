@@ -44,7 +44,7 @@ class SetCamera(PhotoCommand, frozen=True):
 
     def execute(self, context: Context, client: Client) -> Reply:
         """Set it."""
-        from ladarreg_core.formats.exif import focal_of_35mm
+        from ladarreg_core.formats.photos.exif import focal_of_35mm
 
         names = ("focal_px", "focal_mm", "sensor_mm", "focal_35mm")
         given = {name: value for name in names if (value := getattr(self, name)) is not None}

@@ -73,7 +73,7 @@ class EmbeddedPictures:
             return ()
 
     def _add(self, index: int, client: Client) -> str:
-        from ladarreg_core.formats.camera_file import write_camera
+        from ladarreg_core.formats.cameras.camera_file import write_camera
         from ladarreg_core.formats.e57_images import embedded_data
 
         scan = self._session.document.scan

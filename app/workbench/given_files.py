@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.formats.own_results import edited_note
+from ladarreg_core.formats.documents.own_results import edited_note
+from ladarreg_core.outputs.saved_results import missing_scans, recorded_scans
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import CameraGiven, Source
 from ladarreg_core.project.history import NOBODY
-from ladarreg_core.saved_results import missing_scans, recorded_scans
 
 from ..session.isolated_readers import READERS
 from .files import HowScans
@@ -156,7 +156,7 @@ def _set_camera(workbench: Workbench, entry: PhotoEntry, reading: Reading) -> No
 
 
 def _set_initial(workbench: Workbench, entry: PhotoEntry, photo: Path, reading: Reading) -> None:
-    from ladarreg_core.formats.pose_file import read_initial
+    from ladarreg_core.formats.documents.pose_file import read_initial
 
     session = workbench.session
     scan = workbench.loader.scan(session.document)

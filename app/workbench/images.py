@@ -171,7 +171,7 @@ class Images:
     def _registered(self, entry: PhotoEntry, pose: PoseEntry, query: Mapping[str, str]) -> NDArray[np.uint8]:
         from ladarreg_core.inspection.model_textures import texture_without_z_buffer
         from ladarreg_core.inspection.pictures import photo_over_scan
-        from ladarreg_core.surface.texture import texture_scan
+        from ladarreg_core.surface.texture.registered_texture import texture_scan
 
         scan, result, photo = self._scan_or_raise(), self._loader.registration(pose), self._loader.photo(entry)
         if query.get("z_buffer") == "0":

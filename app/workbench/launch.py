@@ -31,7 +31,7 @@ from .watchable import SIMULATED_ONLY, Watchable
 if TYPE_CHECKING:
     import viser
 
-    from ladarreg_core.project.folder import ProjectFolder
+    from ladarreg_core.project.storage.folder import ProjectFolder
 
     from ..gateway.options import GatewayOptions
     from ..gateway.tokens import Tokens
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from .workbench import Workbench
 
 log = logging.getLogger(__name__)
-_SCRATCH, _MOST_SCRATCH = "untitled", 50
+_SCRATCH, _MAX_SCRATCH = "untitled", 50
 _VISER_OPENS_S = 60.0
 _SAVED_WITHIN_S = 10.0
 
@@ -79,9 +79,9 @@ def open_workbench(
         Cancelled: if `check` raised it; the files opened before are saved.
     """
     from ladarreg_core.project.document import Document
-    from ladarreg_core.project.folder import ProjectFolder, is_project
     from ladarreg_core.project.history import History
-    from ladarreg_core.project.leftovers import remove_leftovers
+    from ladarreg_core.project.storage.folder import ProjectFolder, is_project
+    from ladarreg_core.project.storage.leftovers import remove_leftovers
 
     from .workbench import Workbench
 
@@ -135,8 +135,8 @@ def open_workbench(
 
 def _no_project(folder: Path) -> str:
     """Return why a folder cannot be opened, and what can be."""
-    from ladarreg_core.export.replacement import RIG_FILE
-    from ladarreg_core.shell_command import shell_command
+    from ladarreg_core.foundations.shell_command import shell_command
+    from ladarreg_core.storage.replacement import RIG_FILE
 
     rig = folder / RIG_FILE
     try:
@@ -348,11 +348,11 @@ def _project_folder(scan: Path, name: str) -> Path:
 
 def _scratch_folder() -> ProjectFolder:
     """Return the folder of an empty project that no other program has open."""
-    from ladarreg_core.project.folder import ProjectFolder, is_project
+    from ladarreg_core.project.storage.folder import ProjectFolder, is_project
     from ladarreg_core.project.summary import read_summary
 
     place = data_folder() / "projects"
-    for number in range(1, _MOST_SCRATCH):
+    for number in range(1, _MAX_SCRATCH):
         path = place / (_SCRATCH if number == 1 else f"{_SCRATCH}-{number}")
         try:
             if not is_project(path) or (read_summary(path).is_empty and not any((path / "inputs").iterdir())):

@@ -14,6 +14,7 @@ from urllib.parse import quote
 import numpy as np
 
 from ladarreg_core.errors import LadarregError, OptionError, ShapeError
+from ladarreg_core.foundations.palette import as_css
 from ladarreg_core.inspection.model_textures import (
     ModelTexture,
     model_texture,
@@ -22,7 +23,6 @@ from ladarreg_core.inspection.model_textures import (
     texture_choices,
     usable_texture,
 )
-from ladarreg_core.palette import as_css
 
 from ..gateway.protocol import Picture
 from ..scene.model_view import DETAILS
@@ -30,15 +30,15 @@ from ..session.loader import Loader
 from ..session.session import Session
 
 if TYPE_CHECKING:
-    from ladarreg_core.arrays import ByteArray
+    from ladarreg_core.foundations.arrays import ByteArray
     from ladarreg_core.inspection.model_textures import Legend
     from ladarreg_core.photo import Photo
     from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
     from ladarreg_core.results import PoseResult
     from ladarreg_core.scan import Scan
-    from ladarreg_core.surface.grid_block import GridBlock
-    from ladarreg_core.surface.mesh import Mesh
-    from ladarreg_core.surface.texture import RegisteredTexture
+    from ladarreg_core.surface.mesh.grid_block import GridBlock
+    from ladarreg_core.surface.mesh.grid_mesh import Mesh
+    from ladarreg_core.surface.texture.registered_texture import RegisteredTexture
 
 NO_PHOTO = "none"
 """Stands for the id of a photograph where there is none."""
@@ -48,11 +48,11 @@ _OF_CODES = ("label",)
 _NEED_VISIBILITY = ("resolution", "label")
 _LOSSY_QUALITY = 84
 _PHOTO_QUALITY = 90
-MOST_VERTICES = 400_000
+MAX_VERTICES = 400_000
 """Most vertices that a page shows of the model at once."""
 BLOCK_VERTICES = 37_500
 """Most vertices of a block of the mesh; the page shows at most four, so that there are 400,000 with the dense mesh."""
-_MOST_COLOURED_CELLS = 200_000_000
+_MAX_COLORED_CELLS = 200_000_000
 """Most cells, counted once for each photograph, that are coloured by all photographs together."""
 _LONGEST_BLOCK = 20
 _FACES_PER_VERTEX = 4  # of a photo layer; a surface has two before it is divided
@@ -143,7 +143,7 @@ class ModelParts:
         result, kind, z_buffer = self._result(entry), query.get("kind", "intensity"), query.get("z_buffer") != "0"
         others = entry is not None and any(one is not entry for one in _accepted(document))
         if kind == "colour" and z_buffer and others:
-            return self._colours_of_all(document, scan, longest_px)
+            return self._colors_of_all(document, scan, longest_px)
         if usable_texture(kind, _accepted_only(result)) != kind:
             raise OptionError(f"the texture {kind!r} needs an accepted pose")
         of_scan = kind in ("intensity", "range")
@@ -155,12 +155,12 @@ class ModelParts:
             "model", key, lambda: ((pose, photo), _picture_of(make(), longest_px, lossless=kind in _OF_CODES))
         )[1]
 
-    def _colours_of_all(self, document: Document, scan: Scan, longest_px: int) -> Picture:
+    def _colors_of_all(self, document: Document, scan: Scan, longest_px: int) -> Picture:
         """Return the colours of all accepted photographs: of each place, from the one that shows it best."""
-        from ladarreg_core.surface.best_photo import PosedPhoto, best_photo
+        from ladarreg_core.surface.texture.best_photo import PosedPhoto, best_photo
 
         seen_by: list[tuple[PoseEntry, Photo, PoseResult]] = []
-        for entry in _accepted(document)[: max(1, _MOST_COLOURED_CELLS // scan.ranges.size)]:
+        for entry in _accepted(document)[: max(1, _MAX_COLORED_CELLS // scan.ranges.size)]:
             result = self._result(entry)
             if entry.pose is None or result is None or _accepted_only(result) is not result:
                 continue
@@ -172,7 +172,7 @@ class ModelParts:
             raise OptionError("the texture 'colour' needs an accepted pose")
         key = tuple((id(pose), id(photo)) for pose, photo, _ in seen_by)
 
-        def colours() -> tuple[object, RegisteredTexture]:
+        def colors() -> tuple[object, RegisteredTexture]:
             views = [
                 PosedPhoto(photo, result.camera_from_scanner, result.camera, result.joint_covariance)
                 for _, photo, result in seen_by
@@ -180,7 +180,7 @@ class ModelParts:
             return seen_by, best_photo(scan, views).texture
 
         def make() -> tuple[object, Picture]:
-            registered = self._loader.cached("model", ("best photographs", key), colours)[1]
+            registered = self._loader.cached("model", ("best photographs", key), colors)[1]
             texture = model_texture(scan, "colour", photo=seen_by[0][1], result=seen_by[0][2], registered=registered)
             return seen_by, _picture_of(texture, longest_px, lossless=False)
 
@@ -234,19 +234,19 @@ def legend_entries(legend: Legend) -> dict[str, Any]:
     """Return a legend with its colours as CSS."""
     return {
         **asdict(legend),
-        "entries": [{"colour": as_css(colour), "label": label} for colour, label in legend.entries],
-        "ramp": [as_css(colour) for colour in legend.ramp],
+        "entries": [{"colour": as_css(color), "label": label} for color, label in legend.entries],
+        "ramp": [as_css(color) for color in legend.ramp],
     }
 
 
 def _mesh_part(scan: Scan, most_vertices: int) -> Picture:
-    from ladarreg_core.export.packed_mesh import packed_mesh
+    from ladarreg_core.export.models.packed_mesh import packed_mesh
 
     return _packed(packed_mesh(surface_or_facets(scan, most_vertices)))
 
 
 def _block_of(text: str) -> GridBlock:
-    from ladarreg_core.surface.grid_block import GridBlock
+    from ladarreg_core.surface.mesh.grid_block import GridBlock
 
     try:
         level, row, column = (int(number) for number in text[:_LONGEST_BLOCK].split("."))
@@ -257,8 +257,8 @@ def _block_of(text: str) -> GridBlock:
 
 def _block_part(scan: Scan, block: GridBlock) -> Picture:
     """Return the surface of a block; without data if it has none."""
-    from ladarreg_core.export.packed_mesh import packed_mesh
-    from ladarreg_core.surface.grid_block import block_mesh
+    from ladarreg_core.export.models.packed_mesh import packed_mesh
+    from ladarreg_core.surface.mesh.grid_block import block_mesh
 
     try:
         mesh = block_mesh(scan, block, max_vertices=BLOCK_VERTICES)
@@ -269,9 +269,9 @@ def _block_part(scan: Scan, block: GridBlock) -> Picture:
 
 def _layer_part(scan: Scan, photo: Photo, result: PoseResult, labels: ByteArray, level: Detail) -> Picture:
     """Return the mesh that the photograph is drawn on; without data if it would show no more than the texture does."""
-    from ladarreg_core.export.packed_mesh import packed_mesh
-    from ladarreg_core.surface.photo_layer import photo_layer, shows_more_detail
-    from ladarreg_core.surface.photo_model import ModelPhoto
+    from ladarreg_core.export.models.packed_mesh import packed_mesh
+    from ladarreg_core.surface.texture.photo_layer import photo_layer, shows_more_detail
+    from ladarreg_core.surface.texture.photo_model import ModelPhoto
 
     if not shows_more_detail(scan, result.camera, photo_px=level.photo_px, texture_px=level.texture_px):
         return _packed(b"")
@@ -280,7 +280,7 @@ def _layer_part(scan: Scan, photo: Photo, result: PoseResult, labels: ByteArray,
     while True:
         mesh = surface_or_facets(scan, vertices)
         layer = photo_layer(scan, mesh, seen_by, shown_px=level.photo_px, most_faces=_FACES_PER_VERTEX * vertices)
-        if len(layer.vertices) <= MOST_VERTICES - level.vertices or vertices <= LEVELS[DETAILS[0]].vertices:
+        if len(layer.vertices) <= MAX_VERTICES - level.vertices or vertices <= LEVELS[DETAILS[0]].vertices:
             break
         vertices //= 2  # a photograph of all that surrounds it is seen by the whole surface
     return _packed(packed_mesh(layer) if len(layer.faces) else b"")
@@ -302,8 +302,8 @@ def _photo_picture(photo: Photo, longest_px: int) -> Picture:
 
 def surface_or_facets(scan: Scan, most_vertices: int) -> Mesh:
     """Return the surface of a scan; if it has none, its points as small triangles."""
-    from ladarreg_core.surface.facets import point_facets
-    from ladarreg_core.surface.mesh import scan_mesh
+    from ladarreg_core.surface.mesh.facets import point_facets
+    from ladarreg_core.surface.mesh.grid_mesh import scan_mesh
 
     mesh = scan_mesh(scan, max_vertices=most_vertices, closed=True)
     return mesh if len(mesh.faces) else point_facets(scan, max_vertices=most_vertices)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 _WORST_FIRST = ("poor", "fair", "good")
-_LEAST_MATCHES = 4
+_MIN_MATCHES = 4
 """The number of matches from which on cautions are computed."""
 
 
@@ -95,7 +95,7 @@ def _cautions(loader: Loader, matches: Matches, photo: Photo, entry: PhotoEntry)
     """Return the limits of the thesis's methods on these matches, before they are solved."""
     from ladarreg_core.quality.stereo_limits import stereo_cautions
 
-    if len(matches) < _LEAST_MATCHES:
+    if len(matches) < _MIN_MATCHES:
         return []
     pose = entry.pose
     try:
@@ -131,7 +131,7 @@ def stage_state(loader: Loader, pose: PoseEntry, *, stale: str, stages: Sequence
         stages: all stages that the photograph has a pose of.
     """
     from ladarreg_core.matching.image_check import statistics_note
-    from ladarreg_core.matching.views import would_clouds_help
+    from ladarreg_core.matching.images.views import would_clouds_help
     from ladarreg_core.quality.verdict import LIGHT_WORDS, verdict_of
 
     try:

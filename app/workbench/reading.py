@@ -29,7 +29,7 @@ def reading_of(value: object) -> Mapping[str, Any]:
     Raises:
         OptionError: if an option is unknown, or its value is not of its type or range.
     """
-    from ladarreg_core.formats.scan_request import SCAN_OPTIONS, ScanOptions
+    from ladarreg_core.formats.scans.scan_request import SCAN_OPTIONS, ScanOptions
 
     if value is not None and not isinstance(value, Mapping):
         raise OptionError("how the scan is to be read is not a list of options; reload the page")

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.project.folder import is_project
+from ladarreg_core.project.storage.folder import is_project
 from ladarreg_core.project.summary import read_summary
 
 log = logging.getLogger(__name__)

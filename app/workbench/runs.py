@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ladarreg_core.atomic_write import replaced_file, write_bytes
 from ladarreg_core.errors import LadarregError, OptionError
+from ladarreg_core.storage.atomic_write import replaced_file, write_bytes
 
 if TYPE_CHECKING:
     from ladarreg_core.acquisition.plan import Plan
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 PANORAMA = "scan.npz"
 DRAFT = "draft.json"
-_MOST_BYTES_OF_A_PLAN = 100_000
+_MAX_BYTES_OF_A_PLAN = 100_000
 
 
 class Runs:
@@ -68,15 +68,15 @@ class Runs:
             ExportError: if it cannot be written.
         """
         data = json.dumps(fields, indent=1).encode()
-        if len(data) > _MOST_BYTES_OF_A_PLAN:
-            raise OptionError(f"the plan has {len(data):,} bytes; a plan has at most {_MOST_BYTES_OF_A_PLAN:,}")
+        if len(data) > _MAX_BYTES_OF_A_PLAN:
+            raise OptionError(f"the plan has {len(data):,} bytes; a plan has at most {_MAX_BYTES_OF_A_PLAN:,}")
         self._folder.mkdir(parents=True, exist_ok=True)
         with replaced_file(self._folder / DRAFT) as new:
             write_bytes(new, data)
 
     def refresh(self) -> None:
         """Look at the folder again."""
-        from ladarreg_core.acquisition.run_folder import summary
+        from ladarreg_core.acquisition.runs.run_folder import summary
 
         found = []
         for path in sorted(self._folder.iterdir(), reverse=True) if self._folder.is_dir() else []:
@@ -98,7 +98,7 @@ class Runs:
         Raises:
             LadarregError: if there is no such run, or its plan is damaged.
         """
-        from ladarreg_core.acquisition.run_folder import summary
+        from ladarreg_core.acquisition.runs.run_folder import summary
 
         return summary(self.path(name)).plan
 
@@ -119,7 +119,7 @@ class Runs:
         Raises:
             LadarregError: if there is no such run, or it has none.
         """
-        from ladarreg_core.acquisition.run_folder import summary
+        from ladarreg_core.acquisition.runs.run_folder import summary
 
         found = summary(self.path(name)).photos
         if not found:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ..scene import CameraShown, Person, Picks, ScanShown, Scene3D, Shown, StationShown, Subject
 
 log = logging.getLogger(__name__)
-_MOST_PICTURES, _PICTURE_PX = 24, 192
+_MAX_PICTURES, _PICTURE_PX = 24, 192
 """How many frusta of other photographs have pictures, and the longer side of these, px."""
 
 
@@ -152,7 +152,7 @@ class SceneSync:
             if known is None or any(a is not b for a, b in zip(known[0], key, strict=True)):
                 try:
                     result = self._loader.registration(entry.pose)
-                    pictured = len(self._cameras) < _MOST_PICTURES
+                    pictured = len(self._cameras) < _MAX_PICTURES
                     picture = small_picture(self._loader.photo(entry).pixels, _PICTURE_PX) if pictured else None
                 except LadarregError:  # a file has gone, which the slice `photos` states
                     continue
@@ -205,17 +205,17 @@ class SceneSync:
         return subject
 
     def _picks_of(self, scan: Scan, subject: Subject, entry: PhotoEntry, with_residuals: bool) -> Picks:
+        from ladarreg_core.foundations.palette import MATCHES
         from ladarreg_core.inspection.picks import pick_points
-        from ladarreg_core.palette import MATCHES
 
-        from ..scene import Picks, residual_colours
+        from ..scene import Picks, residual_colors
 
         points, ids, on = pick_points(scan, self._loader.picks(entry))
         numbers = {pick.id: pick.number for pick in entry.picks}
-        colours = [MATCHES[(numbers[name] - 1) % len(MATCHES)] for name in ids]
+        colors = [MATCHES[(numbers[name] - 1) % len(MATCHES)] for name in ids]
         by_residual = None
         if with_residuals:
             errors = judged_slice(self._loader, scan, subject.photo, entry)["by_pick"]
             px = [errors.get(name, {}).get("px") for name in ids]
-            by_residual = residual_colours([float("nan") if value is None else value for value in px])
-        return Picks.of(points, colours, on, ids, by_residual=by_residual)
+            by_residual = residual_colors([float("nan") if value is None else value for value in px])
+        return Picks.of(points, colors, on, ids, by_residual=by_residual)

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.palette import STATIONS as COLOURS
+from ladarreg_core.foundations.palette import STATIONS as COLORS
+from ladarreg_core.foundations.validation import require_choice
 from ladarreg_core.project import station_edits
 from ladarreg_core.project.station_edits import is_stale, place_of, stated_station
-from ladarreg_core.validation import require_choice
 
 from ..argument_names import as_fields
 from ..jobs.inputs import Workspace
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from ladarreg_core.frames import Rigid
     from ladarreg_core.project.document import Document, PhotoCheck, Source, StationEntry
     from ladarreg_core.project.history import Author
-    from ladarreg_core.stations.registration import PoseUse
+    from ladarreg_core.registration.stations.registration import PoseUse
 
     from ..scene import StationShown
 
-_MOST_POINTS = 200_000
+_MAX_POINTS = 200_000
 """Most points of all stations together in a 3-D view."""
 
 
@@ -58,7 +58,7 @@ class Stations:
         names = {} if survey is None else dict(enumerate(one["name"] for one in survey.fields["stations"]))
         listed = [_station(document, None, document.scan, None)]
         for number, station in enumerate(document.stations):
-            listed.append(_station(document, station, station.source, COLOURS[number % len(COLOURS)]))
+            listed.append(_station(document, station, station.source, COLORS[number % len(COLORS)]))
         found: dict[str, Any] = {
             "stations": listed, "stale": is_stale(document), "registered": survey is not None,
             **_progress(document, listed),
@@ -105,13 +105,13 @@ class Stations:
                 points = loader.station_points(station.source)
             except LadarregError:
                 continue  # the list of stations states it when they are registered
-            step = -(-len(points) * len(placed) // _MOST_POINTS)
-            found.append(StationShown(station.id, points[:: max(1, step)], place, COLOURS[number % len(COLOURS)]))
+            step = -(-len(points) * len(placed) // _MAX_POINTS)
+            found.append(StationShown(station.id, points[:: max(1, step)], place, COLORS[number % len(COLORS)]))
         return tuple(found)
 
     def register(self, poses: object, author: Author) -> str:
         """Start registering the stations and return the job's id; raises `LadarregError` if it cannot begin."""
-        from ladarreg_core.stations.registration import POSE_USES
+        from ladarreg_core.registration.stations.registration import POSE_USES
 
         self._jobs.require_stations()
         require_choice(poses, POSE_USES, "'Poses in the files'")
@@ -162,7 +162,7 @@ def _progress(document: Document, listed: Sequence[Mapping[str, Any]]) -> dict[s
 
 
 def _station(
-    document: Document, station: StationEntry | None, source: Source, colour: tuple[int, int, int] | None
+    document: Document, station: StationEntry | None, source: Source, color: tuple[int, int, int] | None
 ) -> dict[str, Any]:
     """Return an entry of the list; `station` is None for the scan that is shown."""
     from ladarreg_core.frames import Rigid
@@ -170,7 +170,7 @@ def _station(
     found: dict[str, Any] = {
         "id": None if station is None else station.id, "name": source.name, "files": list(source.names),
         "index": source.index,
-        "colour": None if colour is None else "#{:02x}{:02x}{:02x}".format(*colour),
+        "colour": None if color is None else "#{:02x}{:02x}{:02x}".format(*color),
         "state": "waiting", "sigma_mm": None, "sigma_deg": None, "place": None, "rough": False,
     }  # fmt: skip
     stated = stated_station(document.survey, source)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.project import edits
-from ladarreg_core.project.edits import MOST_PHOTOS
+from ladarreg_core.project.edits import MAX_PHOTOS
 from ladarreg_core.project.history import NOBODY
 
 from ..argument_names import reading_slice
@@ -294,7 +294,7 @@ class Workbench:
             "acquisition": self.acquisition.slice(),
             "stations": self.stations.slice(),
             "progress": progress_slice(loader, document, None, exported=False),
-            "limits": {"upload_bytes": self.limits.upload_bytes, "photos": MOST_PHOTOS},
+            "limits": {"upload_bytes": self.limits.upload_bytes, "photos": MAX_PHOTOS},
         }
         for entry in document.photos:
             found[f"picks:{entry.id}"] = self._pick_entries.get(entry.id, entry.picks)

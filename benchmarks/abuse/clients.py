@@ -19,7 +19,7 @@ CLIENTS = 10
 _PAUSE_S = (0.5, 3.0)
 """Pause between the edits of one client."""
 _SAMPLED_H = 1 / 6
-_MOST_OF_ONE = 12
+_MAX_OF_ONE = 12
 _STAYS_H = (0.1, 0.5)
 """Time for which a client keeps the page open."""
 
@@ -101,7 +101,7 @@ def _sample(server: Server, work: _Work) -> dict[str, Any]:
 
 
 def _focal() -> float:
-    from ladarreg_core.formats.camera_file import read_camera
+    from ladarreg_core.formats.cameras.camera_file import read_camera
 
     return read_camera(sample_folder() / "camera.json").focal_px
 
@@ -124,14 +124,14 @@ def _visit(page: Page, rng: random.Random, pace: float, work: _Work, over: threa
     photo = page.slices["shown"]
     mine: list[str] = []
     there = [pick["id"] for pick in page.slices[f"picks:{photo}"]]
-    if len(there) > 2 * CLIENTS * _MOST_OF_ONE:  # undo restores matches that no client owns any more
-        page.ask("remove_picks", photo=photo, picks=there[: -CLIENTS * _MOST_OF_ONE])
+    if len(there) > 2 * CLIENTS * _MAX_OF_ONE:  # undo restores matches that no client owns any more
+        page.ask("remove_picks", photo=photo, picks=there[: -CLIENTS * _MAX_OF_ONE])
     leaves = time.monotonic() + 3600 / pace * rng.uniform(*_STAYS_H)
     while time.monotonic() < leaves and not over.is_set():
         uv = [rng.uniform(5, 700), rng.uniform(5, 500)]
         what = rng.random()
         began = time.perf_counter()
-        if (what < 0.4 and len(mine) < _MOST_OF_ONE) or not mine:
+        if (what < 0.4 and len(mine) < _MAX_OF_ONE) or not mine:
             ray = [1.0, rng.uniform(-0.35, 0.35), rng.uniform(-0.2, 0.2)]
             reply = page.ask("add_pick", photo=photo, kind="point", scan=[ray], photo_uv=[uv])
             mine += [reply["pick"]] if reply["ok"] else []

@@ -9,9 +9,9 @@ from testing.attacks.fault_rounds import Round
 from testing.attacks.system_calls import KINDS, can_watch
 
 SECTION = "faults"
-_MOST_STATES = 100
+_MAX_STATES = 100
 """States after a loss of power that are tried in each case, where only a share is tried."""
-_LEAST_MEMORY_BYTES, _GROWTH = 4096, 1.25
+_MIN_MEMORY_BYTES, _GROWTH = 4096, 1.25
 """The first limit, beyond what is in use, and the ratio of each to the one before: fifty reach 230 MB."""
 
 
@@ -22,11 +22,11 @@ def run(log: Log, limits: int, every: int) -> None:
     fault_rounds.ready()
     for case in CASES:
         if not log.of(SECTION, case=case, kind="power"):
-            most = None if every == 1 else _MOST_STATES // every
+            most = None if every == 1 else _MAX_STATES // every
             _note(log, case, "power", "", [*fault_rounds.powerless(case, most=most)])
     for case in CASES:
         if not log.of(SECTION, case=case, kind="memory"):
-            sizes = [int(_LEAST_MEMORY_BYTES * _GROWTH**k) for k in range(limits)]
+            sizes = [int(_MIN_MEMORY_BYTES * _GROWTH**k) for k in range(limits)]
             _note(log, case, "memory", "", [fault_rounds.limited(case, size) for size in sizes])
     for call in KINDS:
         for case in CASES:

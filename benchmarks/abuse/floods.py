@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.abuse.log import Log
-from ladarreg_core.formats.npz import write_npz_counts
+from ladarreg_core.formats.scans.npz import write_npz_counts
 from ladarreg_core.scanner.grids import AzimuthElevation
 from testing.attacks.kill_rounds import with_photo
 from testing.attacks.server_process import TOKEN, Page, Server, ServerGone

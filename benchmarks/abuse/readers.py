@@ -12,7 +12,7 @@ from testing.files.seed_files import write_seeds
 
 SECTION = "readers"
 _AT_A_TIME = 100
-_MOST_FAULTS = 20
+_MAX_FAULTS = 20
 """Number of files per row of the log."""
 
 
@@ -34,5 +34,5 @@ def run(log: Log, mutations: int) -> None:
                 found = read_damaged(folder, known.name, first, last, keep=keep)
                 log.add(
                     SECTION, format=known.name, first=first, files=found.files, refused=found.refused,
-                    seconds=found.seconds, mb=found.mb, count=len(found.faults), faults=found.faults[:_MOST_FAULTS],
+                    seconds=found.seconds, mb=found.mb, count=len(found.faults), faults=found.faults[:_MAX_FAULTS],
                 )  # fmt: skip

@@ -41,7 +41,7 @@ def main(words: list[str] | None = None) -> int:
         return 3
     handed = lr.RegisteredScan(scan, registered, scan_file=asked.scan)
     lr.export_to(asked.out / "together", handed, asked.to.split(","))
-    seen = (handed.colours.labels == lr.Label.SEEN).sum() / scan.valid.sum()
+    seen = (handed.colors.labels == lr.Label.SEEN).sum() / scan.valid.sum()
     print(f"{len(registered)} photographs colour {seen:.0%} of the returns; see {asked.out / 'together'}")
     return 0
 

@@ -8,14 +8,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray, IntArray
 from ladarreg_core.errors import ShapeError
+from ladarreg_core.foundations.arrays import FloatArray, IntArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scanner.pan_tilt import rays_of_line, turned_by_unit
 
 _RAMP_SHARE = 0.03  # of a pass, at either end, in which a unit may still change its speed
-_LEAST_SPAN_RAD = 0.05
-_LEAST_CRUISE = 10
+_MIN_SPAN_RAD = 0.05
+_MIN_CRUISE = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,9 +49,9 @@ class UnitTrack:
         one stamp. Nothing is changed if the readings do not lie on a line but for jitter.
         """
         span = float(self.pan_rad[-1] - self.pan_rad[0])
-        gone = (np.asarray(self.pan_rad) - self.pan_rad[0]) / span if abs(span) > _LEAST_SPAN_RAD else np.zeros(0)
+        gone = (np.asarray(self.pan_rad) - self.pan_rad[0]) / span if abs(span) > _MIN_SPAN_RAD else np.zeros(0)
         cruise = np.flatnonzero((gone > _RAMP_SHARE) & (gone < 1 - _RAMP_SHARE))
-        if len(cruise) < _LEAST_CRUISE:
+        if len(cruise) < _MIN_CRUISE:
             return self
         pan, time = np.asarray(self.pan_rad)[cruise], np.asarray(self.time_s)[cruise]
         use = np.ones(len(cruise), np.bool_)

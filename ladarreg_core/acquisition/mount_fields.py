@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from ladarreg_core.errors import FormatError
+from ladarreg_core.foundations.validation import is_number
 from ladarreg_core.frames import Rigid, rotation_about
-from ladarreg_core.validation import is_number
 
 MOUNT_IS = (
     "unit_from_scanner: where the scanner is on the part of the unit that pans and tilts; xyz_m from where the axes "

@@ -15,11 +15,11 @@ import numpy as np
 from ladarreg_core.acquisition.mount_fields import mount_as_fields, mount_from_fields
 from ladarreg_core.acquisition.trigger import TriggerPlan
 from ladarreg_core.acquisition.twin_address import check_twin, is_twin
-from ladarreg_core.atomic_write import replaced_file, write_bytes
 from ladarreg_core.errors import DeviceError, FormatError, LadarregError, OptionError
-from ladarreg_core.formats.json_file import read_json_object
-from ladarreg_core.formats.untrusted import shown_name
+from ladarreg_core.formats.parsing.json_file import read_json_object
+from ladarreg_core.formats.parsing.untrusted import shown_name
 from ladarreg_core.frames import Rigid
+from ladarreg_core.storage.atomic_write import replaced_file, write_bytes
 
 Mode = Literal["sweep", "mosaic"]
 """`sweep`: a line scanner, every pan step is a column; `mosaic`: a scanner with a field of view, pieces overlap."""
@@ -27,8 +27,8 @@ UnitKind = Literal["flir-ptu"]
 ScannerKind = Literal["scip2", "folder"]
 
 VERSION = 1
-MOST_STOPS = 100_000
-_MOST_LINES = 99
+MAX_STOPS = 100_000
+_MAX_LINES = 99
 _LONGEST_SETTLE_S = 60.0
 _LARGEST_LEVER_M = 5.0
 _BAUDS = (300, 4_000_000)
@@ -285,8 +285,8 @@ class _Reader:
         if plan.camera is not None and plan.camera.folder and plan.camera.folder == plan.scanner.folder:
             self._fault("camera.folder", "scanner and camera have the same folder; each needs its own")
         stops = len(plan.pan.stops_deg) * len(plan.tilt.stops_deg) * plan.passes
-        if stops > MOST_STOPS:
-            self._fault("pan_deg", f"the plan has {stops:,} stops; at most {MOST_STOPS:,} are made: take larger steps")
+        if stops > MAX_STOPS:
+            self._fault("pan_deg", f"the plan has {stops:,} stops; at most {MAX_STOPS:,} are made: take larger steps")
         if plan.mode == "mosaic" and plan.scanner.fov_deg is not None:
             self.faults += overlap_faults(plan, plan.scanner.fov_deg)
 
@@ -320,7 +320,7 @@ class _Reader:
             self._refuse_unknown(fields, ("kind", "port", "baud", "lines"), "'scanner' of kind 'scip2'")
             port = self._text(fields, "port", "'scanner'", "a serial port such as /dev/ttyACM0 or COM4")
             baud = self._whole(fields, "baud", 115_200, *_BAUDS, "'scanner'")
-            lines = self._whole(fields, "lines", 1, 1, _MOST_LINES, "'scanner'")
+            lines = self._whole(fields, "lines", 1, 1, _MAX_LINES, "'scanner'")
             return None if port is None or baud is None or lines is None else ScannerPlan(
                 "scip2", port=port, baud=baud, lines=lines
             )  # fmt: skip

@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.acquisition.devices import PanTilt
+from ladarreg_core.acquisition.interfaces import PanTilt
 from ladarreg_core.errors import FormatError
-from ladarreg_core.formats.json_file import read_json_object
-from ladarreg_core.formats.untrusted import inside_folder, one_line, reading
-from ladarreg_core.validation import is_int, is_number
+from ladarreg_core.formats.parsing.json_file import read_json_object
+from ladarreg_core.formats.parsing.untrusted import inside_folder, one_line, reading
+from ladarreg_core.foundations.validation import is_int, is_number
 
 RECORDS, CLOSURE = "run.jsonl", "closure.json"
-_MOST_BYTES = 64 << 20
-_MOST_PIECES = 1_000_000
+_MAX_BYTES = 64 << 20
+_MAX_PIECES = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ def read_records(folder: Path) -> Iterator[Record | FormatError]:
     if (folder / RECORDS).is_file() and not (folder / RECORDS).stat().st_size:
         return  # a run that has just begun
     with reading(folder / RECORDS) as file:
-        if file.stat().st_size > _MOST_BYTES:
+        if file.stat().st_size > _MAX_BYTES:
             raise FormatError(f"it has {file.stat().st_size:,} bytes; the records of a run are shorter")
         lines = file.read_bytes().split(b"\n")
     for number, line in enumerate(lines, 1):
@@ -130,7 +130,7 @@ def _record(folder: Path, fields: object, where: str) -> Record:
     if not isinstance(fields, Mapping):
         raise FormatError(f"{where} is not a JSON object")
     index = fields.get("index")
-    if index is None or not is_int(index) or not 0 <= int(index) < _MOST_PIECES:
+    if index is None or not is_int(index) or not 0 <= int(index) < _MAX_PIECES:
         raise FormatError(f"{where} has the index {one_line(repr(index), 40)}; it must be a whole number from 0")
     read = fields.get("read_deg", fields.get("asked_deg"))
     sha256, passed, photo = fields.get("sha256") or "", fields.get("pass", 0), fields.get("photo")

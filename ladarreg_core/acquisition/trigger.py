@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from ladarreg_core.acquisition.clock import Clock
-from ladarreg_core.acquisition.devices import Arrival, Check
+from ladarreg_core.acquisition.interfaces import Arrival, Check
 from ladarreg_core.acquisition.run_records import in_degrees
 from ladarreg_core.acquisition.serial_port import ControlLine
-from ladarreg_core.atomic_write import replaced_file, write_bytes
 from ladarreg_core.errors import DeviceError, OptionError
-from ladarreg_core.validation import is_number
+from ladarreg_core.foundations.validation import is_number
+from ladarreg_core.storage.atomic_write import replaced_file, write_bytes
 
 LineName = Literal["rts", "dtr"]
 _NAP_S = 0.05

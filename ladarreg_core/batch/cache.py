@@ -10,14 +10,14 @@ import secrets
 from pathlib import Path
 from typing import IO, Any
 
-from ladarreg_core.atomic_write import make_folder
-from ladarreg_core.checksums import checksum
-from ladarreg_core.export.staging import is_running
 from ladarreg_core.formats.isolated.messages import MessageError, message_parts, read_message
-from ladarreg_core.validation import require_int
-from ladarreg_core.version import VERSION
+from ladarreg_core.foundations.validation import require_int
+from ladarreg_core.foundations.version import VERSION
+from ladarreg_core.storage.atomic_write import make_folder
+from ladarreg_core.storage.checksums import checksum
+from ladarreg_core.storage.staging import is_running
 
-MOST_BYTES = 4_000_000_000
+MAX_BYTES = 4_000_000_000
 """Default size of a cache."""
 _SUFFIX, _PART = ".entry", ".part"
 _NAME = re.compile(r"[0-9a-f]{64}\.entry")
@@ -43,7 +43,7 @@ class ContentCache:
         OptionError: if the bound is no whole number, or negative.
     """
 
-    def __init__(self, folder: str | Path, *, most_bytes: int = MOST_BYTES) -> None:
+    def __init__(self, folder: str | Path, *, most_bytes: int = MAX_BYTES) -> None:
         self.folder = Path(folder)
         self.most_bytes = require_int(most_bytes, "the size of the cache", least=0)
 

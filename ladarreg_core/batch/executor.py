@@ -26,12 +26,12 @@ from multiprocessing.context import SpawnProcess
 from typing import Any, ParamSpec, TypeVar
 
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.validation import require_int
+from ladarreg_core.foundations.validation import require_int
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
-_MOST_PROCESSES = 256
+_MAX_PROCESSES = 256
 _JOIN_S = 10.0
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -56,7 +56,7 @@ class WorkerProcesses(Executor):
     """
 
     def __init__(self, count: int | None = None) -> None:
-        self.count = require_int(usable_cores() if count is None else count, "processes", least=1, most=_MOST_PROCESSES)
+        self.count = require_int(usable_cores() if count is None else count, "processes", least=1, most=_MAX_PROCESSES)
         self._tasks: deque[_Task] = deque()
         self._lock = threading.Lock()
         self._waker, self._woken = get_context("spawn").Pipe()
@@ -282,7 +282,7 @@ def _serve(connection: Connection, parent: int) -> None:
 
     from ladarreg_core.formats.isolated.forked import confined_reads
     from ladarreg_core.formats.isolated.worker import end_with
-    from ladarreg_core.side_by_side import one_thread
+    from ladarreg_core.foundations.parallel import one_thread
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # where signals cannot be blocked
     if sys.platform == "linux":  # elsewhere it ends after its task

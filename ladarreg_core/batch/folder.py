@@ -8,15 +8,15 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
-from ladarreg_core.atomic_write import cannot_write, make_folder, write_bytes
 from ladarreg_core.batch.journal import JOURNAL_FILE, Journal
 from ladarreg_core.errors import ExportError, FormatError
-from ladarreg_core.export.folder import check_folder
-from ladarreg_core.export.replacement import display_path, folder_content, remove_results, require_apart
-from ladarreg_core.export.staging import clear_leftovers
-from ladarreg_core.folder_lock import FolderLock
-from ladarreg_core.manifest import MANIFEST_FILE, manifest_bytes, read_manifest
-from ladarreg_core.moved_together import finish_moves, replace_together
+from ladarreg_core.export.targets.folder import check_folder
+from ladarreg_core.storage.atomic_write import cannot_write, make_folder, write_bytes
+from ladarreg_core.storage.folder_lock import FolderLock
+from ladarreg_core.storage.manifest import MANIFEST_FILE, manifest_bytes, read_manifest
+from ladarreg_core.storage.moved_together import finish_moves, replace_together
+from ladarreg_core.storage.replacement import display_path, folder_content, remove_results, require_apart
+from ladarreg_core.storage.staging import clear_leftovers
 
 PHOTOS_FOLDER = "photos"
 """Folder in that of a run with a folder of results for each photograph."""
@@ -25,7 +25,7 @@ SUMMARY_FILE = "adjustment.json"
 PAGE_FILE = "index.html"
 """Page that summarises a run."""
 _LOCK_FILE, _WHAT = ".lock", "folder"
-_MOST_NAMED = 3
+_MAX_NAMED = 3
 
 
 def is_batch_folder(folder: str | Path) -> bool:
@@ -100,10 +100,10 @@ class BatchFolder:
         if force or not changed:
             return
         names = sorted(changed)
-        more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+        more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
         raise ExportError(
             f"the folder {display_path(self.folder)} contains results of other photos, inputs or options than these "
-            f"({', '.join(names[:_MOST_NAMED])}{more}); give another folder, or allow them to be replaced by "
+            f"({', '.join(names[:_MAX_NAMED])}{more}); give another folder, or allow them to be replaced by "
             "`force=True`"
         )
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from ladarreg_core.batch.photo_list import CameraGroup, camera_groups, folder_contents, photo_entries
 from ladarreg_core.errors import FormatError
-from ladarreg_core.export.replacement import display_path
+from ladarreg_core.storage.replacement import display_path
 
 
 def describe_folder(folder: str | Path) -> dict[str, Any]:

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ladarreg_core.atomic_write import AppendedFile, write_bytes
-from ladarreg_core.checksums import checksum_state, sealed
 from ladarreg_core.errors import FormatError, NewerVersionError
+from ladarreg_core.storage.atomic_write import AppendedFile, write_bytes
+from ladarreg_core.storage.checksums import checksum_state, sealed
 
 JOURNAL_FILE = ".ladarreg-batch.jsonl"
 """Its name in the folder of a run."""

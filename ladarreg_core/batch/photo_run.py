@@ -27,10 +27,10 @@ from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.export.json import input_document, plain, write_result
 from ladarreg_core.export.output_frame import FrameName, OutputFrame
 from ladarreg_core.formats import read_scan
-from ladarreg_core.formats.scan_request import ScanOptions
+from ladarreg_core.formats.scans.scan_request import ScanOptions
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
-from ladarreg_core.registration import RegisterOptions
+from ladarreg_core.registration.register import RegisterOptions
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
 

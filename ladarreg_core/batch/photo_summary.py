@@ -12,10 +12,10 @@ from ladarreg_core.batch.photo_list import CameraGroup, PhotoEntry
 from ladarreg_core.batch.pooled_camera import PooledCamera
 from ladarreg_core.errors import ExportError, FormatError
 from ladarreg_core.export.json import CAMERA_FROM_SCANNER_IS, software_document
-from ladarreg_core.export.replacement import is_file_name
-from ladarreg_core.formats.own_results import read_own_result
-from ladarreg_core.formats.untrusted import reading
+from ladarreg_core.formats.documents.own_results import read_own_result
+from ladarreg_core.formats.parsing.untrusted import reading
 from ladarreg_core.frames import Rigid
+from ladarreg_core.storage.replacement import is_file_name
 
 _VERSION = 1
 _SCAN = "scan-1"

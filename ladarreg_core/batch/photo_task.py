@@ -12,7 +12,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ladarreg_core.arrays import ByteArray
 from ladarreg_core.batch.cache import ContentCache
 from ladarreg_core.batch.pooled_camera import (
     CameraEstimate,
@@ -22,18 +21,19 @@ from ladarreg_core.batch.pooled_camera import (
 )
 from ladarreg_core.camera.model import CameraModel
 from ladarreg_core.camera.uncertainty import CameraPrior
-from ladarreg_core.export.folder import export_registration
 from ladarreg_core.export.output_frame import FrameName
+from ladarreg_core.export.targets.folder import export_registration
 from ladarreg_core.formats import read_photo, read_scan
+from ladarreg_core.foundations.arrays import ByteArray
 from ladarreg_core.foundations.encoded_image import encoded_image
+from ladarreg_core.foundations.source import with_source
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.kept_channels import Channels
+from ladarreg_core.matching.images.kept_channels import Channels
 from ladarreg_core.photo import Photo
 from ladarreg_core.quality.assessment import assess
 from ladarreg_core.registration import RegisterOptions, register
 from ladarreg_core.results import Registration, verdict_words
 from ladarreg_core.scan import Scan
-from ladarreg_core.source import with_source
 
 _CHANNEL_BYTES = 400_000_000
 _THUMBNAIL_PX = 240

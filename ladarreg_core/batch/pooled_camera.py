@@ -21,13 +21,13 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.camera import Camera
 from ladarreg_core.camera.uncertainty import INTRINSICS, CameraUncertainty, pose_jacobian
+from ladarreg_core.foundations.arrays import FloatArray, read_only
 from ladarreg_core.results import Registration
 
 _DISAGREES = 23.5  # chi squared with 4 degrees of freedom, exceeded once in 10,000
-_LEAST_POOLED = 2
+_MIN_POOLED = 2
 _CORRELATION = 0.08  # of estimates on one scan: pools of 12 were off by 1.4 of their sigmas without it, of 6 by 1.0
 _COUNT = len(INTRINSICS)
 _TURNS = {1: ((1, 0), (0, 1)), 3: ((-1, 0), (0, -1)), 6: ((0, -1), (1, 0)), 8: ((0, 1), (-1, 0))}
@@ -149,13 +149,13 @@ def pool(estimates: Sequence[CameraEstimate]) -> PooledCamera | None:
     the estimates makes no difference beyond rounding.
     """
     used = list(estimates)
-    while len(used) >= _LEAST_POOLED:
+    while len(used) >= _MIN_POOLED:
         apart = [_chi_squared(one, [other for other in used if other is not one]) for one in used]
         worst = int(np.argmax(apart))
         if apart[worst] <= _DISAGREES:
             break
         used.pop(worst)
-    if len(used) < _LEAST_POOLED or 2 * len(used) <= len(estimates):
+    if len(used) < _MIN_POOLED or 2 * len(used) <= len(estimates):
         return None
     values, covariance = _pooled(used)
     names = tuple(one.photo for one in used)

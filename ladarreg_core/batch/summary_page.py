@@ -7,14 +7,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ladarreg_core.atomic_write import write_bytes
-from ladarreg_core.checksums import sealed_page
-from ladarreg_core.export.replacement import REPORT_FILE
-from ladarreg_core.export.report_style import STYLE, SUMMARY_STYLE
-from ladarreg_core.formatting import format_angle, format_length
+from ladarreg_core.export.report.style import STYLE, SUMMARY_STYLE
+from ladarreg_core.foundations.formatting import format_angle, format_length
 from ladarreg_core.foundations.markup import Content, DataUri, Html, joined, section, table, tag
+from ladarreg_core.storage.atomic_write import write_bytes
+from ladarreg_core.storage.checksums import sealed_page
+from ladarreg_core.storage.replacement import REPORT_FILE
 
-_MOST_REASONS = 4
+_MAX_REASONS = 4
 _BADGES = (("bad", "failed"), ("bad", "not accepted"), ("warn", "accepted, coarse"), ("ok", "accepted"))
 """By `_rank`."""
 
@@ -80,7 +80,7 @@ def _row(photo: Mapping[str, Any], result: Mapping[str, Any]) -> Html:
     text.append(tag("p", str(photo["verdict"])))
     if photo["sigma"] is not None and photo["accepted"]:
         text.append(tag("p", f"Sigma {_length(photo['sigma']['position_m'])}, {_angle(photo['sigma']['angle_rad'])}"))
-    text.append(tag("ul", [tag("li", reason) for reason in photo["reasons"][-_MOST_REASONS:]]))
+    text.append(tag("ul", [tag("li", reason) for reason in photo["reasons"][-_MAX_REASONS:]]))
     if photo["folder"]:
         text.append(tag("p", tag("a", "Report", href=f"{photo['folder']}/{REPORT_FILE}")))
     return tag("tr", tag("td", picture), tag("td", *text), tag("td", str(photo["camera"] or ""), class_="dim"))

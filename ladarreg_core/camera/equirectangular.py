@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera.fields import as_number, checked_size
 from ladarreg_core.errors import CameraError
+from ladarreg_core.foundations.arrays import FloatArray
 
 FULL_WINDOW = (-180.0, 90.0, 180.0, -90.0)
 """The window of a whole sphere."""

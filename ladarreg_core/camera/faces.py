@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera.model import CameraModel
 from ladarreg_core.camera.pinhole import Camera
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 
 _AXIAL_HALF_ANGLE_RAD = np.deg2rad(40)
 _SAMPLES = 97

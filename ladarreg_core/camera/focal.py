@@ -9,8 +9,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera.fields import checked_centre, checked_focal, checked_size, checked_terms
+from ladarreg_core.foundations.arrays import FloatArray
 
 
 @dataclass(frozen=True, repr=False)

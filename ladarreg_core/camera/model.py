@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.foundations.arrays import FloatArray
 
 if TYPE_CHECKING:
     from ladarreg_core.camera.pinhole import Camera
@@ -161,7 +161,7 @@ def require_camera(value: object, name: str) -> CameraModel:
     from ladarreg_core.camera.fisheye import FisheyeCamera
     from ladarreg_core.camera.pinhole import Camera
     from ladarreg_core.errors import CameraError
-    from ladarreg_core.validation import require_type
+    from ladarreg_core.foundations.validation import require_type
 
     if not isinstance(value, Camera | FisheyeCamera | EquirectangularCamera):
         return require_type(value, Camera, name, error=CameraError)

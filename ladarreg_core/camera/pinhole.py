@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera.focal import FocalCamera
+from ladarreg_core.foundations.arrays import FloatArray
 
 _NEWTON_STEPS = 20
 

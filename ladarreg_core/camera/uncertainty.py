@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.camera.model import CameraModel
 from ladarreg_core.camera.pinhole import Camera
 from ladarreg_core.errors import ShapeError
+from ladarreg_core.foundations.arrays import FloatArray, read_only
+from ladarreg_core.foundations.validation import require_number
 from ladarreg_core.frames import Rigid
-from ladarreg_core.validation import require_number
 
 INTRINSICS = ("focal_px", "k1", "cx", "cy")
 """Names of the intrinsics that can be uncertain: px, 1, px, px; in the order of `Camera.intrinsics_jacobian`."""

@@ -14,12 +14,12 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.errors import OptionError
 from ladarreg_core.export.json import write_document
+from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.foundations.validation import require_choice
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
-from ladarreg_core.validation import require_choice
 
 FrameName = Literal["scanner", "world"]
 _LARGE_M = 1000.0  # single precision resolves .06 mm there

@@ -9,10 +9,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ladarreg_core.arrays import ByteArray
 from ladarreg_core.errors import OptionError
+from ladarreg_core.foundations.arrays import ByteArray
+from ladarreg_core.foundations.palette import BACKGROUND, INK, ramp_colors
 from ladarreg_core.frames import Rigid
-from ladarreg_core.palette import BACKGROUND, INK, ramp_colours
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 
@@ -88,7 +88,7 @@ def overlay_picture(frame: OverlayFrame, camera_from_scanner: Rigid, *, near_m: 
     points, uv = points[keep], uv[keep]
     ranges = np.linalg.norm(points, axis=-1)
     share = np.log(np.clip(ranges, near_m, far_m) / near_m) / max(np.log(far_m / near_m), 1e-9)
-    colors = ramp_colours(1 - share)
+    colors = ramp_colors(1 - share)
     radius = max(1, round(size[0] / 480))
     for k in np.argsort(-ranges, kind="stable"):  # the nearest last
         u, v = (uv[k] + 0.5) * scale - 0.5

@@ -9,13 +9,13 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ladarreg_core.formats.camera_file import read_camera as read_camera
+    from ladarreg_core.formats.cameras.camera_file import read_camera as read_camera
+    from ladarreg_core.formats.documents.matches_file import read_matches as read_matches
+    from ladarreg_core.formats.documents.pose_file import read_pose as read_pose
+    from ladarreg_core.formats.documents.registration_file import read_registration as read_registration
     from ladarreg_core.formats.e57_images import extract_images as extract_images
     from ladarreg_core.formats.file_info import FileInfo as FileInfo
-    from ladarreg_core.formats.matches_file import read_matches as read_matches
     from ladarreg_core.formats.photo_file import read_photo as read_photo
-    from ladarreg_core.formats.pose_file import read_pose as read_pose
-    from ladarreg_core.formats.registration_file import read_registration as read_registration
     from ladarreg_core.formats.registry import FORMATS as FORMATS
     from ladarreg_core.formats.registry import describe as describe
     from ladarreg_core.formats.registry import listed_kind as listed_kind

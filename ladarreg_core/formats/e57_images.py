@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ladarreg_core.arrays import ByteArray
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera
 from ladarreg_core.errors import CameraError, ExportError, FormatError, OptionError
-from ladarreg_core.formats.camera_file import write_camera
-from ladarreg_core.formats.e57_header import E57ImageInfo, E57Info, contents_of, read_e57_info, sniff_e57
-from ladarreg_core.formats.e57_tree import SIGNATURE, E57File, open_e57
-from ladarreg_core.formats.pose_file import write_pose
-from ladarreg_core.formats.untrusted import PathLike, reading
+from ladarreg_core.formats.cameras.camera_file import write_camera
+from ladarreg_core.formats.documents.pose_file import write_pose
+from ladarreg_core.formats.e57.header import E57ImageInfo, E57Info, contents_of, read_e57_info, sniff_e57
+from ladarreg_core.formats.e57.tree import SIGNATURE, E57File, open_e57
+from ladarreg_core.formats.parsing.untrusted import PathLike, reading
+from ladarreg_core.foundations.arrays import ByteArray
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 
 _OPENCV_FROM_E57 = {

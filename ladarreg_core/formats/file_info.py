@@ -11,14 +11,17 @@ import numpy as np
 
 from ladarreg_core.camera import Camera, EquirectangularCamera
 from ladarreg_core.errors import CameraError, FormatError, OptionError, ShapeError, UnderspecifiedError
-from ladarreg_core.formats.bag import bag_topics, read_bag
-from ladarreg_core.formats.camera_file import camera_format, describe_camera, read_cameras
-from ladarreg_core.formats.camera_in_file import FileCamera
-from ladarreg_core.formats.e57 import read_e57
-from ladarreg_core.formats.e57_header import E57ImageInfo, E57Info, E57ScanInfo, read_e57_info
+from ladarreg_core.formats.cameras.camera_file import camera_format, describe_camera, read_cameras
+from ladarreg_core.formats.cameras.camera_in_file import FileCamera
+from ladarreg_core.formats.documents.matches_file import csv_rows
+from ladarreg_core.formats.documents.pose_file import POSE_FIELD, WORLD_FIELD, read_pose
+from ladarreg_core.formats.e57.header import E57ImageInfo, E57Info, E57ScanInfo, read_e57_info
+from ladarreg_core.formats.e57.pages import require_intact_pages
+from ladarreg_core.formats.e57.reader import read_e57
 from ladarreg_core.formats.e57_images import camera_of_image
-from ladarreg_core.formats.e57_pages import require_intact_pages
-from ladarreg_core.formats.exif import (
+from ladarreg_core.formats.parsing.json_file import begins_with_brace, parsed_once, read_json_object
+from ladarreg_core.formats.parsing.untrusted import one_line, reading, shown_name
+from ladarreg_core.formats.photos.exif import (
     edited_since,
     exif_facts,
     focal_from_exif,
@@ -26,24 +29,21 @@ from ladarreg_core.formats.exif import (
     orientation_of,
     upright,
 )
-from ladarreg_core.formats.gpano import WHICH_CAMERA, looks_like_panorama, panorama_of_xmp
-from ladarreg_core.formats.image_file import ImageData, read_image
-from ladarreg_core.formats.json_file import begins_with_brace, parsed_once, read_json_object
-from ladarreg_core.formats.las import las_facts, read_las
-from ladarreg_core.formats.las_header import read_las_header
-from ladarreg_core.formats.matches_file import csv_rows
-from ladarreg_core.formats.pose_file import POSE_FIELD, WORLD_FIELD, read_pose
-from ladarreg_core.formats.ptx import PtxBlock, ptx_blocks, read_ptx
-from ladarreg_core.formats.radiometric import radiometric_maker
-from ladarreg_core.formats.scan_request import ScanRequest
-from ladarreg_core.formats.untrusted import one_line, reading, shown_name
+from ladarreg_core.formats.photos.gpano import WHICH_CAMERA, looks_like_panorama, panorama_of_xmp
+from ladarreg_core.formats.photos.image_file import ImageData, read_image
+from ladarreg_core.formats.photos.radiometric import radiometric_maker
+from ladarreg_core.formats.scans.bag import bag_topics, read_bag
+from ladarreg_core.formats.scans.las import las_facts, read_las
+from ladarreg_core.formats.scans.las_header import read_las_header
+from ladarreg_core.formats.scans.ptx import PtxBlock, ptx_blocks, read_ptx
+from ladarreg_core.formats.scans.scan_request import ScanRequest
 from ladarreg_core.frames import ThesisParameters, describe_direction, describe_position, describe_world
 from ladarreg_core.scan import Scan
 from ladarreg_core.thermal import kelvin_of, needs_unit, shown_values
 
 FileKind = Literal["scan", "photo", "camera", "pose", "matches", "results"]
-_MOST_LISTED = 50
-_MOST_DESCRIBED_BY_READING = 2_000_000
+_MAX_LISTED = 50
+_MAX_DESCRIBED_BY_READING = 2_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,7 +172,7 @@ def describe_bag(path: Path, asked: ScanRequest) -> FileInfo:
     topics = bag_topics(path)
     lines = tuple(
         f"{one_line(each.name, 80)}: {each.messages:,} cloud{'s' * (each.messages != 1)}"
-        for each in topics[:_MOST_LISTED]
+        for each in topics[:_MAX_LISTED]
     )
     try:
         scan = read_bag(
@@ -198,7 +198,7 @@ def describe_las(path: Path, asked: ScanRequest) -> FileInfo:
     )
     crs = (f"the file's coordinate reference system is {header.crs}",) if header.crs else ()
     notes: tuple[str, ...] = ("described from its header alone: its points are read when it is opened",)
-    if header.points <= _MOST_DESCRIBED_BY_READING:
+    if header.points <= _MAX_DESCRIBED_BY_READING:
         try:
             scan = read_las(path, origin=asked.origin, intensity=asked.intensity, report=asked.report)
         except (ShapeError, UnderspecifiedError) as error:
@@ -344,8 +344,8 @@ def describe_camera_file(path: Path) -> FileInfo:
         format=camera_format(path),
         camera={} if only is None else describe_camera(only.camera),
         contents=_pictures(only),
-        cameras=() if only is not None else tuple(map(_camera_line, cameras[:_MOST_LISTED])),
-        notes=tuple(dict.fromkeys(note for each in cameras for note in each.notes))[:_MOST_LISTED],
+        cameras=() if only is not None else tuple(map(_camera_line, cameras[:_MAX_LISTED])),
+        notes=tuple(dict.fromkeys(note for each in cameras for note in each.notes))[:_MAX_LISTED],
     )
 
 

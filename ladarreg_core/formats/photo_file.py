@@ -14,20 +14,20 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.camera.focal import FocalCamera
 from ladarreg_core.errors import CameraError, OptionError, UnderspecifiedError
-from ladarreg_core.formats.begun_read import BegunRead
-from ladarreg_core.formats.budget import ReadBudget
-from ladarreg_core.formats.camera_file import read_noted_camera
-from ladarreg_core.formats.exif import edited_since, focal_lengths, focal_mm_of, orientation_of, upright
-from ladarreg_core.formats.gpano import WHICH_CAMERA, looks_like_panorama, panorama_of_xmp, whole_sphere
-from ladarreg_core.formats.image_file import ImageData, as_rgb, read_image
-from ladarreg_core.formats.radiometric import radiometric_kelvin, radiometric_maker
-from ladarreg_core.formats.untrusted import PathLike, one_line, reading
+from ladarreg_core.formats.cameras.camera_file import read_noted_camera
+from ladarreg_core.formats.parsing.begun_read import BegunRead
+from ladarreg_core.formats.parsing.budget import ReadBudget
+from ladarreg_core.formats.parsing.untrusted import PathLike, one_line, reading
+from ladarreg_core.formats.photos.exif import edited_since, focal_lengths, focal_mm_of, orientation_of, upright
+from ladarreg_core.formats.photos.gpano import WHICH_CAMERA, looks_like_panorama, panorama_of_xmp, whole_sphere
+from ladarreg_core.formats.photos.image_file import ImageData, as_rgb, read_image
+from ladarreg_core.formats.photos.radiometric import radiometric_kelvin, radiometric_maker
+from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.foundations.source import with_source
 from ladarreg_core.photo import Photo
-from ladarreg_core.source import with_source
 from ladarreg_core.thermal import TemperatureUnit, kelvin_of, needs_unit, shown_values, thermal_photo
 
 _FREEZING_K = 273.15

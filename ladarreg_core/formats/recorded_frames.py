@@ -16,15 +16,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import FormatError
-from ladarreg_core.formats.bag import AccumulatedClouds
-from ladarreg_core.formats.budget import ReadBudget
-from ladarreg_core.formats.image_file import as_rgb, read_image
+from ladarreg_core.formats.parsing.budget import ReadBudget
+from ladarreg_core.formats.parsing.untrusted import PathLike, one_line, reading
 from ladarreg_core.formats.photo_file import read_photo
-from ladarreg_core.formats.recorded_images import recorded_camera, write_picture
-from ladarreg_core.formats.recording import (
+from ladarreg_core.formats.photos.image_file import as_rgb, read_image
+from ladarreg_core.formats.recordings.images import recorded_camera, write_picture
+from ladarreg_core.formats.recordings.recording import (
     CLOUD_TYPES,
     IMAGE_TYPES,
     METADATA_FILE,
@@ -35,13 +34,14 @@ from ladarreg_core.formats.recording import (
     shown,
     storage_of,
 )
-from ladarreg_core.formats.untrusted import PathLike, one_line, reading
+from ladarreg_core.formats.scans.bag import AccumulatedClouds
+from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.foundations.validation import require_int, require_positive
 from ladarreg_core.photo import Photo, TimedPhoto
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
-from ladarreg_core.validation import require_int, require_positive
 
-MOST_FRAMES = 40
+MAX_FRAMES = 40
 """Largest number of pairs that are read of a recording."""
 NEIGHBORS = 6
 """Number of pictures before and after that of a pair that are read for the estimation of a time offset."""
@@ -100,7 +100,7 @@ def read_frames(
         path: a ROS 1 bag, the storage or metadata.yaml of a ROS 2 bag, or its folder.
         cloud: topic of the clouds; None: the only one.
         images: topics of pictures, one for each camera; empty: the only one.
-        frames: most pairs of each camera, 2 to `MOST_FRAMES`.
+        frames: most pairs of each camera, 2 to `MAX_FRAMES`.
         deskewed: whether the clouds are corrected for the motion of the scanner during its turn. If not, pairs are
             chosen among those where the pictures move least.
         neighbors: also read the pictures before and after each pair.
@@ -117,7 +117,7 @@ def read_frames(
         UnderspecifiedError: if there are several topics, and none is chosen.
         OptionError: if there is no topic of that name, or a number is out of range.
     """
-    require_int(frames, "the number of frames", least=2, most=MOST_FRAMES)
+    require_int(frames, "the number of frames", least=2, most=MAX_FRAMES)
     options = dict(scan_options or {})
     if options.get("seconds") is not None:
         require_positive(options["seconds"], "seconds", unit="s")

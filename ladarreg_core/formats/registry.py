@@ -16,16 +16,12 @@ from typing import Any
 import msgspec
 
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
-from ladarreg_core.formats.accumulated import read_accumulated
-from ladarreg_core.formats.bag import read_bag
-from ladarreg_core.formats.begun_read import BegunRead
-from ladarreg_core.formats.camera_calibration import is_calibration
-from ladarreg_core.formats.camera_file import CAMERA_FORMATS, CameraFormat
-from ladarreg_core.formats.camera_nerfstudio import is_nerfstudio
-from ladarreg_core.formats.descriptor import KINDS as DESCRIPTOR_KINDS
-from ladarreg_core.formats.descriptor import read_descriptor
-from ladarreg_core.formats.e57 import read_e57
-from ladarreg_core.formats.e57_header import sniff_e57
+from ladarreg_core.formats.cameras.calibration import is_calibration
+from ladarreg_core.formats.cameras.camera_file import CAMERA_FORMATS, CameraFormat
+from ladarreg_core.formats.cameras.nerfstudio import is_nerfstudio
+from ladarreg_core.formats.documents.pose_file import POSE_FIELD, WORLD_FIELD
+from ladarreg_core.formats.e57.header import sniff_e57
+from ladarreg_core.formats.e57.reader import read_e57
 from ladarreg_core.formats.file_info import (
     FileInfo,
     FileKind,
@@ -39,26 +35,30 @@ from ladarreg_core.formats.file_info import (
     describe_ptx,
     scan_describer,
 )
-from ladarreg_core.formats.float_bin import read_float_bin, sniff_float_bin
-from ladarreg_core.formats.image_file import image_format
-from ladarreg_core.formats.json_file import looks_like_json, parsed_once, read_json_object
-from ladarreg_core.formats.las import read_las
-from ladarreg_core.formats.las_header import sniff_las
-from ladarreg_core.formats.npz import read_npz, sniff_npz
-from ladarreg_core.formats.ouster_pcap import read_ouster_pcap
-from ladarreg_core.formats.packet_capture import sniff_capture
-from ladarreg_core.formats.pcd import read_pcd, sniff_pcd
-from ladarreg_core.formats.ply import read_ply, sniff_ply
-from ladarreg_core.formats.pose_file import POSE_FIELD, WORLD_FIELD
-from ladarreg_core.formats.ptx import read_ptx, sniff_ptx
-from ladarreg_core.formats.recording import sniff_recording
+from ladarreg_core.formats.packets.capture import sniff_capture
+from ladarreg_core.formats.packets.ouster_pcap import read_ouster_pcap
+from ladarreg_core.formats.parsing.begun_read import BegunRead
+from ladarreg_core.formats.parsing.json_file import looks_like_json, parsed_once, read_json_object
+from ladarreg_core.formats.parsing.untrusted import PathLike, reading
+from ladarreg_core.formats.photos.image_file import image_format
+from ladarreg_core.formats.recordings.recording import sniff_recording
 from ladarreg_core.formats.results_info import describe_results
-from ladarreg_core.formats.scan_request import IntensitySource, ScanRequest
-from ladarreg_core.formats.text_cloud import read_text_cloud, sniff_pts, sniff_text_cloud
-from ladarreg_core.formats.untrusted import PathLike, reading
+from ladarreg_core.formats.scans.accumulated import read_accumulated
+from ladarreg_core.formats.scans.bag import read_bag
+from ladarreg_core.formats.scans.descriptor import KINDS as DESCRIPTOR_KINDS
+from ladarreg_core.formats.scans.descriptor import read_descriptor
+from ladarreg_core.formats.scans.float_bin import read_float_bin, sniff_float_bin
+from ladarreg_core.formats.scans.las import read_las
+from ladarreg_core.formats.scans.las_header import sniff_las
+from ladarreg_core.formats.scans.npz import read_npz, sniff_npz
+from ladarreg_core.formats.scans.pcd import read_pcd, sniff_pcd
+from ladarreg_core.formats.scans.ply import read_ply, sniff_ply
+from ladarreg_core.formats.scans.ptx import read_ptx, sniff_ptx
+from ladarreg_core.formats.scans.scan_request import IntensitySource, ScanRequest
+from ladarreg_core.formats.scans.text_cloud import read_text_cloud, sniff_pts, sniff_text_cloud
+from ladarreg_core.foundations.source import with_source
 from ladarreg_core.progress import Report
 from ladarreg_core.scan import Scan
-from ladarreg_core.source import with_source
 
 _HEAD_BYTES = 4096
 _UNSUPPORTED = (

@@ -10,22 +10,22 @@ from typing import Any
 import numpy as np
 
 from ladarreg_core.camera import CameraModel
-from ladarreg_core.checksums import CHECKSUM_FIELD
 from ladarreg_core.errors import FormatError
-from ladarreg_core.formats.camera_file import camera_from_fields, describe_camera
+from ladarreg_core.formats.cameras.camera_file import camera_from_fields, describe_camera
+from ladarreg_core.formats.documents.own_results import TRUST_OPTION, checksum_words, edited_fault, was_edited
+from ladarreg_core.formats.documents.panorama_info import panorama_lines
+from ladarreg_core.formats.documents.pose_file import CAMERAS_FIELD, GUESS_FIELD, POSE_FIELD, WORLD_FIELD, read_pose
+from ladarreg_core.formats.documents.registration_file import as_given
+from ladarreg_core.formats.documents.stations_info import station_lines
 from ladarreg_core.formats.file_info import FileInfo
-from ladarreg_core.formats.json_file import begins_with_brace, parsed_once, read_json_object
-from ladarreg_core.formats.own_results import TRUST_OPTION, checksum_words, edited_fault, was_edited
-from ladarreg_core.formats.panorama_info import panorama_lines
-from ladarreg_core.formats.pose_file import CAMERAS_FIELD, GUESS_FIELD, POSE_FIELD, WORLD_FIELD, read_pose
-from ladarreg_core.formats.registration_file import as_given
-from ladarreg_core.formats.stations_info import station_lines
-from ladarreg_core.formats.untrusted import one_line, reading, shown_name
+from ladarreg_core.formats.parsing.json_file import begins_with_brace, parsed_once, read_json_object
+from ladarreg_core.formats.parsing.untrusted import one_line, reading, shown_name
 from ladarreg_core.frames import Rigid, ThesisParameters, describe_direction, describe_position
-from ladarreg_core.manifest import DOCUMENTS
 from ladarreg_core.results import verdict_words
+from ladarreg_core.storage.checksums import CHECKSUM_FIELD
+from ladarreg_core.storage.manifest import DOCUMENTS
 
-_MOST_LISTED = 50
+_MAX_LISTED = 50
 _LONGEST = 400
 Fields = Mapping[str, Any]
 
@@ -136,7 +136,7 @@ def _export(path: Path, fields: Fields) -> FileInfo:
     files = fields.get("files") or []
     return FileInfo(
         **_about(path, fields, "export"),
-        contents=(f"{len(files)} files for {targets}", *photos[:_MOST_LISTED]),
+        contents=(f"{len(files)} files for {targets}", *photos[:_MAX_LISTED]),
         notes=_texts([fields["frame_is"]] if fields.get("frame_is") else []),
     )
 
@@ -145,7 +145,7 @@ def _comparison(path: Path, fields: Fields) -> FileInfo:
     lines = [
         f"{one_line(one.get('name') or one.get('stage'), 40)}: "
         + ("accepted" if one.get("accepted") is True else "not accepted" if "accepted" in one else "no pose")
-        for one in fields["columns"][:_MOST_LISTED]
+        for one in fields["columns"][:_MAX_LISTED]
     ]
     return FileInfo(**_about(path, fields, "comparison"), contents=tuple(lines), notes=_texts(fields.get("cautions")))
 
@@ -186,7 +186,7 @@ def _offset(path: Path, fields: Fields) -> FileInfo:
 def _about(path: Path, fields: Fields, name: str) -> dict[str, Any]:
     inputs = [
         f"{one_line(one['name'], 80)} ({int(one['size']):,} bytes, SHA-256 {one_line(one['sha256'], 64)})"
-        for one in (fields.get("inputs") or [])[:_MOST_LISTED]
+        for one in (fields.get("inputs") or [])[:_MAX_LISTED]
     ]
     software = fields.get("software")
     made_by = None
@@ -220,4 +220,4 @@ def _matches(listed: Sequence[Any]) -> str | None:
 
 
 def _texts(found: Any) -> tuple[str, ...]:
-    return tuple(one_line(one, _LONGEST) for one in found[:_MOST_LISTED]) if isinstance(found, list) else ()
+    return tuple(one_line(one, _LONGEST) for one in found[:_MAX_LISTED]) if isinstance(found, list) else ()

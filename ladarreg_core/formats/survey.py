@@ -6,17 +6,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.formats.camera_file import read_cameras
-from ladarreg_core.formats.descriptor import named_files
+from ladarreg_core.formats.cameras.camera_file import read_cameras
 from ladarreg_core.formats.file_info import FileKind, scans_in
-from ladarreg_core.formats.image_file import image_size
-from ladarreg_core.formats.json_file import parsed_once, read_json_object
+from ladarreg_core.formats.parsing.json_file import parsed_once, read_json_object
+from ladarreg_core.formats.parsing.untrusted import PathLike
+from ladarreg_core.formats.photos.image_file import image_size
 from ladarreg_core.formats.registry import recognise
-from ladarreg_core.formats.untrusted import PathLike
+from ladarreg_core.formats.scans.descriptor import named_files
 
-_MOST_SIZES = 100
-_MOST_SCANS = 1000
-_MOST_PICTURES = 20_000
+_MAX_SIZES = 100
+_MAX_SCANS = 1000
+_MAX_PICTURES = 20_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ def survey_file(path: PathLike) -> FileSurvey:
             if found.kind == "scan":
                 scans = scans_in(file, found.name)
                 return FileSurvey(
-                    found.kind, found.name, takes=found.takes, scans=scans[:_MOST_SCANS] if len(scans) > 1 else ()
+                    found.kind, found.name, takes=found.takes, scans=scans[:_MAX_SCANS] if len(scans) > 1 else ()
                 )
             if found.kind == "photo":
                 width, height, _ = image_size(file)
@@ -73,8 +73,8 @@ def survey_file(path: PathLike) -> FileSurvey:
                     found.name,
                     (),
                     *sizes[0],
-                    sizes=sizes[:_MOST_SIZES],
-                    pictures=tuple(taken)[:_MOST_PICTURES],
+                    sizes=sizes[:_MAX_SIZES],
+                    pictures=tuple(taken)[:_MAX_PICTURES],
                     takes=("camera_name",) if len(cameras) > 1 else (),
                 )
         except LadarregError:  # it is damaged, which its reader says when it is opened

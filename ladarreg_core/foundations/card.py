@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray
+from ladarreg_core.foundations.arrays import BoolArray, ByteArray, FloatArray
 from ladarreg_core.foundations.markup import Html, joined, map_uri, photograph_uri, tag
-from ladarreg_core.palette import Colour
+from ladarreg_core.foundations.palette import Color
 
 PICTURE_PX = 320
 """Longest side of the picture, px."""
@@ -25,7 +25,7 @@ def card(
     facts: Sequence[tuple[str, str]],
     *,
     picture: Html | None = None,
-    verdict: tuple[str, Colour] | None = None,
+    verdict: tuple[str, Color] | None = None,
     notes: Sequence[str] = (),
 ) -> str:
     """Return the HTML of a value; every text is escaped.
@@ -72,7 +72,7 @@ def gray(values: FloatArray, known: BoolArray) -> ByteArray:
 
 
 def arrows(
-    size: tuple[int, int], at: FloatArray, moved: FloatArray, good: BoolArray, colours: tuple[Colour, Colour], name: str
+    size: tuple[int, int], at: FloatArray, moved: FloatArray, good: BoolArray, colors: tuple[Color, Color], name: str
 ) -> Html:
     """Return displacements in a frame as a drawing, enlarged so that their median is well seen.
 
@@ -96,17 +96,17 @@ def arrows(
         drawn = moved[k] * scale
         drawn = drawn * min(1.0, 3 * longest / max(float(np.linalg.norm(drawn)), 1e-12))
         x, y = at[k] * share
-        colour = _css(colours[0] if good[k] else colours[1])
-        lines.append(tag("circle", cx=_px(x), cy=_px(y), r="1.6", fill=colour))
-        lines.append(tag("line", x1=_px(x), y1=_px(y), x2=_px(x + drawn[0]), y2=_px(y + drawn[1]), stroke=colour))
+        color = _css(colors[0] if good[k] else colors[1])
+        lines.append(tag("circle", cx=_px(x), cy=_px(y), r="1.6", fill=color))
+        lines.append(tag("line", x1=_px(x), y1=_px(y), x2=_px(x + drawn[0]), y2=_px(y + drawn[1]), stroke=color))
     enlarged = round(scale / share, 1 - len(str(int(scale / share))))
     caption = f"{name}, enlarged {enlarged:.0f} times" if enlarged >= 2 else name
     drawing = tag("svg", lines, width=_px(width * share), height=_px(height * share), role="img", aria_label=caption)
     return tag("div", drawing, tag("div", caption, style="font-size:smaller;opacity:.65"))
 
 
-def _css(colour: Colour) -> str:
-    return "#" + "".join(f"{level:02x}" for level in colour)
+def _css(color: Color) -> str:
+    return "#" + "".join(f"{level:02x}" for level in color)
 
 
 def _px(value: float) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from ladarreg_core.arrays import ByteArray
+from ladarreg_core.foundations.arrays import ByteArray
 
 
 def encoded_image(picture: ByteArray, extension: str, settings: Sequence[int] = ()) -> bytes:

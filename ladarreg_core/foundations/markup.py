@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 import cv2
 
-from ladarreg_core.arrays import ByteArray
+from ladarreg_core.foundations.arrays import ByteArray
 from ladarreg_core.foundations.encoded_image import encoded_image
 
 _VOID = frozenset({"br", "hr", "img", "meta", "link"})

@@ -6,14 +6,14 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ladarreg_core.arrays import FloatArray
-from ladarreg_core.features.corners import CornerOptions, find_corners
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.inspection.pictures import Stretch, compensated, stretched
+from ladarreg_core.matching.features.corners import CornerOptions, find_corners
 from ladarreg_core.photo import Photo
 from ladarreg_core.surface.perspective import View
 
 _HALF = 16
-_REFINED_HALF, _MOST_MOVED_PX = 4, 2.5
+_REFINED_HALF, _MAX_MOVED_PX = 4, 2.5
 _OPTIONS = CornerOptions(count=40, q_min=0.3, pre_blur_px=1.0, non_maximum_px=2, sub_pixel=True, border_px=3)
 
 
@@ -61,7 +61,7 @@ def _refine(window: FloatArray, at: FloatArray) -> FloatArray:
     no_dead_zone = (-1, -1)
     found = np.asarray(cv2.cornerSubPix(window, start, (_REFINED_HALF, _REFINED_HALF), no_dead_zone, ends))[0, 0]
     moved = float(np.linalg.norm(found - at))
-    return np.asarray(found if np.isfinite(moved) and moved <= _MOST_MOVED_PX else at, dtype=np.float64)
+    return np.asarray(found if np.isfinite(moved) and moved <= _MAX_MOVED_PX else at, dtype=np.float64)
 
 
 def gray_of_view(view: View) -> FloatArray:

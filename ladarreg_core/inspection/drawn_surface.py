@@ -12,13 +12,13 @@ from weakref import WeakKeyDictionary
 import cv2
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.surface.perspective import View
 from ladarreg_core.surface.ranges import measured_ranges
 
 _COARSE_RAD = 2e-3  # of the coarser direction; a terrestrial scanner is finer by an order of magnitude
-_MOST_PIXELS = 1_500_000  # of a view; a larger one would take minutes
-_WINDOW, _LEAST_RETURNS = (9, 5), 6  # with fewer in so many columns and rows there is no surface to be found
+_MAX_PIXELS = 1_500_000  # of a view; a larger one would take minutes
+_WINDOW, _MIN_RETURNS = (9, 5), 6  # with fewer in so many columns and rows there is no surface to be found
 _PIXELS_AT_ONCE = 40_000
 _drawn: WeakKeyDictionary[View, tuple[FloatArray, FloatArray]] = WeakKeyDictionary()
 
@@ -33,7 +33,7 @@ def drawn_surface(view: View) -> tuple[FloatArray, FloatArray]:
         Ranges, (h, w) float32 m, NaN without a surface; intensity, (h, w) float32. Those of the view itself if the
         scan's cells are closer than 2 mrad in both directions, or the view has more than 1.5 Mpixel.
     """
-    if max(view.scan.geometry.step_rad) < _COARSE_RAD or view.intensity.size > _MOST_PIXELS:
+    if max(view.scan.geometry.step_rad) < _COARSE_RAD or view.intensity.size > _MAX_PIXELS:
         return view.ranges, view.intensity
     found = _drawn.get(view)
     if found is None:
@@ -63,5 +63,5 @@ def _between_lines(view: View) -> tuple[FloatArray, FloatArray]:
 def _near_returns(view: View) -> BoolArray:
     """Return the pixels (h, w) around which there are returns enough; most of the sky has none."""
     count = cv2.boxFilter(view.scan.valid.astype(np.float32), -1, _WINDOW, normalize=False)
-    enough = (count > _LEAST_RETURNS - 0.5).astype(np.float32)
+    enough = (count > _MIN_RETURNS - 0.5).astype(np.float32)
     return np.asarray(view.resample(enough) > 0)

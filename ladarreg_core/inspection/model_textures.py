@@ -10,23 +10,38 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import ByteArray, FloatArray, read_only
 from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.foundations.arrays import ByteArray, FloatArray, read_only
+from ladarreg_core.foundations.palette import (
+    UNKNOWN,
+    VISIBILITY,
+    Color,
+    as_css,
+    diverging_colors,
+    paint,
+    ramp_colors,
+    scale_end,
+)
 from ladarreg_core.inspection.surface_fields import (
     depth_error_field,
     residual_field,
     resolution_field,
     without_pepper,
 )
-from ladarreg_core.palette import UNKNOWN, VISIBILITY, Colour, as_css, diverging_colours, paint, ramp_colours, scale_end
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import View
 from ladarreg_core.surface.remap import look_up
-from ladarreg_core.surface.texture import Label, RegisteredTexture, intensity_picture, model_picture, texture_scan
+from ladarreg_core.surface.texture.registered_texture import (
+    Label,
+    RegisteredTexture,
+    intensity_picture,
+    model_picture,
+    texture_scan,
+)
 from ladarreg_core.surface.uncertainty import picture_sigma
-from ladarreg_core.surface.visibility import LARGEST_WHOLE_SCAN
+from ladarreg_core.surface.visibility.visible_points import LARGEST_WHOLE_SCAN
 
 TextureKind = Literal["colour", "intensity", "range", "residual", "depth_error", "uncertainty", "resolution", "label"]
 
@@ -54,7 +69,7 @@ _ROWS_AT_ONCE = 256
 _NEED_POSE = ("colour", "residual", "depth_error", "uncertainty", "resolution", "label")
 _RAMP = 17
 _SHARE_SHOWN = (1.0, 99.0)  # per cent; a few far cells must not compress the scale for all others
-_LEAST_COLOUR_PX, _LEAST_MM = 1e-3, 1e-3
+_MIN_COLOR_PX, _MIN_MM = 1e-3, 1e-3
 _OUTSIDE = np.float32(-10)
 
 
@@ -64,9 +79,9 @@ class Legend:
 
     title: str
     """Quantity shown, with its unit."""
-    entries: tuple[tuple[Colour, str], ...] = ()
+    entries: tuple[tuple[Color, str], ...] = ()
     """RGB with its meaning."""
-    ramp: tuple[Colour, ...] = ()
+    ramp: tuple[Color, ...] = ()
     """RGB along a scale, from its least to its greatest value; empty: no scale."""
     least: str = ""
     """Value of the first colour of the scale."""
@@ -77,8 +92,8 @@ class Legend:
         """Return the legend with its colours as `#rrggbb`, JSON-ready."""
         return {
             "title": self.title,
-            "entries": [{"colour": as_css(colour), "label": words} for colour, words in self.entries],
-            "ramp": [as_css(colour) for colour in self.ramp],
+            "entries": [{"colour": as_css(color), "label": words} for color, words in self.entries],
+            "ramp": [as_css(color) for color in self.ramp],
             "least": self.least,
             "most": self.most,
         }
@@ -208,17 +223,17 @@ def model_texture(
     if photo is None:
         raise OptionError(f"the texture {kind!r} needs the photograph; give it")
     if known == "colour" and not z_buffer:
-        return ModelTexture(picture_without_z_buffer(scan, photo, result), _colour_legend("outside the photograph"))
+        return ModelTexture(picture_without_z_buffer(scan, photo, result), _color_legend("outside the photograph"))
     if registered is None:
         registered = registered_texture(scan, photo, result)
     if registered.labels.shape != scan.shape:
         raise ShapeError(f"the texture has {registered.labels.shape} cells, the scan {scan.shape}; they must agree")
     if known == "colour":
         fillable = np.isin(registered.labels, (Label.OCCLUDED, Label.NO_RETURN))
-        picture = without_pepper(model_picture(scan, registered), registered.coloured, fillable)
-        return ModelTexture(picture, _colour_legend("not seen by the camera"))
+        picture = without_pepper(model_picture(scan, registered), registered.colored, fillable)
+        return ModelTexture(picture, _color_legend("not seen by the camera"))
     if known == "resolution":
-        return _of_resolution(resolution_field(scan, result, registered.coloured))
+        return _of_resolution(resolution_field(scan, result, registered.colored))
     return visibility_texture(registered.labels)
 
 
@@ -318,9 +333,9 @@ def small_picture(picture: ByteArray, longest_px: int) -> NDArray[np.uint8]:
     return np.array(cv2.resize(np.asarray(picture), size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def uniform_picture(colour: Colour) -> NDArray[np.uint8]:
+def uniform_picture(color: Color) -> NDArray[np.uint8]:
     """Return a small image of one colour, (2, 2, 3) uint8 RGB."""
-    return np.full((2, 2, 3), colour, dtype=np.uint8)
+    return np.full((2, 2, 3), color, dtype=np.uint8)
 
 
 def _checked_kind(kind: str) -> TextureKind:
@@ -330,7 +345,7 @@ def _checked_kind(kind: str) -> TextureKind:
     raise OptionError(f"the texture is {kind!r}; it must be one of {', '.join(get_args(TextureKind))}")
 
 
-def _colour_legend(elsewhere: str) -> Legend:
+def _color_legend(elsewhere: str) -> Legend:
     return Legend("Colour of the photograph", ((UNKNOWN, f"{elsewhere}: laser intensity, dimmed"),))
 
 
@@ -342,7 +357,7 @@ def _of_range(scan: Scan) -> ModelTexture:
     picture = np.empty((*scan.shape, 3), np.uint8)
     for first in range(0, scan.shape[0], _ROWS_AT_ONCE):
         rows = slice(first, first + _ROWS_AT_ONCE)
-        picture[rows] = ramp_colours((np.nan_to_num(scan.ranges[rows], nan=low) - np.float32(low)) / span)
+        picture[rows] = ramp_colors((np.nan_to_num(scan.ranges[rows], nan=low) - np.float32(low)) / span)
     picture.flags.writeable = False
     legend = Legend("Range from the scanner, m", ramp=_VIRIDIS, least=_number(low), most=_number(high))
     return ModelTexture(picture, legend)
@@ -351,8 +366,8 @@ def _of_range(scan: Scan) -> ModelTexture:
 def _of_pixels(values: FloatArray, title: str) -> ModelTexture:
     """Return a texture of values (H, W) in pixels, on a scale from 0 to a round number."""
     known = np.isfinite(values)
-    most = max(scale_end(np.where(known, values, np.float32(np.nan))), _LEAST_COLOUR_PX)
-    picture = np.array(ramp_colours(np.where(known, values, 0).astype(np.float32) / np.float32(most)))
+    most = max(scale_end(np.where(known, values, np.float32(np.nan))), _MIN_COLOR_PX)
+    picture = np.array(ramp_colors(np.where(known, values, 0).astype(np.float32) / np.float32(most)))
     paint(picture, ~known, UNKNOWN)
     legend = Legend(title, ((UNKNOWN, "no data"),), _VIRIDIS, least="0", most=f"{most:.3g} and above")
     return ModelTexture(picture, legend)
@@ -362,9 +377,9 @@ def _of_depth_errors(values: FloatArray) -> ModelTexture:
     """Return a texture of signed lengths (H, W), m, on a scale that is as long on both sides of zero."""
     known = np.isfinite(values)
     mm = np.where(known, 1000 * values, 0).astype(np.float32)
-    most = max(scale_end(np.abs(mm)), _LEAST_MM) if known.any() else _LEAST_MM
+    most = max(scale_end(np.abs(mm)), _MIN_MM) if known.any() else _MIN_MM
     picture = np.full((*values.shape, 3), UNKNOWN, np.uint8)
-    picture[known] = diverging_colours(mm[known] / np.float32(most))
+    picture[known] = diverging_colors(mm[known] / np.float32(most))
     legend = Legend(
         "Laser minus stereo depth of the nearby matches, mm",
         ((UNKNOWN, "no data"),),
@@ -381,7 +396,7 @@ def _of_resolution(values: FloatArray) -> ModelTexture:
     shown = values[known].astype(np.float64)
     low, high = (float(v) for v in np.percentile(shown, _SHARE_SHOWN)) if shown.size else (0.0, 1.0)
     level = (np.where(known, values, low) - np.float32(low)) / np.float32(max(high - low, 1e-6 * high, 1e-9))
-    picture = np.array(ramp_colours(level))
+    picture = np.array(ramp_colors(level))
     paint(picture, ~known, UNKNOWN)
     legend = Legend(
         "Resolution on the surface, mm per pixel of the photograph",
@@ -412,12 +427,12 @@ def visibility_legend(labels: ByteArray) -> Legend:
     return Legend("Visibility class", entries)
 
 
-def _ramp(colours: Callable[[FloatArray], ByteArray]) -> tuple[Colour, ...]:
-    return tuple((int(r), int(g), int(b)) for r, g, b in colours(np.linspace(0, 1, _RAMP)))
+def _ramp(colors: Callable[[FloatArray], ByteArray]) -> tuple[Color, ...]:
+    return tuple((int(r), int(g), int(b)) for r, g, b in colors(np.linspace(0, 1, _RAMP)))
 
 
-_VIRIDIS = _ramp(ramp_colours)
-_DIVERGING = _ramp(lambda level: diverging_colours(2 * level - 1))
+_VIRIDIS = _ramp(ramp_colors)
+_DIVERGING = _ramp(lambda level: diverging_colors(2 * level - 1))
 _GRAYS = _ramp(lambda level: np.repeat(np.rint(18 + 227 * level).astype(np.uint8)[:, None], 3, axis=1))
 
 

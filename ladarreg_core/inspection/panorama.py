@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import OptionError
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.inspection.pictures import Stretch, stretched
 from ladarreg_core.inspection.viewpoints import typical_range
 from ladarreg_core.scan import Scan
 
 _WIDTH = 1536
-_LEAST_SPAN_RAD, _MARGIN_RAD = math.radians(20.0), math.radians(1.0)
+_MIN_SPAN_RAD, _MARGIN_RAD = math.radians(20.0), math.radians(1.0)
 _PER_SIDE, _ROUNDS, _SMOOTHED = 24, 4, 6
 _EMPTY = np.array((11, 12, 15), np.uint8)
 
@@ -50,7 +50,7 @@ def strip_of(scan: Scan) -> Strip:
     """Return the strip that contains the returns of a scan: the full turn, as high as they reach."""
     elevation = np.arcsin(np.clip(scan.sampled_directions[:, 2], -1, 1))
     low, high = float(elevation.min()) - _MARGIN_RAD, float(elevation.max()) + _MARGIN_RAD
-    missing = max(0.0, _LEAST_SPAN_RAD - (high - low)) / 2
+    missing = max(0.0, _MIN_SPAN_RAD - (high - low)) / 2
     return Strip(max(low - missing, -math.pi / 2), min(high + missing, math.pi / 2))
 
 

@@ -10,9 +10,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import FloatArray, IntArray
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import LadarregError
+from ladarreg_core.foundations.arrays import FloatArray, IntArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.photo import Photo
@@ -23,9 +23,14 @@ from ladarreg_core.quality.influence import influence
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.ranges import measured_ranges
-from ladarreg_core.surface.visibility import LARGEST_WHOLE_SCAN, ScanProjection, project_scan, projected_tiles
+from ladarreg_core.surface.visibility.visible_points import (
+    LARGEST_WHOLE_SCAN,
+    ScanProjection,
+    project_scan,
+    projected_tiles,
+)
 
-_MOST_CACHED = 4_000  # some kilobytes each
+_MAX_CACHED = 4_000  # some kilobytes each
 _REACH_PX = 6
 _REFINED_CELLS = 1.5
 
@@ -77,7 +82,7 @@ class PickMeasurements:
         lengths = None if pick.lengths_m is None else pick.lengths_m.tobytes()
         key = (pick.id, pick.scan.tobytes(), pick.photo.tobytes(), pick.kind, pick.weight, lengths, pick.name)
         if key not in self._cache:
-            if len(self._cache) >= _MOST_CACHED:
+            if len(self._cache) >= _MAX_CACHED:
                 self._cache.clear()
             self._cache[key] = matches_from_picks(self.scan, [replace(pick, on=True)], camera=self.photo.camera)
         return self._cache[key]

@@ -20,11 +20,11 @@ PART_PX = 256
 """The side of a part, pixels of its level."""
 FORMS = ("exact", "quick", "small")
 _QUALITIES = (70, 80, 90)
-_MOST_ERROR = 4.0
+_MAX_ERROR = 4.0
 """RMS error of the brightness of a quick picture, levels of 255: about the noise of a camera, and hardly visible."""
 _JPEG_ABOVE_PIXELS = 2_500_000
 _JPEG_QUALITY = 93
-_MOST_LEVEL = 12
+_MAX_LEVEL = 12
 _MAX_DIGITS = 6
 
 
@@ -64,7 +64,7 @@ def quick(pixels: NDArray[np.uint8]) -> EncodedPicture:
     for quality in _QUALITIES:
         _, data = cv2.imencode(".webp", bgr, [cv2.IMWRITE_WEBP_QUALITY, quality])
         again = cv2.cvtColor(np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR)), cv2.COLOR_BGR2GRAY)
-        if cv2.norm(again, gray) <= _MOST_ERROR * np.sqrt(gray.size):
+        if cv2.norm(again, gray) <= _MAX_ERROR * np.sqrt(gray.size):
             break
     return EncodedPicture(data.tobytes(), "image/webp")
 
@@ -95,8 +95,8 @@ def level_column_row(text: str) -> tuple[int, int, int]:
     if len(words) != 3 or not all(word.isdecimal() and len(word) <= _MAX_DIGITS for word in words):
         raise OptionError(f"the part is {text[:40]!r}; give LEVEL.COLUMN.ROW, three whole numbers")
     level, column, row = (int(word) for word in words)
-    if level > _MOST_LEVEL:
-        raise OptionError(f"the part is of level {level}; the highest is {_MOST_LEVEL}")
+    if level > _MAX_LEVEL:
+        raise OptionError(f"the part is of level {level}; the highest is {_MAX_LEVEL}")
     return level, column, row
 
 

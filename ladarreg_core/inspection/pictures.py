@@ -12,25 +12,25 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.foundations.palette import ACCENT, uniform
+from ladarreg_core.foundations.validation import require_choice
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.inspection.drawn_surface import drawn_surface
 from ladarreg_core.inspection.viewpoints import is_all_around
-from ladarreg_core.matching.views import viewing_directions
-from ladarreg_core.palette import ACCENT, uniform
+from ladarreg_core.matching.images.views import viewing_directions
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import View, check_viewable, most_view_pixels, native_focal_px, perspective_view
-from ladarreg_core.surface.render import LARGEST_DRAWN_SCAN, render_scan_picture
-from ladarreg_core.surface.texture import RegisteredTexture, intensity_picture
-from ladarreg_core.validation import require_choice
+from ladarreg_core.surface.texture.registered_texture import RegisteredTexture, intensity_picture
+from ladarreg_core.surface.visibility.render import LARGEST_DRAWN_SCAN, render_scan_picture
 
 Show = Literal["intensity", "raw", "range", "shape", "normals", "edges", "color"]
 OverlayShow = Literal["intensity", "edges", "range"]
 _STRONG = 150.0
 _WIDEST_PX = 2048
-_MOST_PIXELS = 8_000_000
+_MAX_PIXELS = 8_000_000
 _ONE_VIEW_HALF_RAD = math.radians(50.0)
 _FIELD_RAD = math.radians(90.0)
 _WELL_FILLED, _SAMPLED = 0.9, 4
@@ -41,10 +41,10 @@ _CREASE = 0.04  # step of the range between neighbouring pixels, as a share of i
 _CREASE_GRAY = 0.25
 _BINS = 4096
 _RANGE_SAMPLES = 100_000  # for the limits of the gray levels
-_MOST_GAMMA = 10.0
+_MAX_GAMMA = 10.0
 _BETWEEN_RAD = float(np.deg2rad(30.0))
 _SAME_DIRECTION_RAD = float(np.deg2rad(10.0))
-_LEAST_SHARE_BETWEEN = 0.4  # of the cells that other views show
+_MIN_SHARE_BETWEEN = 0.4  # of the cells that other views show
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,11 +87,11 @@ def inspection_views(scan: Scan) -> tuple[NamedView, ...]:
     rays = scan.sampled_directions
     away = np.arccos(np.clip(rays @ scan.mean_direction, -1, 1))
     if float(np.percentile(away, 99)) <= _ONE_VIEW_HALF_RAD:
-        whole = perspective_view(scan, most_pixels=_MOST_PIXELS)
+        whole = perspective_view(scan, most_pixels=_MAX_PIXELS)
         return (NamedView(scan, whole.camera, whole.view_from_scanner, "the whole scan"),)
     focal = native_focal_px(scan)
     side = 2 * focal * math.tan(_FIELD_RAD / 2)
-    share = min(1.0, math.sqrt(min(_MOST_PIXELS, most_view_pixels(scan))) / side)
+    share = min(1.0, math.sqrt(min(_MAX_PIXELS, most_view_pixels(scan))) / side)
     if share < 1:
         check_viewable(scan, focal * share)
     camera = Camera.from_focal(max(2, round(side * share)), max(2, round(side * share)), focal * share)
@@ -118,7 +118,7 @@ def _views_between(scan: Scan, camera: Camera, directions: Sequence[Rigid]) -> l
         for azimuth in 2 * np.pi * np.arange(count) / count:
             level = np.cos(elevation)
             axis = np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
-            if np.count_nonzero(rays @ axis > within) < _LEAST_SHARE_BETWEEN * usual:
+            if np.count_nonzero(rays @ axis > within) < _MIN_SHARE_BETWEEN * usual:
                 continue
             if max(float(axis @ other) for other in axes) < np.cos(_SAME_DIRECTION_RAD):
                 axes.append(axis)
@@ -172,8 +172,8 @@ class Stretch:
     def __post_init__(self) -> None:
         if not 0 <= self.low < self.high <= 100:
             raise OptionError(f"the contrast runs from {self.low} to {self.high} %; give rising percentiles, 0 to 100")
-        if not 0 < self.gamma <= _MOST_GAMMA:
-            raise OptionError(f"gamma is {self.gamma}; it must be positive, at most {_MOST_GAMMA:g}")
+        if not 0 < self.gamma <= _MAX_GAMMA:
+            raise OptionError(f"gamma is {self.gamma}; it must be positive, at most {_MAX_GAMMA:g}")
 
 
 def scan_picture(view: View, show: str, stretch: Stretch | None = None) -> NDArray[np.uint8]:
@@ -206,11 +206,11 @@ def scan_picture(view: View, show: str, stretch: Stretch | None = None) -> NDArr
         gray = stretched(values, seen, stretch or Stretch())
         picture = np.repeat(gray[..., None], 3, axis=-1)
     elif show == "range":
-        picture = _range_colours(ranges, seen, stretch or Stretch(low=1, high=99))
+        picture = _range_colors(ranges, seen, stretch or Stretch(low=1, high=99))
     elif show == "shape":
         picture = np.repeat(_shape_shading(view.camera, ranges, seen)[..., None], 3, axis=-1)
     elif show == "normals":
-        picture = _normal_colours(view.camera, ranges)
+        picture = _normal_colors(view.camera, ranges)
     else:
         gray = 255 - edge_strength(view)
         picture = np.repeat(gray[..., None], 3, axis=-1)
@@ -280,10 +280,10 @@ def scan_over_photo(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid,
     picture = _range_picture(scan) if show == "range" else intensity_picture(scan)
     if show == "edges":  # one rendering for both grays, of which every channel is a copy
         picture = np.stack([picture[..., 0], _range_picture(scan)[..., 0], picture[..., 0]], axis=-1)
-    colour, covered = render_scan_picture(scan, camera, camera_from_scanner, picture)
+    color, covered = render_scan_picture(scan, camera, camera_from_scanner, picture)
     if show != "edges":
-        return _with_alpha(colour, np.where(covered, 255, 0))
-    strength = np.maximum(_magnitude(colour[..., 0]), _magnitude(colour[..., 1]))
+        return _with_alpha(color, np.where(covered, 255, 0))
+    strength = np.maximum(_magnitude(color[..., 0]), _magnitude(color[..., 1]))
     edge = uniform(covered.shape, ACCENT)
     inside = cv2.erode(covered.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     return _with_alpha(edge, np.where(inside, np.clip(255 * strength / _STRONG, 0, 255), 0))
@@ -292,9 +292,9 @@ def scan_over_photo(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid,
 def photo_over_scan(view: View, texture: RegisteredTexture) -> NDArray[np.uint8]:
     """Render the photo as seen from the scanner, in a view, (h, w, 4) uint8 RGBA; alpha 0 where it has no colour."""
     planes = [view.resample(texture.image[..., k].astype(np.float32)) for k in range(3)]
-    known = view.resample(texture.coloured.astype(np.float32))
-    colour = np.rint(np.stack(planes, axis=-1)).astype(np.uint8)
-    return _with_alpha(colour, np.where(view.inside, 255 * known, 0))
+    known = view.resample(texture.colored.astype(np.float32))
+    color = np.rint(np.stack(planes, axis=-1)).astype(np.uint8)
+    return _with_alpha(color, np.where(view.inside, 255 * known, 0))
 
 
 def _azimuth(forward: np.ndarray) -> float:
@@ -314,7 +314,7 @@ def _magnitude(plane: NDArray[Any]) -> FloatArray:
     return np.hypot(cv2.Sobel(values, cv2.CV_32F, 1, 0), cv2.Sobel(values, cv2.CV_32F, 0, 1))
 
 
-def _range_colours(ranges: FloatArray, seen: NDArray[np.bool_], stretch: Stretch) -> NDArray[np.uint8]:
+def _range_colors(ranges: FloatArray, seen: NDArray[np.bool_], stretch: Stretch) -> NDArray[np.uint8]:
     inverse = np.where(seen, 1 / np.where(seen, ranges, 1), 0)
     if not seen.any():
         return np.zeros((*ranges.shape, 3), np.uint8)
@@ -323,7 +323,7 @@ def _range_colours(ranges: FloatArray, seen: NDArray[np.bool_], stretch: Stretch
     return np.asarray(cv2.cvtColor(cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS), cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
-def _normal_colours(camera: Camera, ranges: FloatArray) -> NDArray[np.uint8]:
+def _normal_colors(camera: Camera, ranges: FloatArray) -> NDArray[np.uint8]:
     """Colour a surface by its normal in view axes, as renderers do: right red, up green, facing the viewer blue."""
     return np.asarray(np.rint(127.5 * (_normals(camera, np.nan_to_num(ranges)) + 1)), dtype=np.uint8)
 
@@ -373,5 +373,5 @@ def _range_picture(scan: Scan) -> NDArray[np.uint8]:
     return np.asarray(cv2.cvtColor(level, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
 
 
-def _with_alpha(colour: NDArray[np.uint8], alpha: NDArray[np.generic]) -> NDArray[np.uint8]:
-    return np.dstack([colour, np.rint(alpha).astype(np.uint8)])
+def _with_alpha(color: NDArray[np.uint8], alpha: NDArray[np.generic]) -> NDArray[np.uint8]:
+    return np.dstack([color, np.rint(alpha).astype(np.uint8)])

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, IntArray, read_only
 from ladarreg_core.camera import CameraModel
+from ladarreg_core.foundations.arrays import BoolArray, ByteArray, FloatArray, IntArray, read_only
 from ladarreg_core.frames import Rigid
 from ladarreg_core.inspection.viewpoints import field_of_view
 from ladarreg_core.results import PoseResult
@@ -61,20 +61,20 @@ def rays_to(points: FloatArray, centres: tuple[FloatArray, ...]) -> NDArray[np.f
     return np.concatenate(lines).astype(np.float32)
 
 
-def faded(colours: ArrayLike, background: ArrayLike, *, share: float) -> NDArray[np.uint8]:
+def faded(colors: ArrayLike, background: ArrayLike, *, share: float) -> NDArray[np.uint8]:
     """Blend RGB colours (N, 3) with the background by a share from 0 to 1."""
-    bright = np.asarray(colours, dtype=np.float64)
+    bright = np.asarray(colors, dtype=np.float64)
     return np.rint((1 - share) * bright + share * np.asarray(background, dtype=np.float64)).astype(np.uint8)
 
 
-def for_both_ends(colours: ArrayLike) -> NDArray[np.uint8]:
+def for_both_ends(colors: ArrayLike) -> NDArray[np.uint8]:
     """Repeat one RGB colour per line (N, 3) for both of its ends, (N, 2, 3)."""
-    return np.repeat(np.asarray(colours, dtype=np.uint8)[:, None], 2, axis=1)
+    return np.repeat(np.asarray(colors, dtype=np.uint8)[:, None], 2, axis=1)
 
 
-def repeated(colour: ArrayLike, count: int) -> NDArray[np.uint8]:
+def repeated(color: ArrayLike, count: int) -> NDArray[np.uint8]:
     """Repeat one RGB colour (3,), giving (count, 3)."""
-    return np.tile(np.asarray(colour, dtype=np.uint8), (count, 1))
+    return np.tile(np.asarray(color, dtype=np.uint8), (count, 1))
 
 
 def spread(count: int, most: int) -> NDArray[np.int64]:
@@ -88,7 +88,7 @@ class Marks:
 
     points: FloatArray
     """(N, 3) float32, m, scanner frame; finite."""
-    colours: ByteArray
+    colors: ByteArray
     """(N, 3) uint8 RGB."""
     on: BoolArray
     """(N,) bool: whether the solver uses the point."""
@@ -98,12 +98,12 @@ class Marks:
     def __post_init__(self) -> None:
         points = read_only(self.points, np.float32, (None, 3), "the marks' points")
         object.__setattr__(self, "points", points)
-        object.__setattr__(self, "colours", read_only(self.colours, np.uint8, (len(points), 3), "the marks' colours"))
+        object.__setattr__(self, "colours", read_only(self.colors, np.uint8, (len(points), 3), "the marks' colours"))
         object.__setattr__(self, "on", read_only(self.on, np.bool_, (len(points),), "the marks' 'on'"))
         object.__setattr__(self, "given", read_only(self.given, np.int64, (len(points),), "the marks' numbers"))
 
     @staticmethod
-    def of(points: ArrayLike, colours: ArrayLike, on: ArrayLike) -> Marks:
+    def of(points: ArrayLike, colors: ArrayLike, on: ArrayLike) -> Marks:
         """Create marks of the finite ones among points (N, 3).
 
         Raises:
@@ -111,7 +111,7 @@ class Marks:
         """
         given = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         every = Marks(
-            np.nan_to_num(given), np.asarray(colours).reshape(-1, 3), np.asarray(on, np.bool_), np.arange(len(given))
+            np.nan_to_num(given), np.asarray(colors).reshape(-1, 3), np.asarray(on, np.bool_), np.arange(len(given))
         )
         return every.at(np.flatnonzero(np.isfinite(given).all(axis=1)))
 
@@ -120,7 +120,7 @@ class Marks:
 
     def at(self, index: IntArray) -> Marks:
         """Return the marks at these indices."""
-        return Marks(self.points[index], self.colours[index], self.on[index], self.given[index])
+        return Marks(self.points[index], self.colors[index], self.on[index], self.given[index])
 
     def chosen(self, wanted: ArrayLike) -> Marks:
         """Return the marks selected by a mask (N,) bool."""
@@ -128,8 +128,8 @@ class Marks:
 
     def dimmed(self, background: ArrayLike, *, on: float, off: float) -> NDArray[np.uint8]:
         """Blend the colours with the background, by different shares for marks that are on and off."""
-        bright = faded(self.colours, background, share=on)
-        return np.where(self.on[:, None], bright, faded(self.colours, background, share=off))
+        bright = faded(self.colors, background, share=on)
+        return np.where(self.on[:, None], bright, faded(self.colors, background, share=off))
 
     def before(self, distance_m: float) -> NDArray[np.float32]:
         """Return the points (N, 3) moved along their rays toward the scanner, so that they clear their surface."""
@@ -156,12 +156,12 @@ class Marks:
         return int(np.argmin(np.where(near, across / np.maximum(ahead, 1e-12), np.inf)))
 
 
-def marks_of_result(result: PoseResult, colours: Sequence[tuple[int, int, int]], *, most: int) -> Marks:
+def marks_of_result(result: PoseResult, colors: Sequence[tuple[int, int, int]], *, most: int) -> Marks:
     """Return marks at `most` inliers at most, evenly spread, with the colours in turn."""
     points = np.asarray(result.matches.points, dtype=np.float64)
     inliers = np.flatnonzero(np.asarray(result.inliers) & np.isfinite(points).all(axis=1))
     inliers = inliers[spread(len(inliers), most)] if len(inliers) else inliers
-    palette = np.asarray(colours, dtype=np.uint8)[np.arange(len(inliers)) % len(colours)]
+    palette = np.asarray(colors, dtype=np.uint8)[np.arange(len(inliers)) % len(colors)]
     return Marks(points[inliers], palette, np.ones(len(inliers), np.bool_), inliers)
 
 

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera, CameraModel
-from ladarreg_core.features.edges import EdgeOptions, edge_under
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.inspection.corners import gray_of_photo, gray_of_view, nearest_corner
+from ladarreg_core.matching.features.edges import EdgeOptions, edge_under
 from ladarreg_core.photo import Photo
 from ladarreg_core.surface.perspective import View
 from ladarreg_core.surface.remap import look_up
@@ -26,8 +26,8 @@ LINE_REACH = 6.0
 CORNER_REACH = 4.0
 """Largest jump of a point, screen pixels."""
 _EXPECTED = 1.5
-_LEAST_REACH_PX = 1.0  # of the image, however far the pane is zoomed in
-_MOST_CORNER_PX = 12.0
+_MIN_REACH_PX = 1.0  # of the image, however far the pane is zoomed in
+_MAX_CORNER_PX = 12.0
 _GAMMA = 2.2
 _LINEAR = (255 * (np.arange(256) / 255.0) ** _GAMMA).astype(np.float32)
 _LEVELS_PER_RANGE = 150.0  # gray levels for a factor e in range
@@ -111,12 +111,12 @@ class PhotoSnapper:
 
 
 def _options(px_per_screen: float) -> EdgeOptions:
-    reach = max(LINE_REACH * px_per_screen, _LEAST_REACH_PX)
+    reach = max(LINE_REACH * px_per_screen, _MIN_REACH_PX)
     return EdgeOptions(reach_px=reach, expected_px=_EXPECTED / LINE_REACH * reach)
 
 
 def _corner_reach_px(px_per_screen: float) -> float:
-    return min(CORNER_REACH * px_per_screen, _MOST_CORNER_PX)
+    return min(CORNER_REACH * px_per_screen, _MAX_CORNER_PX)
 
 
 def _through(seen_by: CameraModel, shown_by: CameraModel, uv: ArrayLike) -> NDArray[np.float64]:

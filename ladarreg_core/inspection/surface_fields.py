@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.remap import look_up
@@ -21,7 +21,7 @@ _CHUNK = 1024
 _LARGEST_GAP = 12
 _GAP_REACH = 5
 _NORMAL_CELLS = 3
-_MOST_OBLIQUE = 0.17  # cosine of the incidence beyond which a cell counts as grazing, 80 degrees
+_MAX_OBLIQUE = 0.17  # cosine of the incidence beyond which a cell counts as grazing, 80 degrees
 
 
 def residual_field(scan: Scan, result: PoseResult) -> NDArray[np.float32]:
@@ -73,7 +73,7 @@ def resolution_field(scan: Scan, result: PoseResult, seen: BoolArray) -> NDArray
         facing = np.abs(np.einsum("hwk,hwk->hw", _normals(points), to_camera)) / distance
         # A pixel off the axis covers less than one on it: its solid angle falls with the cube of the cosine.
         across = depth * np.sqrt(depth / distance) / np.float32(result.camera.focal_px)
-        found = 1000 * across / np.sqrt(np.clip(facing, _MOST_OBLIQUE, 1))
+        found = 1000 * across / np.sqrt(np.clip(facing, _MAX_OBLIQUE, 1))
     field[box] = np.where(seen[box] & np.isfinite(found), found, np.float32(np.nan))
     return field
 

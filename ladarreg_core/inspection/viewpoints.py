@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.camera import CameraModel, axial_pinhole
+from ladarreg_core.foundations.arrays import FloatArray, read_only
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.scan import Scan
 

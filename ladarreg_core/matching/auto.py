@@ -11,32 +11,32 @@ import numpy as np
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.camera.uncertainty import CALIBRATED_CAMERA_PRIOR, DEFAULT_CAMERA_PRIOR, CameraPrior
+from ladarreg_core.foundations.parallel import Begun, OtherCore
+from ladarreg_core.foundations.validation import require_choice
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.aligner import Aligner, Candidate
-from ladarreg_core.matching.ambiguity import KnownPoses, ambiguity_sentence, second_minimum, second_starts
 from ladarreg_core.matching.auto_result import AutoResult
-from ladarreg_core.matching.covariance import window_evidence
-from ladarreg_core.matching.kept_channels import Channels
+from ladarreg_core.matching.images.kept_channels import Channels
+from ladarreg_core.matching.images.pyramid import ChannelSet, PairLevels
+from ladarreg_core.matching.images.support import is_coarse
+from ladarreg_core.matching.images.views import rolled_view, scan_density, viewing_directions
 from ladarreg_core.matching.placements import best_of_placements, cameras_beside, may_be_beside
-from ladarreg_core.matching.pyramid import ChannelSet, PairLevels
-from ladarreg_core.matching.roll import Roll
-from ladarreg_core.matching.self_calibration import (
+from ladarreg_core.matching.refine.aligner import Aligner, Candidate
+from ladarreg_core.matching.refine.covariance import window_evidence
+from ladarreg_core.matching.refine.self_calibration import (
     FreeCamera,
     check_free_camera,
     estimate_camera,
     may_estimate_camera,
     verify_finished,
 )
-from ladarreg_core.matching.support import is_coarse
-from ladarreg_core.matching.verification import GateOptions, Verification, check_precision, region_markers
-from ladarreg_core.matching.view_search import ViewSearch
-from ladarreg_core.matching.views import rolled_view, scan_density, viewing_directions
+from ladarreg_core.matching.search.ambiguity import KnownPoses, ambiguity_sentence, second_minimum, second_starts
+from ladarreg_core.matching.search.roll import Roll
+from ladarreg_core.matching.search.view_search import ViewSearch
+from ladarreg_core.matching.verify.verification import GateOptions, Verification, check_precision, region_markers
 from ladarreg_core.matching.wrong_poses import WrongPoses, verdict_beside_wrong_poses, wrong_poses_decide
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import StepLog
 from ladarreg_core.scan import Scan
-from ladarreg_core.side_by_side import Begun, OtherCore
-from ladarreg_core.validation import require_choice
 
 Reach = Literal["everywhere", "near_start"]
 _MAX_ROLLED_VIEWS, _MAX_GRID_VIEWS = 2, 3

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from ladarreg_core.camera import Camera
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.blocks import BlockMatches
-from ladarreg_core.matching.covariance import WindowEvidence
-from ladarreg_core.matching.verification import Verification
+from ladarreg_core.matching.images.blocks import BlockMatches
+from ladarreg_core.matching.refine.covariance import WindowEvidence
+from ladarreg_core.matching.verify.verification import Verification
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,16 +13,16 @@ import numpy as np
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.aligner import Aligner
-from ladarreg_core.matching.ambiguity import KnownPoses, ambiguity_sentence, competes
 from ladarreg_core.matching.auto import ADVICE, AutoOptions, reason_against_scan
 from ladarreg_core.matching.auto_result import AutoResult
-from ladarreg_core.matching.face_alignment import JointAligner, face_view, joint_aligner
-from ladarreg_core.matching.face_search import FaceHypothesis, FaceSearch
-from ladarreg_core.matching.faces import Face, FaceSet
-from ladarreg_core.matching.laser_images import CleanedScan
-from ladarreg_core.matching.pyramid import working_camera
-from ladarreg_core.matching.verification import GateOptions, Verification, check_precision
+from ladarreg_core.matching.images.faces import Face, FaceSet
+from ladarreg_core.matching.images.laser_images import CleanedScan
+from ladarreg_core.matching.images.pyramid import working_camera
+from ladarreg_core.matching.refine.aligner import Aligner
+from ladarreg_core.matching.refine.face_alignment import JointAligner, face_view, joint_aligner
+from ladarreg_core.matching.search.ambiguity import KnownPoses, ambiguity_sentence, competes
+from ladarreg_core.matching.search.face_search import FaceHypothesis, FaceSearch
+from ladarreg_core.matching.verify.verification import GateOptions, Verification, check_precision
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import StepLog
 from ladarreg_core.scan import Scan
@@ -30,7 +30,7 @@ from ladarreg_core.scan import Scan
 _SEARCH_PIXELS = 200_000
 _MAX_TRIED = {False: 5, True: 6}  # hypotheses refined: upright ones, rolled ones
 _MAX_JOINT = 3
-_LEAST_CHECKED = 0.3  # fraction of agreeing regions of the hypothesis's own face, below which it is not tried jointly
+_MIN_CHECKED = 0.3  # fraction of agreeing regions of the hypothesis's own face, below which it is not tried jointly
 
 
 def is_wide(photo: Photo) -> bool:
@@ -162,7 +162,7 @@ class _FaceRegistration:
                 # regions and fraction: many regions that agree by half are worth more than a few that agree fully
                 found.append((verdict.fraction * np.sqrt(verdict.agreeing), verdict.fraction, pose))
         found.sort(key=lambda entry: -entry[0])
-        return [(score, pose) for score, fraction, pose in found if fraction >= _LEAST_CHECKED]
+        return [(score, pose) for score, fraction, pose in found if fraction >= _MIN_CHECKED]
 
     def _face_aligner(self, face: Face, pose: Rigid) -> Aligner | None:
         camera, o = self._search_camera, self._options

@@ -13,9 +13,9 @@ from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matches import Matches
 from ladarreg_core.matching.auto import AutoOptions
 from ladarreg_core.matching.auto_result import AutoResult
-from ladarreg_core.matching.kept_channels import Channels
+from ladarreg_core.matching.images.kept_channels import Channels
+from ladarreg_core.matching.images.support import carries_intensity
 from ladarreg_core.matching.modality import register_by_modality
-from ladarreg_core.matching.support import carries_intensity
 from ladarreg_core.photo import Photo
 from ladarreg_core.pose.assumed_camera import with_assumed_camera
 from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M

@@ -14,24 +14,24 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ladarreg_core.arrays import BoolArray
 from ladarreg_core.camera.uncertainty import DEFAULT_CAMERA_PRIOR, CameraPrior
-from ladarreg_core.formatting import format_length, format_number
+from ladarreg_core.foundations.arrays import BoolArray
+from ladarreg_core.foundations.formatting import format_length, format_number
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matches import across_lines, count_picks
-from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.auto import AutoOptions
 from ladarreg_core.matching.face_registration import is_wide, verify_faces
 from ladarreg_core.matching.from_images import pose_from_images
-from ladarreg_core.matching.kept_channels import Channels
-from ladarreg_core.matching.pyramid import ChannelSet, harmonics_of, pair_levels, photo_levels, working_camera
-from ladarreg_core.matching.support import carries_intensity, is_coarse, is_interpolated
-from ladarreg_core.matching.verification import (
+from ladarreg_core.matching.images.kept_channels import Channels
+from ladarreg_core.matching.images.pyramid import ChannelSet, harmonics_of, pair_levels, photo_levels, working_camera
+from ladarreg_core.matching.images.support import carries_intensity, is_coarse, is_interpolated
+from ladarreg_core.matching.images.views import viewing_directions
+from ladarreg_core.matching.refine.aligner import Aligner
+from ladarreg_core.matching.verify.verification import (
     GateOptions,
     Verification,
     gate_for,
 )
-from ladarreg_core.matching.views import viewing_directions
 from ladarreg_core.matching.wrong_poses import verdict_beside_wrong_poses, wrong_poses_decide
 from ladarreg_core.photo import Photo
 from ladarreg_core.picks.lengths import refused_by_lengths
@@ -49,7 +49,7 @@ ResultT = TypeVar("ResultT", bound=PoseResult)
 _THREE_SIGMAS = 20.06  # chi^2 of 6 degrees of freedom, exceeded as rarely as 3 sigma by one number
 _SAMPLES = 10_000
 _MEDIAN_OF_RAYLEIGH = 1.1774
-_MOST_NOISE_BESIDE = 2.5
+_MAX_NOISE_BESIDE = 2.5
 _GATE_CHI2 = 9.21  # of a match that agrees with a pose, as `PoseOptions.gate_chi2`
 
 
@@ -238,7 +238,7 @@ def _noise_beside(found: PoseResult, result: PoseResult) -> float:
     off = found.camera.difference(matches.uv, found.camera.project(found.camera_from_scanner @ matches.points))
     lengths = np.hypot(*across_lines(matches, off).T)
     scatter = float(np.median(np.where(np.isfinite(lengths), lengths, np.inf))) / _MEDIAN_OF_RAYLEIGH
-    return float(np.clip(scatter, result.sigma_px, _MOST_NOISE_BESIDE * result.sigma_px))
+    return float(np.clip(scatter, result.sigma_px, _MAX_NOISE_BESIDE * result.sigma_px))
 
 
 def _judged(scan: Scan, result: PoseResult, found: Verification, placement: PoseResult) -> ImageCheck:

@@ -17,10 +17,10 @@ from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.auto import AutoOptions, Reach, register_auto
 from ladarreg_core.matching.auto_result import AutoResult
 from ladarreg_core.matching.face_registration import is_wide, register_faces
-from ladarreg_core.matching.kept_channels import Channels
-from ladarreg_core.matching.pyramid import ChannelSet, PairLevels
-from ladarreg_core.matching.support import carries_intensity, is_coarse, is_interpolated
-from ladarreg_core.matching.verification import (
+from ladarreg_core.matching.images.kept_channels import Channels
+from ladarreg_core.matching.images.pyramid import ChannelSet, PairLevels
+from ladarreg_core.matching.images.support import carries_intensity, is_coarse, is_interpolated
+from ladarreg_core.matching.verify.verification import (
     COARSE_GATE,
     Verification,
     gate_for,

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.formatting import format_length
+from ladarreg_core.foundations.formatting import format_length
 from ladarreg_core.frames import rotvec_from_rotation
 from ladarreg_core.matching.auto_result import AutoResult
 

@@ -14,21 +14,21 @@ from functools import partial
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.foundations.parallel import side_by_side
 from ladarreg_core.frames import Rigid, rotation_about
-from ladarreg_core.matching.agreement import Agreement
-from ladarreg_core.matching.aligner import Aligner
-from ladarreg_core.matching.pyramid import PhotoLevels
-from ladarreg_core.matching.verification import Verification, beside_wrong_poses, rests_on_number
-from ladarreg_core.side_by_side import side_by_side
+from ladarreg_core.matching.images.pyramid import PhotoLevels
+from ladarreg_core.matching.refine.aligner import Aligner
+from ladarreg_core.matching.verify.agreement import Agreement
+from ladarreg_core.matching.verify.verification import Verification, beside_wrong_poses, rests_on_number
 
 TURNED, MIRRORED = 12, 12
 """Number of wrong poses in the photo and in its mirror image."""
 _NEAREST_TURN, _FARTHEST_TURN = 0.10, 0.20  # image shift, as a share of the photo's width
 _MIRRORED_REACH, _MIRRORED_TILT = 0.30, 0.02  # the horizon stays where it is: as likely a false agreement as there is
 _SAME_PX = 20.0  # working pixels; an end nearer to the candidate says nothing about wrong poses
-_LEAST_BLOCKS = 8
-_LEAST_POSES = 16
+_MIN_BLOCKS = 8
+_MIN_POSES = 16
 _SAMPLES = 500
 _SAME_VIEW_RAD = np.radians(6.0)  # within it, wrong poses of one candidate are those of another: a tenth of the photo
 
@@ -47,7 +47,7 @@ class WrongPoses:
     @property
     def enough(self) -> bool:
         """Whether there are enough of them to measure a distribution."""
-        return len(self.gains) >= _LEAST_POSES
+        return len(self.gains) >= _MIN_POSES
 
     @property
     def highest(self) -> float:
@@ -177,7 +177,7 @@ def _gain_from(start: tuple[Aligner, Rigid], *, pose: Rigid, own: Aligner) -> tu
     if aligner is own and _apart_px(aligner, pose, end) < _SAME_PX:
         return None
     fine = aligner.agreement_at(end, 0)
-    if len(fine.block_maps) < _LEAST_BLOCKS:
+    if len(fine.block_maps) < _MIN_BLOCKS:
         return None
     return correlation_gain(fine), end if aligner is own else None
 

@@ -13,8 +13,8 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray
-from ladarreg_core.formatting import format_length
+from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.foundations.formatting import format_length
 from ladarreg_core.matches import Pick
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M
 from ladarreg_core.results import PoseResult
@@ -23,14 +23,14 @@ from ladarreg_core.surface.ranges import EDGE_FRACTION, measured_ranges, range_q
 
 ResultT = TypeVar("ResultT", bound=PoseResult)
 Comparability = Literal["compared", "no return", "depth edge", "outside the scan"]
-LEAST_TOLERANCE_M = 0.05
+MIN_TOLERANCE_M = 0.05
 """Difference from the scan's own range that is always allowed, m, if no tolerance is given."""
-LEAST_OFF_SCALE = 0.01
+MIN_OFF_SCALE = 0.01
 """Common ratio of the lengths to the scan's ranges, less 1, from which on it is called a scale."""
 _SIGMAS = 3.0
-_LEAST_OF_A_SCALE = 3
+_MIN_OF_A_SCALE = 3
 _SAME_RATIO = 0.25  # scatter of the ratios, relative to their distance from 1
-_MOST_OTHERS = 0.2  # share of the lengths that may have another ratio
+_MAX_OTHERS = 0.2  # share of the lengths that may have another ratio
 _NAMED = 3
 _UNITS = {
     1000.0: "They look like millimetres.",
@@ -121,7 +121,7 @@ class LengthCheck:
             more = f" and {len(self.beyond) - _NAMED} more" if len(self.beyond) > _NAMED else ""
             given = self.tolerance_m is not None
             limit = "" if self.tolerance_m is None else f"{format_length(self.tolerance_m)}"
-            least = f"{format_length(LEAST_TOLERANCE_M)} or {_SIGMAS:g} sigma of the scan's range"
+            least = f"{format_length(MIN_TOLERANCE_M)} or {_SIGMAS:g} sigma of the scan's range"
             verb = "differs" if len(self.beyond) == 1 else "differ"
             found.append(
                 f"{len(self.beyond)} of {len(self.compared)} lengths {verb} from the scan's own range by more than "
@@ -179,8 +179,8 @@ def check_lengths(scan: Scan, picks: Sequence[Pick], *, tolerance_m: float | Non
     if tolerance_m is None:
         sigma = max(STATED_SIGMA_RANGE_M, usual_noise_m(scan)) / np.sqrt(range_quality(scan, rays))
         with np.errstate(invalid="ignore"):
-            widest = np.fmax(EDGE_FRACTION * ranges, LEAST_TOLERANCE_M)
-        tolerances = np.clip(_SIGMAS * sigma, LEAST_TOLERANCE_M, widest)
+            widest = np.fmax(EDGE_FRACTION * ranges, MIN_TOLERANCE_M)
+        tolerances = np.clip(_SIGMAS * sigma, MIN_TOLERANCE_M, widest)
     found = tuple(
         LengthOfMatch(
             pick.id, end, pick.name or pick.id, float(lengths[k]),
@@ -246,7 +246,7 @@ def _scan_ranges(scan: Scan, rays: FloatArray, lengths: FloatArray) -> tuple[Flo
             states.append("compared")
         elif found.edge[k]:
             nearest = float(corners[k][np.argmin(np.abs(corners[k] - length))])
-            between = corners[k].min() - LEAST_TOLERANCE_M <= length <= corners[k].max() + LEAST_TOLERANCE_M
+            between = corners[k].min() - MIN_TOLERANCE_M <= length <= corners[k].max() + MIN_TOLERANCE_M
             ranges[k] = np.nan if between else nearest
             states.append("depth edge")
         else:
@@ -257,7 +257,7 @@ def _scan_ranges(scan: Scan, rays: FloatArray, lengths: FloatArray) -> tuple[Flo
 def _fit_world(scan: Scan, points: FloatArray, tolerances: FloatArray) -> bool:
     """Return whether points (K, 3) lie on the scan's surfaces if they are taken as coordinates of the world."""
     pose = scan.world_from_scanner
-    if pose is None or len(points) < _LEAST_OF_A_SCALE:
+    if pose is None or len(points) < _MIN_OF_A_SCALE:
         return False
     there = (points - pose.translation) @ pose.rotation
     lengths = np.linalg.norm(there, axis=1)
@@ -265,8 +265,8 @@ def _fit_world(scan: Scan, points: FloatArray, tolerances: FloatArray) -> bool:
         return False
     ranges, _ = _scan_ranges(scan, there / lengths[:, None], lengths)
     with np.errstate(invalid="ignore"):
-        near = np.abs(lengths - ranges) <= np.maximum(tolerances, LEAST_TOLERANCE_M)
-    return bool(np.mean(near) >= 1 - _MOST_OTHERS)
+        near = np.abs(lengths - ranges) <= np.maximum(tolerances, MIN_TOLERANCE_M)
+    return bool(np.mean(near) >= 1 - _MAX_OTHERS)
 
 
 def _shown_scale(scale: float) -> str:
@@ -275,9 +275,9 @@ def _shown_scale(scale: float) -> str:
 
 def _common_scale(lengths: FloatArray, ranges: FloatArray) -> float | None:
     known = np.isfinite(ranges)
-    if np.count_nonzero(known) < _LEAST_OF_A_SCALE:
+    if np.count_nonzero(known) < _MIN_OF_A_SCALE:
         return None
     ratios = lengths[known] / ranges[known]
     scale = float(np.median(ratios))
     off = np.abs(ratios / scale - 1) > _SAME_RATIO * abs(scale - 1)
-    return scale if abs(scale - 1) >= LEAST_OFF_SCALE and np.mean(off) <= _MOST_OTHERS else None
+    return scale if abs(scale - 1) >= MIN_OFF_SCALE and np.mean(off) <= _MAX_OTHERS else None

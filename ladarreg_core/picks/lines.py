@@ -23,22 +23,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray, IntArray
+from ladarreg_core.foundations.arrays import FloatArray, IntArray
 from ladarreg_core.frames import look_along
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.ranges import EDGE_FRACTION, MeasuredRanges, measured_ranges, range_quality
 
-_LEAST_SAMPLES, _MOST_SAMPLES = 9, 65
-_LEAST_USED = 3
-_LEAST_SHARE = 0.5  # of the samples with a return that must lie on one straight line
-_LEAST_SPAN = 0.3  # of the line's length that they must cover
+_MIN_SAMPLES, _MAX_SAMPLES = 9, 65
+_MIN_USED = 3
+_MIN_SHARE = 0.5  # of the samples with a return that must lie on one straight line
+_MIN_SPAN = 0.3  # of the line's length that they must cover
 _GATE_SIGMA = 3.0
-_LEAST_SPREAD = 5e-4  # of the depth; scatter below a scanner's resolution is meaningless
-_MOST_SPREAD = 0.02
-_LEAST_PAIR = 0.25  # of the line's length between the two samples of a trial line
+_MIN_SPREAD = 5e-4  # of the depth; scatter below a scanner's resolution is meaningless
+_MAX_SPREAD = 0.02
+_MIN_PAIR = 0.25  # of the line's length between the two samples of a trial line
 _NEAR_GATE = 3.0
 _CURVED_SIGMA = 4.0
-_LEAST_FOR_CURVATURE = 12  # samples; fewer share cells, whose noise then looks like curvature
+_MIN_FOR_CURVATURE = 12  # samples; fewer share cells, whose noise then looks like curvature
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,11 +81,11 @@ def line_on_scan(scan: Scan, ends: FloatArray) -> LineOnScan | None:
     # at z = 1 of the line's own view, the length of a ray turns its range into a depth
     length = np.linalg.norm(a + s[:, None] * (b - a), axis=1)
     known = np.isfinite(ranges)
-    if np.count_nonzero(known) < _LEAST_USED:
+    if np.count_nonzero(known) < _MIN_USED:
         return None
     s, inverse, length = s[known], (length / ranges)[known], length[known]
     on_edge = _consensus(s, inverse)
-    if on_edge is None or np.ptp(s[on_edge]) < _LEAST_SPAN:
+    if on_edge is None or np.ptp(s[on_edge]) < _MIN_SPAN:
         return None
     # a range's noise in 1/z is that of the range times |d (1/z) / d r| = inverse^2 / length
     information = range_quality(scan, rays[known], _only(found, known)) * (length / inverse**2) ** 2
@@ -178,13 +178,13 @@ def _sample_count(scan: Scan, ends: FloatArray) -> int:
     """Return one sample for each cell that the line crosses, within limits: denser ones would share their ranges."""
     cells = np.asarray(scan.geometry.cell_of(ends), dtype=np.float64)
     crossed = np.nan_to_num(np.abs(cells[1] - cells[0]).max(), nan=0.0, posinf=0.0)
-    return int(np.clip(np.rint(crossed) + 1, _LEAST_SAMPLES, _MOST_SAMPLES))
+    return int(np.clip(np.rint(crossed) + 1, _MIN_SAMPLES, _MAX_SAMPLES))
 
 
 def _consensus(s: FloatArray, inverse: FloatArray) -> NDArray[np.bool_] | None:
     """Return the samples (K,) on the line that most of them support; None without such a line."""
     first, second = np.triu_indices(len(s), 1)
-    far = s[second] - s[first] >= _LEAST_PAIR
+    far = s[second] - s[first] >= _MIN_PAIR
     if not far.any():
         return None
     first, second = first[far], second[far]
@@ -194,19 +194,19 @@ def _consensus(s: FloatArray, inverse: FloatArray) -> NDArray[np.bool_] | None:
     best = int(np.argmin(median))
     typical = float(np.median(inverse))
     of_few = 1 + 5 / max(len(s) - 2, 1)  # the best of many trials fits few samples too closely
-    spread = float(np.clip(1.4826 * of_few * median[best] / typical, _LEAST_SPREAD, None))
-    if spread > _MOST_SPREAD:
+    spread = float(np.clip(1.4826 * of_few * median[best] / typical, _MIN_SPREAD, None))
+    if spread > _MAX_SPREAD:
         return None
     gate = _GATE_SIGMA * spread * typical
     on_edge = np.asarray(error[best] <= gate)
-    enough = np.count_nonzero(on_edge) >= max(_LEAST_USED, _LEAST_SHARE * len(s))
+    enough = np.count_nonzero(on_edge) >= max(_MIN_USED, _MIN_SHARE * len(s))
     near = error[best] <= _NEAR_GATE * gate  # possibly the same surface, curved
     return on_edge if enough and not _curved(s[near], inverse[near], typical) else None
 
 
 def _curved(s: FloatArray, inverse: FloatArray, typical: float) -> bool:
     """Return whether a parabola fits samples (K,) so much better than a line that they lie on a curved surface."""
-    if len(s) < _LEAST_FOR_CURVATURE:
+    if len(s) < _MIN_FOR_CURVATURE:
         return False
     x = 2 * s - 1
     design = np.column_stack([np.ones_like(x), x, x * x])
@@ -215,4 +215,4 @@ def _curved(s: FloatArray, inverse: FloatArray, typical: float) -> bool:
         return False
     error = inverse - design @ bend
     sigma = np.sqrt((error @ error) / (len(s) - 3) * np.linalg.inv(design.T @ design)[2, 2])
-    return bool(abs(bend[2]) > max(_CURVED_SIGMA * sigma, _LEAST_SPREAD * typical))
+    return bool(abs(bend[2]) > max(_CURVED_SIGMA * sigma, _MIN_SPREAD * typical))

@@ -10,28 +10,28 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera, CameraModel
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray
+from ladarreg_core.foundations.validation import require_choice, require_int
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.picks.lines import along_line, fraction_in_photo, kappa_of, line_on_scan
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.ranges import measured_ranges, range_quality, usual_noise_m
-from ladarreg_core.validation import require_choice, require_int
 
 LineUse = Literal["ends", "equal", "kappa"]
 """`ends`: the two ends, with ranges from the whole line; `equal`: samples at constant intervals in both images, as in
 the thesis; `kappa`: samples at constant intervals on the scan, placed in the photo by a pose."""
 SAMPLES_PER_LINE = 9
 """Default number of samples along a drawn line."""
-_MOST_SAMPLES = 1000
+_MAX_SAMPLES = 1000
 _COARSE_RAD, _COARSE_PX = 2e-3, 1.7  # least step of the coarser direction of a coarse scan: as an angle, in the photo
 _OUTLINE_SIGMA = 0.03  # of the range, of a point on an outline
 
 
 def check_samples(samples_per_line: object) -> None:
     """Raise an OptionError if the number of samples per line is invalid."""
-    require_int(samples_per_line, "samples_per_line", least=2, most=_MOST_SAMPLES)
+    require_int(samples_per_line, "samples_per_line", least=2, most=_MAX_SAMPLES)
 
 
 def check_line_use(lines: object) -> None:

@@ -14,13 +14,13 @@ from math import hypot, lgamma, log, log10
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray, IntArray, median
 from ladarreg_core.camera import CameraModel
-from ladarreg_core.formatting import format_length
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray, median
+from ladarreg_core.foundations.formatting import format_length
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, count_picks
-from ladarreg_core.pose.bundle import UNSEEN, Evaluation
-from ladarreg_core.pose.covariance import LEAST_EIGENVALUE, guarded_inverse
+from ladarreg_core.pose.estimators.bundle import UNSEEN, Evaluation
+from ladarreg_core.pose.estimators.covariance import MIN_EIGENVALUE, guarded_inverse
 from ladarreg_core.results import is_determined
 
 _PLANE_SAMPLES = 80  # of three points each: the chance (1 - .7^3)^80 of missing a plane of 70 % is negligible
@@ -329,7 +329,7 @@ def find_critical_match(
     own = [(K[..., pick == k].reshape(6, -1), J[..., pick == k].reshape(6, -1)) for k in heavy]
     parts = np.stack([a @ b.T for a, b in own])
     values, vectors = np.linalg.eigh((H - parts) * np.outer(unit, unit))
-    variance = np.einsum("kab,kb->ka", vectors**2, 1 / np.maximum(values, LEAST_EIGENVALUE)) * unit**2
+    variance = np.einsum("kab,kb->ka", vectors**2, 1 / np.maximum(values, MIN_EIGENVALUE)) * unit**2
     angle, position = np.sqrt(variance[:, :3].sum(axis=1)), np.sqrt(variance[:, 3:].sum(axis=1))
     most_position_m = options.most_position_of_range * median(matches.ranges)
     beyond = np.maximum(angle / options.most_angle_rad, position / most_position_m)

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera, CameraModel
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import Rigid, principal_extents, rotation_from_rotvec, rotvec_from_rotation
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, AcceptanceOptions
-from ladarreg_core.pose.bundle import (
+from ladarreg_core.pose.estimators.bundle import (
     Descent,
     Measurements,
     States,
@@ -26,16 +26,16 @@ from ladarreg_core.pose.bundle import (
     residuals,
     rotations_from_rotvecs,
 )
-from ladarreg_core.pose.gnc import graduate, narrow_scales, truncated_score
-from ladarreg_core.pose.ransac import sample_pose
-from ladarreg_core.pose.ray_ransac import sample_pose_of_rays
+from ladarreg_core.pose.estimators.gnc import graduate, narrow_scales, truncated_score
+from ladarreg_core.pose.estimators.ransac import sample_pose
+from ladarreg_core.pose.estimators.ray_ransac import sample_pose_of_rays
 
 _ORBIT_RAD = np.deg2rad(20.0)
 _ORBITS = 3
 _SAMPLE = 20
 _STEPS = 4  # starts that return to the pose found do so in three
 _FRACTIONS_TO_MIRRORED = (0.25, 0.5, 0.75, 1.0)
-_GENERALISED_STEPS, _MOST_ROTATION_RAD = 6, 0.3
+_GENERALISED_STEPS, _MAX_ROTATION_RAD = 6, 0.3
 _RANSAC_SIGMA = 6.0
 _RANSAC_ITERATIONS = 500
 
@@ -162,7 +162,7 @@ def refine_generalised(measured: Measurements, states: States, gate: float) -> S
         diagonal += 1e-9 * diagonal + 1e-12 * diagonal.max(axis=1, keepdims=True) + 1e-300
         step = np.nan_to_num(np.linalg.solve(H, g[..., None])[..., 0])
         length = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
-        step = step * np.minimum(1, _MOST_ROTATION_RAD / np.maximum(length, 1e-300))
+        step = step * np.minimum(1, _MAX_ROTATION_RAD / np.maximum(length, 1e-300))
         moving = States(
             rotations_from_rotvecs(step[:, :3]) @ moving.rotations, moving.centres + step[:, 3:], moving.rho
         )

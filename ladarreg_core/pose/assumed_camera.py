@@ -19,19 +19,26 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera, require_pinhole
 from ladarreg_core.camera.uncertainty import INTRINSICS, CameraPrior, CameraUncertainty
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.covariance import pose_covariance
-from ladarreg_core.pose.intrinsics import Anchor, Descent, IntrinsicsFit, Noise, estimate_intrinsics, intrinsic
+from ladarreg_core.pose.estimators.covariance import pose_covariance
+from ladarreg_core.pose.estimators.intrinsics import (
+    Anchor,
+    Descent,
+    IntrinsicsFit,
+    Noise,
+    estimate_intrinsics,
+    intrinsic,
+)
 from ladarreg_core.results import PoseResult
 
-MOST_PRIOR_SIGMAS = 3.0
+MAX_PRIOR_SIGMAS = 3.0
 """Offset of the principal point beyond which the photograph was probably cropped, in standard deviations."""
 _DETERMINED = 2.0  # most standard deviation of a cropped photograph's principal point, relative to the prior
-_LEAST_MATCHES = 4
+_MIN_MATCHES = 4
 
 
 def fit_assumed_camera(
@@ -84,7 +91,7 @@ def fit_assumed_camera(
 
 def is_beyond_prior(off: Mapping[str, float], off_sigma: Mapping[str, float], sigmas: Mapping[str, float]) -> bool:
     """Return whether an offset of the principal point is larger than the prior and its own uncertainty admit."""
-    return any(abs(off[name]) > MOST_PRIOR_SIGMAS * np.hypot(sigmas[name], off_sigma[name]) for name in off)
+    return any(abs(off[name]) > MAX_PRIOR_SIGMAS * np.hypot(sigmas[name], off_sigma[name]) for name in off)
 
 
 def _off_by_matches(
@@ -116,7 +123,7 @@ def with_assumed_camera(result: PoseResult, prior: CameraPrior, *, shown: float 
         return result
     free = tuple(name for name in INTRINSICS if name in result.camera_sigmas)
     sigmas = {k: v for k, v in prior.sigmas(result.camera).items() if k not in free}
-    if not sigmas or result.camera_uncertainty is not None or np.count_nonzero(result.inliers) < _LEAST_MATCHES:
+    if not sigmas or result.camera_uncertainty is not None or np.count_nonzero(result.inliers) < _MIN_MATCHES:
         return result
     if not result.is_determined:
         return result

@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.camera import Camera
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose import bundle
-from ladarreg_core.pose.bundle import Evaluation, Measurements, States, adjust_ranges
-from ladarreg_core.pose.intrinsics import (
+from ladarreg_core.pose.estimators import bundle
+from ladarreg_core.pose.estimators.bundle import Evaluation, Measurements, States, adjust_ranges
+from ladarreg_core.pose.estimators.intrinsics import (
     PARAMETERS,
     Descent,
     Intrinsics,
@@ -29,20 +29,20 @@ from ladarreg_core.pose.intrinsics import (
     intrinsic,
     predicted_gains,
 )
-from ladarreg_core.pose.preconditions import LEAST_MATCHES
+from ladarreg_core.pose.preconditions import MIN_MATCHES
 
 FOLDS = 5
 """Number of folds."""
 SCORE_TEST_SIGMA = 3.7
 """Significance of the score test above which intrinsics are estimated at all: 1 in 10,000 by chance."""
-LEAST_SHIFT_SIGMA = 3.0
+MIN_SHIFT_SIGMA = 3.0
 """Smallest change of an estimated intrinsic that is kept, in its standard deviations."""
 CLEAR_GAIN_SIGMA = 2.0
 """Smallest gain on held-out matches for which an intrinsic is kept, in standard errors."""
 
 _WIDE = 9.0  # relative to the gate: a wrong camera puts correct matches beyond it
 _WORTH_WIDENING = 1.05
-_MOST_S = 1e6
+_MAX_S = 1e6
 _STEPS = 10
 _SETTLED_SIGMA = 0.1
 _LADDER: dict[Intrinsics, tuple[Intrinsics, ...]] = {
@@ -198,7 +198,7 @@ def choose_intrinsics(
             continue
         fit = folds.fit(model, step)
         tried, shift, gain = _Model.of(fit), _shift_sigma(fit, camera, step), None
-        if fit.determined and shift > LEAST_SHIFT_SIGMA:
+        if fit.determined and shift > MIN_SHIFT_SIGMA:
             gain = folds.gain(*(np.minimum(folds.held_out(m), gate_chi2) for m in (model, tried)))
         good = gain is not None and gain.clear
         trials.append(Trial(fit, gain, shift, good))
@@ -258,7 +258,7 @@ def _lorentzian(s: FloatArray, gate: float) -> FloatArray:
 
     Source: Black and Anandan, The robust estimation of multiple motions (1996), the Lorentzian.
     """
-    return np.asarray(gate * np.log1p(np.minimum(s, _MOST_S) / gate))
+    return np.asarray(gate * np.log1p(np.minimum(s, _MAX_S) / gate))
 
 
 def assign_folds(pick_ids: Sequence[str], *, folds: int = FOLDS, seed: int = 0) -> tuple[IntArray, IntArray]:
@@ -357,7 +357,7 @@ class _Folds:
         folds = np.arange(self.fold.max() + 1)
         training = model.inliers & (self.fold != folds[:, None])  # (B, M)
         enough = training @ self.matches.dimensions > 6 + model.count
-        enough &= np.count_nonzero(training, axis=1) >= LEAST_MATCHES
+        enough &= np.count_nonzero(training, axis=1) >= MIN_MATCHES
         s = self._free(model, training) if model.count else self._fixed(model, training)
         own = s[self.fold, np.arange(len(self.matches))]
         return np.where(enough[self.fold], own, np.inf)

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray, median
 from ladarreg_core.camera import CameraModel
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, median
 from ladarreg_core.frames import Rigid, principal_extents
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.thesis.stereo import STEREO_AXES_FROM_SCANNER, StereoPairs, rectify, stereo_frame
+from ladarreg_core.thesis.estimators.stereo import STEREO_AXES_FROM_SCANNER, StereoPairs, rectify, stereo_frame
 
-_LEAST_DISPARITY_SIGMA = 3.0
+_MIN_DISPARITY_SIGMA = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +58,7 @@ def stereo_depth_error(
     squared = (disparity * disparity).sum(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         stereo = (disparity * numerator).sum(axis=0) / squared
-        known = np.sqrt(squared) * camera.focal_px > _LEAST_DISPARITY_SIGMA * sigma_px
+        known = np.sqrt(squared) * camera.focal_px > _MIN_DISPARITY_SIGMA * sigma_px
     return np.where(known, d.depth - stereo, np.nan)
 
 
@@ -68,7 +68,7 @@ def stereo_disparities(pose: Rigid, matches: Matches, camera: CameraModel) -> Di
     pairs = StereoPairs.of(matches, camera, frame_from_scanner=frame_from_scanner)
     Tx, Ty, Tz, alpha, beta, gamma = pairs.parameters(pose).tolist()
     with np.errstate(divide="ignore", invalid="ignore"):
-        rectified = np.stack(rectify(pairs.colour[0], pairs.colour[1], alpha=alpha, beta=beta, gamma=gamma))
+        rectified = np.stack(rectify(pairs.color[0], pairs.color[1], alpha=alpha, beta=beta, gamma=gamma))
     depth = np.where(pairs.depth > 0, pairs.depth, np.nan)
     disparity = np.where(pairs.ahead(pose) & (pairs.depth > 0), rectified - pairs.laser, np.nan)
     return Disparities(frame_from_scanner, depth, disparity, np.array([[Tx], [Ty]]) + Tz * rectified)

@@ -20,17 +20,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.acceptance import information_of, parts_of_information
-from ladarreg_core.pose.bundle import Evaluation
-from ladarreg_core.pose.covariance import guarded_inverse
+from ladarreg_core.pose.estimators.bundle import Evaluation
+from ladarreg_core.pose.estimators.covariance import guarded_inverse
 
 _SHARED_BY_ENDS = 0.8
 _BETWEEN_LINES = 2.0
-_LEAST_SIGMA_PX = 0.5
+_MIN_SIGMA_PX = 0.5
 """Noise of the most careful hand, px."""
-_LEAST_LEFT = 0.02
+_MIN_LEFT = 0.02
 """Least information that the other lines count as having in any direction, as a share of that of all."""
 
 
@@ -54,8 +54,8 @@ def scatter_between_lines(at: Evaluation, matches: Matches, inliers: BoolArray, 
         mine = pick == k
         A = K[..., mine].reshape(6, -1) @ J[..., mine].reshape(6, -1).T
         g = K[..., mine].reshape(6, -1) @ e[:, mine].ravel()
-        moves.append(guarded_inverse((H - A) * square, least=_LEAST_LEFT) * square @ g)
+        moves.append(guarded_inverse((H - A) * square, least=_MIN_LEFT) * square @ g)
     d = np.array(moves).reshape(-1, 6)
     between = d.T @ d * (len(used) - 1) / max(len(used), 1)
-    below_floor = max((_LEAST_SIGMA_PX / sigma_px) ** 2 - 1, 0.0)
+    below_floor = max((_MIN_SIGMA_PX / sigma_px) ** 2 - 1, 0.0)
     return np.asarray((_SHARED_BY_ENDS + below_floor) * inverse * square + _BETWEEN_LINES * between)

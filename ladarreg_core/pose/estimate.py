@@ -9,14 +9,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ladarreg_core.arrays import read_only
 from ladarreg_core.camera import Camera, CameraModel, require_pinhole
 from ladarreg_core.errors import DegenerateGeometryError
+from ladarreg_core.foundations.arrays import read_only
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.assumed_camera import with_assumed_camera
-from ladarreg_core.pose.bundle import Evaluation, Measurements, States, adjust_ranges
-from ladarreg_core.pose.intrinsics import Intrinsics
+from ladarreg_core.pose.estimators.bundle import Evaluation, Measurements, States, adjust_ranges
+from ladarreg_core.pose.estimators.intrinsics import Intrinsics
 from ladarreg_core.pose.options import STATED_SIGMA_PX as STATED_SIGMA_PX
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M as STATED_SIGMA_RANGE_M
 from ladarreg_core.pose.options import Method as Method
@@ -25,9 +25,9 @@ from ladarreg_core.pose.preconditions import check_matches
 from ladarreg_core.pose.result import Fit, build_result
 from ladarreg_core.pose.robust import solve_robust
 from ladarreg_core.pose.simplex_result import build_simplex_result
-from ladarreg_core.pose.thesis.linear import linear_covariance, linear_pose
-from ladarreg_core.pose.thesis.stereo_simplex import Residual, fit_simplex
 from ladarreg_core.results import PoseResult
+from ladarreg_core.thesis.estimators.linear import linear_covariance, linear_pose
+from ladarreg_core.thesis.estimators.stereo_simplex import Residual, fit_simplex
 
 
 def estimate_pose(

@@ -15,9 +15,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
-from ladarreg_core.formatting import format_length
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
+from ladarreg_core.foundations.formatting import format_length
+from ladarreg_core.foundations.validation import require_int
 from ladarreg_core.frames import Rigid
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, AcceptanceOptions
 from ladarreg_core.pose.ambiguity import (
@@ -32,7 +33,7 @@ from ladarreg_core.pose.ambiguity import (
     poses_towards_mirrored,
     refine_generalised,
 )
-from ladarreg_core.pose.bundle import (
+from ladarreg_core.pose.estimators.bundle import (
     Measurements,
     States,
     adjust_ranges,
@@ -40,12 +41,18 @@ from ladarreg_core.pose.bundle import (
     residuals,
     rotations_from_rotvecs,
 )
-from ladarreg_core.pose.covariance import LEAST_EIGENVALUE, guarded_inverse
-from ladarreg_core.pose.gnc import DEFAULT_GNC, graduate, graduate_merging, group_by_leader, narrow_scales, near_pairs
+from ladarreg_core.pose.estimators.covariance import MIN_EIGENVALUE, guarded_inverse
+from ladarreg_core.pose.estimators.gnc import (
+    DEFAULT_GNC,
+    graduate,
+    graduate_merging,
+    group_by_leader,
+    narrow_scales,
+    near_pairs,
+)
 from ladarreg_core.pose.options import PoseOptions
-from ladarreg_core.pose.preconditions import LEAST_MATCHES
+from ladarreg_core.pose.preconditions import MIN_MATCHES
 from ladarreg_core.results import PoseResult
-from ladarreg_core.validation import require_int
 
 BasinVerdict = Literal["unique", "ambiguous", "failed"]
 
@@ -53,10 +60,10 @@ RETURN_SHARE = 0.9
 """A level belongs to the basin if at least this share of its starts returns to the pose."""
 _LEVELS_DEG = (5.0, 10.0, 20.0, 40.0)
 _LEVELS_OF_DISTANCE = (1 / 16, 1 / 8, 1 / 4, 1 / 2)  # .25, .5, 1 and 2 m for matches at 4 m
-_LEAST_STARTS, _MOST_STARTS = 8, 4096
-_SAMPLE, _MOST_SAMPLE = 40, 160  # inliers, and all matches
+_MIN_STARTS, _MAX_STARTS = 8, 4096
+_SAMPLE, _MAX_SAMPLE = 40, 160  # inliers, and all matches
 _SAME_RAD, _SAME_OF_DISTANCE = np.deg2rad(4.0), 0.1  # bounds of a cluster, however weak the matches
-_MOST_REFINED = 8
+_MAX_REFINED = 8
 _ON_ALL_MATCHES = replace(DEFAULT_GNC, last_steps=8)
 
 
@@ -220,10 +227,10 @@ def probe_basin(
     reach = max(float(np.median(np.linalg.norm(pose @ points, axis=1))), 1e-9)
     given, seen = adjust_ranges(measured, States.of([pose], measured), rounds=1)
     agree = seen.s[0] <= gate
-    members = points[agree] if np.count_nonzero(agree) >= LEAST_MATCHES else points
+    members = points[agree] if np.count_nonzero(agree) >= MIN_MATCHES else points
 
     rng, share = np.random.default_rng(seed), max(float(np.mean(agree)), 1e-3)
-    few = measured.subset(np.sort(rng.permutation(len(measured))[: min(_MOST_SAMPLE, round(_SAMPLE / share))]))
+    few = measured.subset(np.sort(rng.permutation(len(measured))[: min(_MAX_SAMPLE, round(_SAMPLE / share))]))
     level_of = np.sort(np.arange(starts) % len(_LEVELS_DEG))
     perturbed = _perturbed(pose, few, level_of, reach=reach, rng=rng)
     around = States.of(orbiting_poses(pose, members), few)
@@ -277,13 +284,13 @@ def confirm(result: PoseResult, options: PoseOptions | None = None, *, starts: i
 
 
 def _check(result: PoseResult, starts: int, seed: int, gate_chi2: float) -> None:
-    for name, value, least, most in (("starts", starts, _LEAST_STARTS, _MOST_STARTS), ("seed", seed, 0, 2**31 - 1)):
+    for name, value, least, most in (("starts", starts, _MIN_STARTS, _MAX_STARTS), ("seed", seed, 0, 2**31 - 1)):
         require_int(value, f"{name}", least=least, most=most)
     if not 1e-3 <= gate_chi2 <= 1e6:
         raise OptionError(f"gate_chi2 is {gate_chi2!r}; it must be a number from 0.001 to 1e6")
-    if len(result.matches) < LEAST_MATCHES:
+    if len(result.matches) < MIN_MATCHES:
         raise DegenerateGeometryError(
-            f"there are {len(result.matches)} matches and the test needs {LEAST_MATCHES}; add matches"
+            f"there are {len(result.matches)} matches and the test needs {MIN_MATCHES}; add matches"
         )
 
 
@@ -323,7 +330,7 @@ def _promising_ends(few: Measurements, ends: States, *, gate: float, options: Ac
     """Return the indices of ends on a sample that may explain all matches, the best first."""
     s = residuals(few, ends).s
     scores = likelihood_scores(few, ends, gate)
-    order = np.argsort(scores, kind="stable")[:_MOST_REFINED]
+    order = np.argsort(scores, kind="stable")[:_MAX_REFINED]
     # a second pose may score worse by the margin on all matches, and by chance on a sample
     most = scores[order[0]] + options.second_pose_margin * _noise(s[order[0]], gate) + 4 * np.sqrt(4 * len(few))
     return np.asarray(order[scores[order] <= most])
@@ -378,7 +385,7 @@ def _differs_from_minimum(result: PoseResult, found: _Clusters, cluster: int, op
         C = C + own
     values, vectors = np.linalg.eigh((C + C.T) / 2)
     along = (step / unit) @ vectors
-    return bool((along * along / np.maximum(values, LEAST_EIGENVALUE)).sum() > options.second_pose_sigmas**2)
+    return bool((along * along / np.maximum(values, MIN_EIGENVALUE)).sum() > options.second_pose_sigmas**2)
 
 
 def _decide(

@@ -21,14 +21,14 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.camera import CameraModel
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, across_lines
 
 _PARAMETERS = 6
 _OF_INVERSE = 2  # E[1 / chi2_n] = 1 / (n - 2)
-_LEAST_PX = 0.05
+_MIN_PX = 0.05
 _PRIOR_LOG_SIGMA = np.log(3.0)
 _STEPS, _COARSE = 41, 5  # the cost has one minimum, so that every fifth value brackets it
 _ROUNDS = 6
@@ -93,7 +93,7 @@ def estimate_noise(
             variance = np.full(len(of_range), float(fixed_px) ** 2)
         else:
             variance = _pixel_variance(along2, rest, by_range, dof=dof)
-            variance = np.clip(variance, _LEAST_PX**2, most_px**2)
+            variance = np.clip(variance, _MIN_PX**2, most_px**2)
         total = variance[:, None] + by_range
         cost = (np.log(total) + along2 / total).sum(axis=1) + free * np.log(variance) + rest / variance
         return cost + (np.log(of_range / stated_range_m) / _PRIOR_LOG_SIGMA) ** 2, variance
@@ -119,7 +119,7 @@ def _share_of_scatter(dimensions: IntArray, gate_chi2: float) -> float:
 
 def _pixel_variance(along2: FloatArray, rest: float, by_range: FloatArray, *, dof: int) -> FloatArray:
     """Return the maximum-likelihood pixel variance for each range noise, by fixed-point iteration."""
-    variance = np.full(len(by_range), max((rest + along2.sum()) / dof, _LEAST_PX**2))
+    variance = np.full(len(by_range), max((rest + along2.sum()) / dof, _MIN_PX**2))
     count, inverse = len(along2), np.empty_like(by_range)
     for _ in range(_ROUNDS):
         # expected contribution of pixel noise to the scatter along the line, given the current variances: the sum of
@@ -128,5 +128,5 @@ def _pixel_variance(along2: FloatArray, rest: float, by_range: FloatArray, *, do
         part = inverse.sum(axis=1)
         part -= np.multiply(inverse, inverse, out=inverse) @ along2
         part = variance * (count - variance * part)
-        variance = np.maximum((rest + part) / dof, _LEAST_PX**2)
+        variance = np.maximum((rest + part) / dof, _MIN_PX**2)
     return variance

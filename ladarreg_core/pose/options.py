@@ -7,12 +7,12 @@ from typing import Any, Literal, get_args
 
 from ladarreg_core.camera.uncertainty import DEFAULT_CAMERA_PRIOR, CameraPrior
 from ladarreg_core.errors import OptionError
+from ladarreg_core.foundations.validation import LARGEST_INT, require_choice, require_int
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, AcceptanceOptions
-from ladarreg_core.pose.gnc import DEFAULT_GNC, GncOptions
-from ladarreg_core.pose.intrinsics import Intrinsics
-from ladarreg_core.pose.ransac import Backend
-from ladarreg_core.pose.thesis.stereo_simplex import DEFAULT_SIMPLEX, SimplexOptions
-from ladarreg_core.validation import LARGEST_INT, require_choice, require_int
+from ladarreg_core.pose.estimators.gnc import DEFAULT_GNC, GncOptions
+from ladarreg_core.pose.estimators.intrinsics import Intrinsics
+from ladarreg_core.pose.estimators.ransac import Backend
+from ladarreg_core.thesis.estimators.stereo_simplex import DEFAULT_SIMPLEX, SimplexOptions
 
 Method = Literal["robust", "linear", "stereo_simplex", "epipolar_simplex"]
 
@@ -21,7 +21,7 @@ STATED_SIGMA_PX = 1.0
 STATED_SIGMA_RANGE_M = 0.015
 """Range noise assumed until it is estimated from the matches, m."""
 
-_LEAST_SIGMA, _MOST_SIGMA = 1e-6, 1e6
+_MIN_SIGMA, _MAX_SIGMA = 1e-6, 1e6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,9 +71,9 @@ class PoseOptions:
         require_choice(self.method, get_args(Method), "the pose method")
         for name, unit in (("sigma_px", "pixels"), ("sigma_range_m", "metres")):
             sigma = getattr(self, name)
-            if sigma is not None and not _between(sigma, _LEAST_SIGMA, _MOST_SIGMA):
+            if sigma is not None and not _between(sigma, _MIN_SIGMA, _MAX_SIGMA):
                 raise OptionError(
-                    f"{name} is {sigma!r}; it must be a positive number of {unit} ({_LEAST_SIGMA:g} to {_MOST_SIGMA:g})"
+                    f"{name} is {sigma!r}; it must be a positive number of {unit} ({_MIN_SIGMA:g} to {_MAX_SIGMA:g})"
                 )
         for name in ("gate_chi2", "ransac_sigma", "ransac_again_sigma"):
             if not _between(getattr(self, name), 1e-3, 1e6):

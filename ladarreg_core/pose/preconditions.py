@@ -13,11 +13,11 @@ from ladarreg_core.frames import Rigid, principal_extents
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.acceptance import count_distinct
 
-LEAST_MATCHES = 4
+MIN_MATCHES = 4
 _UNIT_TOLERANCE = 1e-3
 _COLLINEAR = 1e-3  # middle over largest extent: below it the points are collinear
-_MOST_RANGE_M, _MOST_PIXEL = 1e7, 1e7
-_LEAST_WEIGHT, _MOST_WEIGHT = 1e-9, 1e9  # the points of a line share its weight
+_MAX_RANGE_M, _MAX_PIXEL = 1e7, 1e7
+_MIN_WEIGHT, _MAX_WEIGHT = 1e-9, 1e9  # the points of a line share its weight
 
 
 def check_matches(matches: Matches, camera: CameraModel, initial: Rigid | None) -> Matches:
@@ -34,27 +34,25 @@ def check_matches(matches: Matches, camera: CameraModel, initial: Rigid | None) 
     require_camera(camera, "the camera")
     if initial is not None and not isinstance(initial, Rigid):
         raise OptionError(f"the initial pose is a {type(initial).__name__}; give a Rigid (camera_from_scanner)")
-    if initial is not None and not np.abs(initial.centre).max() <= _MOST_RANGE_M:
-        raise OptionError(f"the initial pose is more than {_MOST_RANGE_M:g} m from the scanner; check its unit")
+    if initial is not None and not np.abs(initial.centre).max() <= _MAX_RANGE_M:
+        raise OptionError(f"the initial pose is more than {_MAX_RANGE_M:g} m from the scanner; check its unit")
     count = len(matches)
-    if count < LEAST_MATCHES:
-        raise DegenerateGeometryError(f"{_count_phrase(matches)} and a pose needs {LEAST_MATCHES}; add matches")
+    if count < MIN_MATCHES:
+        raise DegenerateGeometryError(f"{_count_phrase(matches)} and a pose needs {MIN_MATCHES}; add matches")
     numbers = [matches.rays, matches.ranges, matches.uv, matches.weights, matches.range_weights, matches.directions]
     if not all(np.isfinite(each).all() for each in numbers):
         finite = np.isfinite(np.column_stack(numbers)).all(axis=1)
         raise ShapeError(f"{_subject(~finite, matches)} NaN or infinity; remove them, or give each a range and a pixel")
     both = np.stack([matches.weights, matches.weights * matches.range_weights])
-    if not (both.min() >= _LEAST_WEIGHT and both.max() <= _MOST_WEIGHT):
-        bad = ~((both >= _LEAST_WEIGHT) & (both <= _MOST_WEIGHT)).all(axis=0)
-        raise ShapeError(
-            f"{_subject(bad, matches)} a weight outside {_LEAST_WEIGHT:g} to {_MOST_WEIGHT:g}; remove them"
-        )
+    if not (both.min() >= _MIN_WEIGHT and both.max() <= _MAX_WEIGHT):
+        bad = ~((both >= _MIN_WEIGHT) & (both <= _MAX_WEIGHT)).all(axis=0)
+        raise ShapeError(f"{_subject(bad, matches)} a weight outside {_MIN_WEIGHT:g} to {_MAX_WEIGHT:g}; remove them")
     ranges, uv = matches.ranges, matches.uv
-    if not (ranges.min() > 0 and ranges.max() <= _MOST_RANGE_M and np.abs(uv).max() <= _MOST_PIXEL):
-        good = (ranges > 0) & (ranges <= _MOST_RANGE_M) & (np.abs(uv) <= _MOST_PIXEL).all(axis=1)
+    if not (ranges.min() > 0 and ranges.max() <= _MAX_RANGE_M and np.abs(uv).max() <= _MAX_PIXEL):
+        good = (ranges > 0) & (ranges <= _MAX_RANGE_M) & (np.abs(uv) <= _MAX_PIXEL).all(axis=1)
         raise ShapeError(
             f"{_subject(~good, matches)} a range that is not positive, or a range or pixel beyond "
-            f"{_MOST_RANGE_M:g}; ranges are metres along the ray"
+            f"{_MAX_RANGE_M:g}; ranges are metres along the ray"
         )
     if matches.across.any():
         along = np.abs(np.linalg.norm(matches.directions, axis=1) - 1) <= _UNIT_TOLERANCE
@@ -68,9 +66,9 @@ def check_matches(matches: Matches, camera: CameraModel, initial: Rigid | None) 
             f"{_subject(off_unit > _UNIT_TOLERANCE, matches)} a ray whose length is not 1; normalise the rays"
         )
     different = count_distinct(matches.points, matches.uv)
-    if different < LEAST_MATCHES:
+    if different < MIN_MATCHES:
         raise DegenerateGeometryError(
-            f"only {different} of the {count} matches are distinct and a pose needs {LEAST_MATCHES}; add matches"
+            f"only {different} of the {count} matches are distinct and a pose needs {MIN_MATCHES}; add matches"
         )
     extent = principal_extents(matches.points)
     if extent[1] <= _COLLINEAR * extent[0]:

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray, median
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.camera.uncertainty import CameraUncertainty
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, median
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, across_lines
 from ladarreg_core.pose.acceptance import (
@@ -20,13 +20,13 @@ from ladarreg_core.pose.acceptance import (
     log10_false_alarms,
 )
 from ladarreg_core.pose.ambiguity import find_second_pose, is_planar, second_pose_of_outliers
-from ladarreg_core.pose.bundle import UNSEEN, Evaluation, Measurements, States, adjust_ranges
 from ladarreg_core.pose.diagnostics import diagnose, stereo_depth_error, stereo_disparities
+from ladarreg_core.pose.estimators.bundle import UNSEEN, Evaluation, Measurements, States, adjust_ranges
 from ladarreg_core.pose.noise import estimate_noise
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M, PoseOptions
 from ladarreg_core.results import PoseResult
 
-_MOST_NOISE, _MOST_NOISE_DRAWN = 0.005, 0.02  # of the photo's longer side: of detected points, of lines by hand
+_MAX_NOISE, _MAX_NOISE_DRAWN = 0.005, 0.02  # of the photo's longer side: of detected points, of lines by hand
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +75,7 @@ def noise_of_inliers(
     gate_chi2: float = np.inf,
 ) -> tuple[float, float]:
     """Return (sigma_px, sigma_range_m) estimated from the inliers, within bounds for plausible matches."""
-    share = _MOST_NOISE_DRAWN if matches.has_lines else _MOST_NOISE
+    share = _MAX_NOISE_DRAWN if matches.has_lines else _MAX_NOISE
     return estimate_noise(
         pose,
         matches,

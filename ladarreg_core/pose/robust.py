@@ -16,15 +16,17 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray, median
 from ladarreg_core.camera import Camera, CameraModel, require_pinhole
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import DegenerateGeometryError
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, median
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.ambiguity import is_planar, likelihood_scores, mirrored
 from ladarreg_core.pose.assumed_camera import fit_assumed_camera, with_assumed_camera
-from ladarreg_core.pose.bundle import (
+from ladarreg_core.pose.cross_validation import choose_intrinsics, describe_intrinsics, worse_when_held_out
+from ladarreg_core.pose.drawn_scatter import scatter_between_lines
+from ladarreg_core.pose.estimators.bundle import (
     UNSEEN,
     Evaluation,
     Measurements,
@@ -34,16 +36,14 @@ from ladarreg_core.pose.bundle import (
     linearise,
     residuals,
 )
-from ladarreg_core.pose.covariance import pose_covariance
-from ladarreg_core.pose.cross_validation import choose_intrinsics, describe_intrinsics, worse_when_held_out
-from ladarreg_core.pose.drawn_scatter import scatter_between_lines
-from ladarreg_core.pose.gnc import graduate, narrow_scales, truncated_score, wide_scales
-from ladarreg_core.pose.intrinsics import IntrinsicsFit, Noise, estimate_intrinsics
+from ladarreg_core.pose.estimators.covariance import pose_covariance
+from ladarreg_core.pose.estimators.gnc import graduate, narrow_scales, truncated_score, wide_scales
+from ladarreg_core.pose.estimators.intrinsics import IntrinsicsFit, Noise, estimate_intrinsics
+from ladarreg_core.pose.estimators.ransac import sample_pose
+from ladarreg_core.pose.estimators.ray_ransac import sample_pose_of_rays
 from ladarreg_core.pose.line_ends import repair_ends
 from ladarreg_core.pose.options import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions
-from ladarreg_core.pose.preconditions import LEAST_MATCHES
-from ladarreg_core.pose.ransac import sample_pose
-from ladarreg_core.pose.ray_ransac import sample_pose_of_rays
+from ladarreg_core.pose.preconditions import MIN_MATCHES
 from ladarreg_core.pose.result import Fit, build_result, noise_of_inliers
 from ladarreg_core.results import PoseResult
 
@@ -76,7 +76,7 @@ def solve_robust(
         DegenerateGeometryError: if no pose has 4 inliers.
     """
     solution = _likeliest(_solutions(matches, camera, options, initial))
-    if solution.fit.count < LEAST_MATCHES:
+    if solution.fit.count < MIN_MATCHES:
         raise _no_pose(len(matches))
     solution = _with_intrinsics(solution, options)
     if initial is not None and options.keep_better_start:
@@ -161,7 +161,7 @@ def _with_assumed_camera(
         sigma_px=solution.sigma[0], sigma_range_m=solution.sigma[1], gate_chi2=options.gate_chi2,
         noise=_noise_estimator(solution, options),
     )  # fmt: skip
-    if found is None or np.count_nonzero(found[0].inliers) < LEAST_MATCHES:
+    if found is None or np.count_nonzero(found[0].inliers) < MIN_MATCHES:
         return kept
     free, uncertainty = found
     solution = replace(solution, camera=free.camera, sigma=(free.sigma_px, free.sigma_range_m))
@@ -330,7 +330,7 @@ def _or_initial_pose(solution: _Solution, initial: Rigid, options: PoseOptions) 
 
 def _likelier_of_mirrored(measured: Measurements, fit: Fit, options: PoseOptions) -> Fit:
     """Return the likelier of the two poses of a planar scene: the one found or the mirrored one."""
-    if fit.count < LEAST_MATCHES:
+    if fit.count < MIN_MATCHES:
         return fit
     points = (measured.rays * fit.state.rho[0])[:, fit.inliers].T
     if not is_planar(points, options.acceptance):
@@ -430,7 +430,7 @@ def _fit(measured: Measurements, state: States, options: PoseOptions, *, toleran
     seen = residuals(measured, state)
     inliers = seen.s[0] <= gate
     for _ in range(_GATE_ROUNDS):
-        if np.count_nonzero(inliers) < LEAST_MATCHES:
+        if np.count_nonzero(inliers) < MIN_MATCHES:
             break
         state, seen, calm = least_squares(measured, state, members=inliers, seen=seen, tolerance_sigma=tolerance_sigma)
         settled = bool(calm[0])
@@ -442,5 +442,5 @@ def _fit(measured: Measurements, state: States, options: PoseOptions, *, toleran
 
 def _no_pose(count: int) -> DegenerateGeometryError:
     return DegenerateGeometryError(
-        f"no pose agrees with {LEAST_MATCHES} of the {count} matches; check the camera, or correct or add matches"
+        f"no pose agrees with {MIN_MATCHES} of the {count} matches; check the camera, or correct or add matches"
     )

@@ -8,12 +8,12 @@ import numpy as np
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.bundle import UNSEEN, Evaluation, Measurements, States, adjust_ranges
-from ladarreg_core.pose.covariance import simplex_covariance
+from ladarreg_core.pose.estimators.bundle import UNSEEN, Evaluation, Measurements, States, adjust_ranges
+from ladarreg_core.pose.estimators.covariance import simplex_covariance
 from ladarreg_core.pose.options import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions
 from ladarreg_core.pose.result import Fit, build_result, noise_of_inliers
-from ladarreg_core.pose.thesis.stereo_simplex import SimplexFit
 from ladarreg_core.results import PoseResult
+from ladarreg_core.thesis.estimators.stereo_simplex import SimplexFit
 
 
 def build_simplex_result(found: SimplexFit, matches: Matches, camera: Camera, options: PoseOptions) -> PoseResult:

@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 
 import msgspec
 
-from ladarreg_core.formats.scan_request import FileOptions
+from ladarreg_core.formats.scans.scan_request import FileOptions
 from ladarreg_core.matches import Pick
 from ladarreg_core.project.settings import Settings
 from ladarreg_core.project.stored_arrays import StoredArrays

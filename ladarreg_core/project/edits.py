@@ -25,9 +25,9 @@ from ladarreg_core.project.document import (
 )
 from ladarreg_core.results import StageId
 
-MOST_PHOTOS = 32
-MOST_PICKS = 5000
-MOST_PIXEL = 1e6
+MAX_PHOTOS = 32
+MAX_PICKS = 5000
+MAX_PIXEL = 1e6
 """Largest absolute pixel coordinate of a match."""
 _LONGEST_LINE_RAD = math.radians(150)
 _FARTHEST_M = 1e5
@@ -81,9 +81,9 @@ def with_photo(
     Raises:
         OptionError: if there are too many photographs.
     """
-    if len(document.photos) >= MOST_PHOTOS:
+    if len(document.photos) >= MAX_PHOTOS:
         raise OptionError(
-            f"the project has {MOST_PHOTOS} photographs, which is the maximum; remove one, or start another project"
+            f"the project has {MAX_PHOTOS} photographs, which is the maximum; remove one, or start another project"
         )
     number = document.numbered + 1
     photo = PhotoEntry(id=f"p{number}", source=source, camera=camera or CameraGiven(), stated_pose=stated_pose)
@@ -143,8 +143,8 @@ def with_picks(photo: PhotoEntry, picks: Iterable[Pick]) -> tuple[PhotoEntry, tu
                 name=pick.name,
             )
         )
-    if len(photo.picks) + len(new) > MOST_PICKS:
-        raise OptionError(f"the photograph would have more than {MOST_PICKS:,} matches; remove some first")
+    if len(photo.picks) + len(new) > MAX_PICKS:
+        raise OptionError(f"the photograph would have more than {MAX_PICKS:,} matches; remove some first")
     return replace(photo, picks=(*photo.picks, *new), numbered=number), tuple(pick.id for pick in new)
 
 
@@ -280,9 +280,9 @@ def pixels(values: object) -> Rows:
         OptionError: if they are not rows of two finite numbers, or lie too far outside any image.
     """
     found = rows(values, 2)
-    if any(abs(value) > MOST_PIXEL for row in found for value in row):
+    if any(abs(value) > MAX_PIXEL for row in found for value in row):
         raise OptionError(
-            f"a pixel lies more than {MOST_PIXEL:,.0f} px from the image's corner, beyond the size of any image"
+            f"a pixel lies more than {MAX_PIXEL:,.0f} px from the image's corner, beyond the size of any image"
         )
     return found
 

@@ -12,7 +12,7 @@ from itertools import islice
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project.document import Document
 
-MOST_STEPS = 10_000
+MAX_STEPS = 10_000
 """Limit of the undo steps: days of work, and a bound on the memory that ten busy clients use."""
 
 
@@ -113,7 +113,7 @@ class History:
     ) -> History:
         """Return the history with an additional commit, without the commits that had been undone."""
         entry = Entry(self.next_number, label, author, when, document, automatic, by, undoes, redoes)
-        entries = (*self.entries[: self.at + 1], entry)[-MOST_STEPS:]
+        entries = (*self.entries[: self.at + 1], entry)[-MAX_STEPS:]
         return History(entries, len(entries) - 1)
 
     def amended(self, document: Document, *, when: str) -> History:

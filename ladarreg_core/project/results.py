@@ -12,7 +12,7 @@ import numpy as np
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import DegenerateGeometryError, FormatError, LadarregError
 from ladarreg_core.export.json import plain
-from ladarreg_core.formats.camera_file import camera_from_fields
+from ladarreg_core.formats.cameras.camera_file import camera_from_fields
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.progress import Step

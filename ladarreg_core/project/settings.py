@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import msgspec
 
 from ladarreg_core.camera.uncertainty import DEFAULT_CAMERA_PRIOR, CameraPrior
-from ladarreg_core.features.corners import CornerOptions
-from ladarreg_core.matching.thesis.matcher import ThesisMatchOptions
+from ladarreg_core.matching.features.corners import CornerOptions
 from ladarreg_core.picks.measure import SAMPLES_PER_LINE
 from ladarreg_core.pose.options import PoseOptions
-from ladarreg_core.pose.thesis.stereo_simplex import SimplexOptions
+from ladarreg_core.thesis.estimators.stereo_simplex import SimplexOptions
+from ladarreg_core.thesis.matching.matcher import ThesisMatchOptions
 
 if TYPE_CHECKING:
-    from ladarreg_core.registration import RegisterOptions
+    from ladarreg_core.registration.register import RegisterOptions
 
 _MATCHING = ThesisMatchOptions()
 _SIMPLEX = SimplexOptions()
@@ -134,8 +134,8 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
         """
         # Imported late: opening a project needs none of these.
         from ladarreg_core.matching.auto import AutoOptions
-        from ladarreg_core.matching.thesis.chain import ThesisOptions
-        from ladarreg_core.registration import RegisterOptions
+        from ladarreg_core.registration.register import RegisterOptions
+        from ladarreg_core.thesis.matching.chain import ThesisOptions
 
         pose = self.pose_options
         return RegisterOptions(
@@ -157,7 +157,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
             OptionError: if there is no such setting, or a value is invalid.
         """
         from ladarreg_core.errors import OptionError
-        from ladarreg_core.formats.untrusted import one_line  # values are of any length
+        from ladarreg_core.formats.parsing.untrusted import one_line  # values are of any length
 
         unknown = sorted(set(values) - set(self.__struct_fields__))
         if unknown:

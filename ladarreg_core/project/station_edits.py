@@ -13,7 +13,7 @@ from ladarreg_core.frames import Rigid, rotation_about
 from ladarreg_core.project.document import Document, PhotoEntry, Rows, Source, StationEntry, Survey
 from ladarreg_core.project.edits import finite
 
-MOST_STATIONS = 12
+MAX_STATIONS = 12
 """Most stations of a project besides the scan that is shown: every pair of them is compared."""
 _FARTHEST_M = 10_000.0
 
@@ -39,9 +39,9 @@ def with_stations(document: Document, sources: Sequence[Source]) -> Document:
     number = document.numbered_stations
     added = (StationEntry(id=f"s{number + k}", source=source) for k, source in enumerate(new, 1))
     stations = (*document.stations, *added)
-    if len(stations) > MOST_STATIONS:
+    if len(stations) > MAX_STATIONS:
         raise OptionError(
-            f"there would be {len(stations)} further stations; a project takes {MOST_STATIONS}: register more with "
+            f"there would be {len(stations)} further stations; a project takes {MAX_STATIONS}: register more with "
             "ladarreg register-scans"
         )
     return replace(document, stations=stations, numbered_stations=number + len(new))

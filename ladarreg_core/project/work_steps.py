@@ -10,13 +10,13 @@ from ladarreg_core.project.document import Document, PhotoEntry, PickEntry
 from ladarreg_core.results import STAGE_LABELS, verdict_words
 
 StepName = Literal["match", "solve", "judge", "export"]
-LEAST_POINTS = 4
+MIN_POINTS = 4
 """Fewest points of a pose; a line counts as its two ends."""
 _PLACED = ("registered", "kept")
 """States of a station that has a verified place beside the fixed one."""
 _SOLVE = "Solve from the matches, or register automatically."
 _DRAW = "draw a line along an edge in one picture, then along the same edge in the other"
-_NO_COLOURS = "Only registration data can be exported: nothing is coloured by a pose that is not accepted."
+_NO_COLORS = "Only registration data can be exported: nothing is coloured by a pose that is not accepted."
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class WorkStep:
 def missing_matches(picks: Sequence[PickEntry]) -> str:
     """Return what a pose needs besides the enabled matches, as a sentence; empty if nothing."""
     enabled = [pick for pick in picks if pick.on]
-    lacking = LEAST_POINTS - sum(2 if pick.kind == "line" else 1 for pick in enabled)
+    lacking = MIN_POINTS - sum(2 if pick.kind == "line" else 1 for pick in enabled)
     if lacking <= 0:
         return ""
     if picks and not enabled:
@@ -125,7 +125,7 @@ def work_steps(
         WorkStep("judge", good, judged, outdated or _to_judge(entry)),
         WorkStep(
             "export", exported and not stale, "Exported." if exported else "Not exported yet.",
-            outdated or ("Solve first." if pose is None else "" if pose.accepted else _NO_COLOURS),
+            outdated or ("Solve first." if pose is None else "" if pose.accepted else _NO_COLORS),
         ),
     )  # fmt: skip
 

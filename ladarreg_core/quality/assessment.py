@@ -12,19 +12,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import DegenerateGeometryError, LadarregError
-from ladarreg_core.formatting import format_number
+from ladarreg_core.foundations.arrays import FloatArray, read_only
+from ladarreg_core.foundations.formatting import format_number
+from ladarreg_core.foundations.parallel import side_by_side
 from ladarreg_core.quality.findings import Finding, findings
 from ladarreg_core.quality.influence import INFLUENTIAL_COOK, Influence, influence
 from ladarreg_core.quality.next_match import SuggestedMatch, part_of_photo, suggest_matches
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
-from ladarreg_core.side_by_side import side_by_side
 from ladarreg_core.surface.spikes import SPIKE_FRACTION, median_range
 from ladarreg_core.surface.uncertainty import picture_sigma, pixel_sigma
-from ladarreg_core.surface.visibility import LARGEST_WHOLE_SCAN, places_in_picture
+from ladarreg_core.surface.visibility.visible_points import LARGEST_WHOLE_SCAN, places_in_picture
 
 _SPIKE_MARGIN = 16  # cells around a tile: those that its medians depend on
 

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera.uncertainty import CameraUncertainty
-from ladarreg_core.formatting import format_length, format_number
+from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.foundations.formatting import format_length, format_number
 from ladarreg_core.pose.assumed_camera import is_beyond_prior
-from ladarreg_core.pose.covariance import guarded_inverse
+from ladarreg_core.pose.estimators.covariance import guarded_inverse
 from ladarreg_core.results import PoseResult
 
 _ADVICE = "Give a calibrated camera file for the photo."

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.camera.uncertainty import pose_jacobian
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, information_matrix, residuals
-from ladarreg_core.pose.preconditions import LEAST_MATCHES
+from ladarreg_core.pose.estimators.bundle import UNSEEN, Measurements, States, information_matrix, residuals
+from ladarreg_core.pose.preconditions import MIN_MATCHES
 from ladarreg_core.results import PoseResult
 
 FAR_OVER_NEAR = 2.8
@@ -60,17 +60,17 @@ def assess_conditioning(result: PoseResult) -> Conditioning | None:
         result: a pose with its matches, their noise and inliers.
     """
     camera, pose = result.camera, result.camera_from_scanner
-    if np.count_nonzero(result.inliers) < LEAST_MATCHES:
+    if np.count_nonzero(result.inliers) < MIN_MATCHES:
         return None
     matches = result.matches.subset(result.inliers)
     measured = Measurements.of(matches, camera, sigma_px=result.sigma_px, sigma_range_m=result.sigma_range_m)
     seen = residuals(measured, States.of([pose], measured)).s[0] < UNSEEN
-    if np.count_nonzero(seen) < LEAST_MATCHES:
+    if np.count_nonzero(seen) < MIN_MATCHES:
         return None
     matches = matches.subset(seen)
     reach = float(np.median(np.linalg.norm(pose @ matches.points, axis=1)))
     ideal = _ideal_matches(matches, camera, pose, reach)
-    if len(ideal) < LEAST_MATCHES:
+    if len(ideal) < MIN_MATCHES:
         return None
     _, J = pose_jacobian(pose, ideal.points, camera)
     J = J[np.isfinite(J).all(axis=(1, 2))]

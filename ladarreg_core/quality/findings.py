@@ -17,11 +17,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ladarreg_core.formatting import format_length, format_number
+from ladarreg_core.foundations.formatting import format_length, format_number
 from ladarreg_core.matches import count_picks
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, count_distinct
 from ladarreg_core.pose.diagnostics import diagnose
-from ladarreg_core.pose.thesis.linear import LEAST_PLANARITY
 from ladarreg_core.quality.camera_finding import camera_in_words
 from ladarreg_core.quality.conditioning import Conditioning, assess_conditioning
 from ladarreg_core.quality.lens_check import check_lens
@@ -34,6 +33,7 @@ from ladarreg_core.quality.limits import (
 )
 from ladarreg_core.quality.suspects import suspect_matches
 from ladarreg_core.results import PoseResult, Registration
+from ladarreg_core.thesis.estimators.linear import MIN_PLANARITY
 
 Level = Literal["good", "fair", "poor"]
 LEVELS: tuple[Level, ...] = ("good", "fair", "poor")
@@ -58,7 +58,7 @@ _SEEN_SIGMAS = 4.0  # an error as large would be significant
 """With a correct camera, 400 poses from 14 to 200 matches showed 3.3 at most; 3 % of focal length and 48 matches show
 6."""
 _BIAS_SIGNIFICANCE = 20.0  # Hotelling's T^2 of two components; false alarms: one in 10,000 with many picks
-_MOST_NAMED = 5
+_MAX_NAMED = 5
 _NOTABLE_SHARE = 0.5  # of the variance of the orientation: what costs as much as all the matches' noise
 _REJECTED_SHARE = 0.01  # of correct matches, by the gate
 _CHANCE = 5e-3
@@ -140,8 +140,8 @@ def _inliers(result: PoseResult) -> Finding | None:
     words = "{} of {} matches agree".format(*count_picks(result.matches, result.inliers))
     advice = "Check the outliers; correct or remove the wrong ones."
     if suspects.pick_ids and drawn:
-        named = list(suspects.pick_ids[:_MOST_NAMED])
-        more = f" and {len(suspects.pick_ids) - _MOST_NAMED} more" if len(suspects.pick_ids) > _MOST_NAMED else ""
+        named = list(suspects.pick_ids[:_MAX_NAMED])
+        more = f" and {len(suspects.pick_ids) - _MAX_NAMED} more" if len(suspects.pick_ids) > _MAX_NAMED else ""
         whose = "those that 'robust' rejects" if suspects.by_robust else "outliers"
         words += f"; {whose}, worst first: {', '.join(named)}{more}"
         if suspects.by_robust:
@@ -257,7 +257,7 @@ def _relief(result: PoseResult, figures: Mapping[str, Any], conditioning: Condit
     if planarity is None:
         return None
     linear = _method(result) == "linear"
-    if linear and planarity < LEAST_PLANARITY:
+    if linear and planarity < MIN_PLANARITY:
         level: Level = "poor"  # regardless of the cost: near a plane the linear method errs by metres
     else:
         level = _capped_by_cost("fair" if planarity < LITTLE_RELIEF else "good", conditioning)

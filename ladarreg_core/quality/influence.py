@@ -16,11 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray, IntArray, read_only
 from ladarreg_core.camera.uncertainty import pose_jacobian
 from ladarreg_core.errors import DegenerateGeometryError
-from ladarreg_core.formatting import format_length
-from ladarreg_core.pose.bundle import (
+from ladarreg_core.foundations.arrays import FloatArray, IntArray, read_only
+from ladarreg_core.foundations.formatting import format_length
+from ladarreg_core.pose.estimators.bundle import (
     UNSEEN,
     Measurements,
     States,
@@ -29,14 +29,14 @@ from ladarreg_core.pose.bundle import (
     linearise,
     residuals,
 )
-from ladarreg_core.pose.preconditions import LEAST_MATCHES
+from ladarreg_core.pose.preconditions import MIN_MATCHES
 from ladarreg_core.results import PoseResult
 
 INFLUENTIAL_COOK = 0.5
 """Cook's distance from which a match should be checked."""
-_MOST_PROBES = 64
-_LEAST_DETERMINANT = 1e-10
-_MOST_STEP_RAD = 1.0
+_MAX_PROBES = 64
+_MIN_DETERMINANT = 1e-10
+_MAX_STEP_RAD = 1.0
 _STEPS = 8
 _CHUNK = 128
 
@@ -98,9 +98,9 @@ def influence(result: PoseResult) -> Influence:
     measured = Measurements.of(matches, result.camera, sigma_px=result.sigma_px, sigma_range_m=result.sigma_range_m)
     state = States.of([result.camera_from_scanner], measured)
     members = np.flatnonzero(result.inliers & (residuals(measured, state).s[0] < UNSEEN))
-    if len(members) < LEAST_MATCHES:
+    if len(members) < MIN_MATCHES:
         raise DegenerateGeometryError(
-            f"{len(members)} matches agree with the pose; influence needs at least {LEAST_MATCHES}: "
+            f"{len(members)} matches agree with the pose; influence needs at least {MIN_MATCHES}: "
             "add or correct matches"
         )
     measured = measured.subset(members)
@@ -111,7 +111,7 @@ def influence(result: PoseResult) -> Influence:
     H = K @ J.T
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
     H = (H + H.T) / 2 / np.outer(scale, scale)
-    if not np.linalg.eigvalsh(H)[0] > _LEAST_DETERMINANT:
+    if not np.linalg.eigvalsh(H)[0] > _MIN_DETERMINANT:
         raise DegenerateGeometryError("the matches do not determine a pose; add matches off their line or plane")
     # In coordinates where H is the identity, the determinant is the share of the information that remains.
     whiten = np.linalg.inv(np.linalg.cholesky(H)) / scale
@@ -120,7 +120,7 @@ def influence(result: PoseResult) -> Influence:
     without = np.eye(6) - np.add.reduceat((K @ J.swapaxes(1, 2))[order], first)
     gradient = np.add.reduceat((K @ e.T[..., None])[order, :, 0], first)
     with np.errstate(all="ignore"):
-        determined = np.linalg.det(without) > _LEAST_DETERMINANT
+        determined = np.linalg.det(without) > _MIN_DETERMINANT
         without[~determined] = np.eye(6)
         step = -np.linalg.solve(without, gradient[..., None])[..., 0]  # whitened
         shift = step @ whiten
@@ -128,7 +128,7 @@ def influence(result: PoseResult) -> Influence:
         angle = np.linalg.norm(shift[:, :3], axis=1)
         position = np.linalg.norm(shift[:, 3:], axis=1)
         pixels = _median_shift_px(result, state, measured, shift)
-    determined &= angle <= _MOST_STEP_RAD  # beyond a radian the linearisation is meaningless
+    determined &= angle <= _MAX_STEP_RAD  # beyond a radian the linearisation is meaningless
 
     def per_match(values: FloatArray) -> FloatArray:
         full = np.zeros(len(matches))
@@ -165,7 +165,7 @@ def _reduced_system(measured: Measurements, state: States) -> tuple[FloatArray, 
 
 def _median_shift_px(result: PoseResult, state: States, measured: Measurements, shifts: FloatArray) -> FloatArray:
     """Return the median shift (G,) of the matches in the photo, px, under each pose shift (G, 6), to first order."""
-    probes = np.unique(np.linspace(0, len(measured) - 1, min(len(measured), _MOST_PROBES)).round().astype(np.intp))
+    probes = np.unique(np.linspace(0, len(measured) - 1, min(len(measured), _MAX_PROBES)).round().astype(np.intp))
     points = (measured.rays[:, probes] * state.rho[0, probes]).T
     _, J = pose_jacobian(state.pose(), points, result.camera)
     J = J[np.isfinite(J).all(axis=(1, 2))]

@@ -15,13 +15,13 @@ from typing import Literal
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray
-from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, adjust_ranges, linearise
+from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.pose.estimators.bundle import UNSEEN, Measurements, States, adjust_ranges, linearise
 from ladarreg_core.results import PoseResult
 
-LEAST_MATCHES_OF_LENS = 12
+MIN_MATCHES_OF_LENS = 12
 """With fewer matches, noise can be mistaken for a lens error."""
-MOST_SIGMA_AT_EDGE = 0.02
+MAX_SIGMA_AT_EDGE = 0.02
 """Largest standard deviation of the change, relative to the radius of the outermost ideal pixel; beyond it the step is
 far from linear and is not reported."""
 _UNDETERMINED = 1e-6  # of the information that a fixed pose would give
@@ -52,13 +52,13 @@ def check_lens(result: PoseResult) -> LensCheck | None:
     Args:
         result: a pose with its matches, their noise and inliers.
     """
-    if np.count_nonzero(result.inliers) < LEAST_MATCHES_OF_LENS:
+    if np.count_nonzero(result.inliers) < MIN_MATCHES_OF_LENS:
         return None
     matches = result.matches.subset(result.inliers)
     measured = Measurements.of(matches, result.camera, sigma_px=result.sigma_px, sigma_range_m=result.sigma_range_m)
     states, seen = adjust_ranges(measured, States.of([result.camera_from_scanner], measured))
     usable = seen.s[0] < UNSEEN
-    if np.count_nonzero(usable) < LEAST_MATCHES_OF_LENS:
+    if np.count_nonzero(usable) < MIN_MATCHES_OF_LENS:
         return None
     measured, dof = measured.subset(usable), int(matches.dimensions[usable].sum()) - 7
     states, seen = adjust_ranges(measured, states.with_ranges_of(measured))
@@ -105,6 +105,6 @@ def _check(
     noise = max(1.0, remaining / dof)
     position = np.sqrt(np.trace(inverse[3:, 3:]) * noise)
     sigma = float(np.sqrt(noise / information))
-    if sigma * at_edge > MOST_SIGMA_AT_EDGE:
+    if sigma * at_edge > MAX_SIGMA_AT_EDGE:
         return None
     return LensCheck(kind, change, sigma, float(np.linalg.norm(response[3:] * change) / position))

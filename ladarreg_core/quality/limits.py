@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import CameraModel
+from ladarreg_core.foundations.arrays import FloatArray
 
-MOST_SIGMA_Z_OVER_Z = 0.05
+MAX_SIGMA_Z_OVER_Z = 0.05
 """Relative uncertainty of a stereo depth above which it cannot be compared with the laser's."""
-LEAST_DISPARITY_SIGMA = 40.0
+MIN_DISPARITY_SIGMA = 40.0
 """Derotated disparity, in multiples of sigma_px, below which stereo depths cannot be compared either."""
-LEAST_ACROSS_OF_FORWARD = 0.25
+MIN_ACROSS_OF_FORWARD = 0.25
 """Ratio of |(Tx, Ty)| to |Tz| below which the epipole lies inside the picture, where disparities vanish."""
 LARGE_ROLL_RAD = np.deg2rad(20.0)
 """Roll beyond which correlation windows, which are not rotated, no longer match."""
@@ -30,13 +30,13 @@ CENTRAL_PERCENTILES = (5.0, 95.0)
 
 def has_usable_parallax(disparity_over_sigma: float, sigma_z_over_z: float) -> bool:
     """Return whether stereo depths are certain enough to be compared with the laser's."""
-    return disparity_over_sigma >= LEAST_DISPARITY_SIGMA and sigma_z_over_z <= MOST_SIGMA_Z_OVER_Z
+    return disparity_over_sigma >= MIN_DISPARITY_SIGMA and sigma_z_over_z <= MAX_SIGMA_Z_OVER_Z
 
 
 def is_forward_baseline(across: float, forward: float) -> bool:
     """Return whether a baseline of these components points so much along the viewing direction that disparities
     vanish."""
-    return across < LEAST_ACROSS_OF_FORWARD * abs(forward)
+    return across < MIN_ACROSS_OF_FORWARD * abs(forward)
 
 
 def covered_share(uv: FloatArray, camera: CameraModel) -> float:

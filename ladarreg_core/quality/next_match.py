@@ -15,18 +15,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray, IntArray, read_only
 from ladarreg_core.camera import CameraModel
-from ladarreg_core.formatting import format_number
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray, read_only
+from ladarreg_core.foundations.formatting import format_number
+from ladarreg_core.foundations.validation import require_int, require_number
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.ranges import surface_range
 from ladarreg_core.surface.uncertainty import covariance_factor
-from ladarreg_core.surface.visibility import LARGEST_WHOLE_SCAN, project_scan
-from ladarreg_core.validation import require_int, require_number
+from ladarreg_core.surface.visibility.visible_points import LARGEST_WHOLE_SCAN, project_scan
 
 _CANDIDATES = 900
-_MOST_SUGGESTIONS = 100
+_MAX_SUGGESTIONS = 100
 _BORDER = 0.02  # of the photo's shorter side: nearer to its edge there is too little context to pick by
 _TAKEN = 0.02  # of the photo's diagonal around a match: picking the same detail again adds no measurement
 _HALF = 0.6  # remaining share of an uncertainty that the text calls halved
@@ -104,7 +104,7 @@ def suggest_matches(
 
     Source: Fedorov, Theory of optimal experiments (1972).
     """
-    require_int(count, "count", least=1, most=_MOST_SUGGESTIONS)
+    require_int(count, "count", least=1, most=_MAX_SUGGESTIONS)
     require_number(apart, "apart", least=0, most=1)
     if pickable is not None:
         pickable = read_only(pickable, np.bool_, scan.shape, "the mask of cells to pick from")

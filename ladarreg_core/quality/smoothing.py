@@ -19,23 +19,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ladarreg_core.arrays import BoolArray, FloatArray, read_only
 from ladarreg_core.camera import CameraModel, require_camera, require_pinhole
 from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, read_only
+from ladarreg_core.foundations.validation import require_positive
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.bundle import UNSEEN, Measurements, States, linearise, residuals
 from ladarreg_core.pose.diagnostics import diagnose
-from ladarreg_core.quality.limits import MOST_SIGMA_Z_OVER_Z
+from ladarreg_core.pose.estimators.bundle import UNSEEN, Measurements, States, linearise, residuals
+from ladarreg_core.quality.limits import MAX_SIGMA_Z_OVER_Z
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.spikes import SPIKE_FRACTION, median_range
-from ladarreg_core.validation import require_positive
 
 _UNKNOWN_RANGE_SIGMA_M = 1e6  # so large that the pixel alone determines the range
-_MOST_FACTOR = 100.0  # larger than any scanner's error; without a baseline, rounding may yield any range
+_MAX_FACTOR = 100.0  # larger than any scanner's error; without a baseline, rounding may yield any range
 _UNIT_TOLERANCE = 1e-3
-_MOST_RANGE_M, _MOST_PIXEL = 1e7, 1e7
+_MAX_RANGE_M, _MAX_PIXEL = 1e7, 1e7
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,7 +129,7 @@ def smooth_ranges(
     measured = Measurements.of(matches, camera, sigma_px=options.sigma_px, sigma_range_m=_UNKNOWN_RANGE_SIGMA_M)
     rho = _nearest_on_ray(measured, camera_from_scanner)
     with np.errstate(invalid="ignore"):
-        known = (rho > matches.ranges / _MOST_FACTOR) & (rho < matches.ranges * _MOST_FACTOR)
+        known = (rho > matches.ranges / _MAX_FACTOR) & (rho < matches.ranges * _MAX_FACTOR)
     # Two states of the same pose: with the ranges from stereo, and with the measured ones.
     both = States.of([camera_from_scanner] * 2, measured)
     states = States(both.rotations, both.centres, np.stack([np.where(known, rho, matches.ranges), matches.ranges]))
@@ -241,7 +241,7 @@ def _has_parallax(result: PoseResult) -> bool:
     figures = diagnose(
         result.camera_from_scanner, result.matches, result.inliers, result.camera, sigma_px=result.sigma_px
     )
-    return bool(figures.get("stereo_sigma_z_over_z", np.inf) <= MOST_SIGMA_Z_OVER_Z)
+    return bool(figures.get("stereo_sigma_z_over_z", np.inf) <= MAX_SIGMA_Z_OVER_Z)
 
 
 def _replaced_sentence(count: int) -> str:
@@ -283,11 +283,11 @@ def _check_inputs(matches: object, camera: object, pose: object, options: object
     with np.errstate(over="ignore", invalid="ignore"):
         unit = np.abs(np.linalg.norm(matches.rays, axis=1) - 1) <= _UNIT_TOLERANCE
     good = np.isfinite(values).all(axis=1) & (matches.ranges > 0) & (matches.weights > 0) & unit
-    good &= (matches.ranges <= _MOST_RANGE_M) & (np.abs(matches.uv) <= _MOST_PIXEL).all(axis=1)
+    good &= (matches.ranges <= _MAX_RANGE_M) & (np.abs(matches.uv) <= _MAX_PIXEL).all(axis=1)
     if not good.all():
         raise ShapeError(
             f"{int((~good).sum())} of {len(matches)} matches have NaN or infinity, a range or weight that is not "
-            f"positive, a ray that is not of length 1, or a range or pixel beyond {_MOST_RANGE_M:g}; remove them"
+            f"positive, a ray that is not of length 1, or a range or pixel beyond {_MAX_RANGE_M:g}; remove them"
         )
 
 

@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera, CameraModel, require_camera
+from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.foundations.validation import require_positive, require_type
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters, principal_extents
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, count_distinct
-from ladarreg_core.pose.ransac import ransac_pose
-from ladarreg_core.pose.thesis.linear import LEAST_PLANARITY
-from ladarreg_core.pose.thesis.starts import picture_roll
-from ladarreg_core.pose.thesis.stereo import StereoPairs
+from ladarreg_core.pose.estimators.ransac import ransac_pose
 from ladarreg_core.quality.limits import (
     LARGE_ROLL_RAD,
     LITTLE_SPREAD,
@@ -24,10 +22,12 @@ from ladarreg_core.quality.limits import (
     has_usable_parallax,
     is_forward_baseline,
 )
-from ladarreg_core.validation import require_positive, require_type
+from ladarreg_core.thesis.estimators.linear import MIN_PLANARITY
+from ladarreg_core.thesis.estimators.starts import picture_roll
+from ladarreg_core.thesis.estimators.stereo import StereoPairs
 
-_RANSAC_SIGMA, _LEAST_AGREEING, _LEAST_AGREEING_SHARE = 6.0, 8, 0.3
-_MOST_SIGMA_PX = 1e6
+_RANSAC_SIGMA, _MIN_AGREEING, _MIN_AGREEING_SHARE = 6.0, 8, 0.3
+_MAX_SIGMA_PX = 1e6
 
 
 def stereo_cautions(
@@ -53,7 +53,7 @@ def stereo_cautions(
         OptionError: if `sigma_px` is not a positive number, or a pose is not a `Rigid`.
     """
     require_camera(camera, "the camera")
-    require_positive(sigma_px, "sigma_px", most=_MOST_SIGMA_PX, unit="pixels")
+    require_positive(sigma_px, "sigma_px", most=_MAX_SIGMA_PX, unit="pixels")
     for name, transform in (("pose", pose), ("view_from_scanner", view_from_scanner)):
         if transform is not None:
             require_type(transform, Rigid, f"the {name}")
@@ -68,7 +68,7 @@ def stereo_cautions(
         found += [_spread(matches, camera), _relief(matches)]
         known = pose or _consensus_pose(matches, camera, float(sigma_px))
         if known is None:
-            found.append(_roll(picture_roll(pairs.laser, pairs.colour, pairs.depth)))
+            found.append(_roll(picture_roll(pairs.laser, pairs.color, pairs.depth)))
         else:
             found += [_baseline(known, pairs, camera, float(sigma_px)), _direction(known, pairs)]
             found.append(_roll(float(pairs.parameters(known)[5])))
@@ -98,11 +98,11 @@ def _spread(matches: Matches, camera: CameraModel) -> str:
 
 def _relief(matches: Matches) -> str:
     extents = principal_extents(matches.points)
-    if extents[2] >= LEAST_PLANARITY * extents[1]:
+    if extents[2] >= MIN_PLANARITY * extents[1]:
         return ""
     return (
         f"The matches lie near one plane (relief {extents[2] / max(float(extents[1]), 1e-300):.2f} of their width, the "
-        f"linear method needs {LEAST_PLANARITY:g}). Add matches off that plane, or give an initial pose."
+        f"linear method needs {MIN_PLANARITY:g}). Add matches off that plane, or give an initial pose."
     )
 
 
@@ -114,7 +114,7 @@ def _consensus_pose(matches: Matches, camera: CameraModel, sigma_px: float) -> R
     if found is None:
         return None
     agreeing = np.count_nonzero(found.inliers)
-    enough = agreeing >= max(_LEAST_AGREEING, _LEAST_AGREEING_SHARE * len(matches))
+    enough = agreeing >= max(_MIN_AGREEING, _MIN_AGREEING_SHARE * len(matches))
     return found.camera_from_scanner if enough else None
 
 

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray
 from ladarreg_core.errors import LadarregError
+from ladarreg_core.foundations.arrays import BoolArray
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.results import PoseResult
 
 _NOT_ROBUST = ("linear", "stereo_simplex", "epipolar_simplex")
-_LEAST_SHARE = 0.5  # below it the robust pose may itself rest on the wrong matches
+_MIN_SHARE = 0.5  # below it the robust pose may itself rest on the wrong matches
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ def robust_result(result: PoseResult) -> PoseResult:
         robust = solve_pose(result.matches, result.camera, options)
     except LadarregError:
         return result
-    return robust if np.mean(robust.inliers) >= _LEAST_SHARE else result
+    return robust if np.mean(robust.inliers) >= _MIN_SHARE else result
 
 
 def suspect_matches(result: PoseResult) -> Suspects:

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ladarreg_core.formatting import format_length, format_number
+from ladarreg_core.foundations.formatting import format_length, format_number
 from ladarreg_core.matches import count_picks
 from ladarreg_core.quality.assessment import Assessment
 from ladarreg_core.results import PoseResult, StageId, verdict_words

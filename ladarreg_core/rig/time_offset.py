@@ -14,16 +14,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
-from ladarreg_core.rig.joint import JointPairs, PairViews
-from ladarreg_core.rig.options import LEAST_PAIRS
-from ladarreg_core.rig.results import RigPair, TimeOffset
+from ladarreg_core.registration.rig.joint import JointPairs, PairViews
+from ladarreg_core.registration.rig.options import MIN_PAIRS
+from ladarreg_core.registration.rig.results import RigPair, TimeOffset
 
-_LEAST_SHIFTS = 3
-_LEAST_SIGMAS = 3.0  # by which the maximum exceeds the mean of the shifts beyond its neighbours, over the pairs
-_LEAST_LEAD = 0.25  # the same, relative to the maximum: a rig that stands differs by noise
-_LEAST_GAIN = 0.06  # of correlation at the maximum: that of wrong poses is below .05
+_MIN_SHIFTS = 3
+_MIN_SIGMAS = 3.0  # by which the maximum exceeds the mean of the shifts beyond its neighbours, over the pairs
+_MIN_LEAD = 0.25  # the same, relative to the maximum: a rig that stands differs by noise
+_MIN_GAIN = 0.06  # of correlation at the maximum: that of wrong poses is below .05
 _OF_PERIOD = 0.1  # standard deviation of the interpolated maximum, in periods, that no scatter undercuts
 
 
@@ -39,7 +39,7 @@ def estimate_time_offset(pairs: Sequence[RigPair], starts: Sequence[Rigid], *, s
     if period is None:
         return _unknown("there are no photographs before and after those of the pairs")
     shifts = _shifts(pairs, period)
-    if len(shifts) < _LEAST_SHIFTS:
+    if len(shifts) < _MIN_SHIFTS:
         return _unknown("too few photographs were taken before and after those of the pairs")
     scores = np.stack([_score(pairs, shift * period, period, starts, seed) for shift in shifts])
     return _maximum(shifts * period, scores, period)
@@ -74,7 +74,7 @@ def _score(pairs: Sequence[RigPair], offset_s: float, period: float, starts: Seq
         index for index, pair in enumerate(pairs)
         if pair.taken and min(abs(one.after_s - offset_s) for one in pair.taken) < 0.6 * period
     ]  # fmt: skip
-    if len(there) < LEAST_PAIRS:
+    if len(there) < MIN_PAIRS:
         return found
     views = [PairViews(paired_at(pairs[index], offset_s), seed) for index in there]
     for start in starts:
@@ -95,7 +95,7 @@ def _score(pairs: Sequence[RigPair], offset_s: float, period: float, starts: Seq
 def _maximum(offsets: FloatArray, scores: FloatArray, period: float) -> TimeOffset:
     """Return the offset of the highest mean score (S, P), with the scatter of leaving out pairs."""
     usable = scores[:, np.isfinite(scores).mean(axis=0) > 0.5]
-    if usable.shape[1] < LEAST_PAIRS:
+    if usable.shape[1] < MIN_PAIRS:
         return _unknown("too few pairs have photographs before and after their own")
     mean = np.nanmean(usable, axis=1)
     best = int(np.nanargmax(mean))
@@ -105,7 +105,7 @@ def _maximum(offsets: FloatArray, scores: FloatArray, period: float) -> TimeOffs
     error = float(lead.std(ddof=1) / np.sqrt(len(lead))) if len(lead) > 1 else np.inf
     without = [np.nanmean(np.delete(usable, k, axis=1), axis=1) for k in range(usable.shape[1])]
     alike = all(abs(int(np.nanargmax(each)) - best) <= 1 for each in without)
-    if not (alike and mean[best] > _LEAST_GAIN and lead.mean() > max(_LEAST_LEAD * mean[best], _LEAST_SIGMAS * error)):
+    if not (alike and mean[best] > _MIN_GAIN and lead.mean() > max(_MIN_LEAD * mean[best], _MIN_SIGMAS * error)):
         return _unknown(
             "the images agree about as well at other offsets: the rig stands, or moves alike in all pairs; take pairs "
             "where it turns"

@@ -8,19 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import ByteArray, FloatArray
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.formatting import format_percent
+from ladarreg_core.foundations.arrays import ByteArray, FloatArray
+from ladarreg_core.foundations.formatting import format_percent
 from ladarreg_core.scanner.gridding import GriddedCloud, grid_points
 
-_MOST_ELSEWHERE = 0.15
+_MAX_ELSEWHERE = 0.15
 """Share of the ranges that may differ: people and cars move, scanners do not."""
 _SAID = 0.04
 _SAMPLES = 4000
 _POOL = 400_000
 _NEIGHBOURS = 8
 _APART_RAD = np.radians(1.0)
-_LEAST_COMPARED = 100
+_MIN_COMPARED = 100
 _RANGE_M, _RANGE_SHARE = 0.1, 0.02
 _SEED = 41
 
@@ -73,7 +73,7 @@ def accumulate(clouds: Sequence[OneCloud], *, most_cells: int) -> tuple[GriddedC
         if share is None:
             notes.append(f"{cloud.name} looks elsewhere than {first.name}: whether it was taken from the same place "
                          "could not be checked")  # fmt: skip
-        elif share > _MOST_ELSEWHERE:
+        elif share > _MAX_ELSEWHERE:
             raise ShapeError(
                 f"{cloud.name} was not taken from where {first.name} was: {format_percent(share)} of its ranges differ "
                 "from those in the same direction; accumulate clouds of one standpoint only; others are stations, or "
@@ -118,7 +118,7 @@ def share_elsewhere(first: FloatArray, second: FloatArray) -> float | None:
     apart, index = cKDTree(first / far[:, None]).query(second / near[:, None], k=_NEIGHBOURS)
     beside = apart <= _APART_RAD
     compared = beside.sum(axis=1) >= _NEIGHBOURS // 2
-    if compared.sum() < _LEAST_COMPARED:
+    if compared.sum() < _MIN_COMPARED:
         return None
     there = far[index]
     low, high = np.where(beside, there, np.inf).min(axis=1), np.where(beside, there, 0.0).max(axis=1)

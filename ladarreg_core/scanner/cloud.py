@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import ByteArray, FloatArray, read_only
 from ladarreg_core.errors import ShapeError, UnderspecifiedError
-from ladarreg_core.formatting import format_percent
+from ladarreg_core.foundations.arrays import ByteArray, FloatArray, read_only
+from ladarreg_core.foundations.formatting import format_percent
 from ladarreg_core.frames import Rigid, describe_position
-from ladarreg_core.scanner.gridding import LARGEST_GRID, LEAST_POINTS, GriddedCloud, grid_points
+from ladarreg_core.scanner.gridding import LARGEST_GRID, MIN_POINTS, GriddedCloud, grid_points
 from ladarreg_core.scanner.origin import FARTHEST_ZERO_M, estimate_origin
 
-_LEAST_KEPT = 0.9
-_MOST_HIDDEN = 0.9  # share of the points; with more hidden from zero, the file's word for it is not believed
+_MIN_KEPT = 0.9
+_MAX_HIDDEN = 0.9  # share of the points; with more hidden from zero, the file's word for it is not believed
 _SAME_PLACE_M = 0.5
 _SAMPLES = 10_000
 _COARSEST_M = 0.02  # of a step between coordinates
@@ -68,8 +68,8 @@ def locate_cloud(
         ShapeError: if there are fewer than 12 returns, or all are in one row or column.
         UnderspecifiedError: if it is neither given nor clear where the scanner stood.
     """
-    if len(points) < LEAST_POINTS:
-        raise ShapeError(f"the cloud has {len(points)} points; a scan needs at least {LEAST_POINTS}")
+    if len(points) < MIN_POINTS:
+        raise ShapeError(f"the cloud has {len(points)} points; a scan needs at least {MIN_POINTS}")
     where, remarks = where_it_stood(points, origin=origin, stated=stated, zero_is_stated=zero_is_stated, what=what)
     moved = np.asarray(points, dtype=np.float64)
     if where.any():
@@ -78,7 +78,7 @@ def locate_cloud(
     cloud = grid_points(moved, intensity, color, ring=ring, most_cells=most_cells)
     remarks.append(cloud.describe())
     kept = cloud.points_kept + (cloud.points_merged if cloud.accumulated else 0)
-    if kept < _LEAST_KEPT * cloud.points_in:
+    if kept < _MIN_KEPT * cloud.points_in:
         merged, lost = (format_percent(share) for share in (cloud.points_merged / cloud.points_in, cloud.lost_share))
         remarks.append(
             f"{merged} of the points share a cell with one at the same range, as where sweeps are accumulated, and "
@@ -121,8 +121,8 @@ def where_it_stood(
     """
     with np.errstate(over="ignore", invalid="ignore"):
         returns = int(np.count_nonzero(np.isfinite(points).all(axis=1) & points.any(axis=1)))
-    if returns < LEAST_POINTS:
-        raise ShapeError(f"the cloud has {returns} returns; a scan needs at least {LEAST_POINTS}")
+    if returns < MIN_POINTS:
+        raise ShapeError(f"the cloud has {returns} returns; a scan needs at least {MIN_POINTS}")
     own = "the file's coordinates" if what == "the file" else "the coordinates of the points"
     _require_fine_steps(points, what)
     if origin is not None:
@@ -133,7 +133,7 @@ def where_it_stood(
     places = [(words, np.asarray(place, dtype=np.float64)) for words, place in stated]
     estimate = estimate_origin(points, stated=[place for _, place in places])
     if estimate.position is None:
-        if zero_is_stated and estimate.hidden_from_centre < _MOST_HIDDEN:
+        if zero_is_stated and estimate.hidden_from_centre < _MAX_HIDDEN:
             return np.zeros(3), [
                 f"the zero point of {own} is the scanner's position, as the file says; the points do not show it"
             ]

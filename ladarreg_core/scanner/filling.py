@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray, IntArray
+from ladarreg_core.foundations.arrays import FloatArray, IntArray
 
-_LEAST_AROUND = 5
+_MIN_AROUND = 5
 _GAP_CELLS = 6
 _FILL_PASSES = 2
 _SAME_M = 0.1
@@ -85,7 +85,7 @@ def _fill_among_neighbours(grids: list[FloatArray]) -> int:
     near = np.stack([ranges[row + i, column + j] for i, j in around])
     known = np.isfinite(near)
     lowest, highest = np.where(known, near, np.inf).min(axis=0), np.where(known, near, 0).max(axis=0)
-    close = (known.sum(axis=0) >= _LEAST_AROUND) & (highest - lowest <= range_tolerance(lowest))
+    close = (known.sum(axis=0) >= _MIN_AROUND) & (highest - lowest <= range_tolerance(lowest))
     row, column, known = row[close], column[close], known[:, close]
     means = []
     for grid in grids:

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.foundations.arrays import FloatArray, read_only
 from ladarreg_core.scanner.grid_order import GridOrder, is_scan_grid, order_of
 from ladarreg_core.scanner.grids import TabulatedGrid
 
-_MOST_APART_RAD = 0.01
+_MAX_APART_RAD = 0.01
 _NEEDED = "give `xyz`, or `ranges` with `rays`, or `ranges` with `azimuth_rad` and `elevation_rad`"
 
 
@@ -106,7 +106,7 @@ def _completed(own: FloatArray, rays: FloatArray) -> NDArray[np.float64]:
     """Return the directions of the points, and elsewhere the rays; those that contradict each other are refused."""
     apart = np.linalg.norm(own - rays, axis=-1)
     apart = apart[np.isfinite(apart)]
-    if len(apart) and np.median(apart) > _MOST_APART_RAD:
+    if len(apart) and np.median(apart) > _MAX_APART_RAD:
         raise ShapeError(
             f"the points do not lie on the rays (median difference {np.degrees(np.median(apart)):.2g} deg); both must "
             "be in the scanner's frame"

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.scanner.gridding import rotation_from_pole
 
 _JUMP_STEPS = 4.0
-_MOST_JUMPS = 0.005
-_MOST_FOLDED = 0.02
+_MAX_JUMPS = 0.005
+_MAX_FOLDED = 0.02
 _STEEPEST_SHEAR = 0.85
 _CLEAR_TRAVEL = 0.2
-_LEAST_PAIRS = 12
+_MIN_PAIRS = 12
 _FLIPPED_ROWS = 64
-_MOST_CELLS = 250_000  # larger grids are judged by every n-th row and column
+_MAX_CELLS = 250_000  # larger grids are judged by every n-th row and column
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,9 +76,9 @@ def is_scan_grid(rays: FloatArray) -> bool:
     for step in (right, down):
         size = np.linalg.norm(step, axis=-1)
         size = size[np.isfinite(size)]
-        if len(size) < _LEAST_PAIRS or not np.median(size) > 0:
+        if len(size) < _MIN_PAIRS or not np.median(size) > 0:
             return False
-        if np.mean(size > _JUMP_STEPS * np.median(size)) > _MOST_JUMPS:
+        if np.mean(size > _JUMP_STEPS * np.median(size)) > _MAX_JUMPS:
             return False
     right, down, centre = right[:-1], down[:, :-1], rays[:-1, :-1]
     lengths = np.linalg.norm(right, axis=-1) * np.linalg.norm(down, axis=-1)
@@ -86,9 +86,9 @@ def is_scan_grid(rays: FloatArray) -> bool:
         shear = np.abs((right * down).sum(-1)) / lengths
         side = np.sign((np.cross(right, down) * centre).sum(-1))
     side, shear = side[np.isfinite(shear)], shear[np.isfinite(shear)]
-    if len(side) < _LEAST_PAIRS or np.median(shear) > _STEEPEST_SHEAR:
+    if len(side) < _MIN_PAIRS or np.median(shear) > _STEEPEST_SHEAR:
         return False
-    return bool(min(np.mean(side > 0), np.mean(side < 0)) < _MOST_FOLDED)
+    return bool(min(np.mean(side > 0), np.mean(side < 0)) < _MAX_FOLDED)
 
 
 def order_of(rays: FloatArray) -> GridOrder:
@@ -97,7 +97,7 @@ def order_of(rays: FloatArray) -> GridOrder:
     Afterwards latitude decreases along the rows and columns run to the right as seen from the scanner. In a depth
     camera's optical frame (Z forward, Y down) up is -Y. If latitude varies along neither axis, rows keep their order.
     """
-    stride = max(1, int(np.sqrt(rays.shape[0] * rays.shape[1] / _MOST_CELLS)))
+    stride = max(1, int(np.sqrt(rays.shape[0] * rays.shape[1] / _MAX_CELLS)))
     rays = rays[::stride, ::stride]
     rays = np.where((rays != 0).any(axis=-1, keepdims=True), rays, np.float32(np.nan))
     pole = rotation_from_pole(rays[np.isfinite(rays[..., 0])])

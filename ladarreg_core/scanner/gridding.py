@@ -12,20 +12,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import BoolArray, ByteArray, FloatArray, IntArray, read_only
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.formatting import format_percent
+from ladarreg_core.foundations.arrays import BoolArray, ByteArray, FloatArray, IntArray, read_only
+from ladarreg_core.foundations.formatting import format_percent
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, rotation_from_rotvec, wrap_angle
 from ladarreg_core.scanner.filling import fill_silence, range_tolerance
 from ladarreg_core.scanner.grids import RotatedGrid, ScanGeometry, SphericalGrid, TabulatedGrid
 from ladarreg_core.scanner.point_spacing import LARGE_CLOUD, steps_of
-from ladarreg_core.scanner.rings import MOST_COLUMNS, ring_grid
+from ladarreg_core.scanner.rings import MAX_COLUMNS, ring_grid
 
-LEAST_POINTS = 12
+MIN_POINTS = 12
 """Least number of returns for a grid."""
 LARGEST_GRID = 8_000_000
 """Cells; finer clouds are thinned to this size."""
-_MOST_ROWS = 16_000
+_MAX_ROWS = 16_000
 _CELLS_PER_POINT = 40  # a larger grid is nearly all holes, stretched by outliers
 _STRIP_POINTS = 500_000
 _FRONT_M = 0.05
@@ -118,8 +118,8 @@ def grid_points(
     use = np.isfinite(distance) & (distance > 0)
     count = int(np.count_nonzero(use))
     turns_of = int(np.count_nonzero(use[:turns_of]))
-    if count < LEAST_POINTS:
-        raise ShapeError(f"the cloud has {count} returns; a scan needs at least {LEAST_POINTS}")
+    if count < MIN_POINTS:
+        raise ShapeError(f"the cloud has {count} returns; a scan needs at least {MIN_POINTS}")
     if count < len(p):
         p, distance, strength = p[use], distance[use], strength[use]
         paint, beam = (None if each is None else each[use] for each in (paint, beam))
@@ -283,8 +283,8 @@ def _bounded(
     height_rad: float, width_rad: float, d_latitude: float, d_longitude: float, most_cells: int
 ) -> tuple[float, float]:
     """Increase the steps until the grid is within the size limits."""
-    d_latitude = min(max(d_latitude, height_rad / _MOST_ROWS, 1e-6), 0.49)
-    d_longitude = min(max(d_longitude, width_rad / MOST_COLUMNS, 1e-6), 0.49)
+    d_latitude = min(max(d_latitude, height_rad / _MAX_ROWS, 1e-6), 0.49)
+    d_longitude = min(max(d_longitude, width_rad / MAX_COLUMNS, 1e-6), 0.49)
     cells = (height_rad / d_latitude + 1) * (width_rad / d_longitude + 1)
     factor = float(np.sqrt(max(1.0, cells / most_cells)))
     return min(d_latitude * factor, 0.49), min(d_longitude * factor, 0.49)

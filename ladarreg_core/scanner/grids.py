@@ -13,9 +13,9 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import FloatArray, IntArray, read_only
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.foundations.arrays import FloatArray, IntArray, read_only
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, wrap_angle
 from ladarreg_core.scanner.ray_table import (
     RayTableInverse,
@@ -24,7 +24,7 @@ from ladarreg_core.scanner.ray_table import (
     interpolate_rays,
 )
 
-_LEAST_STEP_RAD = 1e-12
+_MIN_STEP_RAD = 1e-12
 _STEP_CELLS = 2_000_000  # of larger tables some lines are measured
 
 
@@ -365,7 +365,7 @@ class TabulatedGrid:
         self._check_steps()
 
     def _check_steps(self) -> None:
-        if min(self.shape) > 1 and not min(self.step_rad) > _LEAST_STEP_RAD:
+        if min(self.shape) > 1 and not min(self.step_rad) > _MIN_STEP_RAD:
             raise ShapeError(
                 "most neighbouring cells of the scan have the same ray; each cell must have a ray of its own"
             )

@@ -19,43 +19,43 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
 
 _SEED = 31
 _POOL = 150_000  # points among which neighbours are searched
 _PATCHES = 2_500
 _WITNESSES = 20_000  # points that may hide each other
 _NEIGHBOURS = 40
-_LEAST_POINTS = 12
-_LEAST_PATCHES = 60
-_LEAST_POOL = 4_000  # points; of fewer only lines count
+_MIN_POINTS = 12
+_MIN_PATCHES = 60
+_MIN_POOL = 4_000  # points; of fewer only lines count
 _FLAT = 0.1
 _TAU = 0.5
 _ELEVATIONS = 6_000
 _BINS_DEG = (0.25, 0.12, 0.06, 0.03, 0.015)  # lidars have lines .1 to 2 degrees apart
-_LEAST_IN_BIN, _LEAST_BINS = 24, 3  # points in a wide bin, and such bins
+_MIN_IN_BIN, _MIN_BINS = 24, 3  # points in a wide bin, and such bins
 _COINCIDENT_RAD = 2e-6  # angles on one line of a grid differ by rounding only
-_LEAST_LINES, _LEAST_IN_LINE, _LEAST_IN_ROW = 4, 4, 9  # a lattice has eight places at one distance
+_MIN_LINES, _MIN_IN_LINE, _MIN_IN_ROW = 4, 4, 9  # a lattice has eight places at one distance
 _SHARP = 0.9  # sharpness and regularity are nats, from 0 to log 8 = 2.08
 _SURELY_SHARP = 1.2
 _SURELY_REGULAR, _CLEARLY_LESS = 1.6, 0.6
-_LEAST_DROP = 0.03  # nats, from a centre of lines to the places around it
+_MIN_DROP = 0.03  # nats, from a centre of lines to the places around it
 _AROUND = 0.012  # distance of the places beside a centre of lines, of the cloud's size
 _SHARPENED = 6
 _COARSE_TURNS = 5
-_MOST_HIDDEN = 0.5  # shares of the points that lie behind others: here, from a centre of lines
+_MAX_HIDDEN = 0.5  # shares of the points that lie behind others: here, from a centre of lines
 _HIDDEN = 0.12
 _HIDDEN_IF_SHARP = 0.3
 _AS_GOOD = 0.05
 _AS_HIDDEN = 0.06
 _CLEAR = ((0.15, 0.12), (0.3, 0.03))  # misfit and hidden share of a searched place that is taken without lines
-_LEAST_GAIN = 0.8
-_LEAST_DIFFERENCE = 0.06
+_MIN_GAIN = 0.8
+_MIN_DIFFERENCE = 0.06
 _FARTHEST = 12  # in units of the cloud's size: a field of view of ten degrees
 _FARTHEST_CENTRE = 30
 FARTHEST_ZERO_M = 1_000.0
 """Distance of the points beyond which zero is that of a map, and never taken for the scanner, m."""
-_MOST_KNOWN = 64
+_MAX_KNOWN = 64
 _known: dict[bytes, OriginEstimate] = {}
 _known_lock = threading.Lock()
 
@@ -99,7 +99,7 @@ def estimate_origin(points: FloatArray, *, stated: Sequence[ArrayLike] = ()) -> 
     with np.errstate(over="ignore", invalid="ignore"):
         picked = picked[np.isfinite(picked).all(axis=1) & (np.abs(picked) < 1e9).all(axis=1)]
     picked = picked[picked.any(axis=1)]  # (0, 0, 0) is no return
-    if len(picked) < _LEAST_POINTS:
+    if len(picked) < _MIN_POINTS:
         return OriginEstimate(None, 0.0, 0.0)
     known = [np.zeros(3), *(np.asarray(place, dtype=np.float64) for place in stated)]
     key = hashlib.blake2b(picked.tobytes() + np.stack(known).tobytes(), digest_size=16).digest()
@@ -108,7 +108,7 @@ def estimate_origin(points: FloatArray, *, stated: Sequence[ArrayLike] = ()) -> 
         found = _estimate(picked, known)
         with _known_lock:
             _known[key] = found
-            if len(_known) > _MOST_KNOWN:
+            if len(_known) > _MAX_KNOWN:
                 _known.pop(next(iter(_known)))
     return found
 
@@ -154,13 +154,13 @@ def _estimate(picked: FloatArray, known: Sequence[FloatArray]) -> OriginEstimate
     by_lines = [place for place in places if cloud.is_centre_of_lines(place)]
     if by_lines:
         return answer(max(by_lines, key=cloud.regularity))
-    if len(picked) < _LEAST_POOL:  # densities and what is hidden are chance
+    if len(picked) < _MIN_POOL:  # densities and what is hidden are chance
         return OriginEstimate(None, from_zero, from_zero)
     best, hidden, misfit = cloud.best_origin()
     if np.linalg.norm(best) < _FARTHEST * cloud.size and hidden < _HIDDEN_IF_SHARP and cloud.is_centre_of_lines(best):
         return answer(best)
     flat = cloud.misfit_without_origin()
-    gained = min(_LEAST_GAIN * flat, flat - _LEAST_DIFFERENCE)
+    gained = min(_MIN_GAIN * flat, flat - _MIN_DIFFERENCE)
     seen = [(cloud.misfit(place), cloud.hidden_from(place), place) for place in places]
     for fit, behind, place in sorted(seen, key=lambda each: each[0] + each[1]):
         if fit < min(misfit + _AS_GOOD, gained) and behind < min(hidden + _AS_HIDDEN, _HIDDEN_IF_SHARP):
@@ -242,13 +242,13 @@ class _Cloud:
 
     def misfit(self, origin: FloatArray) -> float:
         """Return the misfit of an origin (3,) under the better of the two models."""
-        if len(self.centres) < _LEAST_PATCHES:
+        if len(self.centres) < _MIN_PATCHES:
             return 1.0
         return min(float(each[0]) for each in self.misfits(origin[None], False, True))
 
     def misfit_without_origin(self) -> float:
         """Return the misfit of a constant density."""
-        if len(self.centres) < _LEAST_PATCHES:
+        if len(self.centres) < _MIN_PATCHES:
             return 1.0
         square = ((self.log_density - np.median(self.log_density)) / _TAU) ** 2
         return float((square / (1 + square)).mean())
@@ -258,7 +258,7 @@ class _Cloud:
         from scipy.optimize import minimize
 
         found: list[tuple[float, float, FloatArray]] = []
-        if len(self.centres) < _LEAST_PATCHES:
+        if len(self.centres) < _MIN_PATCHES:
             return np.zeros(3), 1.0, 1.0
         starts = self._starts()
         parts = [self.misfits(part, False, True) for part in np.array_split(starts, len(starts) // 128 + 1)]
@@ -306,13 +306,13 @@ class _Cloud:
     def regularity(self, origin: FloatArray) -> float:
         """Return the sharpness, or the same of the exact lines of a grid: spherical, perspective, or of two mirrors."""
         x, y, z = (self.ordered - origin).T
-        rows = _share_in_lines(np.arctan2(z, np.hypot(x, y)), _LEAST_IN_ROW)
+        rows = _share_in_lines(np.arctan2(z, np.hypot(x, y)), _MIN_IN_ROW)
         pairs = (
             (np.arctan2(y, x), np.arctan2(z, x)),
             (np.arctan2(x, z), np.arctan2(y, z)),  # a camera's axes: z forward
             (np.arctan2(z, x), np.arctan2(y, np.hypot(x, z))),
         )
-        exact = max(rows, *(min(_share_in_lines(each, _LEAST_IN_LINE) for each in pair) for pair in pairs))
+        exact = max(rows, *(min(_share_in_lines(each, _MIN_IN_LINE) for each in pair) for pair in pairs))
         return max(self.sharpness(origin), float(np.log(8)) * exact)
 
     def is_centre_of_lines(self, origin: FloatArray) -> bool:
@@ -325,7 +325,7 @@ class _Cloud:
         beside = max(map(self.regularity, around))
         if regular > _SURELY_REGULAR and beside < _CLEARLY_LESS * regular:
             return True
-        return beside < regular - _LEAST_DROP and self.hidden_from(origin) < _MOST_HIDDEN
+        return beside < regular - _MIN_DROP and self.hidden_from(origin) < _MAX_HIDDEN
 
     def usually_hidden(self) -> float:
         """Return the median share that is hidden from places in the cloud."""
@@ -393,8 +393,8 @@ def _concentration(angle: FloatArray, size: float) -> float:
     """Return the information, nats, that bins of a size, rad, add to bins eight times as wide, less that of chance."""
     wide = int(2 * np.pi / size / 8) + 2
     counts = np.bincount((angle / size).astype(np.intp), minlength=8 * wide)[: 8 * wide].reshape(wide, 8)
-    counts = counts[counts.sum(axis=1) >= _LEAST_IN_BIN].astype(np.float64)
-    if len(counts) < _LEAST_BINS:
+    counts = counts[counts.sum(axis=1) >= _MIN_IN_BIN].astype(np.float64)
+    if len(counts) < _MIN_BINS:
         return 0.0
     total = counts.sum(axis=1)
     share = counts / total[:, None]
@@ -409,7 +409,7 @@ def _share_in_lines(angle: FloatArray, least: int) -> float:
     apart = np.diff(np.sort(angle)) > _COINCIDENT_RAD
     sizes = np.diff(np.flatnonzero(np.concatenate([[True], apart, [True]])))
     sizes = sizes[sizes >= least]
-    if len(sizes) < _LEAST_LINES or sizes.max() > 0.5 * len(angle):
+    if len(sizes) < _MIN_LINES or sizes.max() > 0.5 * len(angle):
         return 0.0
     return float(sizes.sum() / len(angle))
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.foundations.arrays import FloatArray
 
 LARGE_CLOUD = 1_000_000
 """Points; of larger clouds, a part shows the structure."""
-_LEAST_POINTS = 12
+_MIN_POINTS = 12
 _SEED = 20
 _NEIGHBOURS = 160
 _WIDE_NEIGHBOURS = 64  # the 16 next points may lie on one line of a pattern that nearly repeats
@@ -18,7 +18,7 @@ _WINDOWS = 60
 _WINDOW_POINTS = 6_000
 _STRIP = 0.3
 _REGULAR = 0.5
-_LEAST_STREWN = 5_000
+_MIN_STREWN = 5_000
 _CLUSTERED = 0.45  # a tenth of strewn points have another one this close, in typical distances; of a raster, none
 # One cell in five is empty by chance, and filled; 3 lose detail, 1 smears it: both register worse.
 _POINTS_PER_CELL = 1.5
@@ -36,7 +36,7 @@ def steps_of(longitude: FloatArray, latitude: FloatArray) -> tuple[float, float,
 
     plane, sample = _windows(_distinct(np.stack([longitude, latitude], axis=-1)))
     count = len(plane)
-    if count < _LEAST_POINTS:  # too few for spacings: use the spread
+    if count < _MIN_POINTS:  # too few for spacings: use the spread
         spans = [max(float(np.ptp(angle)), 1e-9) for angle in (longitude, latitude)]
         return float(np.sqrt(spans[0] * spans[1] / count)), float(np.sqrt(spans[0] * spans[1] / count)), False
     neighbours = min(_NEIGHBOURS, count - 1)
@@ -52,7 +52,7 @@ def steps_of(longitude: FloatArray, latitude: FloatArray) -> tuple[float, float,
     side, side_regular = _next_along(offsets[..., 0], offsets[..., 1], typical)
     if max(up_regular, side_regular) < _REGULAR:
         own = np.sqrt(area)
-        if len(longitude) >= _LEAST_STREWN and np.percentile(distance[:, 1] / own.clip(1e-12), 10) < _CLUSTERED:
+        if len(longitude) >= _MIN_STREWN and np.percentile(distance[:, 1] / own.clip(1e-12), 10) < _CLUSTERED:
             wide = min(_WIDE_NEIGHBOURS, neighbours)
             around = np.maximum(area, np.pi * distance[:, wide] ** 2 / wide)
             step = float(np.sqrt(_POINTS_PER_CELL * np.percentile(around, _SPARSE)))

@@ -6,19 +6,19 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.errors import ShapeError
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import wrap_angle
 
-_LEAST_RAYS = 12
+_MIN_RAYS = 12
 _RESIDUAL_REACH_CELLS = 8.0
 _FIT_CELLS = 20_000
 _TREE_NODES = 100_000
 _NEWTON_STEPS = 12
-_NODES_A_BIN, _MOST_BINS = 2.0, 1500
+_NODES_A_BIN, _MAX_BINS = 2.0, 1500
 _EXTRAPOLATED_CELLS = 16.0
 _SETTLED_CELLS = 1e-9
-MOST_FITTED_CELLS = 1_000_000
+MAX_FITTED_CELLS = 1_000_000
 """Largest number of cells that holes are fitted from; of larger tables every n-th row and column is taken."""
 _HOLES_AT_ONCE = 500_000
 
@@ -36,8 +36,8 @@ def complete_ray_table(table: FloatArray, law_rays: FloatArray | None) -> NDArra
     """
     length = np.linalg.norm(table, axis=-1)
     known = np.isfinite(length) & (length > 0)
-    if law_rays is None and np.count_nonzero(known) < max(1, min(_LEAST_RAYS, known.size)):
-        raise ShapeError(f"the ray table has {np.count_nonzero(known)} rays; it needs at least {_LEAST_RAYS}")
+    if law_rays is None and np.count_nonzero(known) < max(1, min(_MIN_RAYS, known.size)):
+        raise ShapeError(f"the ray table has {np.count_nonzero(known)} rays; it needs at least {_MIN_RAYS}")
     with np.errstate(divide="ignore", invalid="ignore"):
         rays = np.array(table / length[..., None], dtype=np.float64)
     if known.all():
@@ -61,14 +61,14 @@ def complete_unit_rays(rays: NDArray[np.float32]) -> None:
     height, width = rays.shape[:2]
     holes = np.flatnonzero((rays[..., 0] == 0) & (rays[..., 1] == 0) & (rays[..., 2] == 0))
     count = height * width - len(holes)
-    if count < max(1, min(_LEAST_RAYS, height * width)):
-        raise ShapeError(f"the ray table has {count} rays; it needs at least {_LEAST_RAYS}")
+    if count < max(1, min(_MIN_RAYS, height * width)):
+        raise ShapeError(f"the ray table has {count} rays; it needs at least {_MIN_RAYS}")
     if not len(holes):
         return
-    stride = max(1, int(np.ceil(np.sqrt(height * width / MOST_FITTED_CELLS))))
+    stride = max(1, int(np.ceil(np.sqrt(height * width / MAX_FITTED_CELLS))))
     some = rays[::stride, ::stride].astype(np.float64)
     known: BoolArray = np.asarray(some.any(axis=-1))
-    if np.count_nonzero(known) < _LEAST_RAYS:
+    if np.count_nonzero(known) < _MIN_RAYS:
         stride, some = 1, rays.astype(np.float64)
         known = np.asarray(some.any(axis=-1))
     angles = np.stack(_smooth_angles(some, known, _RESIDUAL_REACH_CELLS / stride), axis=-1)
@@ -193,7 +193,7 @@ class RayTableInverse:
         widest_angle = np.arccos(np.clip((nodes @ self._middle).min(), -1, 1)) + 2 * self._reach
         self._least_along = float(np.cos(min(widest_angle, np.pi)))
         spacing = np.sqrt(np.prod([_median_step(nodes, axis) for axis in (0, 1)]))
-        self._side = int(np.clip(np.sqrt(4 * np.pi) / max(_NODES_A_BIN * spacing, 1e-9), 1, _MOST_BINS))
+        self._side = int(np.clip(np.sqrt(4 * np.pi) / max(_NODES_A_BIN * spacing, 1e-9), 1, _MAX_BINS))
         self._beside = np.full(self._side**2, -1, np.int32)
         self._beside[_bins(nodes.reshape(-1, 3), self._side)] = np.arange(len(self._cells), dtype=np.int32)
 

@@ -5,18 +5,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray, IntArray
+from ladarreg_core.foundations.arrays import FloatArray, IntArray
 from ladarreg_core.frames import wrap_angle
 from ladarreg_core.scanner.grids import RingGrid
 from ladarreg_core.scanner.point_spacing import LARGE_CLOUD
 
-MOST_COLUMNS = 32_000  # cv2.remap refuses 32,767
+MAX_COLUMNS = 32_000  # cv2.remap refuses 32,767
 """Largest number of columns of a grid."""
 _SEED = 20
-_LEAST_RINGS = 4
-_LEAST_ON_A_RING = 8
-_LEAST_GAPS = 12
-_MOST_OVERLAP = 0.25
+_MIN_RINGS = 4
+_MIN_ON_A_RING = 8
+_MIN_GAPS = 12
+_MAX_OVERLAP = 0.25
 _CLEAN_OVERLAP = 0.02
 
 
@@ -46,7 +46,7 @@ def _rings_of(latitude: FloatArray, beam: IntArray | None) -> IntArray | None:
     """Return the row (N,) of each point, counted from the highest ring; None without rings."""
     if beam is not None:
         labels, overlap = _ordered_labels(latitude, np.unique(beam, return_inverse=True)[1])
-        if overlap < _MOST_OVERLAP:
+        if overlap < _MAX_OVERLAP:
             return labels
     if len(latitude) > LARGE_CLOUD:  # a share of them shows whether there are rings at all
         few = np.random.default_rng(_SEED).choice(latitude, LARGE_CLOUD // 4)
@@ -58,12 +58,12 @@ def _rings_of(latitude: FloatArray, beam: IntArray | None) -> IntArray | None:
         return None
     counts = np.histogram(latitude, bins=bins, range=(lowest, highest))[0].astype(np.float64)
     position = (latitude - lowest) / (highest - lowest) * bins
-    best, least = None, _MOST_OVERLAP
+    best, least = None, _MAX_OVERLAP
     for sigma in (1.0, 2.0, 4.0, 8.0, 16.0, 32.0):
         bounds = _valleys(_smoothed(counts, sigma))
-        if len(bounds) + 1 > len(latitude) / _LEAST_ON_A_RING:
+        if len(bounds) + 1 > len(latitude) / _MIN_ON_A_RING:
             continue
-        if len(bounds) + 1 < _LEAST_RINGS:
+        if len(bounds) + 1 < _MIN_RINGS:
             break
         labels, overlap = _ordered_labels(latitude, np.searchsorted(bounds, position))
         if overlap < least:
@@ -133,7 +133,7 @@ def _step_along_rings(longitude: FloatArray, labels: IntArray) -> float | None:
     order = np.lexsort((longitude, labels))
     gaps = np.diff(longitude[order])[np.diff(labels[order]) == 0]
     gaps = gaps[gaps > 1e-7]
-    if len(gaps) < _LEAST_GAPS:
+    if len(gaps) < _MIN_GAPS:
         return None
     step = float(np.median(gaps))
     for _ in range(3):  # gaps are whole multiples of the step
@@ -163,7 +163,7 @@ def _on_rings(
     full = float(np.ptp(longitude)) > 2 * np.pi - 4 * step
     if full:  # a full turn has a whole number of columns
         step = 2 * np.pi / max(2, round(2 * np.pi / step))
-    step = max(step, 2 * np.pi / MOST_COLUMNS, float(np.ptp(longitude)) * rows / most_cells)
+    step = max(step, 2 * np.pi / MAX_COLUMNS, float(np.ptp(longitude)) * rows / most_cells)
 
     position = -longitude / step
     spin = np.exp(2j * np.pi * position)

@@ -7,7 +7,7 @@ from ladarreg_core.simulate.case import CaseSet as CaseSet
 from ladarreg_core.simulate.case import SimulatedCase as SimulatedCase
 from ladarreg_core.simulate.case import simulate_case as simulate_case
 from ladarreg_core.simulate.case import write_case as write_case
-from ladarreg_core.simulate.scenes import SCENES as SCENES
+from ladarreg_core.simulate.worlds.scenes import SCENES as SCENES
 
 if TYPE_CHECKING:
     from ladarreg_core.simulate.sample import sample_folder as sample_folder

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ladarreg_core.simulate import furniture as make
-from ladarreg_core.simulate.furniture import Workshop
-from ladarreg_core.simulate.materials import InkMixer
 from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.simulate.textures import Printer
-from ladarreg_core.simulate.world import Placement, World, WorldBuilder
+from ladarreg_core.simulate.worlds import furniture as make
+from ladarreg_core.simulate.worlds.furniture import Workshop
+from ladarreg_core.simulate.worlds.materials import InkMixer
+from ladarreg_core.simulate.worlds.textures import Printer
+from ladarreg_core.simulate.worlds.world import Placement, World, WorldBuilder
 
 Room = tuple[World, RayCaster]
 _BAY_M = 2.4

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import ByteArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError
+from ladarreg_core.foundations.arrays import ByteArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.simulate.photograph import cast_pixels
 from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.simulate.world import Viewpoint, World
+from ladarreg_core.simulate.worlds.world import Viewpoint, World
 
 GAMMA_CAMERA = Camera.from_focal(320, 240, 405.8)
 """Field of view of the thermal camera, behind a coded aperture or a pinhole."""

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.errors import OptionError
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.simulate.ray_cast import RayCaster, SampleGrid, in_strips
-from ladarreg_core.simulate.world import Surface, Viewpoint, World
+from ladarreg_core.simulate.worlds.world import Surface, Viewpoint, World
 
 GEOMETRY = AzimuthElevation(rows=700, columns=1000, d_azimuth_rad=np.radians(0.055), d_elevation_rad=np.radians(0.055))
 R0_M = 1.0

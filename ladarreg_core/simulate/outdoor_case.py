@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
+from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.foundations.validation import require_choice, require_int
 from ladarreg_core.frames import Rigid, ThesisParameters
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
-from ladarreg_core.simulate.outdoors import OUTDOORS, build_outdoors
 from ladarreg_core.simulate.photograph import Lighting, take_photograph
 from ladarreg_core.simulate.ray_cast import RayCaster
 from ladarreg_core.simulate.robot_lidar import LidarName, LidarPoints, lidar_rays, scan_points
-from ladarreg_core.validation import require_choice, require_int
+from ladarreg_core.simulate.worlds.outdoors import OUTDOORS, build_outdoors
 
 OUTDOOR_CAMERA = Camera.from_focal(960, 640, 649.0)
 """A wide lens: 73 degrees across."""

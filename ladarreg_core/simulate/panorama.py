@@ -13,9 +13,10 @@ import numpy as np
 
 from ladarreg_core.camera import CameraModel, EquirectangularCamera, FisheyeCamera
 from ladarreg_core.errors import OptionError
-from ladarreg_core.formats.json_file import write_json
-from ladarreg_core.formats.npz import write_npz_xyz
-from ladarreg_core.formats.pose_file import POSE_FIELD
+from ladarreg_core.formats.documents.pose_file import POSE_FIELD
+from ladarreg_core.formats.parsing.json_file import write_json
+from ladarreg_core.formats.scans.npz import write_npz_xyz
+from ladarreg_core.foundations.validation import require_choice, require_int
 from ladarreg_core.frames import Rigid, look_along, rotation_about
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
@@ -23,9 +24,8 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.case import png_of
 from ladarreg_core.simulate.photograph import Lighting, take_photograph
 from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.simulate.scenes import SCENES, build_scene
 from ladarreg_core.simulate.terrestrial import dome_grid, scan_around
-from ladarreg_core.validation import require_choice, require_int
+from ladarreg_core.simulate.worlds.scenes import SCENES, build_scene
 
 WideLens = Literal["equirectangular", "fisheye"]
 """Wide cameras that are simulated."""

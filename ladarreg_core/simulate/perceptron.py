@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ladarreg_core.formats.json_file import write_json
+from ladarreg_core.formats.parsing.json_file import write_json
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.simulate.case import SimulatedCase
 from ladarreg_core.simulate.ladar import LADAR, Ladar

@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import ByteArray, FloatArray
 from ladarreg_core.camera import CameraModel
+from ladarreg_core.foundations.arrays import ByteArray, FloatArray
 from ladarreg_core.frames import Rigid
-from ladarreg_core.simulate.materials import GAMMA
 from ladarreg_core.simulate.ray_cast import RayCaster, SampleGrid, differs_from_neighbours, in_strips
-from ladarreg_core.simulate.world import Surface, Viewpoint, World
+from ladarreg_core.simulate.worlds.materials import GAMMA
+from ladarreg_core.simulate.worlds.world import Surface, Viewpoint, World
 
 SUPERSAMPLES = np.array([[-0.25, -0.25], [-0.25, 0.25], [0.25, -0.25], [0.25, 0.25]])
 """Sample offsets within a pixel: v, u, px."""
@@ -172,9 +172,9 @@ def _shade(
         h4 = (half * half) ** 2
         h16 = (h4 * h4) ** 2
         highlight = h16 * h16 * h16 * (np.float32(0.6) * gloss + metal) * reach
-        colour = np.asarray(tint, dtype=np.float32)
-        light += (facing * reach)[:, None] * colour
-        shine += highlight[:, None] * colour
+        color = np.asarray(tint, dtype=np.float32)
+        light += (facing * reach)[:, None] * color
+        shine += highlight[:, None] * color
     return np.asarray(albedo * light * (1 - np.float32(0.5) * metal[:, None]) + shine * np.float32(0.5), np.float32)
 
 

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.errors import DependencyError
-from ladarreg_core.simulate.world import World
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray
+from ladarreg_core.simulate.worlds.world import World
 
 NOTHING = -1
 """Triangle index of a ray that hits nothing."""

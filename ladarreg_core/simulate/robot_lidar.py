@@ -8,12 +8,12 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.foundations.validation import require_choice
 from ladarreg_core.frames import Rigid
 from ladarreg_core.simulate.ladar import echoes, turned
 from ladarreg_core.simulate.ray_cast import RayCaster, in_strips
-from ladarreg_core.simulate.world import Viewpoint, World
-from ladarreg_core.validation import require_choice
+from ladarreg_core.simulate.worlds.world import Viewpoint, World
 
 LidarName = Literal["petals", "narrow", "64 lines", "128 lines", "40 lines", "dome"]
 """The lidars that are simulated."""

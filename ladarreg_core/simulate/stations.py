@@ -8,15 +8,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.foundations.validation import require_choice, require_int
 from ladarreg_core.frames import Rigid, rotation_about
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.simulate.scenes import build_scene
-from ladarreg_core.simulate.surroundings import SURROUNDINGS
 from ladarreg_core.simulate.terrestrial import RANGE_NOISE, RangeNoise, dome_grid, scan_around
-from ladarreg_core.simulate.world import World
-from ladarreg_core.validation import require_choice, require_int
+from ladarreg_core.simulate.worlds.scenes import build_scene
+from ladarreg_core.simulate.worlds.surroundings import SURROUNDINGS
+from ladarreg_core.simulate.worlds.world import World
 
 _BEAM_RAD = float(np.radians(0.02))
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scanner.grids import ScanGeometry, SphericalGrid
 from ladarreg_core.simulate.ladar import echoes, echoes_of, turned
 from ladarreg_core.simulate.ray_cast import RayCaster, in_strips
-from ladarreg_core.simulate.world import Viewpoint, World, meet_from
+from ladarreg_core.simulate.worlds.world import Viewpoint, World, meet_from
 
 _LOWEST_RAD = float(np.radians(-60.0))  # the tripod hides what is below
 _FULL_TURN_RAD = 2 * np.pi

@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.simulate.photograph import SUPERSAMPLES, cast_pixels
 from ladarreg_core.simulate.ray_cast import RayCaster, in_strips
-from ladarreg_core.simulate.world import Viewpoint, World
+from ladarreg_core.simulate.worlds.world import Viewpoint, World
 
 THERMAL_CAMERA = Camera.from_focal(320, 240, 405.8)
 """Field of view of the colour camera on a small microbolometer."""

@@ -14,14 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray, IntArray
+from ladarreg_core.foundations.arrays import FloatArray, IntArray
 from ladarreg_core.scan import Scan
 
 _ROWS, _COLUMNS = (-1, 0, 1, 2), (-3, -2, -1, 0, 1, 2, 3, 4)
 _MIDDLE = (2, 4)  # first row and column of the window that lie beyond the ray
 _WIDE = (8, 10)  # rows and columns on each side ...
 _FULL = 0.85  # ... of which so many have returns where an empty cell is a hole
-_LEAST_SUPPORT, _LEAST_SHARE = 6, 0.6  # returns of the window on the plane
+_MIN_SUPPORT, _MIN_SHARE = 6, 0.6  # returns of the window on the plane
 _OFF_PLANE = 0.015  # of the range
 _AROUND = 0.2  # of the four returns' weight: an opposite corner may be missing
 _CHUNK = 5_000
@@ -97,7 +97,7 @@ def _on_planes(
     support = on_plane.sum(axis=1)
     good = (
         np.take_along_axis(on_plane, nearest, axis=1).all(axis=1) & (plane[:, 0] > 0)
-        & (support >= _LEAST_SUPPORT) & (support >= _LEAST_SHARE * known.sum(axis=1))
+        & (support >= _MIN_SUPPORT) & (support >= _MIN_SHARE * known.sum(axis=1))
     )  # fmt: skip
     with np.errstate(divide="ignore", invalid="ignore"):
         found = np.where(good, 1 / plane[:, 0], np.nan)

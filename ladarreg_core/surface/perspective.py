@@ -10,15 +10,15 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.arrays import BoolArray, FloatArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError, OptionError, ShapeError
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray
+from ladarreg_core.foundations.validation import require_type
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grid_window import grid_rays
 from ladarreg_core.surface.ranges import EDGE_FRACTION
 from ladarreg_core.surface.remap import look_up
-from ladarreg_core.validation import require_type
 
 WIDEST_VIEW_RAD = np.deg2rad(120.0)
 """Largest field of view of a perspective image."""
@@ -27,9 +27,9 @@ _ROWS_AT_ONCE = 256
 _LARGEST_WHOLE_SCAN = 4_000_000
 _OUTSIDE = -1e4
 _LONGEST_SIDE = 32_000
-_MOST_PIXELS = 100_000_000
-_MOST_PIXELS_PER_CELL = 16
-_LEAST_SHOWN_PX = 8
+_MAX_PIXELS = 100_000_000
+_MAX_PIXELS_PER_CELL = 16
+_MIN_SHOWN_PX = 8
 _LARGEST_FOCAL_PX = 1e12
 
 
@@ -124,7 +124,7 @@ def perspective_view(
     *,
     whole_scan: bool = False,
     view_from_scanner: Rigid | None = None,
-    most_pixels: int = _MOST_PIXELS,
+    most_pixels: int = _MAX_PIXELS,
 ) -> View:
     """Return the scan's intensity as a perspective view.
 
@@ -162,9 +162,9 @@ def perspective_view(
         ideal = Camera.from_focal(camera.width, camera.height, camera.focal_px)
         if whole_scan:
             ideal = _widened(ideal, _extent(scan, pose))
-    if ideal.width * ideal.height > _MOST_PIXELS or max(ideal.size) > _LONGEST_SIDE:
+    if ideal.width * ideal.height > _MAX_PIXELS or max(ideal.size) > _LONGEST_SIDE:
         raise OptionError(
-            f"the view would have {ideal.width:,} x {ideal.height:,} pixels; at most {_MOST_PIXELS:,}, and "
+            f"the view would have {ideal.width:,} x {ideal.height:,} pixels; at most {_MAX_PIXELS:,}, and "
             f"{_LONGEST_SIDE:,} a side, are supported: use a smaller image or a shorter focal length"
         )
     cells = _cell_maps(scan, ideal, pose)
@@ -188,7 +188,7 @@ def native_focal_px(scan: Scan) -> float:
 
 def most_view_pixels(scan: Scan) -> int:
     """Return the limit of pixels for a view of a scan: 16 per cell; more would only repeat its cells."""
-    return _MOST_PIXELS_PER_CELL * scan.ranges.size
+    return _MAX_PIXELS_PER_CELL * scan.ranges.size
 
 
 def check_viewable(scan: Scan, focal_px: float) -> None:
@@ -198,7 +198,7 @@ def check_viewable(scan: Scan, focal_px: float) -> None:
         DegenerateGeometryError: if a direction of more than 8 cells has fewer than 8 pixels.
     """
     spans = [cells * step for cells, step in zip(scan.shape, scan.geometry.step_rad, strict=True)]
-    if any(span * focal_px < min(_LEAST_SHOWN_PX, cells) for span, cells in zip(spans, scan.shape, strict=True)):
+    if any(span * focal_px < min(_MIN_SHOWN_PX, cells) for span, cells in zip(spans, scan.shape, strict=True)):
         rows, columns = np.degrees(spans)
         raise DegenerateGeometryError(
             f"the scan's {scan.shape[0]} rows span {rows:.3g} deg and its {scan.shape[1]} columns {columns:.3g} deg, "

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import BoolArray, FloatArray, IntArray
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.between_lines import ranges_between_lines
 
 EDGE_FRACTION = 0.04
 """Neighbouring ranges that differ by more than this fraction of the nearer one belong to two surfaces."""
-_LEAST_NOISE_M = 1e-3  # least noise assumed of a usual return, to which the other effects are compared
-_LEAST_WEAKNESS, _MOST_WEAKNESS = 0.25, 16.0  # factors of the variance; beyond, detectors saturate or reach their limit
+_MIN_NOISE_M = 1e-3  # least noise assumed of a usual return, to which the other effects are compared
+_MIN_WEAKNESS, _MAX_WEAKNESS = 0.25, 16.0  # factors of the variance; beyond, detectors saturate or reach their limit
 _OFF_RAY_CELLS = 0.3  # rms distance of a picked ray from the centre of its cell
 _NEAR_EDGE = 4.0  # times the variance within two cells of a depth edge
 _AROUND = 2
@@ -133,7 +133,7 @@ def _weakness(scan: Scan, row: IntArray, column: IntArray) -> FloatArray:
     if usual <= 0:
         return np.ones(len(row))
     here = np.nan_to_num(_light(scan, (row, column)), nan=usual)
-    return np.asarray(np.clip(usual / np.maximum(here, usual / _MOST_WEAKNESS), _LEAST_WEAKNESS, _MOST_WEAKNESS))
+    return np.asarray(np.clip(usual / np.maximum(here, usual / _MAX_WEAKNESS), _MIN_WEAKNESS, _MAX_WEAKNESS))
 
 
 def _light(scan: Scan, cells: tuple[Any, ...]) -> FloatArray:
@@ -149,7 +149,7 @@ def usual_noise_m(scan: Scan) -> float:
     rows = max(1, int(scan.shape[0] * scan.shape[1] / _SAMPLE))
     bend = np.abs(np.diff(scan.ranges[::rows].astype(np.float64), n=2, axis=1))
     bend = bend[np.isfinite(bend)]
-    return max(_LEAST_NOISE_M, float(1.4826 * np.median(bend) / np.sqrt(6))) if len(bend) else _LEAST_NOISE_M
+    return max(_MIN_NOISE_M, float(1.4826 * np.median(bend) / np.sqrt(6))) if len(bend) else _MIN_NOISE_M
 
 
 def _slope_variance(around: FloatArray, noise_m: float) -> FloatArray:

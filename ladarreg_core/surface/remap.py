@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.foundations.arrays import FloatArray
 
 _LONGEST_SIDE = 32_000
 _PIXEL_OUTSIDE = np.float32(-100)

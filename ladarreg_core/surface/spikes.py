@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ladarreg_core.arrays import BoolArray, FloatArray
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 
 SPIKE_FRACTION = 0.05
 """A range that differs by more than this fraction from the median of its 5 x 5 cells is a spike. Unremoved, spikes

@@ -14,23 +14,23 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray, read_only
 from ladarreg_core.camera import Camera, CameraModel, require_camera
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import ShapeError
+from ladarreg_core.foundations.arrays import FloatArray, read_only
+from ladarreg_core.foundations.validation import require_choice, require_number
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.remap import look_up
-from ladarreg_core.validation import require_choice, require_number
 
 Measure = Literal["longer_axis", "total"]
 """`longer_axis`: root of the larger eigenvalue of the pixel's covariance; `total`: root of its trace."""
 
 _CHUNK = 8192  # points; the planes of a chunk fit the processor's cache
 _NET_NODES, _NET_MARGIN = 161, 0.4
-_MOST_ROUNDING_PX = 1e-3
+_MAX_ROUNDING_PX = 1e-3
 _ROUNDING = 4 * float(np.finfo(np.float32).eps)
-_MOST_SIGMA_RANGE_M = 1e6
+_MAX_SIGMA_RANGE_M = 1e6
 
 
 def picture_sigma(
@@ -65,7 +65,7 @@ def picture_sigma(
     """
     joint = covariance if isinstance(covariance, CameraUncertainty) else None
     factor = covariance_factor(covariance)
-    require_number(sigma_range_m, "sigma_range_m", least=0, most=_MOST_SIGMA_RANGE_M, unit="metres")
+    require_number(sigma_range_m, "sigma_range_m", least=0, most=_MAX_SIGMA_RANGE_M, unit="metres")
     require_choice(measure, get_args(Measure), "the measure")
     require_camera(camera, "the camera")
     points = scan.points.reshape(-1, 3)
@@ -142,7 +142,7 @@ def covariance_factor(covariance: FloatArray | CameraUncertainty) -> NDArray[np.
 def _precision_for(factor: FloatArray, camera: CameraModel, sigma_range_m: float) -> type[np.floating[Any]]:
     """Return the precision needed: for a poorly determined pose, pixels move by large amounts that nearly cancel."""
     largest = max(float(np.linalg.norm(factor)), sigma_range_m)
-    return np.float32 if largest * camera.focal_px * _ROUNDING < _MOST_ROUNDING_PX else np.float64
+    return np.float32 if largest * camera.focal_px * _ROUNDING < _MAX_ROUNDING_PX else np.float64
 
 
 def _in_camera_axes(factor: FloatArray, rotation: FloatArray) -> FloatArray:

@@ -274,8 +274,8 @@ import numpy as np
 import cv2, scipy.spatial, PIL.Image
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.formats import describe, extract_images, read_photo, read_scan
-from ladarreg_core.formats.camera_file import read_camera
-from ladarreg_core.formats.matches_file import read_matches
+from ladarreg_core.formats.cameras.camera_file import read_camera
+from ladarreg_core.formats.documents.matches_file import read_matches
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 

@@ -14,8 +14,8 @@ from ladarreg.session.session import Session
 from ladarreg_core.matches import Pick
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import Document, Source
-from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import NOBODY, History
+from ladarreg_core.project.storage.folder import ProjectFolder
 from testing.attacks.full_disk import largest_file
 
 WHEN = "2026-01-02T03:04:05+00:00"

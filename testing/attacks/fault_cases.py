@@ -14,25 +14,25 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from ladarreg_core.acquisition.devices import PanTilt, UnitIdentity
-from ladarreg_core.acquisition.folder_source import FolderSource
+from ladarreg_core.acquisition.composition.panorama import add_to_run, compose
+from ladarreg_core.acquisition.devices.folder_source import FolderSource
+from ladarreg_core.acquisition.interfaces import PanTilt, UnitIdentity
 from ladarreg_core.acquisition.plan import Axis, CameraPlan, Plan, ScannerPlan, UnitPlan
-from ladarreg_core.acquisition.run_folder import RunFolder, RunWriter
-from ladarreg_core.acquisition.runner import PieceKept, Run, RunEvent
+from ladarreg_core.acquisition.runs.run_folder import RunFolder, RunWriter
+from ladarreg_core.acquisition.runs.runner import PieceKept, Run, RunEvent
+from ladarreg_core.acquisition.simulated.world import FRAME_MOUNT
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.export.folder import check_folder, export_registration, write_folder
 from ladarreg_core.export.json import registration_document, write_result
-from ladarreg_core.export.zip_file import write_zip
-from ladarreg_core.formats.npz import write_npz_xyz
-from ladarreg_core.integrity import check_integrity
-from ladarreg_core.manifest import read_manifest
-from ladarreg_core.panorama import add_to_run, compose
+from ladarreg_core.export.targets.folder import check_folder, export_registration, write_folder
+from ladarreg_core.export.targets.zip_file import write_zip
+from ladarreg_core.formats.scans.npz import write_npz_xyz
+from ladarreg_core.outputs.integrity import check_integrity
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import Document, Source
-from ladarreg_core.project.duplicate import duplicate_project
-from ladarreg_core.project.folder import ProjectFolder, is_project
 from ladarreg_core.project.history import NOBODY, History
-from ladarreg_core.twins.world import FRAME_MOUNT
+from ladarreg_core.project.storage.duplicate import duplicate_project
+from ladarreg_core.project.storage.folder import ProjectFolder, is_project
+from ladarreg_core.storage.manifest import read_manifest
 from testing.attacks.drawing import WHEN, draw
 from testing.devices.simulated_clock import SimulatedClock
 from testing.scenes.documents import with_an_answer

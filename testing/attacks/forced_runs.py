@@ -17,9 +17,9 @@ from ladarreg.cli import main
 from ladarreg.exit_codes import ExitCode
 
 from ladarreg_core.acquisition.plan import write_plan
-from ladarreg_core.export.folder import export_registration, write_folder
-from ladarreg_core.manifest import MANIFEST_FILE
+from ladarreg_core.export.targets.folder import export_registration, write_folder
 from ladarreg_core.simulate.sample import sample_folder
+from ladarreg_core.storage.manifest import MANIFEST_FILE
 from testing.attacks.fault_cases import CASES, a_plan
 from testing.scenes.small_registration import sample_photo, sample_registration, sample_scan
 

@@ -13,7 +13,7 @@ from ladarreg_core.simulate.sample import sample_folder
 from testing.attacks.server_process import Editor, Server, ServerGone, matches_of, start_server
 
 _EDITORS = 3
-_MOST_EDITS = 60
+_MAX_EDITS = 60
 
 
 @dataclass
@@ -104,7 +104,7 @@ def _edit_and_kill(server: Server, editors: list[Editor], rng: random.Random) ->
     for worker in workers:
         worker.start()
     ready.wait(60)
-    wanted, until = rng.randrange(_MOST_EDITS), time.monotonic() + 120
+    wanted, until = rng.randrange(_MAX_EDITS), time.monotonic() + 120
     while sum(editor.answered for editor in editors) - begun < wanted and time.monotonic() < until:
         time.sleep(0.001)
     time.sleep(rng.choice((0.0, rng.uniform(0, 0.01), rng.uniform(0, 1.2))))

@@ -12,7 +12,7 @@ from typing import TypeVar
 from testing.attacks.system_calls import Call
 
 T = TypeVar("T")
-_MOST_LOOKS = 50
+_MAX_LOOKS = 50
 State = dict[str, bytes | None]
 """Contents of files by their names relative to the folder; None: it is a folder."""
 
@@ -112,7 +112,7 @@ class PowerLoss:
 
 def _again(look: Callable[[], T]) -> T:
     """Look at the folder again if another thread of the process has removed a file meanwhile."""
-    for _ in range(_MOST_LOOKS):
+    for _ in range(_MAX_LOOKS):
         with suppress(FileNotFoundError, KeyError):
             return look()
     return look()

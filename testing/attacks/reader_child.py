@@ -19,15 +19,15 @@ from typing import Any
 
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.formats import FORMATS, describe, extract_images, read_photo, read_scan
-from ladarreg_core.formats.camera_file import read_cameras
-from ladarreg_core.formats.matches_file import read_matches
-from ladarreg_core.formats.pose_file import read_initial, read_pose
-from ladarreg_core.formats.registration_file import read_offset, read_registration
+from ladarreg_core.formats.cameras.camera_file import read_cameras
+from ladarreg_core.formats.documents.matches_file import read_matches
+from ladarreg_core.formats.documents.pose_file import read_initial, read_pose
+from ladarreg_core.formats.documents.registration_file import read_offset, read_registration
 from ladarreg_core.frames import Rigid
 from testing.attacks.mutations import mutated
 from testing.files.seed_files import REFERENCE_SCAN, seeds_in
 
-MOST_SECONDS, MOST_MB = 5.0, 1024.0
+MAX_SECONDS, MAX_MB = 5.0, 1024.0
 """Limits for files of less than 1 MB."""
 LONGEST_SENTENCE = 300
 _ADDRESS_SPACE = 5 << 30
@@ -112,9 +112,9 @@ def _read(path: Path, readers: dict[str, Callable[[Path], object]], patience_s: 
         if isinstance(error, LadarregError):
             refused.add(name)
         faults += [f"{name}: {fault}" for fault in _faults(error)]
-        if spent > MOST_SECONDS:
+        if spent > MAX_SECONDS:
             faults.append(f"{name}: slow, {spent:.1f} s")
-        if peak_mb() > MOST_MB:
+        if peak_mb() > MAX_MB:
             faults.append(f"{name}: memory, {peak_mb():.0f} MB")
     reading = [*readers][1:] or [*readers]  # the first only describes
     every = refused.issuperset(reading)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from ladarreg_core.twins.twin import Twin
+from ladarreg_core.acquisition.simulated.twin import Twin
 
 
 class BadLine:

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.acquisition.flir_unit import FlirUnit
+from ladarreg_core.acquisition.devices.flir_unit import FlirUnit
+from ladarreg_core.acquisition.devices.ports import PortSource
+from ladarreg_core.acquisition.devices.scip_scanner import ScipScanner
 from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.acquisition.plan import Axis, Plan, ScannerPlan, UnitPlan
-from ladarreg_core.acquisition.ports import PortSource
-from ladarreg_core.acquisition.run_folder import RunFolder, RunWriter
-from ladarreg_core.acquisition.runner import Paused, Run, RunEvent
-from ladarreg_core.acquisition.scip_scanner import ScipScanner
-from ladarreg_core.twins.devices import TwinDevices
-from ladarreg_core.twins.world import LINE_MOUNT
+from ladarreg_core.acquisition.runs.run_folder import RunFolder, RunWriter
+from ladarreg_core.acquisition.runs.runner import Paused, Run, RunEvent
+from ladarreg_core.acquisition.simulated.devices import TwinDevices
+from ladarreg_core.acquisition.simulated.world import LINE_MOUNT
 
 CHECKOUT = Path(__file__).resolve().parents[3]
 

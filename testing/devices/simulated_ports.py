@@ -7,8 +7,8 @@ from types import TracebackType
 from typing import Self
 
 from ladarreg_core.acquisition.serial_port import PortLostError
+from ladarreg_core.acquisition.simulated.twin import Twin
 from ladarreg_core.errors import DeviceError
-from ladarreg_core.twins.twin import Twin
 from testing.devices.simulated_clock import SimulatedClock
 
 PREFIX = "memory:"

@@ -80,9 +80,9 @@ class Glb:
             assert {sampler["magFilter"], sampler["minFilter"]} <= _FILTERS
             assert {sampler["wrapS"], sampler["wrapT"]} <= _WRAPS
         for material in document["materials"]:
-            colour = material["pbrMetallicRoughness"]
-            assert 0 <= colour["baseColorTexture"]["index"] < len(document["textures"])
-            assert len(colour["baseColorFactor"]) == 4
+            color = material["pbrMetallicRoughness"]
+            assert 0 <= color["baseColorTexture"]["index"] < len(document["textures"])
+            assert len(color["baseColorFactor"]) == 4
             assert set(material.get("extensions", {})) <= set(document["extensionsUsed"])
         self._check_nodes()
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ladarreg_core.checksums import sealed
-from ladarreg_core.manifest import MANIFEST_FILE
+from ladarreg_core.storage.checksums import sealed
+from ladarreg_core.storage.manifest import MANIFEST_FILE
 
 
 def rewrite(path: Path, fields: Mapping[str, Any]) -> None:

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from ladarreg_core.formats import recognise
-from ladarreg_core.formats.camera_file import read_camera, write_camera
-from ladarreg_core.formats.matches_file import write_matches, write_matches_csv
-from ladarreg_core.formats.npz import write_npz_counts, write_npz_xyz
-from ladarreg_core.formats.pose_file import write_pose
+from ladarreg_core.formats.cameras.camera_file import read_camera, write_camera
+from ladarreg_core.formats.documents.matches_file import write_matches, write_matches_csv
+from ladarreg_core.formats.documents.pose_file import write_pose
+from ladarreg_core.formats.scans.npz import write_npz_counts, write_npz_xyz
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Pick
 from ladarreg_core.simulate.sample import sample_folder

@@ -12,7 +12,7 @@ import numpy as np
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters
-from ladarreg_core.pose.thesis.stereo_simplex import Residual, SimplexOptions, fit_simplex
+from ladarreg_core.thesis.estimators.stereo_simplex import Residual, SimplexOptions, fit_simplex
 from testing.scenes.accuracy import Solver
 from testing.scenes.pose_case import Case
 

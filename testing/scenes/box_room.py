@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.acquisition.line_sweep import LineSweep, UnitTrack
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scanner.pan_tilt import rays_of_line, turned_by_unit
 

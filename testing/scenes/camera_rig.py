@@ -10,13 +10,13 @@ import numpy as np
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, FisheyeCamera
 from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
 from ladarreg_core.photo import Photo, TimedPhoto
-from ladarreg_core.rig.results import RigPair
+from ladarreg_core.registration.rig.results import RigPair
 from ladarreg_core.scan import Scan
-from ladarreg_core.simulate.outdoors import EYE_M, OUTDOORS, build_outdoors
 from ladarreg_core.simulate.photograph import Lighting, take_photograph
 from ladarreg_core.simulate.ray_cast import RayCaster
 from ladarreg_core.simulate.robot_lidar import LidarName, lidar_rays, scan_points
-from ladarreg_core.simulate.world import Placement
+from ladarreg_core.simulate.worlds.outdoors import EYE_M, OUTDOORS, build_outdoors
+from ladarreg_core.simulate.worlds.world import Placement
 
 _LIT = Lighting(ambient=0.38, strength=(1.0,), tints=((1.0, 0.97, 0.9),))
 _SEED = 1_000_000  # apart from the places of `simulate_outdoors`

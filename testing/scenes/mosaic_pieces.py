@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ladarreg_core.acquisition.mosaic_piece import PlacedPiece
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.acquisition.alignment.mosaic_piece import PlacedPiece
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation, ScanGeometry

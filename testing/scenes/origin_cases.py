@@ -32,7 +32,7 @@ _RAYS = {
 }
 _SCATTERED = ("300 points", "60 points", "airborne")
 KINDS = (*_RAYS, *_SCATTERED)
-_TOLERANCE, _TOLERANCE_BY_DENSITY, _LEAST_TOLERANCE_M = 0.01, 0.1, 0.1
+_TOLERANCE, _TOLERANCE_BY_DENSITY, _MIN_TOLERANCE_M = 0.01, 0.1, 0.1
 """Of the size of the cloud where its directions form lines, and where only its densities show the place."""
 
 
@@ -54,7 +54,7 @@ class OriginCase:
             return "asked"
         size = float(np.percentile(np.linalg.norm(self.points - np.median(self.points, axis=0), axis=1), 90))
         tolerance = _TOLERANCE_BY_DENSITY if self.kind == "rosette" else _TOLERANCE
-        return "right" if self.error_m(found) < max(_LEAST_TOLERANCE_M, tolerance * size) else "wrong"
+        return "right" if self.error_m(found) < max(_MIN_TOLERANCE_M, tolerance * size) else "wrong"
 
     def error_m(self, found: OriginEstimate) -> float:
         """Return how far a place that was found is from the scanner's, m; infinite if there is none."""

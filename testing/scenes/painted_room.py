@@ -55,16 +55,16 @@ def paintings(seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     image = np.full((1024, 1024, 3), 0.55, np.float32)
     for _ in range(450):
-        colour = tuple(map(float, rng.uniform(0.1, 0.95, 3)))
+        color = tuple(map(float, rng.uniform(0.1, 0.95, 3)))
         u, v = map(int, rng.integers(0, 1024, 2))
         if rng.random() < 0.6:
             corner = (u + int(rng.integers(15, 110)), v + int(rng.integers(15, 110)))
-            cv2.rectangle(image, (u, v), corner, colour, -1, cv2.LINE_AA)
+            cv2.rectangle(image, (u, v), corner, color, -1, cv2.LINE_AA)
         elif rng.random() < 0.5:
-            cv2.circle(image, (u, v), int(rng.integers(6, 45)), colour, -1, cv2.LINE_AA)
+            cv2.circle(image, (u, v), int(rng.integers(6, 45)), color, -1, cv2.LINE_AA)
         else:
             end = (u + int(rng.integers(-150, 150)), v + int(rng.integers(-150, 150)))
-            cv2.line(image, (u, v), end, colour, int(rng.integers(2, 9)), cv2.LINE_AA)
+            cv2.line(image, (u, v), end, color, int(rng.integers(2, 9)), cv2.LINE_AA)
     return cv2.GaussianBlur(image, (0, 0), 0.8)
 
 
@@ -101,8 +101,8 @@ def painted_room(seed: int = 0, *, distortion: tuple[float, ...] = (), baseline_
     rays = geometry.rays.reshape(-1, 3)
     ranges, box, axis = shoot(np.zeros(3), rays)
     ranges = np.where(box >= 0, ranges, np.nan)
-    colour = paint(rays * np.nan_to_num(ranges, nan=1)[:, None], box, axis, picture)
-    laser = (0.7 * colour[:, 0] + 0.3 * colour[:, 1]) * (2.5 / np.nan_to_num(ranges, nan=9)) ** 2
+    color = paint(rays * np.nan_to_num(ranges, nan=1)[:, None], box, axis, picture)
+    laser = (0.7 * color[:, 0] + 0.3 * color[:, 1]) * (2.5 / np.nan_to_num(ranges, nan=9)) ** 2
     laser = laser * (1 + rng.normal(0, 0.05, len(laser)))
     ranges = ranges + rng.normal(0, 0.003, len(ranges))
     scan = Scan(geometry, ranges.reshape(300, 420), laser.reshape(300, 420))
@@ -117,11 +117,11 @@ def painted_room(seed: int = 0, *, distortion: tuple[float, ...] = (), baseline_
     seen = camera.unproject(uv) @ pose.rotation
     distance, box, axis = shoot(centre, seen)
     sky = box < 0
-    colour = paint(centre + seen * np.where(sky, 1, distance)[:, None], box, axis, picture)
-    colour[sky] = 0.8
-    colour = cv2.resize(colour.reshape(340 * fine, 480 * fine, 3), (480, 340), interpolation=cv2.INTER_AREA)
-    colour = 255 * np.clip(colour + rng.normal(0, 0.01, colour.shape), 0, 1) ** (1 / 2.2)
-    return PaintedRoom(scan, Photo(colour.astype(np.uint8), camera), pose)
+    color = paint(centre + seen * np.where(sky, 1, distance)[:, None], box, axis, picture)
+    color[sky] = 0.8
+    color = cv2.resize(color.reshape(340 * fine, 480 * fine, 3), (480, 340), interpolation=cv2.INTER_AREA)
+    color = 255 * np.clip(color + rng.normal(0, 0.01, color.shape), 0, 1) ** (1 / 2.2)
+    return PaintedRoom(scan, Photo(color.astype(np.uint8), camera), pose)
 
 
 @kept

@@ -41,18 +41,18 @@ def panorama(wall_seeds: tuple[int, ...]) -> Panorama:
     columns = int(len(wall_seeds) * _WALL_RAD / step)
     geometry = SphericalGrid(300, columns, step, step, 0.0, 149.5 * step)
     rays = geometry.rays.reshape(-1, 3)
-    distance, colour = _shoot(np.zeros(3), rays, pictures, middle)
+    distance, color = _shoot(np.zeros(3), rays, pictures, middle)
     rng = np.random.default_rng(5)
     ranges = distance + rng.normal(0, 0.003, len(distance))
-    laser = colour[:, 0] * (1 + rng.normal(0, 0.05, len(colour))) * (2.5 / distance) ** 2
+    laser = color[:, 0] * (1 + rng.normal(0, 0.05, len(color))) * (2.5 / distance) ** 2
     scan = Scan(geometry, ranges.reshape(300, columns), laser.reshape(300, columns))
 
     pose = Rigid.from_centre(look_along([1.0, 0.12, 0.02]), [0.1, -0.3, 0.05])
     camera = Camera.from_focal(480, 340, 520.0)
     v, u = np.mgrid[:680, :960]
     uv = (np.stack([u, v], axis=-1).reshape(-1, 2) + 0.5) / 2 - 0.5
-    _, colour = _shoot(pose.centre, camera.unproject(uv) @ pose.rotation, pictures, middle)
-    fine = colour.reshape(340, 2, 480, 2, 3).mean(axis=(1, 3)) + rng.normal(0, 0.01, (340, 480, 3))
+    _, color = _shoot(pose.centre, camera.unproject(uv) @ pose.rotation, pictures, middle)
+    fine = color.reshape(340, 2, 480, 2, 3).mean(axis=(1, 3)) + rng.normal(0, 0.01, (340, 480, 3))
     pixels = (255 * np.clip(fine, 0, 1) ** (1 / 2.2)).astype(np.uint8)
     return Panorama(scan, Photo(pixels, camera), pose)
 
@@ -61,7 +61,7 @@ def _shoot(
     origin: np.ndarray, rays: np.ndarray, pictures: list[np.ndarray], middle: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the distance (N,) and colour (N, 3) of the wall that each ray meets; every wall has two shallow bays."""
-    best, colour = np.full(len(rays), np.inf), np.zeros((len(rays), 3), np.float32)
+    best, color = np.full(len(rays), np.inf), np.zeros((len(rays), 3), np.float32)
     for number, picture in enumerate(pictures):
         turn = rotation_about("z", (middle - number) * _WALL_RAD)  # the wall's own axes: X away from the scanner
         start, along = origin @ turn, rays @ turn
@@ -75,7 +75,7 @@ def _shoot(
                 continue
             best[hit] = t[hit]
             at = np.mod(np.stack([y[hit] + 4, z[hit] + 4], axis=-1) * 190 + (0 if depth == _WALL_M else 311), 1023)
-            colour[hit] = look_up(picture, at[:, :1].astype(np.float32), at[:, 1:].astype(np.float32))[:, 0]
+            color[hit] = look_up(picture, at[:, :1].astype(np.float32), at[:, 1:].astype(np.float32))[:, 0]
     missed = ~np.isfinite(best)
-    best[missed], colour[missed] = 9.0, 0.3
-    return best, colour
+    best[missed], color[missed] = 9.0, 0.3
+    return best, color

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ladarreg_core.arrays import ByteArray
 from ladarreg_core.camera import Camera
-from ladarreg_core.formats.npz import write_npz_counts
+from ladarreg_core.formats.scans.npz import write_npz_counts
+from ladarreg_core.foundations.arrays import ByteArray
 from ladarreg_core.frames import Rigid, ThesisParameters
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.simulate.case import CAMERA, case_world
 from ladarreg_core.simulate.ladar import Ladar, LadarImages, scan_world
 from ladarreg_core.simulate.photograph import Lighting, take_photograph
 from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.simulate.world import World
+from ladarreg_core.simulate.worlds.world import World
 from testing.scenes.kept import kept
 
 _QUALITY = 95

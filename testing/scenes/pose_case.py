@@ -9,7 +9,7 @@ import numpy as np
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, rotation_from_rotvec, rotvec_from_rotation
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.bundle import Measurements, States, information_matrix
+from ladarreg_core.pose.estimators.bundle import Measurements, States, information_matrix
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.export.images import write_png
-from ladarreg_core.formats.camera_file import write_camera
-from ladarreg_core.formats.npz import write_npz_xyz
+from ladarreg_core.export.pictures.images import write_png
+from ladarreg_core.formats.cameras.camera_file import write_camera
+from ladarreg_core.formats.scans.npz import write_npz_xyz
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.simulate.photograph import Lighting, take_photograph
 from ladarreg_core.simulate.stations import scan_stations, station_room, upright_pose

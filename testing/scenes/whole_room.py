@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.formats.npz import write_npz_panorama
+from ladarreg_core.formats.scans.npz import write_npz_panorama
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.case import png_of
 from ladarreg_core.simulate.photograph import Lighting, take_photograph
 from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.simulate.scenes import build_scene
 from ladarreg_core.simulate.terrestrial import dome_grid, scan_around
+from ladarreg_core.simulate.worlds.scenes import build_scene
 
 AHEAD, BEHIND = ("ahead", (1.0, 0.25, 0.0), (0.1, -0.3, 0.1)), ("behind", (-1.0, 0.12, -0.05), (-0.2, 0.3, 0.05))
 

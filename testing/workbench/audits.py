@@ -25,7 +25,7 @@ _MISSED = """() => [...document.querySelectorAll("button, input, select, a[href]
   .filter((each) => each.checkVisibility({ visibilityProperty: true }) && !each.disabled)
   .filter((each) => each.tabIndex >= 0 && !each.reached)
   .map((each) => `${each.localName}.${each.className}`)"""
-_MOST_CONTROLS = 200
+_MAX_CONTROLS = 200
 
 
 def hard_to_read(page: Page) -> list[str]:
@@ -38,7 +38,7 @@ def hard_to_read(page: Page) -> list[str]:
 def lost_without_a_mouse(page: Page) -> tuple[set[str], list[str]]:
     """Step through the page by Tab; return what does not show the focus, and what is never reached."""
     unseen = set()
-    for _ in range(_MOST_CONTROLS):
+    for _ in range(_MAX_CONTROLS):
         page.keyboard.press("Tab")
         at = page.evaluate(_FOCUSED)
         if not at["name"]:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from ladarreg.session.loader import Loader
 
-from ladarreg_core.project.folder import ProjectFolder
+from ladarreg_core.project.storage.folder import ProjectFolder
 from ladarreg_core.quality.verdict import LIGHT_WORDS, verdict_of
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from ladarreg_core.simulate.sample import sample_folder
 from testing.workbench.access import Access
 
 CHECKOUT = Path(__file__).parents[2]
-_CLIENTS, _MOST_PICKS = 10, 12
+_CLIENTS, _MAX_PICKS = 10, 12
 _SHORT_PAUSE_S, _LONG_PAUSE_S, _SHORT_MIN = (0.1, 0.5), (0.5, 3.0), 5.0  # between the edits of one client
 
 
@@ -177,7 +177,7 @@ def many_clients(found: Served, minutes: float) -> tuple[list[tuple[float, float
         mine: list[str] = []
         while time.monotonic() < end:
             what = rng.random()
-            if (what < 0.4 and len(mine) < _MOST_PICKS) or not mine:
+            if (what < 0.4 and len(mine) < _MAX_PICKS) or not mine:
                 ray, uv = random_pick(rng)
                 reply = page.ask("add_pick", photo="p1", kind="point", scan=[ray], photo_uv=[uv])
                 mine += [reply["pick"]] if reply["ok"] else []

@@ -18,11 +18,11 @@ from ladarreg.gateway.encoding import InvalidMessageError, decode_object, encode
 from ladarreg.workbench.commands import COMMANDS
 
 from ladarreg_core.formats import read_scan
-from ladarreg_core.formats.camera_file import read_camera
-from ladarreg_core.formats.pose_file import read_pose
-from ladarreg_core.project.folder import ProjectFolder
+from ladarreg_core.formats.cameras.camera_file import read_camera
+from ladarreg_core.formats.documents.pose_file import read_pose
 from ladarreg_core.project.history import History
 from ladarreg_core.project.settings import Settings
+from ladarreg_core.project.storage.folder import ProjectFolder
 from ladarreg_core.simulate.sample import sample_folder
 from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 

@@ -18,13 +18,13 @@ from pathlib import Path
 import pytest
 
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export import replacement, staging
-from ladarreg_core.export.folder import FileJob, check_folder, write_folder
 from ladarreg_core.export.json import registration_document, write_document
-from ladarreg_core.export.zip_file import write_zip
+from ladarreg_core.export.targets.folder import FileJob, check_folder, write_folder
+from ladarreg_core.export.targets.zip_file import write_zip
 from ladarreg_core.project.document import Document
-from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import History
+from ladarreg_core.project.storage.folder import ProjectFolder
+from ladarreg_core.storage import replacement, staging
 from testing.scenes.small_registration import sample_registration
 
 DOCUMENT = registration_document(sample_registration())
@@ -224,7 +224,7 @@ def test_a_mounted_project_is_a_project(tmp_path: Path, project: ProjectFolder) 
     there = tmp_path / "there"
     there.mkdir()
     code = (
-        "import sys; from ladarreg_core.export.folder import check_folder\n"
+        "import sys; from ladarreg_core.export.targets.folder import check_folder\n"
         "try: check_folder(sys.argv[1], force=True, apart_from=[sys.argv[2]])\n"
         "except Exception as error: print(error)"
     )
@@ -267,7 +267,9 @@ PROCESSES = multiprocessing.get_context("spawn" if sys.platform == "win32" else 
 @pytest.fixture(scope="session", autouse=True)
 def _loaded_once() -> None:
     if sys.platform != "win32":
-        PROCESSES.set_forkserver_preload([__name__, "ladarreg_core.export.folder", "testing.scenes.small_registration"])
+        PROCESSES.set_forkserver_preload(
+            [__name__, "ladarreg_core.export.targets.folder", "testing.scenes.small_registration"]
+        )
 
 
 def die() -> None:

@@ -19,13 +19,13 @@ from ladarreg.cli import _explain
 from ladarreg.exit_codes import ExitCode
 from ladarreg.session.session import Session
 
-from ladarreg_core.atomic_write import AppendedFile
 from ladarreg_core.errors import ExportError, UnsavedError
 from ladarreg_core.project.document import Source
-from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import NOBODY
-from ladarreg_core.project.rescue import write_rescue_copy
+from ladarreg_core.project.storage.folder import ProjectFolder
+from ladarreg_core.project.storage.rescue import write_rescue_copy
 from ladarreg_core.simulate.sample import sample_folder
+from ladarreg_core.storage.atomic_write import AppendedFile
 from testing.attacks.drawing import begin, draw, work_until_killed
 from testing.attacks.full_disk import DiskNotMounted, fill, free, largest_file, small_disk
 from testing.workbench.gateway_driver import soon

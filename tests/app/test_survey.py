@@ -14,9 +14,9 @@ from ladarreg.cli import main
 from ladarreg.exit_codes import ExitCode
 
 import ladarreg_core as lr
-from ladarreg_core.arrays import FloatArray
-from ladarreg_core.formats.npz import write_npz_xyz
-from ladarreg_core.formats.pose_file import read_pose
+from ladarreg_core.formats.documents.pose_file import read_pose
+from ladarreg_core.formats.scans.npz import write_npz_xyz
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.simulate.sample import sample_folder
 from ladarreg_core.surface.ranges import surface_range

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.matching.verification import COARSE_GATE, GateOptions
+from ladarreg_core.matching.verify.verification import COARSE_GATE, GateOptions
 from ladarreg_core.pose.acceptance import AcceptanceOptions
 
 PAGE = Path(__file__).parents[2] / "docs" / "quality.md"
@@ -44,8 +44,8 @@ def tables() -> str:
     lines += ["", "### Image verification: `AutoOptions.gate`, `ThesisOptions.gate`", ""]
     lines += ["| option | default | thermal images | meaning |", "|---|---|---|---|"]
     for f in fields(gate):
-        colour, thermal = (_shown(f.name, getattr(options, f.name)) for options in (gate, COARSE_GATE))
-        lines.append(f"| `{f.name}` | {colour} | {thermal if thermal != colour else ''} | {meanings[f.name]} |")
+        color, thermal = (_shown(f.name, getattr(options, f.name)) for options in (gate, COARSE_GATE))
+        lines.append(f"| `{f.name}` | {color} | {thermal if thermal != color else ''} | {meanings[f.name]} |")
     return "\n".join(lines)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import ladarreg_core
-from ladarreg_core.matching.verification import GateOptions
+from ladarreg_core.matching.verify.verification import GateOptions
 from ladarreg_core.pose.acceptance import AcceptanceOptions
 from tests.architecture.acceptance_table import PAGE, field_docstrings, page_with_tables
 

@@ -13,7 +13,7 @@ from ladarreg.argument_names import ARGUMENTS, as_fields, as_flags, reading_slic
 from ladarreg.arguments import ScanArguments
 from ladarreg.messages import one_line
 
-from ladarreg_core.formats.scan_request import SCAN_OPTIONS, ScanOptions
+from ladarreg_core.formats.scans.scan_request import SCAN_OPTIONS, ScanOptions
 
 CORE = Path(__file__).resolve().parents[2] / "ladarreg_core"
 _FLAG = re.compile(r"(?<![\w`-])--[a-z][a-z-]+")

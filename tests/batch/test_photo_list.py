@@ -12,7 +12,7 @@ from ladarreg_core.batch.folder_info import describe_folder
 from ladarreg_core.batch.photo_list import camera_groups, folder_contents, photo_entries
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import FormatError
-from ladarreg_core.formats.npz import write_npz_xyz
+from ladarreg_core.formats.scans.npz import write_npz_xyz
 from testing.scenes.photo_set import write_phone_photo
 from testing.scenes.small_registration import sample_scan
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks import acquisition_oracle as oracle
-from benchmarks.acquisition_parsers import CLASSES, measure, trusting
+from benchmarks.acquisition import oracle as oracle
+from benchmarks.acquisition.parsers import CLASSES, measure, trusting
 
 
 @pytest.mark.slow

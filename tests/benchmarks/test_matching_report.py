@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.matching_report import sections, write_page
+from benchmarks.matching.report import sections, write_page
 from benchmarks.register import Row
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import ladarreg_core as lr
-from benchmarks.nid import BINS, NidPair, nid, rank_bins
+from benchmarks.matching.nid import BINS, NidPair, nid, rank_bins
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from testing.scenes.painted_room import PaintedRoom, painted_room

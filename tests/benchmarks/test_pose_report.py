@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.pose_accuracy import backends_apart, mismatches_section
-from benchmarks.pose_report import Bar, Section, as_text, table, write_json, write_page
+from benchmarks.pose.accuracy import backends_apart, mismatches_section
+from benchmarks.pose.report import Bar, Section, as_text, table, write_json, write_page
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from testing.scenes.accuracy import Answer, Answers, ask, default, measure
 from testing.scenes.pose_case import Case

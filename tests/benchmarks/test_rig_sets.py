@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from benchmarks.matching_report import sections
+from benchmarks.matching.report import sections
 from benchmarks.register import Row
 
 RIGHT = Row("auto", "rigs", "petals, rough guess", 3, True, 1.0, 0.1, 20.0, 9.0, sigmas=1.0)

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from benchmarks.edge_aligner import align_by_edges, cloud_edges
-from benchmarks.matching_report import sections
+from benchmarks.matching.edge_aligner import align_by_edges, cloud_edges
+from benchmarks.matching.report import sections
+from benchmarks.matching.sparse_peers import PEERS_SET, by_nid_simplex, seen_from
+from benchmarks.matching.sparse_sets import off_by
 from benchmarks.register import Row
-from benchmarks.sparse_peers import PEERS_SET, by_nid_simplex, seen_from
-from benchmarks.sparse_sets import off_by
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, look_along
 from testing.scenes.painted_room import painted_room

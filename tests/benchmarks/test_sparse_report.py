@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from benchmarks.matching_report import sections, write_page
+from benchmarks.matching.report import sections, write_page
 from benchmarks.register import Row
 
 

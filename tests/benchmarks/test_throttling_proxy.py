@@ -9,7 +9,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from benchmarks.throttling_proxy import ThrottlingProxy
+from benchmarks.page.throttling_proxy import ThrottlingProxy
 
 BODIES = {"/small": b"small", "/large": bytes(range(256)) * 4000}
 

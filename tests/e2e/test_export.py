@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import ladarreg_core as lr
-from ladarreg_core.manifest import MANIFEST_FILE
 from ladarreg_core.simulate.sample import sample_folder
+from ladarreg_core.storage.manifest import MANIFEST_FILE
 from testing.scenes.true_matches import true_points
 from testing.workbench.audits import hard_to_read
 from testing.workbench.operator import Operator, at_work

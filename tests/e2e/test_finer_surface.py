@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from ladarreg_core.formats.npz import write_npz_panorama
+from ladarreg_core.formats.scans.npz import write_npz_panorama
 from testing.workbench.pages import LONGEST_MS
 from testing.workbench.shared import SharedWorkbench
 from tests.unit.surface.test_grid_block import room_scan
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 pytestmark = pytest.mark.slow
-MOST_VERTICES = 400_000
+MAX_VERTICES = 400_000
 SURFACES = """() => {
   const { scene } = document.querySelector("iframe.model-frame").contentWindow.__viserMutable;
   const found = { block: [], whole: [] };
@@ -72,7 +72,7 @@ def test_the_surface_is_finer_where_somebody_looks(
     first = surfaces(page, lambda found: found["block"])
     ((vertices, faces, _, _),) = first["whole"]
     whole = sum(count for count, *_ in first["block"]) + vertices
-    assert whole <= MOST_VERTICES
+    assert whole <= MAX_VERTICES
     for count, _, (left, right), (top, bottom) in first["block"]:
         density = count / ((right - left) * (bottom - top))  # vertices over the whole grid
         assert density > 3 * vertices
@@ -82,7 +82,7 @@ def test_the_surface_is_finer_where_somebody_looks(
 
     # Again, if the view from the scanner came after it and took it back.
     second = surfaces(page, moved, meanwhile=lambda: turn(page))
-    assert sum(count for kind in second.values() for count, *_ in kind) <= MOST_VERTICES
+    assert sum(count for kind in second.values() for count, *_ in kind) <= MAX_VERTICES
 
     page.get_by_role("button", name="Display", exact=True).click()
     page.get_by_label("Detail").select_option("coarse")

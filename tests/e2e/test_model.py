@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ladarreg_core.palette import VISIBILITY
+from ladarreg_core.foundations.palette import VISIBILITY
 from ladarreg_core.simulate.sample import sample_folder
 from testing.scenes.true_matches import true_points
 from testing.workbench.pages import LONGEST_MS, two_frames
@@ -124,7 +124,7 @@ def visit(browser_3d: Browser, server: Served) -> Iterator[Visit]:
     assert not found.errors
 
 
-def colourful(pixels: np.ndarray) -> float:
+def colorful(pixels: np.ndarray) -> float:
     return float((pixels.max(axis=-1) - pixels.min(axis=-1) > 24).mean())
 
 
@@ -145,7 +145,7 @@ def test_only_the_scene_is_seen_of_viser_and_textures_follow_each_other_without_
     details = [url.partition("detail=")[2].partition("&")[0] for url in visit.requested if url.startswith("mesh")]
     assert details == ["coarse", "standard"]
     assert frame.evaluate(MESHES) == 1
-    visit.until(lambda pixels: colourful(pixels) > 0.05, "the colours of the photograph")
+    visit.until(lambda pixels: colorful(pixels) > 0.05, "the colours of the photograph")
 
     held: list[Any] = []
     page.route("**/picture/model/texture?*kind=label*", lambda route: held.append(route))
@@ -167,7 +167,7 @@ def test_only_the_scene_is_seen_of_viser_and_textures_follow_each_other_without_
     assert len(visit.requested) == count, "a recent texture is shown without a transfer"
 
 
-def test_the_camera_sees_the_textures_own_colours_and_matches_can_be_clicked(visit: Visit) -> None:
+def test_the_camera_sees_the_textures_own_colors_and_matches_can_be_clicked(visit: Visit) -> None:
     page, frame = visit.page, visit.drawn()
     page.get_by_role("button", name="Display", exact=True).click()
     page.get_by_role("checkbox", name="Legend").uncheck()
@@ -203,9 +203,9 @@ def test_two_people_have_their_own_textures_and_views(browser_3d: Browser, serve
         frames = visit.drawn(), other.drawn()
         other.page.keyboard.press("m")  # matches have colours
         other.page.get_by_label(TEXTURE).select_option("intensity")
-        other.until(lambda pixels: colourful(pixels[:, : pixels.shape[1] // 2]) < 0.02, "gray for one")
+        other.until(lambda pixels: colorful(pixels[:, : pixels.shape[1] // 2]) < 0.02, "gray for one")
         assert visit.page.get_by_label(TEXTURE).input_value() == "colour"
-        assert colourful(visit.pixels()) > 0.05, "the photograph for the other"
+        assert colorful(visit.pixels()) > 0.05, "the photograph for the other"
         addresses = [frame.url for frame in frames]
         assert addresses[0] != addresses[1]
         status = visit.page.evaluate("async (url) => (await fetch(url)).status", addresses[1])

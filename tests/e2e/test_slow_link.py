@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.throttling_proxy import ThrottlingProxy
+from benchmarks.page.throttling_proxy import ThrottlingProxy
 from testing.workbench.pages import LONGEST_MS, two_frames, without_model
 from testing.workbench.served import Served
 from testing.workbench.shared import SharedWorkbench
@@ -157,15 +157,15 @@ def test_dragging_the_contrast_loads_nothing_until_it_is_released(tab: Page, ser
 
 
 @pytest.mark.slow
-def test_the_range_is_previewed_in_its_own_colours(tab: Page, server: Served) -> None:
+def test_the_range_is_previewed_in_its_own_colors(tab: Page, server: Served) -> None:
     enter(tab, server, server.port)
     tab.get_by_label("Channel of the scan").select_option("range")
 
-    def colourful() -> bool:
+    def colorful() -> bool:
         found = shown(tab, "scan")
         return bool((found.max(axis=-1) - found.min(axis=-1) > 60).mean() > 0.2)
 
-    until(tab, colourful, "the range")
+    until(tab, colorful, "the range")
     tab.wait_for_load_state("networkidle")
     before = shown(tab, "scan")
     tab.locator("#scan-pane").get_by_role("button", name="Contrast").click()

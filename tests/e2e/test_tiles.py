@@ -12,8 +12,8 @@ import pytest
 from ladarreg.gateway.viser_backend import close_server
 
 from ladarreg_core.camera import Camera
+from ladarreg_core.export.registered_scan import RegisteredScan
 from ladarreg_core.export.targets.pipeline import export_to
-from ladarreg_core.export.targets.registered_scan import RegisteredScan
 from testing.workbench.open_viser import address, open_server
 from testing.workbench.pages import SIZE, wait_for_pixels
 from tests.unit.export.test_tiles import POSES, all_tiles, photograph, uneven_room

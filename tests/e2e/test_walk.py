@@ -26,7 +26,7 @@ from testing.workbench.shared import SharedWorkbench
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-LEAST_STATES = 40
+MIN_STATES = 40
 FOCAL_PX = 974.0
 LONGEST_S = 30
 """What a page may take to say of a state what is so, on a busy computer."""
@@ -274,7 +274,7 @@ def test_a_long_walk(walk: Walk, tmp_path: Path) -> None:
     walk.state("corner matches are undone", "verified", ticks=exported)
     walk.do("rename", name="Seven of nine")
     walk.state("renamed", "verified", ticks=exported)
-    walk.finish(LEAST_STATES)
+    walk.finish(MIN_STATES)
 
 
 def light_of(walk: Walk) -> str | None:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 WINDOW = {"width": 1440, "height": 900}
 SCENE = ("simulate", "office", "--seed", "4", "-o")
-_COLOURS = 256
+_COLORS = 256
 _MANUAL = {"3-drawn": "drawn", "4-accepted": "solved"}
 
 
@@ -68,7 +68,7 @@ def _tutorial(folder: Path, chromium: Browser, target: Path) -> None:
     results = folder / "results"
     scan = lr.read_scan(pair / "scan.npz")
     photo = lr.read_photo(pair / "photo.png", camera=pair / "camera.json")
-    from ladarreg_core.export.folder import export_registration
+    from ladarreg_core.export.targets.folder import export_registration
 
     export_registration(results, lr.register(scan, photo), scan, photo)
     page = chromium.new_page(viewport={"width": 1100, "height": 900})
@@ -108,7 +108,7 @@ def _keep(page: Page, path: Path) -> None:
 
 def _write(png: bytes, path: Path) -> None:
     """Write a picture with few colours: a third of the size, and nobody sees it."""
-    image = Image.open(io.BytesIO(png)).convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE)
+    image = Image.open(io.BytesIO(png)).convert("RGB").quantize(_COLORS, dither=Image.Dither.NONE)
     image.save(path, optimize=True)
 
 

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from ladarreg_core.errors import DependencyError, FormatError, OptionError, UnderspecifiedError
-from ladarreg_core.formats import describe, read_scan, recognise, recording
+from ladarreg_core.formats import describe, read_scan, recognise
+from ladarreg_core.formats.recordings import recording
 from ladarreg_core.scan import NO_INTENSITY_NOTE, Scan
 from testing.files.recordings import CLOUD, cloud, write_recording
 from testing.files.small_scans import make_scan
@@ -82,7 +83,7 @@ def test_the_check_notices_a_mirrored_cloud(tmp_path: Path, wall: Scan) -> None:
 
 @needs_rosbags
 @pytest.mark.parametrize("big", [False, True])
-def test_both_byte_orders_give_the_same_colours(tmp_path: Path, wall: Scan, big: bool) -> None:
+def test_both_byte_orders_give_the_same_colors(tmp_path: Path, wall: Scan, big: bool) -> None:
     packed = (np.arange(wall.valid.size) * 7919 % 2**24).astype(np.uint32)
     columns = columns_of(wall) | {"rgb": packed.view(np.float32)}
     file = record(tmp_path / "a", "db3", {"/p": [(0, {"columns": columns, "shape": wall.shape, "big": big})]})

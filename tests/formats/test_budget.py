@@ -16,12 +16,13 @@ import pytest
 from PIL import Image
 
 from ladarreg_core.errors import FormatError, OptionError
-from ladarreg_core.formats import describe, json_file, read_photo, read_scan
-from ladarreg_core.formats.budget import ReadBudget
-from ladarreg_core.formats.image_file import read_image
-from ladarreg_core.formats.matches_file import read_matches
-from ladarreg_core.formats.npz import read_npz, write_npz_counts, write_npz_xyz
-from ladarreg_core.formats.yaml_file import parse_yaml
+from ladarreg_core.formats import describe, read_photo, read_scan
+from ladarreg_core.formats.documents.matches_file import read_matches
+from ladarreg_core.formats.parsing import json_file
+from ladarreg_core.formats.parsing.budget import ReadBudget
+from ladarreg_core.formats.parsing.yaml_file import parse_yaml
+from ladarreg_core.formats.photos.image_file import read_image
+from ladarreg_core.formats.scans.npz import read_npz, write_npz_counts, write_npz_xyz
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from testing.attacks import bombs

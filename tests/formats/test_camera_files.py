@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, FormatError, LadarregError
 from ladarreg_core.formats import describe
-from ladarreg_core.formats.camera_file import read_camera, write_camera
-from ladarreg_core.formats.yaml_file import parse_yaml
+from ladarreg_core.formats.cameras.camera_file import read_camera, write_camera
+from ladarreg_core.formats.parsing.yaml_file import parse_yaml
 from testing.files.seed_files import ROS
 
 K1, K2 = 0.1, -0.03

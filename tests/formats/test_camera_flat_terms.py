@@ -10,9 +10,9 @@ from PIL import Image
 from ladarreg_core.camera import Camera, FisheyeCamera
 from ladarreg_core.errors import CameraError, FormatError
 from ladarreg_core.formats import describe, read_photo
-from ladarreg_core.formats.camera_agisoft import _project
-from ladarreg_core.formats.camera_file import read_camera, read_cameras, read_noted_camera
-from ladarreg_core.formats.camera_refit import refitted
+from ladarreg_core.formats.cameras.agisoft import _project
+from ladarreg_core.formats.cameras.camera_file import read_camera, read_cameras, read_noted_camera
+from ladarreg_core.formats.cameras.refit import refitted
 
 _PLAIN = {"width": 640, "height": 480, "fx": 500.0, "fy": 501.0, "cx": 320.0, "cy": 240.0}
 _K = [500.0, 0.0, 320.0, 0.0, 501.0, 240.0, 0.0, 0.0, 1.0]

@@ -15,9 +15,9 @@ from PIL import Image
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, FormatError, LadarregError, OptionError, UnderspecifiedError
 from ladarreg_core.formats import describe, read_photo, recognise
-from ladarreg_core.formats.camera_agisoft import _project
-from ladarreg_core.formats.camera_file import read_camera, read_cameras, read_noted_camera
-from ladarreg_core.formats.pose_file import read_initial
+from ladarreg_core.formats.cameras.agisoft import _project
+from ladarreg_core.formats.cameras.camera_file import read_camera, read_cameras, read_noted_camera
+from ladarreg_core.formats.documents.pose_file import read_initial
 from ladarreg_core.formats.survey import survey_file
 from ladarreg_core.frames import Rigid
 

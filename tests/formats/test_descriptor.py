@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.formats import read_scan
-from ladarreg_core.formats.descriptor import read_descriptor
+from ladarreg_core.formats.scans.descriptor import read_descriptor
 from ladarreg_core.scanner.grids import AzimuthElevation, PinholeGrid
 
 

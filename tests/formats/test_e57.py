@@ -12,10 +12,10 @@ import pytest
 
 from ladarreg_core.errors import Cancelled, ExportError, FormatError, LadarregError, OptionError, ShapeError
 from ladarreg_core.formats import describe, read_scan
-from ladarreg_core.formats.camera_file import read_camera
-from ladarreg_core.formats.e57 import read_e57
+from ladarreg_core.formats.cameras.camera_file import read_camera
+from ladarreg_core.formats.documents.pose_file import read_pose
+from ladarreg_core.formats.e57.reader import read_e57
 from ladarreg_core.formats.e57_images import extract_images
-from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress
 from ladarreg_core.scan import NO_INTENSITY_NOTE, Scan
@@ -116,7 +116,7 @@ def test_files_without_indices_are_gridded(tmp_path: Path, make: Any) -> None:
 def test_the_nearest_of_several_returns_counts_across_chunks(
     tmp_path: Path, make: Any, wall: Scan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ladarreg_core.formats.e57._CHUNK", 100)
+    monkeypatch.setattr("ladarreg_core.formats.e57.reader._CHUNK", 100)
     fields = make.e57_fields(wall, color=True)
     far = {k: (v * 3 if k.startswith("cartesian") else v)[::2] for k, v in fields.items()}
     far["intensity"] = 0 * far["intensity"] + 9
@@ -153,7 +153,7 @@ def test_large_tables_are_filled_as_small_ones(monkeypatch: pytest.MonkeyPatch) 
     table[holes] = 0
     grids = []
     for most in (10**6, 4000):
-        monkeypatch.setattr(ray_table, "MOST_FITTED_CELLS", most)
+        monkeypatch.setattr(ray_table, "MAX_FITTED_CELLS", most)
         grids.append(TabulatedGrid.taking_over(table.copy()))
     np.testing.assert_array_equal(grids[0].rays[~holes], table[~holes])
     for grid in grids:

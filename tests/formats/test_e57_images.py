@@ -12,9 +12,9 @@ import pytest
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera
 from ladarreg_core.errors import FormatError, OptionError
 from ladarreg_core.formats import describe, extract_images, read_scan
-from ladarreg_core.formats.camera_file import read_camera
+from ladarreg_core.formats.cameras.camera_file import read_camera
+from ladarreg_core.formats.documents.pose_file import read_pose
 from ladarreg_core.formats.e57_images import embedded_images
-from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from testing.files.small_scans import e57_fields, make_scan
@@ -193,7 +193,7 @@ def test_the_scans_of_a_file_are_listed_from_its_header(tmp_path: Path) -> None:
         describe(path, scan_index=2)
 
 
-def test_colours_alone_are_refused_or_taken_by_their_luminance(tmp_path: Path) -> None:
+def test_colors_alone_are_refused_or_taken_by_their_luminance(tmp_path: Path) -> None:
     path = write_e57(tmp_path / "a.e57", [], color_only=True)
     with pytest.raises(FormatError, match=r"colours but no intensity.*`intensity='luma'`"):
         read_scan(path)

@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ladarreg_core.errors import FormatError
-from ladarreg_core.formats import e57_records
-from ladarreg_core.formats.e57_header import contents_of
-from ladarreg_core.formats.e57_records import fields_of, read_records, unpacked
-from ladarreg_core.formats.e57_tree import E57Node, open_e57
+from ladarreg_core.formats.e57 import records as e57_records
+from ladarreg_core.formats.e57.header import contents_of
+from ladarreg_core.formats.e57.records import fields_of, read_records, unpacked
+from ladarreg_core.formats.e57.tree import E57Node, open_e57
 from ladarreg_core.scan import Scan
 from testing.attacks.bombs import e57_with_xml
 from testing.files.small_scans import make_scan
@@ -222,7 +222,7 @@ def test_fewer_records_than_claimed_and_fields_far_apart_are_refused(
     path = tmp_path / "a.e57"
     write_fields(path, [("single", 0, 0), ("double", 0, 0)], 30_000)
     codes = {"field0": "f", "field1": "d"}
-    monkeypatch.setattr(e57_records, "_MOST_AHEAD_BYTES", -20_000)
+    monkeypatch.setattr(e57_records, "_MAX_AHEAD_BYTES", -20_000)
     with pytest.raises(FormatError, match="too far apart"):
         of_ours(path, 0, codes, scaled=False, at_once=2_000)
     monkeypatch.undo()

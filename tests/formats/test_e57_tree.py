@@ -12,8 +12,8 @@ import pytest
 
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats import describe, read_scan
+from ladarreg_core.formats.e57.tree import open_e57
 from ladarreg_core.formats.e57_images import embedded_images
-from ladarreg_core.formats.e57_tree import open_e57
 from ladarreg_core.scan import Scan
 from testing.attacks.bombs import e57_with_xml
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ladarreg_core.arrays import ByteArray
 from ladarreg_core.camera import EquirectangularCamera
 from ladarreg_core.errors import CameraError, OptionError
 from ladarreg_core.formats import describe, read_photo
-from ladarreg_core.formats.gpano import looks_like_panorama, panorama_of_xmp
-from ladarreg_core.formats.image_file import read_image
+from ladarreg_core.formats.photos.gpano import looks_like_panorama, panorama_of_xmp
+from ladarreg_core.formats.photos.image_file import read_image
+from ladarreg_core.foundations.arrays import ByteArray
 
 FIELDS = {
     "ProjectionType": "equirectangular",

@@ -14,10 +14,10 @@ import pytest
 
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
 from ladarreg_core.formats import FORMATS, describe, extract_images, read_photo, read_scan, recognise
-from ladarreg_core.formats.camera_file import read_camera
-from ladarreg_core.formats.matches_file import read_matches
-from ladarreg_core.formats.npz import write_npz_xyz
-from ladarreg_core.formats.pose_file import read_pose
+from ladarreg_core.formats.cameras.camera_file import read_camera
+from ladarreg_core.formats.documents.matches_file import read_matches
+from ladarreg_core.formats.documents.pose_file import read_pose
+from ladarreg_core.formats.scans.npz import write_npz_xyz
 from ladarreg_core.scan import Scan
 
 Reader = Callable[[Path], Any]

@@ -22,11 +22,11 @@ import pytest
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, Cancelled, FormatError, OptionError
 from ladarreg_core.formats import describe, read_photo, read_scan
-from ladarreg_core.formats.camera_file import read_camera
+from ladarreg_core.formats.cameras.camera_file import read_camera
+from ladarreg_core.formats.documents.matches_file import read_matches
 from ladarreg_core.formats.isolated import IsolatedReaders, ReaderLimits
 from ladarreg_core.formats.isolated.messages import MessageError, read_message, write_message
 from ladarreg_core.formats.isolated.pieces import Turn, write_piece
-from ladarreg_core.formats.matches_file import read_matches
 from ladarreg_core.frames import Rigid
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress

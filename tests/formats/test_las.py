@@ -65,7 +65,7 @@ def _written(scan: Scan) -> np.ndarray:
     [(0, "1.2", "las"), (1, "1.2", "laz"), (2, "1.3", "laz"), (3, "1.4", "las"), (6, "1.4", "las"), (7, "1.4", "laz"),
      (8, "1.4", "laz")],
 )  # fmt: skip
-def test_points_intensity_and_colour_arrive(tmp_path: Path, point_format: int, version: str, suffix: str) -> None:
+def test_points_intensity_and_color_arrive(tmp_path: Path, point_format: int, version: str, suffix: str) -> None:
     colored = point_format in (2, 3, 7, 8)
     rgb = dict(zip(("red", "green", "blue"), COLOR.T * 256, strict=True)) if colored else {}
     file = las(tmp_path / f"cloud.{suffix}", point_format, version, **rgb)
@@ -93,7 +93,7 @@ def test_the_scanner_is_found_and_said(tmp_path: Path) -> None:
     assert read_scan(file, origin=ORIGIN).world_from_scanner.translation.tolist() == list(ORIGIN)  # type: ignore[union-attr]
 
 
-def test_colours_of_eight_bits_in_sixteen_stay(tmp_path: Path) -> None:
+def test_colors_of_eight_bits_in_sixteen_stay(tmp_path: Path) -> None:
     rgb = dict(zip(("red", "green", "blue"), COLOR.T, strict=True))
     scan = read_scan(las(tmp_path / "eight.las", 7, **rgb), origin=ORIGIN)
     assert scan.color is not None
@@ -101,7 +101,7 @@ def test_colours_of_eight_bits_in_sixteen_stay(tmp_path: Path) -> None:
     assert scan.color.max() == COLOR.max()
 
 
-def test_intensity_from_extra_bytes_or_from_colour(tmp_path: Path) -> None:
+def test_intensity_from_extra_bytes_or_from_color(tmp_path: Path) -> None:
     flat = np.zeros(len(POINTS), np.uint16)
     strength = brightness(POINTS - UTM) - 200
     scan = read_scan(las(tmp_path / "r.las", intensity=flat, extra_Reflectance=strength), origin=ORIGIN)

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from ladarreg_core.errors import FormatError, LadarregError
 from ladarreg_core.formats import describe
-from ladarreg_core.formats.matches_file import read_matches, write_matches, write_matches_csv
-from ladarreg_core.formats.pose_file import read_pose, write_pose
+from ladarreg_core.formats.documents.matches_file import read_matches, write_matches, write_matches_csv
+from ladarreg_core.formats.documents.pose_file import read_pose, write_pose
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Pick
 from ladarreg_core.scan import Scan

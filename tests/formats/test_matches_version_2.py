@@ -12,7 +12,7 @@ import pytest
 
 from ladarreg_core.errors import ExportError, LadarregError
 from ladarreg_core.formats import describe, recognise
-from ladarreg_core.formats.matches_file import read_matches, write_matches, write_matches_csv
+from ladarreg_core.formats.documents.matches_file import read_matches, write_matches, write_matches_csv
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Pick
 from ladarreg_core.scan import Scan

@@ -92,7 +92,7 @@ def test_a_cloud_without_intensity_is_read_and_says_so(kind: str, tmp_path: Path
 
 
 @pytest.mark.parametrize("kind", ["pcd", "ply", "csv", "ptx", "e57, gridded"])
-def test_no_luminance_is_taken_of_colours_that_are_not_there(kind: str, tmp_path: Path, wall: Scan) -> None:
+def test_no_luminance_is_taken_of_colors_that_are_not_there(kind: str, tmp_path: Path, wall: Scan) -> None:
     with pytest.raises(FormatError, match=r"neither intensity nor colours.*leave out `intensity='luma'`"):
         read_scan(WRITERS[kind](tmp_path, wall), intensity="luma")
 

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from ladarreg_core.acquisition.piece_list import read_piece_list
 from ladarreg_core.acquisition.plan import read_plan
+from ladarreg_core.acquisition.runs.piece_list import read_piece_list
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.formats import describe, read_photo, read_scan
-from ladarreg_core.formats.camera_file import read_camera
-from ladarreg_core.formats.matches_file import read_matches
-from ladarreg_core.formats.pose_file import read_initial
-from ladarreg_core.formats.rig_file import read_rig_table
+from ladarreg_core.formats.cameras.camera_file import read_camera
+from ladarreg_core.formats.documents.matches_file import read_matches
+from ladarreg_core.formats.documents.pose_file import read_initial
+from ladarreg_core.formats.documents.rig_file import read_rig_table
 from testing.files.small_scans import make_scan
 
 READERS: dict[str, Callable[[Path], object]] = {

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ladarreg_core.errors import FormatError, LadarregError, ShapeError
-from ladarreg_core.formats.npz import read_npz, write_npz_counts, write_npz_xyz
+from ladarreg_core.formats.scans.npz import read_npz, write_npz_counts, write_npz_xyz
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 
@@ -64,11 +64,11 @@ def test_written_counts_are_read_back(tmp_path: Path, wall: Scan) -> None:
 
 
 def test_written_points_are_read_back_to_the_bit(tmp_path: Path, wall: Scan) -> None:
-    colour = np.random.default_rng(0).integers(0, 256, (*wall.shape, 3), dtype=np.uint8)
-    write_npz_xyz(tmp_path / "a.npz", Scan(wall.geometry, wall.ranges, wall.intensity, color=colour))
+    color = np.random.default_rng(0).integers(0, 256, (*wall.shape, 3), dtype=np.uint8)
+    write_npz_xyz(tmp_path / "a.npz", Scan(wall.geometry, wall.ranges, wall.intensity, color=color))
     scan = read_npz(tmp_path / "a.npz")
     np.testing.assert_allclose(scan.points, wall.points, atol=1e-6)
-    np.testing.assert_array_equal(scan.color, colour)
+    np.testing.assert_array_equal(scan.color, color)
     # Cells without a return have a ray too, close to the scanner's direction.
     assert np.abs(scan.rays - wall.rays).max() < 0.25 * 0.01
 

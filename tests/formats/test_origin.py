@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ladarreg_core.errors import ShapeError, UnderspecifiedError
-from ladarreg_core.formats.cloud import scan_of_cloud
 from ladarreg_core.formats.registry import read_scan
+from ladarreg_core.formats.scans.cloud import scan_of_cloud
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner import origin

@@ -11,7 +11,7 @@ import pytest
 
 from ladarreg_core.errors import FormatError, OptionError
 from ladarreg_core.formats import read_scan
-from ladarreg_core.formats.ouster_pcap import read_frame
+from ladarreg_core.formats.packets.ouster_pcap import read_frame
 
 _COLUMNS, _PER_PACKET = 32, 16
 _SHIFTS = [2, 0, -2, 0]

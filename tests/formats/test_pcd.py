@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ladarreg_core.errors import FormatError, LadarregError, ShapeError, UnderspecifiedError
-from ladarreg_core.formats.pcd import lzf_decompress, read_pcd
+from ladarreg_core.formats.scans.pcd import lzf_decompress, read_pcd
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grid_order import is_scan_grid, order_of, unit_rays

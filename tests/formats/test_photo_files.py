@@ -16,8 +16,8 @@ from PIL import Image
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, FormatError, OptionError, UnderspecifiedError
 from ladarreg_core.formats import describe, read_photo
-from ladarreg_core.formats.camera_file import write_camera
-from ladarreg_core.formats.exif import focal_from_exif, upright
+from ladarreg_core.formats.cameras.camera_file import write_camera
+from ladarreg_core.formats.photos.exif import focal_from_exif, upright
 
 WIDTH, HEIGHT = 60, 40
 

@@ -17,8 +17,8 @@ from ladarreg_core.foundations import opened_image
 from tests.formats.test_photo_files import save
 
 RAMP = np.linspace(0, 1, 48 * 64).reshape(48, 64)
-COLOURS = np.stack([RAMP, RAMP[::-1], RAMP[:, ::-1]], axis=-1)
-DEEP = np.rint(COLOURS * 65535).astype(np.uint16)
+COLORS = np.stack([RAMP, RAMP[::-1], RAMP[:, ::-1]], axis=-1)
+DEEP = np.rint(COLORS * 65535).astype(np.uint16)
 WARM = (18 + 18 * RAMP).astype(np.float32)  # a room and the people in it, deg C
 
 
@@ -29,7 +29,7 @@ def seed_files(folder: Path) -> list[Path]:
     tifffile.imwrite(folder / "planes.tif", np.moveaxis(DEEP, -1, 0), photometric="rgb", planarconfig="separate")
     tifffile.imwrite(folder / "kelvin.tif", WARM + np.float32(273.15))
     tifffile.imwrite(folder / "celsius.tif", WARM, description='{"unit": "Celsius"}')
-    Image.fromarray((COLOURS * 255).astype(np.uint8)).save(folder / "photo.avif", quality=90)
+    Image.fromarray((COLORS * 255).astype(np.uint8)).save(folder / "photo.avif", quality=90)
     return sorted(folder.iterdir())
 
 
@@ -40,7 +40,7 @@ def seed_files(folder: Path) -> list[Path]:
         {"compression": "deflate", "predictor": 2}, {"planarconfig": "separate"}, {"rowsperstrip": 7},
     ],
 )  # fmt: skip
-def test_colours_of_16_bits_are_read_whatever_their_layout(tmp_path: Path, how: dict[str, Any]) -> None:
+def test_colors_of_16_bits_are_read_whatever_their_layout(tmp_path: Path, how: dict[str, Any]) -> None:
     values = np.moveaxis(DEEP, -1, 0) if "planarconfig" in how else DEEP
     tifffile.imwrite(tmp_path / "a.tif", values, photometric="rgb", **how)
     photo = read_photo(tmp_path / "a.tif", focal_px=60)
@@ -111,7 +111,7 @@ def test_a_strip_that_holds_more_than_it_may_is_refused(tmp_path: Path) -> None:
 
 
 def test_avif_and_cmyk_jpeg(tmp_path: Path) -> None:
-    smooth = (COLOURS * 255).astype(np.uint8)
+    smooth = (COLORS * 255).astype(np.uint8)
     Image.fromarray(smooth).save(tmp_path / "a.avif", quality=95)
     assert recognise(tmp_path / "a.avif").kind == "photo"
     assert np.abs(read_photo(tmp_path / "a.avif", focal_px=60).pixels.astype(int) - smooth).mean() < 4
@@ -155,7 +155,7 @@ def test_the_unit_of_temperatures_is_read_given_or_asked_for(tmp_path: Path) -> 
 
 
 def test_a_radiometric_jpeg_is_not_taken_for_a_photograph(tmp_path: Path) -> None:
-    Image.fromarray((COLOURS * 255).astype(np.uint8)).save(tmp_path / "a.jpg")
+    Image.fromarray((COLORS * 255).astype(np.uint8)).save(tmp_path / "a.jpg")
     data = (tmp_path / "a.jpg").read_bytes()
     marked = data[:2] + b"\xff\xe1" + struct.pack(">H", 2 + 40) + b"FLIR\0\1\0\0".ljust(40, b"\0") + data[2:]
     (tmp_path / "a.jpg").write_bytes(marked)
@@ -165,7 +165,7 @@ def test_a_radiometric_jpeg_is_not_taken_for_a_photograph(tmp_path: Path) -> Non
 
 
 def test_focal_lengths_of_cameras_with_lenses(tmp_path: Path) -> None:
-    pixels = (COLOURS * 255).astype(np.uint8)
+    pixels = (COLORS * 255).astype(np.uint8)
     path = save(tmp_path / "a.jpg", pixels, focal=24.0)
     with pytest.raises(CameraError, match=r"24 mm .*`sensor_mm`"):
         read_photo(path)

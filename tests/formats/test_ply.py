@@ -10,7 +10,7 @@ import pytest
 
 from ladarreg_core.errors import FormatError, LadarregError, ShapeError
 from ladarreg_core.formats import describe, read_scan, recognise
-from ladarreg_core.formats.ply import read_ply
+from ladarreg_core.formats.scans.ply import read_ply
 from ladarreg_core.scan import Scan
 from testing.files.small_scans import make_scan
 
@@ -137,10 +137,10 @@ def test_large_coordinates_keep_their_digits(tmp_path: Path, wall: Scan) -> None
 
 def test_our_own_cloud_is_read_back(tmp_path: Path, wall: Scan) -> None:
     from ladarreg_core.camera import Camera
-    from ladarreg_core.export.ply import write_ply
+    from ladarreg_core.export.models.ply import write_ply
     from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
     from ladarreg_core.photo import Photo
-    from ladarreg_core.surface.texture import texture_scan
+    from ladarreg_core.surface.texture.registered_texture import texture_scan
 
     photo = Photo(np.full((40, 60, 3), 77, np.uint8), Camera.from_focal(60, 40, 60.0))
     pose = Rigid(CAMERA_AXES_FROM_SCANNER, np.zeros(3))
@@ -149,7 +149,7 @@ def test_our_own_cloud_is_read_back(tmp_path: Path, wall: Scan) -> None:
 
 
 @pytest.mark.parametrize(("dtype", "largest"), [("u1", 255), ("u2", 65535), ("f4", 1.0)])
-def test_colours_of_any_depth(tmp_path: Path, wall: Scan, dtype: str, largest: float) -> None:
+def test_colors_of_any_depth(tmp_path: Path, wall: Scan, dtype: str, largest: float) -> None:
     columns = cloud(wall)
     share = np.linspace(0, 1, len(columns["x"]))
     for name in ("red", "green", "blue"):

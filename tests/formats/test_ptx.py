@@ -9,7 +9,7 @@ import pytest
 
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
 from ladarreg_core.formats import describe, listed_kind, read_scan, recognise
-from ladarreg_core.formats.ptx import ptx_blocks, read_ptx
+from ladarreg_core.formats.scans.ptx import ptx_blocks, read_ptx
 from ladarreg_core.scan import Scan
 from testing.files.small_scans import make_scan
 
@@ -130,7 +130,7 @@ def test_registration_lines_left_at_zero_do_not_matter(tmp_path: Path, wall: Sca
     np.testing.assert_allclose(scan.world_from_scanner.matrix, STATION, atol=1e-9)
 
 
-def test_colours_alone_are_refused_or_taken_by_their_luminance(tmp_path: Path, wall: Scan) -> None:
+def test_colors_alone_are_refused_or_taken_by_their_luminance(tmp_path: Path, wall: Scan) -> None:
     head, rows = block(wall).splitlines()[:10], block(wall).splitlines()[10:]
     cells = [row.split() for row in rows]
     rgb = [" ".join(c[:3] + (c[4:] or ["0", "0", "0"])) for c in cells]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ladarreg_core.formats import describe, extract_images, read_photo, read_scan
-from ladarreg_core.formats.pose_file import read_pose
+from ladarreg_core.formats.documents.pose_file import read_pose
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import PinholeGrid
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import ladarreg_core as lr
 from ladarreg_core.errors import FormatError, LadarregError
-from ladarreg_core.formats.rig_file import read_rig_table
+from ladarreg_core.formats.documents.rig_file import read_rig_table
 from testing.files.small_scans import make_scan, pcd_bytes
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.formats import describe, read_scan
-from ladarreg_core.formats.scan_request import ScanRequest
+from ladarreg_core.formats.scans.scan_request import ScanRequest
 from ladarreg_core.simulate.sample import sample_folder
 
 

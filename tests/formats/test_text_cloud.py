@@ -125,7 +125,7 @@ def test_large_coordinates_keep_their_digits(tmp_path: Path, wall: Scan) -> None
     assert scan.world_from_scanner is not None
 
 
-def test_colours_alone_need_to_be_asked_for(tmp_path: Path, wall: Scan) -> None:
+def test_colors_alone_need_to_be_asked_for(tmp_path: Path, wall: Scan) -> None:
     text = "\n".join(" ".join([*r.split()[:3], *r.split()[4:]]) for r in rows(wall).splitlines())
     path = write(tmp_path / "a.pts", f"{int(wall.valid.sum())}\n{text}")
     with pytest.raises(FormatError, match="`intensity='luma'`"):

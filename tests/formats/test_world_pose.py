@@ -13,8 +13,8 @@ import pytest
 from ladarreg_core.errors import FormatError, LadarregError, ShapeError
 from ladarreg_core.export.json import registration_document
 from ladarreg_core.formats import describe, read_scan
-from ladarreg_core.formats.npz import write_npz_xyz
-from ladarreg_core.formats.pose_file import read_initial, write_pose
+from ladarreg_core.formats.documents.pose_file import read_initial, write_pose
+from ladarreg_core.formats.scans.npz import write_npz_xyz
 from ladarreg_core.frames import Rigid, describe_direction, describe_position
 from ladarreg_core.scan import Scan
 from testing.scenes.small_registration import sample_registration

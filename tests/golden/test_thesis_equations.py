@@ -1,6 +1,6 @@
 """The thesis's equations as printed and their errors, each with the number that shows it.
 
-Source: thesis 2.2.1, 2.4.1, 2.4.2 and 3.1; the corrections are those of `ladarreg_core.pose.thesis.stereo`
+Source: thesis 2.2.1, 2.4.1, 2.4.2 and 3.1; the corrections are those of `ladarreg_core.thesis.estimators.stereo`
 and `ladarreg_core.frames`.
 """
 
@@ -12,8 +12,8 @@ import pytest
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_about
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.thesis.linear import linear_pose
-from ladarreg_core.pose.thesis.stereo import (
+from ladarreg_core.thesis.estimators.linear import linear_pose
+from ladarreg_core.thesis.estimators.stereo import (
     STEREO_AXES_FROM_SCANNER,
     StereoPairs,
     equal_baseline,
@@ -119,7 +119,7 @@ def test_y_up_on_one_side_is_a_left_handed_map():
 
     pairs = StereoPairs.of(apple_matches(), LENS)
     T = APPLE_TRUTH
-    x, y = rectify(pairs.colour[0], pairs.colour[1], alpha=T.alpha, beta=T.beta, gamma=T.gamma)
+    x, y = rectify(pairs.color[0], pairs.color[1], alpha=T.alpha, beta=T.beta, gamma=T.gamma)
     turn, baseline = equal_baselines_rotation(T.Tx, T.Ty), equal_baseline(T.Tx, T.Ty)
     for sign, exact in ((1, True), (-1, False)):
         laser = rotate_coordinates(pairs.laser[0], sign * pairs.laser[1], turn)

@@ -17,14 +17,14 @@ DEPTH = Camera(
     640, 576, 504.6076, 504.7325, 332.7811, 348.8297,
     (0.547940, -0.0209714, 2.0557543e-05, -7.210416e-05, -0.00265223, 0.88967907, 0.08613021, -0.01391038),
 )  # fmt: skip
-COLOUR = Camera(
+COLOR = Camera(
     1280, 720, 611.7953, 611.9270, 639.3043, 365.8529,
     (0.33012131, -2.48939657, -1.6178245e-04, -1.2944525e-04, 1.45367086, 0.20891208, -2.30291510, 1.37512755),
 )  # fmt: skip
 IDEAL = Camera(768, 512, 974.0, 970.0, 383.5, 255.5)
 MILD = Camera(1920, 1200, 1450.0, 1452.0, 960.2, 611.9, (-0.11, 0.08, 0.0007, -0.0004))
 FIVE = Camera(1024, 768, 700.0, 705.0, 520.0, 380.0, (-0.28, 0.12, -0.001, 0.0005, -0.03))
-CAMERAS = {"ideal": IDEAL, "four": MILD, "five": FIVE, "depth": DEPTH, "colour": COLOUR}
+CAMERAS = {"ideal": IDEAL, "four": MILD, "five": FIVE, "depth": DEPTH, "colour": COLOR}
 cameras = pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
 
 

@@ -17,8 +17,8 @@ from ladarreg_core.errors import LadarregError
 from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.pose.thesis.stereo_simplex import SimplexOptions
 from ladarreg_core.results import PoseResult
+from ladarreg_core.thesis.estimators.stereo_simplex import SimplexOptions
 from testing.scenes.pose_case import difference
 from testing.scenes.room import ROOM_CAMERA, room_case
 
@@ -65,7 +65,7 @@ SOUND: dict[str, Any] = {
     "sigma_range_m": None, "initial": None, "method": "robust",
 }  # fmt: skip
 STATED_PX, STATED_M = 1.0, 0.015
-MOST_SIGMAS = 7.0
+MAX_SIGMAS = 7.0
 
 
 @dataclass(frozen=True)
@@ -321,14 +321,14 @@ def right(result: PoseResult, problem: Problem) -> None:
     step = difference(problem.pose, result.camera_from_scanner)
     angle, position = np.linalg.norm(step[:3]), np.linalg.norm(step[3:])
     sigmas_off = angle / (result.sigma_angle_rad + 1e-6), position / (result.sigma_position_m + 1e-6)
-    assert max(sigmas_off) < MOST_SIGMAS, (problem.labels, sigmas_off, result.reasons)
+    assert max(sigmas_off) < MAX_SIGMAS, (problem.labels, sigmas_off, result.reasons)
     well_determined = result.sigma_position_m < 0.02 * np.median(result.matches.ranges)
     if well_determined and (problem.options.sigma_range_m or 0) <= 3 * STATED_M:
         slack = result.covariance + np.diag([1e-6**2] * 6)
         sigmas = float(np.sqrt(step @ np.linalg.solve(slack, step)))
         # duplicates count as matches with independent noise
         copies = len(result.matches) / len(np.unique(result.matches.uv, axis=0))
-        assert sigmas < MOST_SIGMAS * np.sqrt(copies), (problem.labels, sigmas, result.reasons)
+        assert sigmas < MAX_SIGMAS * np.sqrt(copies), (problem.labels, sigmas, result.reasons)
 
 
 @given(problem=problems())

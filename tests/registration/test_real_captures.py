@@ -12,8 +12,8 @@ import ladarreg_core as lr
 from ladarreg_core.frames import look_along, rotation_from_rotvec
 from ladarreg_core.matching.auto import AutoOptions
 from ladarreg_core.quality.assessment import assess
-from ladarreg_core.registration import RegisterOptions
-from ladarreg_core.surface.render import render_scan_colors
+from ladarreg_core.registration.register import RegisterOptions
+from ladarreg_core.surface.visibility.render import render_scan_colors
 from testing.scenes.kept import kept
 
 pytestmark = pytest.mark.slow

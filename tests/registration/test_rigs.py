@@ -9,8 +9,8 @@ import pytest
 import ladarreg_core as lr
 from ladarreg_core.frames import Rigid
 from ladarreg_core.photo import Photo
-from ladarreg_core.rig.evidence import Jury, joint_alarm
-from ladarreg_core.rig.joint import JointPairs, PairViews
+from ladarreg_core.registration.rig.evidence import Jury, joint_alarm
+from ladarreg_core.registration.rig.joint import JointPairs, PairViews
 from ladarreg_core.simulate.outdoor_case import OutdoorCase, simulate_rig
 
 PLACES = 5

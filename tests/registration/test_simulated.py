@@ -8,7 +8,7 @@ import pytest
 import ladarreg_core as lr
 from benchmarks.trust import cases
 from ladarreg_core.frames import rotation_from_rotvec
-from ladarreg_core.registration import RegisterOptions
+from ladarreg_core.registration.register import RegisterOptions
 from ladarreg_core.simulate import SimulatedCase
 from testing.scenes.pose_case import difference
 from testing.scenes.simulated import simulated

@@ -12,15 +12,15 @@ from pathlib import Path
 import pytest
 from ladarreg.session.session import Session
 
-from ladarreg_core.acquisition.earlier_run import begin_anew
-from ladarreg_core.atomic_write import files_below, make_folder, replaced_file, write_bytes
+from ladarreg_core.acquisition.runs.earlier_run import begin_anew
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.folder import write_folder
-from ladarreg_core.export.replacement import folder_content
-from ladarreg_core.manifest import write_manifest
+from ladarreg_core.export.targets.folder import write_folder
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import Source
 from ladarreg_core.project.history import NOBODY
+from ladarreg_core.storage.atomic_write import files_below, make_folder, replaced_file, write_bytes
+from ladarreg_core.storage.manifest import write_manifest
+from ladarreg_core.storage.replacement import folder_content
 from testing.attacks.drawing import begin
 
 POSIX = pytest.mark.skipif(os.name == "nt", reason="folders cannot be synchronised there")
@@ -59,7 +59,7 @@ def test_results_whose_name_is_not_on_disk_do_not_replace_the_old_ones(
     write_folder(tmp_path / "out", lambda: results("old"))
     inode = tmp_path.stat().st_ino
     if not exchanged:
-        monkeypatch.setattr("ladarreg_core.export.staging._exchange", lambda first, second: False)
+        monkeypatch.setattr("ladarreg_core.storage.staging._exchange", lambda first, second: False)
     with monkeypatch.context() as patch:
         refusing(patch, lambda status: status.st_ino == inode, errno.EIO)
         with pytest.raises(ExportError, match="input/output error"):

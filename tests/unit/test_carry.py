@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import ladarreg_core as lr
-from ladarreg_core.carry import carry_over
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
 from ladarreg_core.export.json import registration_document
-from ladarreg_core.formats.registration_file import read_offset, read_registration
+from ladarreg_core.formats.documents.registration_file import read_offset, read_registration
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
+from ladarreg_core.registration.carry import carry_over
 from ladarreg_core.results import Offset, Registration
 from tests.properties.strategies import poses
 

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from ladarreg_core.arrays import read_only
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import LadarregError, OptionError, ShapeError
+from ladarreg_core.foundations.arrays import read_only
 from ladarreg_core.frames import Rigid, ThesisParameters, rotation_from_rotvec
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.photo import Photo

@@ -66,7 +66,7 @@ def test_matches_of_ones_own(files: SimpleNamespace, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_las_file_is_coloured(files: SimpleNamespace, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_las_file_is_colored(files: SimpleNamespace, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     case = files.case
     away = np.array([100.0, 200.0, 10.0])
     points = case.scan.thinned_points(3).reshape(-1, 3).astype(np.float64)

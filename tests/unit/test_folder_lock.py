@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 
 from ladarreg_core.errors import ExportError
-from ladarreg_core.folder_lock import FolderLock
 from ladarreg_core.project.document import Document
-from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import History
+from ladarreg_core.project.storage.folder import ProjectFolder
+from ladarreg_core.storage.folder_lock import FolderLock
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="locks are others there")
 WHEN = "2026-01-02T03:04:05Z"

@@ -4,7 +4,13 @@ import math
 
 import pytest
 
-from ladarreg_core.formatting import format_angle, format_length, format_number, format_percent, format_pixels
+from ladarreg_core.foundations.formatting import (
+    format_angle,
+    format_length,
+    format_number,
+    format_percent,
+    format_pixels,
+)
 
 
 @pytest.mark.parametrize(

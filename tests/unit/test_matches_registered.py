@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import ladarreg_core as lr
-from benchmarks.snapping_lines import DrawnScene, drawn_scene
+from benchmarks.page.snapping_lines import DrawnScene, drawn_scene
 from ladarreg_core.errors import OptionError
 from ladarreg_core.matches import Pick
-from ladarreg_core.registration import MatchesRegistered, register_matches
+from ladarreg_core.registration.register import MatchesRegistered, register_matches
 
 SHELF_PX = 14.0
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from ladarreg_core.errors import ExportError, FormatError
-from ladarreg_core.manifest import MANIFEST_FILE, read_manifest, write_manifest
-from ladarreg_core.moved_together import MOVES_FILE, finish_moves, is_unfinished, replace_together
+from ladarreg_core.storage.manifest import MANIFEST_FILE, read_manifest, write_manifest
+from ladarreg_core.storage.moved_together import MOVES_FILE, finish_moves, is_unfinished, replace_together
 
 NAMES = ("a.json", "b.png")
 MOVES = 6  # both files and the manifest, away and into

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ladarreg_core import palette
-from ladarreg_core.surface.texture import Label
+from ladarreg_core.foundations import palette
+from ladarreg_core.surface.texture.registered_texture import Label
 
 TOKENS = (Path(__file__).resolve().parents[2] / "static" / "tokens.css").read_text(encoding="utf-8")
 LOOK = ("background", "panel", "line", "ink", "dim", "accent", "ok", "ok-ground", "warn", "warn-ground", "bad")
@@ -23,14 +23,14 @@ def dark_token(name: str) -> str:
     return found[1]
 
 
-def lightness(colour: palette.Colour) -> float:
+def lightness(color: palette.Color) -> float:
     """Return the relative luminance of WCAG, 0 to 1."""
-    c = np.array(colour) / 255
+    c = np.array(color) / 255
     linear = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
     return float(linear @ (0.2126, 0.7152, 0.0722))
 
 
-def contrast(a: palette.Colour, b: palette.Colour) -> float:
+def contrast(a: palette.Color, b: palette.Color) -> float:
     """Return the contrast ratio of WCAG."""
     low, high = sorted((lightness(a), lightness(b)))
     return (high + 0.05) / (low + 0.05)
@@ -41,8 +41,8 @@ def test_the_look_is_that_of_the_page(name: str) -> None:
     assert palette.as_css(getattr(palette, name.upper().replace("-", "_"))) == dark_token(name)
 
 
-def test_matches_have_the_colours_of_the_page() -> None:
-    assert [palette.as_css(colour) for colour in palette.MATCHES] == [
+def test_matches_have_the_colors_of_the_page() -> None:
+    assert [palette.as_css(color) for color in palette.MATCHES] == [
         dark_token(f"match-{k + 1}") for k in range(len(palette.MATCHES))
     ]
     assert f"--lr-match-{len(palette.MATCHES) + 1}" not in TOKENS
@@ -54,7 +54,7 @@ def test_text_is_legible_on_its_ground() -> None:
     assert contrast(palette.BAD, palette.BAD_GROUND) > 4.5
 
 
-def test_every_visibility_class_has_a_colour_of_its_own() -> None:
+def test_every_visibility_class_has_a_color_of_its_own() -> None:
     assert len(palette.VISIBILITY) == len(Label)
     for a, b in combinations(palette.VISIBILITY, 2):
         assert np.linalg.norm(np.subtract(a, b)) > 60
@@ -62,12 +62,12 @@ def test_every_visibility_class_has_a_colour_of_its_own() -> None:
 
 
 def test_the_ramp_gets_lighter() -> None:
-    ramp = palette.ramp_colours(np.linspace(-0.5, 1.5, 65))
+    ramp = palette.ramp_colors(np.linspace(-0.5, 1.5, 65))
     assert ramp.shape == (65, 3)
     light = [lightness((int(r), int(g), int(b))) for r, g, b in ramp]
     assert np.all(np.diff(light) >= 0)
     assert light[-1] > 20 * light[0]
-    np.testing.assert_array_equal(palette.ramp_colours(np.ones((2, 3)))[1, 2], ramp[-1])
+    np.testing.assert_array_equal(palette.ramp_colors(np.ones((2, 3)))[1, 2], ramp[-1])
 
 
 def test_cells_are_painted_and_the_others_stay() -> None:

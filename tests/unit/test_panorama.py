@@ -11,14 +11,14 @@ import pytest
 from ladarreg.cli import main
 from PIL import Image
 
-from ladarreg_core.acquisition.closure import Closure
+from ladarreg_core.acquisition.composition.panorama import compose, mount_of_text, write_panorama
 from ladarreg_core.acquisition.mount_fields import mount_as_fields, mount_from_fields
+from ladarreg_core.acquisition.runs.closure import Closure
 from ladarreg_core.errors import ExportError, FormatError, LadarregError, OptionError
-from ladarreg_core.export.images import write_provenance_png
+from ladarreg_core.export.pictures.images import write_provenance_png
 from ladarreg_core.formats import read_scan
-from ladarreg_core.formats.npz import write_npz_xyz
-from ladarreg_core.palette import distinct_colours
-from ladarreg_core.panorama import compose, mount_of_text, write_panorama
+from ladarreg_core.formats.scans.npz import write_npz_xyz
+from ladarreg_core.foundations.palette import distinct_colors
 from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid
 from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
 from testing.scenes.box_room import distances, off_surface
@@ -124,15 +124,15 @@ def test_the_picture_of_the_pieces_says_which_one_each_cell_is_from(run: Path, t
     assert not shown[made.piece_of_cell < 0].any()
 
 
-def test_a_picture_of_more_pieces_than_a_palette_holds_shows_their_colours(tmp_path: Path) -> None:
+def test_a_picture_of_more_pieces_than_a_palette_holds_shows_their_colors(tmp_path: Path) -> None:
     numbers = np.arange(-1, 3999, dtype=np.int16).reshape(40, 100)
-    colours = distinct_colours(3999)
-    write_provenance_png(tmp_path / "provenance.png", numbers, colours)
+    colors = distinct_colors(3999)
+    write_provenance_png(tmp_path / "provenance.png", numbers, colors)
     with Image.open(tmp_path / "provenance.png") as image:
         shown = np.asarray(image).reshape(-1, 3)
     assert not shown[0].any()
-    np.testing.assert_array_equal(shown[1:], colours)
-    assert len({colour.tobytes() for colour in colours} | {b"\0\0\0"}) == 4000
+    np.testing.assert_array_equal(shown[1:], colors)
+    assert len({color.tobytes() for color in colors} | {b"\0\0\0"}) == 4000
 
 
 def test_reading_gives_back_what_was_written(run: Path, tmp_path: Path) -> None:

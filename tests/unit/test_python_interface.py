@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 import ladarreg_core as lr
 from ladarreg_core.errors import OptionError, ShapeError, UnderspecifiedError
-from ladarreg_core.formats.registration_file import read_registration
+from ladarreg_core.formats.documents.registration_file import read_registration
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.simulate import SimulatedCase
 from testing.scenes.simulated import simulated

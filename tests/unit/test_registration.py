@@ -21,9 +21,9 @@ from ladarreg.messages import matches as matches_line
 
 import ladarreg_core as lr
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
-from ladarreg_core.export.folder import export_registration
+from ladarreg_core.export.targets.folder import export_registration
 from ladarreg_core.formats import describe
-from ladarreg_core.formats.registration_file import read_registration
+from ladarreg_core.formats.documents.registration_file import read_registration
 from ladarreg_core.frames import rotation_from_rotvec
 from ladarreg_core.inspection.figures import parameters
 from ladarreg_core.picks.measure import matches_from_picks

@@ -13,10 +13,10 @@ from PIL import Image
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import ExportError, FormatError, OptionError, UnderspecifiedError
-from ladarreg_core.export.folder import export_registration
+from ladarreg_core.export.targets.folder import export_registration
 from ladarreg_core.export.targets.pipeline import export_to
 from ladarreg_core.formats import read_photo, read_scan
-from ladarreg_core.saved_results import SavedResult, read_saved_result, recorded_options, registered_scan
+from ladarreg_core.outputs.saved_results import SavedResult, read_saved_result, recorded_options, registered_scan
 from testing.files.rewritten import rewrite
 from testing.scenes.small_registration import sample_photo, sample_registration, sample_scan
 from tests.formats.test_ptx import block

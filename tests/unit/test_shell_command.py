@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ladarreg_core.shell_command import shell_command
+from ladarreg_core.foundations.shell_command import shell_command
 
 _NAMES = st.text(st.characters(exclude_characters="\0", exclude_categories=("Cs",)), max_size=30)
 

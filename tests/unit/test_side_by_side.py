@@ -10,7 +10,7 @@ from functools import partial
 import cv2
 import pytest
 
-from ladarreg_core.side_by_side import OtherCore, made_once, one_thread, side_by_side
+from ladarreg_core.foundations.parallel import OtherCore, made_once, one_thread, side_by_side
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 20])
@@ -52,7 +52,7 @@ def leaving(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
             event.set()
             super().shutdown(wait=wait)
 
-    monkeypatch.setattr("ladarreg_core.side_by_side.ThreadPoolExecutor", Pool)
+    monkeypatch.setattr("ladarreg_core.foundations.parallel.ThreadPoolExecutor", Pool)
     return event
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ladarreg_core.errors import CameraError, LadarregError, OptionError
-from ladarreg_core.validation import (
+from ladarreg_core.foundations.validation import (
     LARGEST_INT,
     require_choice,
     require_int,

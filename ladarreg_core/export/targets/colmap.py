@@ -10,20 +10,20 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, axial_pinhole
-from ladarreg_core.export.colmap_files import (
+from ladarreg_core.export.photo_files import WrittenPhoto, shown_names
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.targets.colmap_files import (
     ColmapModel,
     colmap_parameters,
     write_cameras,
     write_images,
     write_points,
 )
-from ladarreg_core.export.folder import FileJob
-from ladarreg_core.export.replacement import OFFSET_FILE
-from ladarreg_core.export.targets.photo_files import WrittenPhoto, shown_names
+from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.reconstruction import Reconstruction
-from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.progress import Report
+from ladarreg_core.storage.replacement import OFFSET_FILE
 
 _FILES: tuple[tuple[str, Callable[[Path, ColmapModel], None]], ...] = (
     ("cameras", write_cameras),

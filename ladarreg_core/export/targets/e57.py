@@ -14,17 +14,15 @@ import numpy as np
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import ExportError, FormatError, LadarregError
-from ladarreg_core.export.folder import FileJob
-from ladarreg_core.export.json import software_document
-from ladarreg_core.export.targets.e57_colours import (
-    COLOURS,
+from ladarreg_core.export.e57.colors import (
+    COLORS,
     PLAIN,
     PointPainter,
-    add_colour_fields,
-    colour_limits,
+    add_color_fields,
+    color_limits,
 )
-from ladarreg_core.export.targets.e57_new import write_new_scan
-from ladarreg_core.export.targets.e57_nodes import (
+from ladarreg_core.export.e57.new_file import write_new_scan
+from ladarreg_core.export.e57.nodes import (
     NOTE,
     declare_note,
     new_guid,
@@ -35,15 +33,17 @@ from ladarreg_core.export.targets.e57_nodes import (
     software_name,
     time_node,
 )
-from ladarreg_core.export.targets.e57_pictures import Picture, pictures
-from ladarreg_core.export.targets.e57_tree import E57Copy, Made, library, new_e57
-from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan, photo_id
+from ladarreg_core.export.e57.pictures import Picture, pictures
+from ladarreg_core.export.e57.tree import E57Copy, Made, library, new_e57
+from ladarreg_core.export.json import software_document
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan, photo_id
+from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.stations import StationScans, stations_e57_files, stations_e57_refusal
 from ladarreg_core.export.targets.target import ExportOptions
-from ladarreg_core.formats.e57_header import E57ScanInfo, contents_of, read_e57_info, sniff_e57
-from ladarreg_core.formats.e57_records import fields_of
-from ladarreg_core.formats.e57_tree import SIGNATURE, E57File, E57Node, open_e57
-from ladarreg_core.formats.untrusted import one_line, reading
+from ladarreg_core.formats.e57.header import E57ScanInfo, contents_of, read_e57_info, sniff_e57
+from ladarreg_core.formats.e57.records import fields_of
+from ladarreg_core.formats.e57.tree import SIGNATURE, E57File, E57Node, open_e57
+from ladarreg_core.formats.parsing.untrusted import one_line, reading
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
 
@@ -116,7 +116,7 @@ def _index(handed: RegisteredScan) -> int:
 
 
 def _write(path: Path, handed: RegisteredScan, report: Report | None) -> None:
-    handed.compute_colours(report)
+    handed.compute_colors(report)
     source = _source(handed)
     pictures_take = _PICTURE_WEIGHT * len(handed.photos)
     if source is None:
@@ -174,13 +174,13 @@ def _painted(scan: E57Node, file: Any, copy: E57Copy, painter: PointPainter) -> 
     def points(node: E57Node) -> Any:
         if channels is not None:
             return copy.records(node, fill=painter)
-        dropped = [field.name for field in fields_of(node) if field.name in COLOURS]
-        return copy.records(node, lambda made: add_colour_fields(made, file), painter, dropped)
+        dropped = [field.name for field in fields_of(node) if field.name in COLORS]
+        return copy.records(node, lambda made: add_color_fields(made, file), painter, dropped)
 
     if channels is not None and scan.child("colorLimits") is not None:
         return copy.structure(scan, {"points": points})
     made = copy.structure(scan, {"points": points, "colorLimits": None})
-    made.set("colorLimits", colour_limits(file, channels or (PLAIN,) * 3))
+    made.set("colorLimits", color_limits(file, channels or (PLAIN,) * 3))
     return made
 
 

@@ -13,9 +13,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from ladarreg_core.camera import CameraModel
-from ladarreg_core.export.folder import FileJob
-from ladarreg_core.export.targets.photo_files import on_one_line, text_writer, words_of
-from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.photo_files import on_one_line, text_writer, words_of
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Report

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.atomic_write import cannot_write
 from ladarreg_core.errors import DependencyError, ExportError
-from ladarreg_core.formats.las_records import point_dtype
-from ladarreg_core.version import VERSION
+from ladarreg_core.formats.scans.las_records import point_dtype
+from ladarreg_core.foundations.version import VERSION
+from ladarreg_core.storage.atomic_write import cannot_write
 
 _HEADER_BYTES = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
 _LEGACY_FORMATS = 6  # below it, counts of 32 bits and returns of 3

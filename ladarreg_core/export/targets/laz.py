@@ -14,15 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.export.folder import FileJob
 from ladarreg_core.export.json import write_document
+from ladarreg_core.export.registered_scan import RegisteredScan
+from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.las_file import LasWriter, extra_bytes_entry, extra_bytes_record, variable_record
-from ladarreg_core.export.targets.registered_scan import RegisteredScan
 from ladarreg_core.export.targets.target import ExportOptions
-from ladarreg_core.formats.las_header import sniff_las
-from ladarreg_core.formats.las_records import (
+from ladarreg_core.formats.scans.las_header import sniff_las
+from ladarreg_core.formats.scans.las_records import (
     EXTRA_BYTES_RECORD,
     GEOTIFF_RECORD,
     LASZIP_RECORD,
@@ -31,12 +30,13 @@ from ladarreg_core.formats.las_records import (
     extra_bytes_of,
     point_dtype,
 )
+from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.foundations.version import VERSION
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.best_photo import NO_PHOTO
-from ladarreg_core.surface.texture import Label, dimmed_gray, dimmed_levels
-from ladarreg_core.version import VERSION
+from ladarreg_core.surface.texture.best_photo import NO_PHOTO
+from ladarreg_core.surface.texture.registered_texture import Label, dimmed_gray, dimmed_levels
 
 EXTRA_BYTES = {
     "photo_id": ("<u2", "photograph, see legend; 0: none"),
@@ -45,13 +45,13 @@ EXTRA_BYTES = {
 }
 """Extra bytes that are added: type and description, at most 32 characters."""
 _CHUNK = 400_000  # eight chunks of LASzip
-_COLOURS = ("red", "green", "blue")
+_COLORS = ("red", "green", "blue")
 _SCALE_M = 1e-4
 _COARSER_SCALE_M = 1e-3
 _LARGEST_INTEGER = 2**31 - 1
 _OFFSET_ROUNDED_TO_M = 100.0
 _LEGACY = (0, 1, 2, 3)
-_WITH_COLOUR = {0: 2, 1: 3, 6: 7}
+_WITH_COLOR = {0: 2, 1: 3, 6: 7}
 _NEW_FORMATS = {0: 7, 1: 7, 2: 7, 3: 7, 6: 7, 7: 7, 8: 8}
 _USER = "ladarreg"
 _LARGEST_LEGEND = 60_000
@@ -81,7 +81,7 @@ def laz_files(handed: RegisteredScan, options: ExportOptions, report: Report | N
     cloud = _Returns(handed) if source is None else _Copy(handed, source)
 
     def write(path: Path) -> None:
-        handed.compute_colours(report)
+        handed.compute_colors(report)
         done, label = 0, f"writing {path.name}"
         if report is not None:
             report(Progress(done, cloud.count, label))
@@ -154,11 +154,11 @@ class _Copy:
         self.count = header.points
         self._old = header.point_format
         stays = stored.has(GEOTIFF_RECORD) and not stored.has(WKT_RECORD)
-        self._new = _WITH_COLOUR.get(self._old, self._old) if stays else _NEW_FORMATS[self._old]
+        self._new = _WITH_COLOR.get(self._old, self._old) if stays else _NEW_FORMATS[self._old]
         version = int(header.version.split(".")[1])
         self._minor = max(version, 2) if stays else 4
         self._has_wkt = not stays
-        self._has_colour = "red" in (point_dtype(self._old).names or ())
+        self._has_color = "red" in (point_dtype(self._old).names or ())
         extra = header.record_bytes - point_dtype(self._old).itemsize
         self._as_read = point_dtype(self._old, _opaque(extra))
         described = next((one.content for one in stored.records if one.key == EXTRA_BYTES_RECORD), b"")
@@ -173,7 +173,7 @@ class _Copy:
             handed,
             "the coordinates of the source file, unchanged",
             "the source file's, unchanged",
-            "that of the source file" if self._has_colour else "the dimmed laser intensity",
+            "that of the source file" if self._has_color else "the dimmed laser intensity",
             self._notes(stays),
         )
 
@@ -205,7 +205,7 @@ class _Copy:
 
     def chunks(self) -> Iterator[NDArray[Any]]:
         """Yield the points with their colours."""
-        colourer, scan, header = self._handed.point_colourer(), self._handed.scan, self._stored.header
+        colorer, scan, header = self._handed.point_colorer(), self._handed.scan, self._stored.header
         pose, scale = scan.world_from_scanner or Rigid.identity(), np.array(header.scale)
         moved = np.array(header.offset) - pose.translation  # small, and exact
         levels = dimmed_levels(scan)
@@ -216,17 +216,17 @@ class _Copy:
             points = np.stack([old[axis] for axis in "XYZ"], axis=-1) * scale + moved
             if not np.array_equal(pose.rotation, np.eye(3)):
                 points = points @ pose.rotation
-            found = colourer.colours_of(points)
+            found = colorer.colors_of(points)
             shown = found.photo != NO_PHOTO
-            if not self._has_colour:
+            if not self._has_color:
                 gray = dimmed_gray(old["intensity"].astype(np.float32), levels) * _SIXTEEN_BITS
             elif not factor:
-                brightest = max(int(old[name].max()) for name in _COLOURS)
+                brightest = max(int(old[name].max()) for name in _COLORS)
                 # Many writers store 8 bits in the 16 of the standard: in one file they would be black beside ours.
                 factor = 0 if brightest == 0 else int(_SIXTEEN_BITS) if brightest < 256 else 1
-            for k, name in enumerate(_COLOURS):
-                before = old[name] * np.uint16(factor) if self._has_colour else gray
-                made[name] = np.where(shown, found.colour[:, k] * _SIXTEEN_BITS, before)
+            for k, name in enumerate(_COLORS):
+                before = old[name] * np.uint16(factor) if self._has_color else gray
+                made[name] = np.where(shown, found.color[:, k] * _SIXTEEN_BITS, before)
             made[self._names["photo_id"]] = np.where(shown, found.photo + np.uint16(1), 0)
             made[self._names["label"]], made[self._names["sigma_px"]] = found.labels, found.sigma_px
             yield made
@@ -317,7 +317,7 @@ class _Returns:
 
     def chunks(self) -> Iterator[NDArray[Any]]:
         """Yield the points with their colours."""
-        scan, colours = self._handed.scan, self._handed.colours
+        scan, colors = self._handed.scan, self._handed.colors
         levels = dimmed_levels(scan)
         rows_at_once = max(1, _CHUNK // scan.shape[1])
         for first in range(0, scan.shape[0], rows_at_once):
@@ -331,16 +331,16 @@ class _Returns:
             intensity = scan.intensity[rows][valid]
             made["intensity"] = self._intensity.written(intensity)
             made["returns"] = 1 | 1 << 4  # the first of one
-            photo, rgb = colours.photo[rows][valid], colours.image[rows][valid]
+            photo, rgb = colors.photo[rows][valid], colors.image[rows][valid]
             shown = photo != NO_PHOTO
             if scan.color is None:
                 before = np.broadcast_to(dimmed_gray(intensity, levels)[:, None], rgb.shape)
             else:
                 before = scan.color[rows][valid]
-            for k, name in enumerate(_COLOURS):
+            for k, name in enumerate(_COLORS):
                 made[name] = np.where(shown, rgb[:, k], before[:, k]) * _SIXTEEN_BITS
             made["photo_id"] = np.where(shown, photo + np.uint16(1), 0)
-            made["label"], made["sigma_px"] = colours.labels[rows][valid], colours.sigma_px[rows][valid]
+            made["label"], made["sigma_px"] = colors.labels[rows][valid], colors.sigma_px[rows][valid]
             yield made
 
 

@@ -7,14 +7,14 @@ from pathlib import Path
 from weakref import WeakKeyDictionary
 
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.folder import FileJob
-from ladarreg_core.export.glb import write_model_glb
-from ladarreg_core.export.obj import texture_names, write_materials, write_obj, write_texture
-from ladarreg_core.export.replacement import OFFSET_FILE
-from ladarreg_core.export.targets.registered_scan import RegisteredScan
+from ladarreg_core.export.models.glb import write_model_glb
+from ladarreg_core.export.models.obj import texture_names, write_materials, write_obj, write_texture
+from ladarreg_core.export.registered_scan import RegisteredScan
+from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.progress import Report
-from ladarreg_core.surface.photo_model import ModelPhoto, PhotoModel, photo_model
+from ladarreg_core.storage.replacement import OFFSET_FILE
+from ladarreg_core.surface.texture.photo_model import ModelPhoto, PhotoModel, photo_model
 
 _MATERIALS = "model.mtl"
 _latest: WeakKeyDictionary[RegisteredScan, tuple[ExportOptions, PhotoModel]] = WeakKeyDictionary()
@@ -29,13 +29,13 @@ def model_of(handed: RegisteredScan, options: ExportOptions, report: Report | No
     known = _latest.get(handed)
     if known is not None and known[0] == options:
         return known[1]
-    handed.compute_colours(report)
+    handed.compute_colors(report)
     photos = [
         ModelPhoto(one.photo.pixels, one.camera, one.camera_from_scanner, labels)
         for one, labels in zip(handed.photos, handed.photo_labels, strict=True)
     ]
     model = photo_model(
-        handed.scan, photos, handed.colours.photo, full=options.full, crop=options.crop == "photo", report=report
+        handed.scan, photos, handed.colors.photo, full=options.full, crop=options.crop == "photo", report=report
     )
     if not model.parts:
         raise ExportError(

@@ -20,28 +20,28 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.atomic_write import cannot_write, write_chunks
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera
 from ladarreg_core.camera.equirectangular import FULL_WINDOW
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.colmap_files import colmap_parameters
-from ladarreg_core.export.folder import FileJob
 from ladarreg_core.export.json import write_document
-from ladarreg_core.export.replacement import OFFSET_FILE
+from ladarreg_core.export.photo_files import WrittenPhoto, on_one_line
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.colmap import model_files
-from ladarreg_core.export.targets.photo_files import WrittenPhoto, on_one_line
+from ladarreg_core.export.targets.colmap_files import colmap_parameters
+from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.reconstruction import Reconstruction
-from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.progress import Progress, Report
-from ladarreg_core.surface.depth_map import depth_map
+from ladarreg_core.storage.atomic_write import cannot_write, write_chunks
+from ladarreg_core.storage.replacement import OFFSET_FILE
+from ladarreg_core.surface.visibility.depth_map import depth_map
 
 _MODELS = {"pinhole": "OPENCV", "fisheye": "OPENCV_FISHEYE", "equirectangular": "EQUIRECTANGULAR"}
 _TERMS = 5
 _OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 _STEPS_M = (1.0, 2.0, 5.0)
 _FINEST_STEP_M = 0.001  # nerfstudio's default
-_MOST_STEPS = 65_535
+_MAX_STEPS = 65_535
 _ROWS_AT_ONCE = 256
 _BESIDE_PICTURE_PX = 64
 _CLOUD = "sparse_pc.ply"
@@ -168,7 +168,7 @@ class _DepthMaps:
         farthest = max(self._farthest(each.one) for each in self._written)
         step = _FINEST_STEP_M
         k = 0
-        while farthest > step * _MOST_STEPS:
+        while farthest > step * _MAX_STEPS:
             k += 1
             step = _FINEST_STEP_M * _STEPS_M[k % 3] * 10 ** (k // 3)
         return step
@@ -206,7 +206,7 @@ class _DepthMaps:
         values = np.empty(depth.shape, np.uint16)
         for first in range(0, len(depth), _ROWS_AT_ONCE):
             steps = np.rint(depth[first : first + _ROWS_AT_ONCE] / np.float32(step))
-            values[first : first + _ROWS_AT_ONCE] = np.where(steps <= _MOST_STEPS, steps, 0)
+            values[first : first + _ROWS_AT_ONCE] = np.where(steps <= _MAX_STEPS, steps, 0)
         _write_png(path, values)
 
     def _write_metres(self, path: Path, index: int) -> None:
@@ -247,5 +247,5 @@ def _cloud(handed: RegisteredScan, reconstruction: Reconstruction) -> Iterator[b
     yield "\n".join(header).encode("ascii")
     vertices = np.empty(len(model.points), _VERTEX)
     for k, name in enumerate(_VERTEX.names or ()):
-        vertices[name] = model.points[:, k] if k < 3 else model.colours[:, k - 3]
+        vertices[name] = model.points[:, k] if k < 3 else model.colors[:, k - 3]
     yield vertices.tobytes()

@@ -14,12 +14,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import EquirectangularCamera
-from ladarreg_core.export.folder import FileJob
-from ladarreg_core.export.targets.photo_files import shown_names, text_writer, words_of
-from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.photo_files import shown_names, text_writer, words_of
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import rotvec_from_rotation
 from ladarreg_core.progress import Report
 

@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.folder import MAX_CELLS_TOGETHER, FileJob, write_folder
 from ladarreg_core.export.json import input_document, software_document, write_result
-from ladarreg_core.export.replacement import EXPORT_FILE
-from ladarreg_core.export.targets.registered_scan import RegisteredScan
+from ladarreg_core.export.registered_scan import RegisteredScan
+from ladarreg_core.export.targets.folder import MAX_CELLS_TOGETHER, FileJob, write_folder
 from ladarreg_core.export.targets.registry import targets_of
 from ladarreg_core.export.targets.stations import StationScans
 from ladarreg_core.export.targets.target import ExportOptions, Target
 from ladarreg_core.progress import Report
+from ladarreg_core.storage.replacement import EXPORT_FILE
 
 Source = RegisteredScan | StationScans
 """What targets are written from."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from ladarreg_core.export.folder import FileJob
-from ladarreg_core.export.ply import write_ply
-from ladarreg_core.export.replacement import OFFSET_FILE
-from ladarreg_core.export.targets.registered_scan import RegisteredScan
+from ladarreg_core.export.models.ply import write_ply
+from ladarreg_core.export.registered_scan import RegisteredScan
+from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.progress import Report
+from ladarreg_core.storage.replacement import OFFSET_FILE
 
 
 def ply_files(handed: RegisteredScan, options: ExportOptions, report: Report | None) -> Sequence[FileJob]:
@@ -21,8 +21,8 @@ def ply_files(handed: RegisteredScan, options: ExportOptions, report: Report | N
     ]
 
     def write(path: Path) -> None:
-        handed.compute_colours(report)
-        write_ply(path, handed.scan, handed.colours, frame=handed.frame, comments=comments, report=report)
+        handed.compute_colors(report)
+        write_ply(path, handed.scan, handed.colors, frame=handed.frame, comments=comments, report=report)
 
     jobs: list[FileJob] = [("cloud.ply", write)]
     return jobs if handed.frame.name == "scanner" else [*jobs, (OFFSET_FILE, handed.frame.write)]

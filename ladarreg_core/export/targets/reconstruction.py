@@ -8,15 +8,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import CameraModel, FisheyeCamera
-from ladarreg_core.export.colmap_files import ColmapImage, ColmapModel
-from ladarreg_core.export.targets.photo_files import WrittenPhoto
-from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.photo_files import WrittenPhoto
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.targets.colmap_files import ColmapImage, ColmapModel
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.progress import Progress, Report
-from ladarreg_core.surface.texture import COLOURED, Label
+from ladarreg_core.surface.texture.registered_texture import COLORED, Label
 
-MOST_POINTS = 200_000
+MAX_POINTS = 200_000
 """Points at most, of all photographs together."""
 _POINTS_AT_ONCE = 1_000_000
 _ROUNDS = 8
@@ -42,9 +42,9 @@ class Reconstruction:
         The error of a point is the standard deviation of its pixel in the photograph that colours it, where the pose's
         covariance is known, otherwise 0: its pixels are projections of the laser's point and have no residuals.
         """
-        self._handed.compute_colours(self._report)
+        self._handed.compute_colors(self._report)
         seen = [self._seen(index) for index in range(len(self._photos))]
-        share = MOST_POINTS // max(1, len(self._photos))
+        share = MAX_POINTS // max(1, len(self._photos))
         kept = np.unique(np.concatenate([_thinned(cells, uv, share) for cells, uv in seen]))
         points = self._handed.frame.place(self._points(kept))
         images = []
@@ -55,10 +55,10 @@ class Reconstruction:
             uv = written.camera.project(pose @ points[among])
             inside = written.camera.contains(uv)
             images.append(ColmapImage(written.name, written.camera, pose, among[inside], uv[inside]))
-        colours = self._handed.colours
-        sigma = np.nan_to_num(colours.sigma_px.reshape(-1)[kept].astype(np.float64), nan=0.0, posinf=0.0)
+        colors = self._handed.colors
+        sigma = np.nan_to_num(colors.sigma_px.reshape(-1)[kept].astype(np.float64), nan=0.0, posinf=0.0)
         words = [line for written in self._photos for line in written.words(self._handed)]
-        return ColmapModel(images, points, colours.image.reshape(-1, 3)[kept], sigma, words)
+        return ColmapModel(images, points, colors.image.reshape(-1, 3)[kept], sigma, words)
 
     def _seen(self, index: int) -> tuple[NDArray[np.int64], FloatArray]:
         """Return the cells that a photograph sees, flat and ascending, and their pixels (N, 2) float32."""
@@ -68,7 +68,7 @@ class Reconstruction:
         labels = self._labels(written.one)
         cells = np.flatnonzero(labels == Label.SEEN)
         if not len(cells):
-            cells = np.flatnonzero(np.isin(labels, COLOURED))
+            cells = np.flatnonzero(np.isin(labels, COLORED))
         all_uv = []
         kept = []
         for first in range(0, len(cells), _POINTS_AT_ONCE):

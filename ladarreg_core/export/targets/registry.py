@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ladarreg_core.errors import OptionError
+from ladarreg_core.export.registered_scan import RegisteredScan
 from ladarreg_core.export.targets.colmap import colmap_files, colmap_refusal
 from ladarreg_core.export.targets.e57 import e57_files, e57_refusal
 from ladarreg_core.export.targets.kalibr import kalibr_files, kalibr_refusal
@@ -13,7 +14,6 @@ from ladarreg_core.export.targets.model import glb_files, obj_files
 from ladarreg_core.export.targets.nerfstudio import nerfstudio_files
 from ladarreg_core.export.targets.opencv import opencv_files, opencv_refusal
 from ladarreg_core.export.targets.ply import ply_files
-from ladarreg_core.export.targets.registered_scan import RegisteredScan
 from ladarreg_core.export.targets.report import report_files
 from ladarreg_core.export.targets.results import results_files
 from ladarreg_core.export.targets.ros import ros_files, ros_refusal

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from ladarreg_core.errors import FormatError
-from ladarreg_core.export.folder import FileJob
 from ladarreg_core.export.json import registration_document, write_result
-from ladarreg_core.export.report import write_report
-from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.report.page import write_report
+from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.progress import Report
-from ladarreg_core.surface.texture import RegisteredTexture
+from ladarreg_core.surface.texture.registered_texture import RegisteredTexture
 
 
 def report_files(handed: RegisteredScan, options: ExportOptions, report: Report | None) -> Sequence[FileJob]:

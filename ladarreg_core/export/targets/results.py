@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ladarreg_core.export.folder import FileJob, registration_files
-from ladarreg_core.export.replacement import MATCHES_FILE
-from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.targets.folder import FileJob, registration_files
 from ladarreg_core.export.targets.report import read_right
 from ladarreg_core.export.targets.target import ExportOptions
-from ladarreg_core.formats.matches_file import write_matches
+from ladarreg_core.formats.documents.matches_file import write_matches
 from ladarreg_core.matches import Pick
 from ladarreg_core.progress import Report
+from ladarreg_core.storage.replacement import MATCHES_FILE
 
 
 def results_files(handed: RegisteredScan, options: ExportOptions, report: Report | None) -> Sequence[FileJob]:

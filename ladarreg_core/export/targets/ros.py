@@ -15,13 +15,12 @@ from xml.sax.saxutils import escape
 import cv2
 import numpy as np
 
-from ladarreg_core.arrays import ByteArray, FloatArray
-from ladarreg_core.atomic_write import write_bytes, write_chunks
 from ladarreg_core.camera import Camera, EquirectangularCamera
-from ladarreg_core.export.folder import FileJob
-from ladarreg_core.export.mcap import TopicMessage, mcap_chunks
 from ladarreg_core.export.output_frame import OutputFrame
-from ladarreg_core.export.ros_messages import (
+from ladarreg_core.export.photo_files import on_one_line, text_writer, undistorted
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.ros.mcap import TopicMessage, mcap_chunks
+from ladarreg_core.export.ros.messages import (
     CLOUD_RECORD,
     StaticTransform,
     camera_info_message,
@@ -29,13 +28,14 @@ from ladarreg_core.export.ros_messages import (
     image_message,
     transforms_message,
 )
-from ladarreg_core.export.targets.photo_files import on_one_line, text_writer, undistorted
-from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions
+from ladarreg_core.foundations.arrays import ByteArray, FloatArray
+from ladarreg_core.foundations.shell_command import shell_command
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
-from ladarreg_core.shell_command import shell_command
-from ladarreg_core.surface.texture import dimmed_levels, model_rows
+from ladarreg_core.storage.atomic_write import write_bytes, write_chunks
+from ladarreg_core.surface.texture.registered_texture import dimmed_levels, model_rows
 
 SCANNER, MAP = "scanner", "map"
 _ROWS_AT_ONCE = 128
@@ -326,8 +326,8 @@ def _recording(
 
 
 def _points(handed: RegisteredScan, report: Report | None) -> Iterator[bytes]:
-    handed.compute_colours(report)
-    scan, texture, height = handed.scan, handed.colours.texture, handed.scan.shape[0]
+    handed.compute_colors(report)
+    scan, texture, height = handed.scan, handed.colors.texture, handed.scan.shape[0]
     levels = dimmed_levels(scan)
     for first in range(0, height, _ROWS_AT_ONCE):
         if report is not None:

@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from ladarreg_core.errors import DependencyError, ExportError
-from ladarreg_core.export.folder import FileJob
+from ladarreg_core.export.e57.new_file import append_scan, start_tree
+from ladarreg_core.export.e57.tree import library, new_e57
 from ladarreg_core.export.json import software_document, write_result
-from ladarreg_core.export.replacement import STATIONS_FILE
-from ladarreg_core.export.targets.e57_new import append_scan, start_tree
-from ladarreg_core.export.targets.e57_tree import library, new_e57
+from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions
-from ladarreg_core.formats.npz import write_npz_xyz
+from ladarreg_core.formats.scans.npz import write_npz_xyz
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
+from ladarreg_core.storage.replacement import STATIONS_FILE
 
 ScanReader = Callable[[], Scan]
 """Reads a scan: one is in memory at a time."""

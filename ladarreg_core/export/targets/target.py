@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
-from ladarreg_core.export.folder import FileJob
-from ladarreg_core.export.targets.registered_scan import RegisteredScan
+from ladarreg_core.export.registered_scan import RegisteredScan
+from ladarreg_core.export.targets.folder import FileJob
+from ladarreg_core.foundations.validation import require_choice, require_type
 from ladarreg_core.progress import Report
-from ladarreg_core.validation import require_choice, require_type
 
 Crop = Literal["none", "photo"]
 

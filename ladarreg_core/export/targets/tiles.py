@@ -14,17 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.atomic_write import write_bytes
-from ladarreg_core.export.folder import FileJob
-from ladarreg_core.export.glb_content import GlbContent
 from ladarreg_core.export.json import write_document
+from ladarreg_core.export.models.glb_content import GlbContent
+from ladarreg_core.export.pictures.texture_image import TextureImage, texture_image
+from ladarreg_core.export.registered_scan import RegisteredScan
+from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.model import model_of
-from ladarreg_core.export.targets.registered_scan import RegisteredScan
 from ladarreg_core.export.targets.target import ExportOptions
-from ladarreg_core.export.texture_image import TextureImage, texture_image
 from ladarreg_core.progress import Report
-from ladarreg_core.surface.model_part import ModelPart
-from ladarreg_core.surface.model_tree import ModelTile, ModelTree
+from ladarreg_core.storage.atomic_write import write_bytes
+from ladarreg_core.surface.mesh.model_part import ModelPart
+from ladarreg_core.surface.mesh.model_tree import ModelTile, ModelTree
 
 _PAD_M = 1e-6  # of boxes, for the rounding of their numbers
 # Viewers of 3D tiles turn glTF, which is Y up, to Z up: X to X, Y to Z, Z to -Y. The node of every GLB undoes that.

@@ -19,7 +19,6 @@ from contextlib import AbstractContextManager, suppress
 from typing import IO, Any, ParamSpec, TypeVar
 
 from ladarreg_core.errors import FormatError
-from ladarreg_core.formats.begun_read import BegunRead, reads_started_by
 from ladarreg_core.formats.isolated.readers import (
     FileState,
     ReaderLimits,
@@ -28,6 +27,7 @@ from ladarreg_core.formats.isolated.readers import (
     states_of,
     why_it_ended,
 )
+from ladarreg_core.formats.parsing.begun_read import BegunRead, reads_started_by
 from ladarreg_core.progress import Progress, Report
 
 P = ParamSpec("P")
@@ -149,7 +149,7 @@ def _answer(stream: IO[bytes], file: FileState, report: Report | None) -> dict[s
         FormatError: if it sends something else.
     """
     from ladarreg_core.formats.isolated.messages import MessageError, read_message
-    from ladarreg_core.formats.untrusted import one_line
+    from ladarreg_core.formats.parsing.untrusted import one_line
 
     while True:
         try:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.source import Source
+from ladarreg_core.foundations.source import Source
 
 _MARK = "#"
 _LENGTH_BYTES = 8

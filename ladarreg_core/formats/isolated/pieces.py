@@ -10,13 +10,13 @@ import io
 from typing import IO
 
 _LENGTH_BYTES = 4
-_MOST_BYTES = 1 << 20
+_MAX_BYTES = 1 << 20
 
 
 def write_piece(stream: IO[bytes], data: bytes | memoryview) -> None:
     """Write bytes as pieces, and flush; no bytes are the end of a turn."""
-    for at in range(0, max(1, len(data)), _MOST_BYTES):
-        part = data[at : at + _MOST_BYTES]
+    for at in range(0, max(1, len(data)), _MAX_BYTES):
+        part = data[at : at + _MAX_BYTES]
         stream.write(len(part).to_bytes(_LENGTH_BYTES, "little"))
         stream.write(part)
     stream.flush()
@@ -49,8 +49,8 @@ class Turn(io.RawIOBase):
             if len(length) < _LENGTH_BYTES:
                 raise EOFError("the other process has ended")
             self._left = int.from_bytes(length, "little")
-            if self._left > _MOST_BYTES:
-                raise ValueError(f"a piece has {self._left:,} bytes; at most {_MOST_BYTES:,} are allowed")
+            if self._left > _MAX_BYTES:
+                raise ValueError(f"a piece has {self._left:,} bytes; at most {_MAX_BYTES:,} are allowed")
             self._is_over = self._left == 0
         if self._is_over:
             return 0

@@ -41,7 +41,7 @@ _EXIT_TIMEOUT_S = 5.0
 _PIPE_BYTES = 1 << 20
 _DAMAGED = "the file is probably damaged: copy or export it again"
 _READ_DESCRIPTORS = ("read_scan", "_read_files", "describe")
-_MOST_REMEMBERED = 256
+_MAX_REMEMBERED = 256
 _LONGEST_KEY = 64
 
 log = logging.getLogger(__name__)
@@ -193,7 +193,7 @@ class IsolatedReaders:
             return
         with self._lock:
             self._failures[file] = text
-            while len(self._failures) > _MOST_REMEMBERED:
+            while len(self._failures) > _MAX_REMEMBERED:
                 self._failures.popitem(last=False)
 
     def _refuse_known_failure(self, file: FileState) -> None:
@@ -220,7 +220,7 @@ class FileState:
         called = f"{function.__module__}.{function.__qualname__}"
         if not args or not isinstance(args[0], str | os.PathLike):  # without a path nothing is remembered
             return FileState(function.__qualname__, "", called, 0, 0)
-        from ladarreg_core.formats.untrusted import shown_name
+        from ladarreg_core.formats.parsing.untrusted import shown_name
 
         path = os.path.abspath(os.fspath(args[0]))
         try:
@@ -263,14 +263,14 @@ class _KnownOrigins:
             return [row for known, rows in self._rows.items() if known <= files for row in rows]
 
     def learn(self, files: frozenset[tuple[str, int, int]], rows: Any) -> None:
-        if not files or not isinstance(rows, list) or not 0 < len(rows) <= _MOST_REMEMBERED:
+        if not files or not isinstance(rows, list) or not 0 < len(rows) <= _MAX_REMEMBERED:
             return
         if not all(map(_is_origin, rows)):  # of a process that a file has taken over
             return
         with self._lock:
             self._rows[files] = rows
             self._rows.move_to_end(files)
-            while len(self._rows) > _MOST_REMEMBERED:
+            while len(self._rows) > _MAX_REMEMBERED:
                 self._rows.popitem(last=False)
 
 
@@ -409,7 +409,7 @@ class _Exchange:
     def _exchange(self) -> None:
         from ladarreg_core.formats.isolated.messages import MessageError, read_message, write_message
         from ladarreg_core.formats.isolated.pieces import Turn
-        from ladarreg_core.formats.untrusted import one_line
+        from ladarreg_core.formats.parsing.untrusted import one_line
 
         requests = self._popen.stdin
         assert requests is not None
@@ -476,7 +476,7 @@ def _hung(file: FileState, seconds: float) -> str:
 
 def error_in(answer: dict[str, Any], file: FileState) -> LadarregError | None:
     """Return the error in an answer; None where it contains a result."""
-    from ladarreg_core.formats.untrusted import one_line
+    from ladarreg_core.formats.parsing.untrusted import one_line
 
     if "answer" in answer:
         return None

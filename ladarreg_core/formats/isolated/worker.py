@@ -32,7 +32,7 @@ _PRELOADED = (
     "ladarreg_core.scanner.origin",
     "ladarreg_core.formats.registry",
     "ladarreg_core.formats.photo_file",
-    "ladarreg_core.formats.matches_file",
+    "ladarreg_core.formats.documents.matches_file",
     "PIL.ImageOps",
     "PIL.JpegImagePlugin",
     "PIL.PngImagePlugin",
@@ -151,7 +151,7 @@ def _serve_by_forking(incoming: IO[bytes], outgoing: IO[bytes]) -> None:
 def _refuse(request: dict[str, Any], error: OSError, outgoing: IO[bytes]) -> None:
     """Answer that no process can be started."""
     from ladarreg_core.formats.isolated.messages import message_parts
-    from ladarreg_core.formats.untrusted import shown_name
+    from ladarreg_core.formats.parsing.untrusted import shown_name
 
     name = shown_name(request["args"][0]) if request["args"] else "the file"
     text = f"{name}: it cannot be read now because no process can be started ({error.strerror}); try again"

@@ -67,7 +67,7 @@ const summed = (differences) => {
 };
 
 /**
- * Decode a mesh; ladarreg_core/export/packed_mesh.py describes the format.
+ * Decode a mesh; ladarreg_core/export/models/packed_mesh.py describes the format.
  * @param {ArrayBuffer} buffer decompressed
  * @returns {MeshArrays}
  */

@@ -15,17 +15,17 @@ from ladarreg.cli import main
 from ladarreg.exit_codes import ExitCode
 from PIL import Image
 
-from ladarreg_core.carry import carry_over
 from ladarreg_core.errors import DegenerateGeometryError
-from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.formats import read_photo, read_scan
-from ladarreg_core.formats.pose_file import read_pose, write_pose
-from ladarreg_core.formats.registration_file import read_result
+from ladarreg_core.formats.documents.pose_file import read_pose, write_pose
+from ladarreg_core.formats.documents.registration_file import read_result
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.given import coverage, given_pose
-from ladarreg_core.manifest import visible_files
+from ladarreg_core.registration.carry import carry_over
+from ladarreg_core.registration.given import coverage, given_pose
 from ladarreg_core.simulate.sample import sample_folder
-from ladarreg_core.surface.texture import texture_scan
+from ladarreg_core.storage.manifest import visible_files
+from ladarreg_core.surface.texture.registered_texture import texture_scan
 
 MARK = "given, not verified"
 SAMPLE = sample_folder()
@@ -81,7 +81,7 @@ def test_the_files_of_an_accepted_result_are_written_and_marked(applied: Path) -
     assert "nan" not in text[text.index("<main>") :].split("data:")[0].lower().replace("financ", "")
 
 
-def test_the_registered_picture_bears_a_watermark_and_the_model_does_not_lose_its_colours(applied: Path) -> None:
+def test_the_registered_picture_bears_a_watermark_and_the_model_does_not_lose_its_colors(applied: Path) -> None:
     scan = read_scan(SAMPLE / "scan.npz")
     photo = read_photo(SAMPLE / "photo.png", camera=SAMPLE / "camera.json")
     clean = texture_scan(scan, photo, read_pose(SAMPLE / "truth.json"))

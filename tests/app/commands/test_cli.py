@@ -16,8 +16,8 @@ from ladarreg.cli import COMMANDS, main
 from ladarreg.exit_codes import ExitCode
 from PIL import Image
 
-from ladarreg_core.manifest import visible_files
 from ladarreg_core.simulate.sample import sample_folder
+from ladarreg_core.storage.manifest import visible_files
 from testing.command_line import complaint, sample
 
 REGISTER_OPTIONS = (
@@ -169,7 +169,7 @@ def npz(**arrays: object) -> Callable[[Path], Path]:
 
 @pytest.mark.slow
 def test_the_sample_is_registered_by_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from ladarreg_core.formats.pose_file import read_pose
+    from ladarreg_core.formats.documents.pose_file import read_pose
 
     out = tmp_path / "deep" / "results"
     assert main(sample("-o", str(out))) == ExitCode.ACCEPTED
@@ -197,7 +197,7 @@ def test_the_sample_is_registered_by_one_command(tmp_path: Path, capsys: pytest.
 def drawn(path: Path, *, count: int, seed: int, spread: float = 1.0) -> Path:
     """Write matches of the sample with the noise of careful manual drawing, within a part of the photo."""
     import ladarreg_core as lr
-    from ladarreg_core.formats.pose_file import read_pose
+    from ladarreg_core.formats.documents.pose_file import read_pose
 
     folder = sample_folder()
     scan = lr.read_scan(folder / "scan.npz")

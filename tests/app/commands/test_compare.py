@@ -14,14 +14,14 @@ from ladarreg.exit_codes import ExitCode
 from ladarreg.messages import aligned
 from PIL import Image
 
-import ladarreg_core.comparison
-from ladarreg_core.comparison import Comparison
+import ladarreg_core.registration.comparison
 from ladarreg_core.errors import Cancelled, DegenerateGeometryError
-from ladarreg_core.export.comparison_table import Table
-from ladarreg_core.formats.pose_file import read_pose
-from ladarreg_core.manifest import visible_files
+from ladarreg_core.export.comparison.table import Table
+from ladarreg_core.formats.documents.pose_file import read_pose
 from ladarreg_core.progress import Step
+from ladarreg_core.registration.comparison import Comparison
 from ladarreg_core.simulate.sample import sample_folder
+from ladarreg_core.storage.manifest import visible_files
 from tests.unit.export.comparisons import NOTE, STAGES, comparison_of
 
 
@@ -40,7 +40,7 @@ def answers(monkeypatch: pytest.MonkeyPatch, make: Callable[..., Comparison]) ->
         given["report"](Step("linear", 0.01))
         return make(scan, photo)
 
-    monkeypatch.setattr(ladarreg_core.comparison, "compare", compare)
+    monkeypatch.setattr(ladarreg_core.registration.comparison, "compare", compare)
     return calls
 
 

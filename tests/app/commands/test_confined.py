@@ -15,8 +15,8 @@ import pytest
 
 from ladarreg_core.errors import Cancelled, FormatError, LadarregError
 from ladarreg_core.formats import read_photo, read_scan, recognise
-from ladarreg_core.formats.begun_read import BegunRead
 from ladarreg_core.formats.isolated.forked import confined_reads
+from ladarreg_core.formats.parsing.begun_read import BegunRead
 from ladarreg_core.formats.photo_file import begin_photo
 from ladarreg_core.formats.registry import begin_scan
 from ladarreg_core.progress import Progress, Report

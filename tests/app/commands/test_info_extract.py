@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from ladarreg.cli import main
 
-from ladarreg_core.formats.camera_file import read_camera
+from ladarreg_core.formats.cameras.camera_file import read_camera
 
 
 def test_embedded_images_are_extracted_with_their_cameras(

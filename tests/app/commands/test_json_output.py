@@ -13,8 +13,8 @@ from ladarreg.exit_codes import ExitCode
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.export.json import registration_document, write_document
 from ladarreg_core.formats import describe
-from ladarreg_core.manifest import visible_files
 from ladarreg_core.simulate.sample import sample_folder
+from ladarreg_core.storage.manifest import visible_files
 from testing.scenes.small_registration import sample_registration
 
 SAMPLE = sample_folder()

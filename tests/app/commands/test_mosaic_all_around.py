@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from ladarreg.cli import main
 
-from ladarreg_core.acquisition.mosaic_composition import compose_mosaic
+from ladarreg_core.acquisition.composition.mosaic_composition import compose_mosaic
+from ladarreg_core.acquisition.simulated.recordings import SimulatedMosaic, simulate_mosaic
 from ladarreg_core.camera import Camera
-from ladarreg_core.export.images import write_png
-from ladarreg_core.formats.json_file import write_json
-from ladarreg_core.formats.npz import write_npz_panorama
+from ladarreg_core.export.pictures.images import write_png
+from ladarreg_core.formats.parsing.json_file import write_json
+from ladarreg_core.formats.scans.npz import write_npz_panorama
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_about
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.simulate.photograph import Lighting, take_photograph
 from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.twins.recordings import SimulatedMosaic, simulate_mosaic
 from testing.scenes.mosaic_pieces import placed
 
 pytestmark = pytest.mark.slow

@@ -23,12 +23,12 @@ from ladarreg.workbench.launch import open_workbench
 from PIL import Image
 
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.folder import check_folder
-from ladarreg_core.export.rejected_overlay import rejected_overlay
+from ladarreg_core.export.pictures.rejected_overlay import rejected_overlay
+from ladarreg_core.export.targets.folder import check_folder
 from ladarreg_core.formats import describe, read_photo, read_scan
-from ladarreg_core.formats.registration_file import read_result
-from ladarreg_core.manifest import MANIFEST_FILE, visible_files
+from ladarreg_core.formats.documents.registration_file import read_result
 from ladarreg_core.simulate.sample import sample_folder
+from ladarreg_core.storage.manifest import MANIFEST_FILE, visible_files
 
 SAMPLE = sample_folder()
 

@@ -18,7 +18,7 @@ from ladarreg.exit_codes import ExitCode
 from ladarreg.photos import PhotosArguments
 
 from ladarreg_core.batch.folder import PAGE_FILE, SUMMARY_FILE
-from ladarreg_core.formats.npz import write_npz_xyz
+from ladarreg_core.formats.scans.npz import write_npz_xyz
 from testing.scenes.photo_set import small_photo_set, write_photo_set
 from testing.scenes.small_registration import sample_photo, sample_scan
 
@@ -28,7 +28,7 @@ CHECKOUT = Path(__file__).resolve().parents[3]
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Files that can be told apart, and not registered."""
-    from ladarreg_core.export.images import write_png
+    from ladarreg_core.export.pictures.images import write_png
 
     write_npz_xyz(tmp_path / "scan.npz", sample_scan())
     (tmp_path / "photos").mkdir()

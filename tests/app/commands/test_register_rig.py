@@ -16,12 +16,12 @@ from ladarreg.workbench.launch import open_workbench
 
 import ladarreg_core as lr
 from ladarreg_core.errors import OptionError
-from ladarreg_core.export.targets.photo_files import write_png_picture
-from ladarreg_core.formats.camera_file import read_camera
-from ladarreg_core.formats.pose_file import read_pose, write_pose
+from ladarreg_core.export.photo_files import write_png_picture
+from ladarreg_core.formats.cameras.camera_file import read_camera
+from ladarreg_core.formats.documents.pose_file import read_pose, write_pose
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.manifest import visible_files
 from ladarreg_core.simulate.outdoor_case import OutdoorCase, simulate_rig
+from ladarreg_core.storage.manifest import visible_files
 from testing.files.recordings import CLOUD, IMAGE, INFO, camera_info, image, point_cloud, write_recording
 from testing.files.small_scans import pcd_bytes
 

@@ -14,9 +14,9 @@ import pytest
 from ladarreg.cli import main
 
 import ladarreg_core as lr
-from ladarreg_core.formats.npz import write_npz_xyz
-from ladarreg_core.manifest import visible_files
+from ladarreg_core.formats.scans.npz import write_npz_xyz
 from ladarreg_core.simulate.stations import scan_stations, station_room, upright_pose
+from ladarreg_core.storage.manifest import visible_files
 
 pytest.importorskip("embreex")
 POSES = (upright_pose([-1.0, 0.2, 0.0], 0.4), upright_pose([0.9, -0.6, 0.1], 2.0))

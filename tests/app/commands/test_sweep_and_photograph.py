@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from ladarreg.cli import main
 
-from ladarreg_core.acquisition.sweep_composition import compose_sweeps
+from ladarreg_core.acquisition.composition.sweep_composition import compose_sweeps
+from ladarreg_core.acquisition.simulated.recordings import simulate_sweep
 from ladarreg_core.camera import Camera
-from ladarreg_core.export.images import write_png
-from ladarreg_core.formats.npz import write_npz_xyz
+from ladarreg_core.export.pictures.images import write_png
+from ladarreg_core.formats.scans.npz import write_npz_xyz
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_about, rotvec_from_rotation
 from ladarreg_core.simulate.photograph import Lighting, take_photograph
 from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.twins.recordings import simulate_sweep
 
 CENTRE = (0.3, 0.4, 0.1)
 

@@ -114,7 +114,7 @@ def test_choices_that_the_core_defines_are_those_of_the_commands() -> None:
     """The commands repeat them, since the core's modules are imported only when they are needed."""
     from ladarreg_core.export.output_frame import FrameName
     from ladarreg_core.export.targets.target import Crop
-    from ladarreg_core.stations.registration import PoseUse
+    from ladarreg_core.registration.stations.registration import PoseUse
 
     for command, field, choices in (
         ("export", "frame", FrameName), ("export", "crop", Crop), ("register_stations", "poses", PoseUse)

@@ -7,7 +7,7 @@ import socket
 from ladarreg.gateway.pages import static_folder, static_text
 from ladarreg.gateway.viser_backend import HOST, close_server, open_locked_server
 
-from ladarreg_core.palette import MATCHES
+from ladarreg_core.foundations.palette import MATCHES
 
 
 def test_it_listens_on_loopback_only() -> None:
@@ -32,10 +32,10 @@ def test_a_public_address_is_refused() -> None:
         close_server(server)
 
 
-def test_the_style_tokens_contain_the_scenes_colours() -> None:
+def test_the_style_tokens_contain_the_scenes_colors() -> None:
     tokens = static_text("tokens.css")
-    for k, colour in enumerate(MATCHES, start=1):
-        assert f"--lr-match-{k}: #{bytes(colour).hex()};" in tokens
+    for k, color in enumerate(MATCHES, start=1):
+        assert f"--lr-match-{k}: #{bytes(color).hex()};" in tokens
     assert "--lr-accent: #5cc8ff;" in tokens
     for name in ("tokens.css", "viser.css", "logo.svg", "index.html", "js/main.js", "css/base.css"):
         assert (static_folder() / name).is_file()

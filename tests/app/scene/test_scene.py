@@ -17,13 +17,13 @@ from ladarreg.gateway.viser_backend import close_server
 from ladarreg.scene import CameraShown, Person, Picks, ScanShown, Scene3D, Shown, SimplexFrame, Subject
 from ladarreg.scene.draw_queue import DrawQueue
 from ladarreg.scene.model_view import ModelChoice
-from ladarreg.scene.picks_layer import residual_colours
+from ladarreg.scene.picks_layer import residual_colors
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
+from ladarreg_core.foundations.palette import ACCENT, BACKGROUND, MATCHES, as_css
 from ladarreg_core.frames import Rigid, ThesisParameters
 from ladarreg_core.matches import Matches
-from ladarreg_core.palette import ACCENT, BACKGROUND, MATCHES, as_css
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
@@ -215,18 +215,18 @@ def test_switches_hide_and_show(server: viser.ViserServer, scene: Scene3D) -> No
             assert nodes[name].visible == visible, name
 
 
-def test_picks_have_their_colours_and_are_clickable(
+def test_picks_have_their_colors_and_are_clickable(
     server: viser.ViserServer, scene: Scene3D, clicks: list[tuple[str, str]]
 ) -> None:
     points = np.array([[3, 0, 0], [np.nan, 0, 0], [3, 0.5, 0], [3, -0.5, 0]])
-    colours = np.array(MATCHES[:4], np.uint8)
-    residuals = residual_colours([0.1, 1, np.nan, 4])
-    picks = Picks.of(points, colours, [True, True, False, True], ["a", "b", "c", "d"], by_residual=residuals)
+    colors = np.array(MATCHES[:4], np.uint8)
+    residuals = residual_colors([0.1, 1, np.nan, 4])
+    picks = Picks.of(points, colors, [True, True, False, True], ["a", "b", "c", "d"], by_residual=residuals)
     scene.show(shown(None, picks=picks))
     cloud: Any = drawn(scene, server)["/matches/points"]
     np.testing.assert_allclose(cloud.points, points[[0, 2, 3]], atol=0.1)
-    np.testing.assert_array_equal(cloud.colors[[0, 2]], colours[[0, 3]])
-    assert cloud.colors[1].astype(int).sum() < colours[2].astype(int).sum(), "matches that are off are dimmed"
+    np.testing.assert_array_equal(cloud.colors[[0, 2]], colors[[0, 3]])
+    assert cloud.colors[1].astype(int).sum() < colors[2].astype(int).sum(), "matches that are off are dimmed"
     click(server, [3, -0.5, 0])
     click(server, [3, 0.2, 0.4])
     assert clicks == [("ann", "d")]
@@ -238,7 +238,7 @@ def test_picks_have_their_colours_and_are_clickable(
     scene.set_people({"ann": Person("p1", ModelChoice(residuals=True))})
     cloud = drawn(scene, server)["/matches/points"]
     np.testing.assert_array_equal(cloud.colors[[0, 2]], residuals[[0, 3]])
-    assert len({tuple(colour) for colour in residuals.tolist()}) == 4
+    assert len({tuple(color) for color in residuals.tolist()}) == 4
 
 
 def test_a_highlight_survives_a_change_of_the_picks(server: viser.ViserServer, scene: Scene3D) -> None:
@@ -353,7 +353,7 @@ def test_a_simplex_of_another_photograph_or_without_result_leaves_nothing(
 
 
 def test_frames_agree_with_the_descent() -> None:
-    from ladarreg_core.pose.thesis.stereo_simplex import SimplexOptions, descend
+    from ladarreg_core.thesis.estimators.stereo_simplex import SimplexOptions, descend
 
     rng = np.random.default_rng(4)
     result = pose()
@@ -422,10 +422,10 @@ def test_picks_of_a_line_share_their_id() -> None:
     assert picks.ids == ("l", "l")
 
 
-def test_the_colours_are_the_style_tokens() -> None:
+def test_the_colors_are_the_style_tokens() -> None:
     tokens = static_text("tokens.css")
-    for k, colour in enumerate(MATCHES, start=1):
-        assert f"--lr-match-{k}: {as_css(colour)};" in tokens
+    for k, color in enumerate(MATCHES, start=1):
+        assert f"--lr-match-{k}: {as_css(color)};" in tokens
     assert f"--lr-accent: {as_css(ACCENT)};" in tokens
     assert f"--lr-background: {as_css(BACKGROUND)};" in tokens
 

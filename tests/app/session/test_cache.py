@@ -13,7 +13,7 @@ from ladarreg.session.loader import Loader
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.photo import Photo
-from ladarreg_core.project.folder import ProjectFolder
+from ladarreg_core.project.storage.folder import ProjectFolder
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 

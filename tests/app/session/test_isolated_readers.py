@@ -17,7 +17,7 @@ from ladarreg_core.simulate.sample import sample_folder
 from testing.workbench.workbench_driver import WorkbenchDriver, open_bench, sample_bench
 from tests.formats import misbehaving
 
-MOST_PARALLEL = READERS._slots._initial_value  # type: ignore[attr-defined]
+MAX_PARALLEL = READERS._slots._initial_value  # type: ignore[attr-defined]
 LINE = {"kind": "line", "scan": [[1, 0, 0], [1, 0.1, 0.02]], "photo_uv": [[300.25, 200.5], [410.125, 220]]}
 
 
@@ -64,7 +64,7 @@ def test_edits_and_other_files_do_not_wait_for_a_reader_that_hangs(bench: Workbe
 
     thread = threading.Thread(target=upload)
     thread.start()
-    bench.eventually(lambda: READERS._slots._value < MOST_PARALLEL)  # the reader has the file
+    bench.eventually(lambda: READERS._slots._value < MAX_PARALLEL)  # the reader has the file
     for _ in range(40):
         bench.do("add_pick", photo="p1", **LINE)
     assert bench.workbench.take_upload(arrived(bench, "x2.png"), "good.png", "photo", None, bench.client) == "p2"

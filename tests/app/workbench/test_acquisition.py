@@ -15,7 +15,7 @@ from ladarreg.gateway.protocol import Visitor
 from ladarreg.workbench.watchable import Watchable
 from PIL import Image
 
-from ladarreg_core import panorama
+from ladarreg_core.acquisition.composition import panorama
 from ladarreg_core.progress import Report
 from testing.workbench.workbench_driver import WorkbenchDriver, open_bench
 
@@ -72,7 +72,7 @@ def plan_of(bench: WorkbenchDriver, **changes: Any) -> dict[str, Any]:
 
 def test_a_plan_is_kept_as_it_is_edited_and_its_faults_are_said_with_their_fields(bench: WorkbenchDriver) -> None:
     assert bench.do("acquire_ports")["draft"] is None
-    wrong = plan_of(bench, mode="mosaic", tilt_deg=[0, 10], camera={"folder": "no-such-folder"}, colour="red")
+    wrong = plan_of(bench, mode="mosaic", tilt_deg=[0, 10], camera={"folder": "no-such-folder"}, color="red")
     wrong["mount"] = {"xyz_m": [0, 0, 99], "rpy_deg": [0, 0, 0]}
     wrong["scanner"] = {"kind": "folder", "folder": "twin:scanner?seed=11", "fov_deg": [55]}
     bench.do("acquire_keep", plan=wrong)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from ladarreg.gateway.protocol import Visitor
-from ladarreg.workbench.clients import COLOURS, MAX_CLIENTS, Client, Clients
+from ladarreg.workbench.clients import COLORS, MAX_CLIENTS, Client, Clients
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.simulate.sample import sample_folder
@@ -165,13 +165,13 @@ def test_ids_do_not_reveal_the_secret_and_belong_to_one_browser() -> None:
     assert all(set("secret") - set(name) or len(name) == 12 for name in ids)
 
 
-def test_colours_are_distinct_while_there_are_enough() -> None:
+def test_colors_are_distinct_while_there_are_enough() -> None:
     clients = clients_alone()
-    everybody = [clients.join(Visitor("a")) for _ in range(COLOURS + 3)]
-    assert sorted(each.colour for each in everybody[:COLOURS]) == list(range(1, COLOURS + 1))
-    assert all(1 <= each.colour <= COLOURS for each in everybody)
+    everybody = [clients.join(Visitor("a")) for _ in range(COLORS + 3)]
+    assert sorted(each.color for each in everybody[:COLORS]) == list(range(1, COLORS + 1))
+    assert all(1 <= each.color <= COLORS for each in everybody)
     clients.leave(everybody[2])
-    assert clients.join(Visitor("a")).colour == everybody[2].colour
+    assert clients.join(Visitor("a")).color == everybody[2].color
 
 
 # undo among several people

@@ -12,8 +12,8 @@ from PIL import Image
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.formats import read_scan
-from ladarreg_core.formats.camera_file import read_camera
-from ladarreg_core.formats.pose_file import read_pose
+from ladarreg_core.formats.cameras.camera_file import read_camera
+from ladarreg_core.formats.documents.pose_file import read_pose
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.simulate.sample import sample_folder
 from testing.files.small_scans import make_scan, picture_e57

@@ -8,11 +8,11 @@ import pytest
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.formats import read_photo, read_scan
-from ladarreg_core.formats.pose_file import read_pose
-from ladarreg_core.given import given_pose
+from ladarreg_core.formats.documents.pose_file import read_pose
 from ladarreg_core.project import edits
 from ladarreg_core.project.history import NOBODY
 from ladarreg_core.project.results import pose_entry
+from ladarreg_core.registration.given import given_pose
 from ladarreg_core.simulate.sample import sample_folder
 from testing.workbench.workbench_driver import open_bench, sample_bench
 

@@ -12,11 +12,11 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
-from ladarreg.workbench.model_parts import LEVELS, MOST_VERTICES
+from ladarreg.workbench.model_parts import LEVELS, MAX_VERTICES
 from PIL import Image, ImageOps
 
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.palette import VISIBILITY
+from ladarreg_core.foundations.palette import VISIBILITY
 from ladarreg_core.simulate.sample import sample_folder
 from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 
@@ -77,8 +77,8 @@ def test_the_model_comes_coarse_first_and_small(bench: WorkbenchDriver) -> None:
     sizes = {}
     for detail in ("coarse", "standard", "dense"):
         mesh, _ = part(bench, "mesh", detail=detail)
-        colours, _ = part(bench, "texture", detail=detail, kind="colour", photo="p1")
-        sizes[detail] = len(mesh) + len(colours)
+        colors, _ = part(bench, "texture", detail=detail, kind="colour", photo="p1")
+        sizes[detail] = len(mesh) + len(colors)
     assert sizes["coarse"] < sizes["standard"] < sizes["dense"]
     assert sizes["coarse"] < 450_000
     assert sizes["standard"] < 1_000_000
@@ -92,24 +92,24 @@ def test_surface_and_photograph_together_stay_within_what_a_page_shows(
         return vertices_of(part(bench, "layer", detail="standard", photo="p1")[0])
 
     # The sample's photograph is hardly finer than its scan.
-    monkeypatch.setattr("ladarreg_core.surface.photo_layer.shows_more_detail", lambda *_, **__: True)
+    monkeypatch.setattr("ladarreg_core.surface.texture.photo_layer.shows_more_detail", lambda *_, **__: True)
     standard = LEVELS["standard"].vertices
     assert vertices_of(part(bench, "mesh", detail="standard")[0]) <= standard
     freely = layer_vertices()
-    assert freely <= MOST_VERTICES - standard
+    assert freely <= MAX_VERTICES - standard
     left = freely // 2
-    monkeypatch.setattr("ladarreg.workbench.model_parts.MOST_VERTICES", standard + left)
+    monkeypatch.setattr("ladarreg.workbench.model_parts.MAX_VERTICES", standard + left)
     assert 0 < layer_vertices() <= left, "the photograph is drawn on a coarser surface"
 
 
 @pytest.mark.slow
-def test_textures_have_legends_and_their_own_colours(bench: WorkbenchDriver) -> None:
+def test_textures_have_legends_and_their_own_colors(bench: WorkbenchDriver) -> None:
     gray, legend = texture(bench, "intensity")
     assert np.ptp(gray.astype(int), axis=-1).max() <= 6
     assert legend["title"] == "Laser intensity"
     for detail in ("coarse", "dense"):
         classes, legend = texture(bench, "label", photo="p1", detail=detail)
-        shown = {tuple(colour) for colour in classes.reshape(-1, 3).tolist()}
+        shown = {tuple(color) for color in classes.reshape(-1, 3).tolist()}
         assert shown <= set(VISIBILITY), "codes are not blurred"
         assert len(legend["entries"]) >= 3  # type: ignore[arg-type]
     with_z, _ = texture(bench, "colour", photo="p1")

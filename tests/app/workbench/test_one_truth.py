@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from ladarreg_core.manifest import MANIFEST_FILE
+from ladarreg_core.storage.manifest import MANIFEST_FILE
 from testing.scenes.true_matches import true_points
 from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 

@@ -10,7 +10,7 @@ import pytest
 from ladarreg.scene.cameras_layer import viser_pose
 from ladarreg.scene.viewer_pose import viewer_pose
 
-from ladarreg_core.formats.pose_file import read_pose
+from ladarreg_core.formats.documents.pose_file import read_pose
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.simulate.sample import sample_folder
 from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench

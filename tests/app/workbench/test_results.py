@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from ladarreg_core.errors import LadarregError
-from ladarreg_core.manifest import MANIFEST_FILE
+from ladarreg_core.storage.manifest import MANIFEST_FILE
 from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 
 LINE = {"kind": "line", "scan": [[1, 0, 0], [1, 0.1, 0.02]], "photo_uv": [[300.25, 200.5], [410.125, 220]]}

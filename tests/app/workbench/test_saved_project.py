@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import ladarreg_core as lr
-from ladarreg_core.formats.pose_file import read_pose
-from ladarreg_core.formats.registration_file import read_registration
+from ladarreg_core.formats.documents.pose_file import read_pose
+from ladarreg_core.formats.documents.registration_file import read_registration
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.results import registration_of
 from testing.workbench.workbench_driver import WorkbenchDriver, open_bench

@@ -79,9 +79,9 @@ def test_a_reopened_project_shows_the_photograph_edited_last(tmp_path: Path) -> 
 def test_edits_continue_on_a_full_disk_and_are_saved_later(
     bench: WorkbenchDriver, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from ladarreg_core.atomic_write import AppendedFile
     from ladarreg_core.errors import ExportError
-    from ladarreg_core.project.folder import ProjectFolder
+    from ladarreg_core.project.storage.folder import ProjectFolder
+    from ladarreg_core.storage.atomic_write import AppendedFile
 
     def full(*arguments: Any, **options: Any) -> None:
         raise ExportError("cannot write project.json: no space left on device")

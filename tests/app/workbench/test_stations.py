@@ -18,7 +18,7 @@ pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`"
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats import read_scan
 from ladarreg_core.frames import Rigid
-from ladarreg_core.project.codec import decode_document, encode
+from ladarreg_core.project.storage.codec import decode_document, encode
 from testing.scenes.station_scans import POSES, write_station_scans
 
 pytestmark = pytest.mark.slow
@@ -165,6 +165,6 @@ def test_a_damaged_result_is_refused(bench: WorkbenchDriver) -> None:
 
 
 def _arrays(document: Any) -> dict[str, Any]:
-    from ladarreg_core.project.codec import arrays_of
+    from ladarreg_core.project.storage.codec import arrays_of
 
     return arrays_of(document)

@@ -10,19 +10,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ladarreg_core.acquisition.devices import PanTilt
-from ladarreg_core.acquisition.exchange_log import EXCHANGES, EXCHANGES_BEFORE, ExchangeLog
-from ladarreg_core.acquisition.flir_protocol import has_restarted, supply_of
-from ladarreg_core.acquisition.flir_unit import HOMING_S, FlirRestartedError, FlirUnit
-from ladarreg_core.acquisition.link import Exchange
+from ladarreg_core.acquisition.devices.exchange_log import EXCHANGES, EXCHANGES_BEFORE, ExchangeLog
+from ladarreg_core.acquisition.devices.flir_protocol import has_restarted, supply_of
+from ladarreg_core.acquisition.devices.flir_unit import HOMING_S, FlirRestartedError, FlirUnit
+from ladarreg_core.acquisition.devices.link import Exchange
+from ladarreg_core.acquisition.devices.scip_scanner import ScipScanner
+from ladarreg_core.acquisition.interfaces import PanTilt
 from ladarreg_core.acquisition.plan import Axis, ScannerPlan, UnitPlan
-from ladarreg_core.acquisition.run_folder import RunFolder, RunWriter
-from ladarreg_core.acquisition.runner import Moved, Paused, PieceKept, Repeated, RunEvent
-from ladarreg_core.acquisition.scip_scanner import ScipScanner
+from ladarreg_core.acquisition.runs.run_folder import RunFolder, RunWriter
+from ladarreg_core.acquisition.runs.runner import Moved, Paused, PieceKept, Repeated, RunEvent
+from ladarreg_core.acquisition.simulated.devices import TwinDevices
+from ladarreg_core.acquisition.simulated.flir_twin import FlirTwin
+from ladarreg_core.acquisition.simulated.scip_twin import ScipTwin
 from ladarreg_core.errors import DeviceError
-from ladarreg_core.twins.devices import TwinDevices
-from ladarreg_core.twins.flir_twin import FlirTwin
-from ladarreg_core.twins.scip_twin import ScipTwin
 from testing.devices.bad_line import BadLine, flip, lose
 from testing.devices.ptu_peer import PeerUnit
 from testing.devices.runs import Devices, pieces_of, same

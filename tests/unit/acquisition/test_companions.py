@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ladarreg_core.acquisition.devices import Arrival, PanTilt
-from ladarreg_core.acquisition.folder_source import FolderSource
+from ladarreg_core.acquisition.devices.folder_source import FolderSource
+from ladarreg_core.acquisition.interfaces import Arrival, PanTilt
 from ladarreg_core.errors import DeviceError
 from ladarreg_core.formats import read_scan
-from ladarreg_core.formats.scan_files import ScanFiles, scan_files
+from ladarreg_core.formats.scans.scan_files import ScanFiles, scan_files
 from testing.devices.simulated_clock import SimulatedClock
 
 ROWS, COLUMNS = 30, 40

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ladarreg_core.acquisition.flir_protocol import FlirError, command, limits_hit, parse_reply, reply_length
+from ladarreg_core.acquisition.devices.flir_protocol import FlirError, command, limits_hit, parse_reply, reply_length
 from ladarreg_core.errors import DeviceError, OptionError
 
 KNOWN = [

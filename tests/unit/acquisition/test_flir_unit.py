@@ -8,13 +8,13 @@ from collections.abc import Iterator
 
 import pytest
 
-from ladarreg_core.acquisition.devices import PanTilt
-from ladarreg_core.acquisition.flir_unit import FlirUnit
+from ladarreg_core.acquisition.devices.flir_unit import FlirUnit
+from ladarreg_core.acquisition.devices.ports import Ports, PortSource
+from ladarreg_core.acquisition.interfaces import PanTilt
 from ladarreg_core.acquisition.plan import UnitPlan
-from ladarreg_core.acquisition.ports import Ports, PortSource
+from ladarreg_core.acquisition.simulated.flir_twin import COUNTS_PER_RAD, FlirTwin
+from ladarreg_core.acquisition.simulated.server import DeviceServer, TwinServer
 from ladarreg_core.errors import Cancelled, DeviceError, OptionError
-from ladarreg_core.twins.flir_twin import COUNTS_PER_RAD, FlirTwin
-from ladarreg_core.twins.server import DeviceServer, TwinServer
 from testing.devices.simulated_clock import SimulatedClock
 from testing.devices.simulated_ports import MemoryPorts, MemoryServer
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from ladarreg_core.acquisition.devices import Arrival, PanTilt
-from ladarreg_core.acquisition.folder_source import FolderSource
+from ladarreg_core.acquisition.devices.folder_source import FolderSource
+from ladarreg_core.acquisition.interfaces import Arrival, PanTilt
 from ladarreg_core.acquisition.trigger import TriggerPlan
 from ladarreg_core.errors import Cancelled, DeviceError, FormatError, OptionError
 from testing.devices.simulated_clock import SimulatedClock

@@ -6,7 +6,7 @@ from io import BytesIO
 
 import pytest
 
-from ladarreg_core.acquisition.guard import LONGEST_SILENCE_S, Guard
+from ladarreg_core.acquisition.devices.guard import LONGEST_SILENCE_S, Guard
 from testing.devices.simulated_clock import SimulatedClock
 
 

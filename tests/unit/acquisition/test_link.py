@@ -17,9 +17,9 @@ from pathlib import Path
 import pytest
 
 from ladarreg_core.acquisition import twin_address
-from ladarreg_core.acquisition.guard import LONGEST_SILENCE_S
-from ladarreg_core.acquisition.link import Link
-from ladarreg_core.acquisition.ports import GuardEndedError, Ports
+from ladarreg_core.acquisition.devices.guard import LONGEST_SILENCE_S
+from ladarreg_core.acquisition.devices.link import Link
+from ladarreg_core.acquisition.devices.ports import GuardEndedError, Ports
 from ladarreg_core.acquisition.serial_port import PortLostError, SerialPort, why_shut
 from ladarreg_core.acquisition.twin_address import check_twin
 from ladarreg_core.errors import Cancelled, DeviceError
@@ -273,7 +273,7 @@ def test_a_connection_that_is_not_answered_holds_up_no_other_device(terminal: Te
 
 PROGRAM = """
     import signal, sys, time
-    from ladarreg_core.acquisition.ports import Ports
+    from ladarreg_core.acquisition.devices.ports import Ports
     signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background of a shell
     ports = Ports()
     port = ports.open(sys.argv[1], 9600, stop=b"\\rH ", name="unit")
@@ -330,8 +330,8 @@ def test_the_end_of_the_guard_is_said_before_another_one_takes_over(terminal: Te
 
 HANGING_PROGRAM = """
     import sys
-    from ladarreg_core.acquisition.link import Link
-    from ladarreg_core.acquisition.ports import Ports
+    from ladarreg_core.acquisition.devices.link import Link
+    from ladarreg_core.acquisition.devices.ports import Ports
     from ladarreg_core.errors import DeviceError
     with Ports() as ports:
         link = Link(ports.open(sys.argv[1], 9600, stop=b"\\rH ", name="unit"), device="the unit")

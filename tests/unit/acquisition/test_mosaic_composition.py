@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ladarreg_core.acquisition.mosaic_composition import compose_mosaic
-from ladarreg_core.acquisition.mosaic_piece import PlacedPiece
+from ladarreg_core.acquisition.alignment.mosaic_piece import PlacedPiece
+from ladarreg_core.acquisition.composition.mosaic_composition import compose_mosaic
 from ladarreg_core.errors import Cancelled, ShapeError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
@@ -100,8 +100,8 @@ def test_a_surface_hidden_by_a_nearer_one_is_dropped_and_counted() -> None:
 def test_pieces_are_read_again_when_the_memory_for_them_is_used_up(monkeypatch: pytest.MonkeyPatch) -> None:
     pieces, _ = mosaic((-40, 0, 40), (0,), geometry=COARSE)
     whole = compose_mosaic(pieces)
-    monkeypatch.setattr("ladarreg_core.acquisition.mosaic_composition._CACHE_BYTES", 1)
-    monkeypatch.setattr("ladarreg_core.acquisition.mosaic_composition._TILE", (16, 40))
+    monkeypatch.setattr("ladarreg_core.acquisition.composition.mosaic_composition._CACHE_BYTES", 1)
+    monkeypatch.setattr("ladarreg_core.acquisition.composition.mosaic_composition._TILE", (16, 40))
     small = compose_mosaic(pieces)
     np.testing.assert_array_equal(small.scan.ranges, whole.scan.ranges)
     np.testing.assert_array_equal(small.piece_of_cell, whole.piece_of_cell)

@@ -14,17 +14,17 @@ import pytest
 
 pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
 
-from ladarreg_core.acquisition.closure import Closure
-from ladarreg_core.acquisition.connected import connected
-from ladarreg_core.acquisition.devices import Read, read_here
+from ladarreg_core.acquisition.composition.panorama import compose
+from ladarreg_core.acquisition.interfaces import Read, read_here
 from ladarreg_core.acquisition.plan import Axis, Plan, ScannerPlan, UnitPlan
-from ladarreg_core.acquisition.run_folder import RunFolder, RunWriter, ScanPiece
-from ladarreg_core.acquisition.runner import Compared, PieceKept, RunEvent, StraysKept
+from ladarreg_core.acquisition.runs.closure import Closure
+from ladarreg_core.acquisition.runs.connected import connected
+from ladarreg_core.acquisition.runs.run_folder import RunFolder, RunWriter, ScanPiece
+from ladarreg_core.acquisition.runs.runner import Compared, PieceKept, RunEvent, StraysKept
+from ladarreg_core.acquisition.simulated.devices import SCANNER, TwinDevices
+from ladarreg_core.acquisition.simulated.world import FRAME_MOUNT
 from ladarreg_core.formats.isolated import IsolatedReaders
-from ladarreg_core.panorama import compose
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.twins.devices import SCANNER, TwinDevices
-from ladarreg_core.twins.world import FRAME_MOUNT
 from testing.devices.simulated_clock import SimulatedClock
 from testing.devices.simulated_ports import MemoryPorts, MemoryServer
 

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from ladarreg.cli import main
 
-from ladarreg_core.acquisition.connected import connected
 from ladarreg_core.acquisition.plan import Axis, Plan, ScannerPlan, UnitPlan
-from ladarreg_core.acquisition.run_folder import RunFolder, RunWriter
+from ladarreg_core.acquisition.runs.connected import connected
+from ladarreg_core.acquisition.runs.run_folder import RunFolder, RunWriter
+from ladarreg_core.acquisition.simulated.devices import TwinDevices
+from ladarreg_core.acquisition.simulated.scip_twin import URG_04LX
+from ladarreg_core.acquisition.simulated.world import LINE_MOUNT
 from ladarreg_core.formats import read_scan
 from ladarreg_core.scan import NO_INTENSITY_NOTE
-from ladarreg_core.twins.devices import TwinDevices
-from ladarreg_core.twins.scip_twin import URG_04LX
-from ladarreg_core.twins.world import LINE_MOUNT
 from testing.devices.simulated_clock import SimulatedClock
 from testing.devices.simulated_ports import MemoryPorts, MemoryServer
 from testing.workbench.workbench_driver import open_bench

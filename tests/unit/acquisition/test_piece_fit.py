@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ladarreg_core.acquisition.piece_fit import Overlaps, PieceFit
+from ladarreg_core.acquisition.composition.piece_fit import Overlaps, PieceFit
 
 COLUMNS, PIECES = 4, 12
 CELLS = 1000

@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ladarreg_core.acquisition.devices import PanTilt, UnitIdentity
+from ladarreg_core.acquisition.interfaces import PanTilt, UnitIdentity
 from ladarreg_core.acquisition.plan import plan_from_fields, read_plan, write_plan
-from ladarreg_core.acquisition.stops import forecast, require_possible, stops_of
+from ladarreg_core.acquisition.runs.stops import forecast, require_possible, stops_of
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
 
 SWEEP: dict[str, Any] = {

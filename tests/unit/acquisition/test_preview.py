@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ladarreg_core.acquisition.line_sweep import LineSweep
-from ladarreg_core.acquisition.preview import RunPreview
+from ladarreg_core.acquisition.runs.preview import RunPreview
 from ladarreg_core.frames import Rigid
 
 

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from ladarreg_core.acquisition import flir_protocol, scip_protocol
-from ladarreg_core.acquisition.flir_protocol import FlirError, command, parse_reply
-from ladarreg_core.acquisition.scip_protocol import (
+from ladarreg_core.acquisition.devices import flir_protocol, scip_protocol
+from ladarreg_core.acquisition.devices.flir_protocol import FlirError, command, parse_reply
+from ladarreg_core.acquisition.devices.scip_protocol import (
     CLOCK_MS,
     LineRequest,
     ScipError,
@@ -22,8 +22,8 @@ from ladarreg_core.acquisition.scip_protocol import (
     parse_line,
     parse_status,
 )
-from ladarreg_core.twins.flir_twin import FlirTwin
-from ladarreg_core.twins.scip_twin import ScipTwin
+from ladarreg_core.acquisition.simulated.flir_twin import FlirTwin
+from ladarreg_core.acquisition.simulated.scip_twin import ScipTwin
 from testing.devices import ptu_peer, scip_peer
 from testing.devices.ptu_peer import PeerUnit
 from testing.devices.scip_peer import PeerScanner

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from ladarreg_core.acquisition.piece_list import read_piece_list
 from ladarreg_core.acquisition.plan import Axis, Plan, ScannerPlan, UnitPlan
-from ladarreg_core.acquisition.run_folder import RunFolder, RunWriter, summary
+from ladarreg_core.acquisition.runs.piece_list import read_piece_list
+from ladarreg_core.acquisition.runs.run_folder import RunFolder, RunWriter, summary
+from ladarreg_core.acquisition.simulated.world import LINE_MOUNT
 from ladarreg_core.errors import FormatError
-from ladarreg_core.twins.world import LINE_MOUNT
 
 GOOD = '{"index": 0, "file": "pieces/000.npz", "read_deg": [1, 2]}'
 

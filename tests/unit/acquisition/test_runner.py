@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ladarreg_core.acquisition.closure import Closure
-from ladarreg_core.acquisition.devices import PanTilt
+from ladarreg_core.acquisition.interfaces import PanTilt
 from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.acquisition.plan import Axis
-from ladarreg_core.acquisition.run_folder import RunFolder, RunWriter
-from ladarreg_core.acquisition.runner import Compared, Ended, Paused, PieceKept, Repeated, Resumed, RunEvent
+from ladarreg_core.acquisition.runs.closure import Closure
+from ladarreg_core.acquisition.runs.run_folder import RunFolder, RunWriter
+from ladarreg_core.acquisition.runs.runner import Compared, Ended, Paused, PieceKept, Repeated, Resumed, RunEvent
+from ladarreg_core.acquisition.simulated.devices import TwinDevices
 from ladarreg_core.errors import ExportError, OptionError
-from ladarreg_core.twins.devices import TwinDevices
 from testing.devices.runs import Devices, pieces_of, same
 from testing.devices.simulated_clock import SimulatedClock
 from testing.devices.simulated_ports import MemoryPorts, MemoryServer

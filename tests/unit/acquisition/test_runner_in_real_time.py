@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ladarreg_core.acquisition.devices.ports import Ports
 from ladarreg_core.acquisition.plan import Axis
-from ladarreg_core.acquisition.ports import Ports
-from ladarreg_core.acquisition.run_folder import RunFolder, RunWriter
-from ladarreg_core.acquisition.runner import Paused, PieceKept, Repeated, RunEvent
+from ladarreg_core.acquisition.runs.run_folder import RunFolder, RunWriter
+from ladarreg_core.acquisition.runs.runner import Paused, PieceKept, Repeated, RunEvent
 from ladarreg_core.acquisition.serial_port import why_shut
-from ladarreg_core.twins.devices import TwinDevices
+from ladarreg_core.acquisition.simulated.devices import TwinDevices
 from testing.devices.runs import Devices, pieces_of, same
 
 pytestmark = pytest.mark.slow
@@ -81,11 +81,11 @@ def test_a_program_that_hangs_for_a_moment_goes_on_by_itself(twins: TwinDevices,
 PROGRAM = """
     import sys, threading
     from ladarreg_core.acquisition.plan import read_plan
-    from ladarreg_core.acquisition.ports import Ports
-    from ladarreg_core.acquisition.flir_unit import FlirUnit
-    from ladarreg_core.acquisition.scip_scanner import ScipScanner
-    from ladarreg_core.acquisition.run_folder import RunWriter
-    from ladarreg_core.acquisition.runner import Paused, PieceKept, Run
+    from ladarreg_core.acquisition.devices.ports import Ports
+    from ladarreg_core.acquisition.devices.flir_unit import FlirUnit
+    from ladarreg_core.acquisition.devices.scip_scanner import ScipScanner
+    from ladarreg_core.acquisition.runs.run_folder import RunWriter
+    from ladarreg_core.acquisition.runs.runner import Paused, PieceKept, Run
     plan = read_plan(sys.argv[1])
 
     def report(event):

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ladarreg_core.acquisition.scip_clock import ClockSample, LineTimes, ScannerClock
-from ladarreg_core.acquisition.scip_protocol import (
+from ladarreg_core.acquisition.devices.scip_clock import ClockSample, LineTimes, ScannerClock
+from ladarreg_core.acquisition.devices.scip_protocol import (
     CLOCK_MS,
     ScipError,
 )

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ladarreg_core.acquisition.scip_protocol import (
+from ladarreg_core.acquisition.devices.scip_protocol import (
     LineRequest,
     ScipError,
     ScipNotReadyError,
@@ -22,8 +22,8 @@ from ladarreg_core.acquisition.scip_protocol import (
     parse_status,
     reply_length,
 )
+from ladarreg_core.acquisition.simulated.scip_twin import ScipTwin
 from ladarreg_core.errors import OptionError
-from ladarreg_core.twins.scip_twin import ScipTwin
 from testing.devices.wall import wall
 
 

@@ -9,15 +9,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ladarreg_core.acquisition.plan import ScannerPlan
-from ladarreg_core.acquisition.ports import Ports, PortSource
-from ladarreg_core.acquisition.scip_protocol import (
+from ladarreg_core.acquisition.devices.ports import Ports, PortSource
+from ladarreg_core.acquisition.devices.scip_protocol import (
     ScipError,
 )
-from ladarreg_core.acquisition.scip_scanner import ScipScanner
+from ladarreg_core.acquisition.devices.scip_scanner import ScipScanner
+from ladarreg_core.acquisition.plan import ScannerPlan
+from ladarreg_core.acquisition.simulated.scip_twin import URG_04LX, UTM_30LX, ScipFailure, ScipTwin
+from ladarreg_core.acquisition.simulated.server import DeviceServer, TwinServer
 from ladarreg_core.errors import Cancelled, DeviceError
-from ladarreg_core.twins.scip_twin import URG_04LX, UTM_30LX, ScipFailure, ScipTwin
-from ladarreg_core.twins.server import DeviceServer, TwinServer
 from testing.devices.simulated_clock import SimulatedClock
 from testing.devices.simulated_ports import MemoryPorts, MemoryServer
 from testing.devices.wall import wall

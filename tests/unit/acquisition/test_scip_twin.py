@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ladarreg_core.acquisition.scip_protocol import (
+from ladarreg_core.acquisition.devices.scip_protocol import (
     checksum,
     decoded,
 )
-from ladarreg_core.twins.scip_twin import URG_04LX, ScipTwin
+from ladarreg_core.acquisition.simulated.scip_twin import URG_04LX, ScipTwin
 from testing.devices.wall import wall
 
 

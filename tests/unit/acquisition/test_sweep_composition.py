@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ladarreg_core.acquisition.composition.sweep_composition import SweepComposition, compose_sweeps
 from ladarreg_core.acquisition.line_sweep import LineSweep, UnitTrack
-from ladarreg_core.acquisition.sweep_composition import SweepComposition, compose_sweeps
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.formats.npz import read_npz, write_npz_xyz
+from ladarreg_core.formats.scans.npz import read_npz, write_npz_xyz
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grid_order import is_scan_grid, order_of
 from testing.scenes.box_room import MOUNT, WIDE_LINE, in_motion, off_surface, stop_and_go

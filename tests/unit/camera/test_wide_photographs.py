@@ -13,9 +13,9 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import SphericalGrid
-from ladarreg_core.surface.render import render_scan_colors
-from ladarreg_core.surface.texture import Label, texture_scan
+from ladarreg_core.surface.texture.registered_texture import Label, texture_scan
 from ladarreg_core.surface.uncertainty import pixel_sigma
+from ladarreg_core.surface.visibility.render import render_scan_colors
 
 FISHEYE = FisheyeCamera(1200, 1200, 350, 350, 599.5, 599.5, (0.02, -0.003, 0, 0))  # 190 degrees
 PANORAMA = EquirectangularCamera(2048, 1024)
@@ -91,8 +91,8 @@ def room(*, with_post: bool = True) -> Scan:
             off = np.abs(level @ np.array([-np.sin(0.5), np.cos(0.5)]) * 1.2)
             post = (along > 0) & (off < 0.15) & (np.abs(rays[..., 2]) < 0.7)
             ranges = np.where(post, along / np.maximum(np.hypot(*np.moveaxis(rays[..., :2], -1, 0)), 1e-6), ranges)
-    colour = np.clip(128 + 110 * rays, 0, 255).astype(np.uint8)
-    return Scan(geometry, ranges.astype(np.float32), ranges.astype(np.float32), color=colour)
+    color = np.clip(128 + 110 * rays, 0, 255).astype(np.uint8)
+    return Scan(geometry, ranges.astype(np.float32), ranges.astype(np.float32), color=color)
 
 
 @pytest.mark.parametrize("camera", [PANORAMA.scaled(0.5), FISHEYE.scaled(0.5)])

@@ -8,7 +8,7 @@ import numpy as np
 
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, FisheyeCamera
 from ladarreg_core.export.output_frame import FrameName, OutputFrame
-from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.photo import Photo
 from testing.scenes.small_registration import POSE, sample_registration, sample_scan

@@ -8,14 +8,14 @@ from typing import get_args
 
 import numpy as np
 
-from ladarreg_core.comparison import Column, Comparison
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.photo import Photo
 from ladarreg_core.pose.result import describe_pose
+from ladarreg_core.registration.comparison import Column, Comparison
 from ladarreg_core.results import PoseResult, Stage, StageName
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.texture import texture_scan
+from ladarreg_core.surface.texture.registered_texture import texture_scan
 
 STAGES: tuple[StageName, ...] = get_args(StageName)
 OFF = {"linear": 1.5, "constrained_linear": 0.6, "simplex": 0.25, "simplex_outliers_removed": 0.08, "default": 0.0}

@@ -1,7 +1,7 @@
 import pytest
 
 from ladarreg_core.quality.assessment import assess
-from ladarreg_core.surface.texture import texture_scan
+from ladarreg_core.surface.texture.registered_texture import texture_scan
 from testing.scenes.small_registration import POSE, sample_photo, sample_registration, sample_scan
 
 

@@ -13,7 +13,7 @@ from PIL import Image
 from ladarreg_core.scan import Scan
 
 libe57 = pytest.importorskip("pye57").libe57
-COLOURS = ("colorRed", "colorGreen", "colorBlue")
+COLORS = ("colorRed", "colorGreen", "colorBlue")
 NORMALS = "http://www.libe57.org/E57_NOR_surface_normals.txt"
 POSE = {"w": 0.8, "x": 0.0, "y": 0.0, "z": 0.6, "t": (456_789.123, 5_432_100.456, 321.5)}
 """Where the scanner stands in a survey."""
@@ -168,9 +168,9 @@ def write_scaled(path: Path, scan: Scan) -> int:
         "rowIndex": (w.integer(5, 5000), row.astype("q") + 5),
         "columnIndex": (w.integer(0, max(511, scan.shape[1] - 1)), (scan.shape[1] - 1 - column).astype("q")),
     }
-    for k, name in enumerate(COLOURS):
+    for k, name in enumerate(COLORS):
         fields[name] = (w.integer(0, 65535), (row * 257 + column * 131 + k * 9001) % 65536)
-    limits = {f"{name}{end}": value for name in COLOURS for end, value in (("Minimum", 0), ("Maximum", 65535))}
+    limits = {f"{name}{end}": value for name in COLORS for end, value in (("Minimum", 0), ("Maximum", 65535))}
     bounds = {"rowMinimum": 5, "rowMaximum": scan.shape[0] + 4, "columnMinimum": 0, "columnMaximum": scan.shape[1] - 1}
     w.scan(fields, guid="{scaled}", name="scaled", pose=w.pose(), indexBounds=bounds, colorLimits=limits)
     w.close()
@@ -192,9 +192,9 @@ def write_spherical(path: Path, scan: Scan) -> int:
         "intensity": (w.real(), intensity[order].astype("f8")),
         "isColorInvalid": (w.integer(0, 1), (np.arange(len(x)) % 3 == 0).astype("q")),
     }
-    for k, name in enumerate(COLOURS):
+    for k, name in enumerate(COLORS):
         fields[name] = (w.real(single=True), ((row[order] * 3 + column[order] + k * 40) % 256 / 255).astype("f4"))
-    limits = {f"{name}{end}": value for name in COLOURS for end, value in (("Minimum", 0.0), ("Maximum", 1.0))}
+    limits = {f"{name}{end}": value for name in COLORS for end, value in (("Minimum", 0.0), ("Maximum", 1.0))}
     w.scan(fields, guid="{spherical}", name="spherical", colorLimits=limits)
     w.close()
     return 0
@@ -206,7 +206,7 @@ def write_without_grid(path: Path, scan: Scan) -> int:
     points, intensity, _, _ = _cells(scan)
     fields = {f"cartesian{axis}": (w.real(single=True), points[:, k].astype("f4")) for k, axis in enumerate("XYZ")}
     fields["intensity"] = (w.integer(0, 255), np.rint(intensity * 255).astype("q"))
-    fields |= {name: (w.integer(0, 0), np.zeros(len(points), "q")) for name in COLOURS}
+    fields |= {name: (w.integer(0, 0), np.zeros(len(points), "q")) for name in COLORS}
     w.scan(fields, guid="{plain}", name="plain")
     w.close()
     return 0

@@ -16,10 +16,10 @@ from PIL import Image
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import Cancelled, ExportError
 from ladarreg_core.export.output_frame import FrameName
+from ladarreg_core.export.registered_scan import RegisteredScan
 from ladarreg_core.export.targets import reconstruction
 from ladarreg_core.export.targets.pipeline import export_to
-from ladarreg_core.export.targets.registered_scan import RegisteredScan
-from ladarreg_core.formats.camera_file import read_cameras, read_stated_pose
+from ladarreg_core.formats.cameras.camera_file import read_cameras, read_stated_pose
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress
 from testing.scenes.small_registration import POSE
@@ -180,7 +180,7 @@ def test_the_photographs_file_is_copied_if_everyone_reads_its_pixels(tmp_path: P
 
 
 def test_points_are_thinned_evenly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reconstruction, "MOST_POINTS", 120)
+    monkeypatch.setattr(reconstruction, "MAX_POINTS", 120)
     handed = handed_over(photograph(CAMERAS["4 terms"], "a"), photograph(CAMERAS["fisheye"], "b", pose=POSE))
     export_to(tmp_path / "out", handed, ["colmap"])
     found = pycolmap.Reconstruction(tmp_path / "out" / "colmap" / "sparse" / "0")

@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ladarreg_core.comparison import Comparison
 from ladarreg_core.errors import Cancelled, ExportError, ShapeError
-from ladarreg_core.export.comparison import comparison_document, export_comparison, table_text
-from ladarreg_core.export.comparison_table import comparison_table, differences, markdown_table, rms_depth_m, rms_px
+from ladarreg_core.export.comparison.folder import comparison_document, export_comparison, table_text
+from ladarreg_core.export.comparison.table import comparison_table, differences, markdown_table, rms_depth_m, rms_px
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.manifest import MANIFEST_FILE, visible_files
+from ladarreg_core.registration.comparison import Comparison
+from ladarreg_core.storage.manifest import MANIFEST_FILE, visible_files
 from testing.scenes.small_registration import POSE, sample_photo, sample_scan
 from tests.unit.export.comparisons import NOTE, comparison_of
 from tests.unit.export.test_contact_sheet import hostile
@@ -100,7 +100,7 @@ def test_the_difference_from_the_default_is_the_poses(change) -> None:
     assert (itself.median_px, itself.position_m) == (0, 0)
     assert apart.position_m == pytest.approx(np.linalg.norm(change[3:]), abs=1e-9)
     assert apart.angle_rad == pytest.approx(np.linalg.norm(change[:3]), abs=1e-7)
-    cells = np.argwhere(base.columns[1].texture.coloured)
+    cells = np.argwhere(base.columns[1].texture.colored)
     points = scan.points[cells[:, 0], cells[:, 1]].astype(float)
     shift = photo.camera.project(moved @ points) - photo.camera.project(POSE @ points)
     assert apart.median_px == pytest.approx(np.median(np.hypot(*shift.T)), rel=1e-6, abs=1e-9)

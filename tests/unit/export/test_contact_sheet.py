@@ -11,21 +11,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ladarreg_core import palette
 from ladarreg_core.camera import Camera
-from ladarreg_core.comparison import Comparison
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.export.contact_sheet import SHEET_WIDTH, contact_sheet, write_contact_sheet
-from ladarreg_core.export.detail import detail_window, edge_lines, seen_window, whole_window
-from ladarreg_core.export.layout import legible, shortened, text_block, text_width, wrapped
-from ladarreg_core.export.match_panels import best_enlargement, match_panel
+from ladarreg_core.export.comparison.contact_sheet import SHEET_WIDTH, contact_sheet, write_contact_sheet
+from ladarreg_core.export.pictures.detail import detail_window, edge_lines, seen_window, whole_window
+from ladarreg_core.export.pictures.layout import legible, shortened, text_block, text_width, wrapped
+from ladarreg_core.export.pictures.match_panels import best_enlargement, match_panel
+from ladarreg_core.foundations import palette
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.photo import Photo
+from ladarreg_core.registration.comparison import Comparison
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.surface.texture import Label, RegisteredTexture, texture_scan
+from ladarreg_core.surface.texture.registered_texture import Label, RegisteredTexture, texture_scan
 from testing.scenes.small_registration import POSE
 from tests.unit.export.comparisons import STAGES, comparison_of, stage_result
 
@@ -150,14 +150,14 @@ def test_extreme_results_are_drawn(scan, photo) -> None:
 
 
 @pytest.mark.slow
-def test_accepted_and_not_accepted_differ_in_colour(scan, photo) -> None:
+def test_accepted_and_not_accepted_differ_in_color(scan, photo) -> None:
     sheets = [
         contact_sheet(comparison_of(scan, photo, POSE, stages=("simplex", "default"), accepted=names), scan, photo)
         for names in ((), ("default",), ("simplex", "default"))
     ]
     accepted, refused = (
-        [int((sheet == colour).all(axis=-1).sum()) for sheet in sheets]
-        for colour in (palette.OK_GROUND, palette.WARN_GROUND)
+        [int((sheet == color).all(axis=-1).sum()) for sheet in sheets]
+        for color in (palette.OK_GROUND, palette.WARN_GROUND)
     )
     assert accepted[0] < 50
     assert accepted[1] > 1000
@@ -208,7 +208,7 @@ def test_the_detail_shows_the_depth_edge_that_is_seen() -> None:
 
 
 @given(st.integers(0, 2**31), st.floats(0, 1))
-def test_windows_contain_the_coloured_cells_and_stay_on_the_grid(seed: int, share: float) -> None:
+def test_windows_contain_the_colored_cells_and_stay_on_the_grid(seed: int, share: float) -> None:
     rng = np.random.default_rng(seed)
     shape = tuple(rng.integers(2, 60, 2).tolist())
     geometry = AzimuthElevation(*shape, 0.01, 0.01)
@@ -220,9 +220,9 @@ def test_windows_contain_the_coloured_cells_and_stay_on_the_grid(seed: int, shar
     )
     texture = RegisteredTexture(rng.integers(0, 256, (*shape, 3)).astype(np.uint8), labels)
     around = seen_window(scan, [texture])
-    assert texture.coloured[around.cells].sum() == texture.coloured.sum()
+    assert texture.colored[around.cells].sum() == texture.colored.sum()
     window = detail_window(scan, texture, [texture])
-    assert (window is None) == (not texture.coloured.any())
+    assert (window is None) == (not texture.colored.any())
     for w in filter(None, (around, window)):
         assert scan.ranges[w.cells].shape == (w.height, w.width)
         assert min(w.height, w.width) >= 2
@@ -257,12 +257,12 @@ def test_a_match_is_a_dot_with_a_line_to_where_the_pose_puts_it(scan, photo) -> 
     )
     panel = match_panel(photo, result, (480, 360), enlargement=5).astype(int)
 
-    def colour(u: float, v: float) -> tuple[int, ...]:
+    def color(u: float, v: float) -> tuple[int, ...]:
         return tuple(panel[round((v + 0.5) * 4 - 0.5), round((u + 0.5) * 4 - 0.5)])
 
-    assert [colour(*at) for at in uv] == [palette.OK, palette.BAD, palette.OK]
-    assert colour(24.0, 20.0) == palette.OK  # observed minus predicted is -1 px, five times as long
-    assert colour(16.0, 20.0) != palette.OK
+    assert [color(*at) for at in uv] == [palette.OK, palette.BAD, palette.OK]
+    assert color(24.0, 20.0) == palette.OK  # observed minus predicted is -1 px, five times as long
+    assert color(16.0, 20.0) != palette.OK
     bare = match_panel(photo, None, (480, 360))
     assert not (bare == palette.OK).all(axis=-1).any()
 

@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ladarreg_core.export.folder import registration_files
 from ladarreg_core.export.json import registration_document
-from ladarreg_core.export.replacement import OFFSET_FILE, REFUSED_FILES, REGISTRATION_FILES
+from ladarreg_core.export.targets.folder import registration_files
 from ladarreg_core.formats import read_photo, read_scan
-from ladarreg_core.formats.pose_file import read_pose
-from ladarreg_core.given import given_pose
+from ladarreg_core.formats.documents.pose_file import read_pose
 from ladarreg_core.matches import Pick
 from ladarreg_core.quality.assessment import assess
 from ladarreg_core.quality.smoothing import SmoothedScan
 from ladarreg_core.registration import register
+from ladarreg_core.registration.given import given_pose
 from ladarreg_core.results import ComparedBlocks
 from ladarreg_core.simulate.sample import sample_folder
-from ladarreg_core.surface.texture import Label
+from ladarreg_core.storage.replacement import OFFSET_FILE, REFUSED_FILES, REGISTRATION_FILES
+from ladarreg_core.surface.texture.registered_texture import Label
 
 PAGE = (Path(__file__).parents[3] / "docs" / "outputs.md").read_text(encoding="utf-8")
 FREE = {

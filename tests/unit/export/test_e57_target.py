@@ -16,20 +16,20 @@ from PIL import Image
 
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, FisheyeCamera
 from ladarreg_core.errors import Cancelled, ExportError, LadarregError
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.pipeline import export_files, export_to
-from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.formats import extract_images, read_scan
-from ladarreg_core.formats.camera_file import read_camera
+from ladarreg_core.formats.cameras.camera_file import read_camera
+from ladarreg_core.formats.documents.pose_file import read_pose
 from ladarreg_core.formats.e57_images import embedded_images
-from ladarreg_core.formats.pose_file import read_pose
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
 from testing.attacks.bombs import e57_with_xml
 from testing.attacks.full_disk import largest_file
-from testing.scenes.colour_room import POSE, paint, photo_of, registered, scan_of, seen_along
+from testing.scenes.color_room import POSE, paint, photo_of, registered, scan_of, seen_along
 from tests.unit.export import e57_samples
-from tests.unit.export.e57_samples import COLOURS, KINDS, differences, libe57, raw_values
+from tests.unit.export.e57_samples import COLORS, KINDS, differences, libe57, raw_values
 
 PINHOLE = Camera(160, 120, 130.0, 131.0, 77.0, 61.0)
 WORLD = Rigid.from_rotvec([0, 0, 0.9], (456_789.25, 5_432_100.5, 321.75))
@@ -77,7 +77,7 @@ def position(values: dict[str, np.ndarray], prototype: Any) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_everything_but_the_colours_is_as_it_was_and_these_are_true(kind: str, tmp_path: Path) -> None:
+def test_everything_but_the_colors_is_as_it_was_and_these_are_true(kind: str, tmp_path: Path) -> None:
     source = tmp_path / "Büro 1.e57"
     index = KINDS[kind](source, scan_of())
     photo = photo_of(PINHOLE, name="IMG größer 1.png")
@@ -86,9 +86,9 @@ def test_everything_but_the_colours_is_as_it_was_and_these_are_true(kind: str, t
     old, new = old_file.root(), file.root()
     changed = set(differences(old, new))
     points = f"/data3D/{index}/points"
-    of_colours = {f"{points}/{name}: values" for name in (*COLOURS, "isColorInvalid")}
-    of_colours |= {f"{points}/{name}: maximum" for name in COLOURS}  # of the constant ones
-    assert changed <= {"/guid: value", "/e57LibraryVersion: value", *of_colours}
+    of_colors = {f"{points}/{name}: values" for name in (*COLORS, "isColorInvalid")}
+    of_colors |= {f"{points}/{name}: maximum" for name in COLORS}  # of the constant ones
+    assert changed <= {"/guid: value", "/e57LibraryVersion: value", *of_colors}
     assert {"/guid: value", "/e57LibraryVersion: value"} <= changed
     assert new["images2D"].childCount() == old["images2D"].childCount() + 1
 
@@ -99,8 +99,8 @@ def test_everything_but_the_colours_is_as_it_was_and_these_are_true(kind: str, t
     uv = PINHOLE.project(POSE @ where)
     inside = PINHOLE.contains(uv, border=1) & (state == 0)
     beyond = ~PINHOLE.contains(uv, border=-1) | (state != 0)
-    limits = [float(scan[f"colorLimits/{name}Maximum"].value()) for name in COLOURS]
-    found = np.stack([values[name] / limit * 255 for name, limit in zip(COLOURS, limits, strict=True)], axis=-1)
+    limits = [float(scan[f"colorLimits/{name}Maximum"].value()) for name in COLORS]
+    found = np.stack([values[name] / limit * 255 for name, limit in zip(COLORS, limits, strict=True)], axis=-1)
     assert inside.sum() > 300
     away = np.abs(found - paint(where))[inside]
     assert np.median(away) < 1
@@ -110,7 +110,7 @@ def test_everything_but_the_colours_is_as_it_was_and_these_are_true(kind: str, t
     if "isColorInvalid" in values:
         assert np.mean(values["isColorInvalid"][inside]) < 0.03
     if kind in ("scaled", "spherical"):
-        assert all((values[name] == before[name])[beyond].all() for name in COLOURS), "unseen points keep their colour"
+        assert all((values[name] == before[name])[beyond].all() for name in COLORS), "unseen points keep their colour"
         if kind == "spherical":
             assert (values["isColorInvalid"] == before["isColorInvalid"])[beyond].all()
     else:
@@ -138,8 +138,8 @@ def test_a_scan_of_another_format_becomes_a_file_of_its_returns(tmp_path: Path) 
     seen = values["isColorInvalid"] == 0
     truth = paint(scan.points[row, column])
     assert np.median(np.abs(values["colorGreen"] - truth[:, 1])[seen]) < 1
-    coloured = replace(scan, color=np.full((*scan.shape, 3), 77, np.uint8))
-    second = exported(RegisteredScan(coloured, (registered(photo_of(PINHOLE)),)), tmp_path / "second")
+    colored = replace(scan, color=np.full((*scan.shape, 3), 77, np.uint8))
+    second = exported(RegisteredScan(colored, (registered(photo_of(PINHOLE)),)), tmp_path / "second")
     of_scanner = raw_values(opened(second).root()["data3D"][0]["points"])
     assert (of_scanner["colorRed"][~seen] == 77).all(), "the scanner's own colours stay where no photograph sees"
     assert (of_scanner["colorRed"] == values["colorRed"])[seen].all()
@@ -358,7 +358,7 @@ def test_a_cancelled_export_leaves_nothing(tmp_path: Path) -> None:
     index = e57_samples.write_scaled(source, scan_of())
     for scan_file in (source, None):
         handed = replace(handed_over(source, index, registered(photo_of(PINHOLE))), scan_file=scan_file)
-        assert handed.colours  # they are kept, and reported once only
+        assert handed.colors  # they are kept, and reported once only
         calls: list[Progress] = []
         ((_, write),) = [job for job in export_files(handed, ["e57"], report=calls.append) if job[0] != "export.json"]
         write(tmp_path / "whole.e57")
@@ -384,7 +384,7 @@ def test_a_full_disk_leaves_nothing_and_is_said(is_copy: bool, tmp_path: Path) -
     index = e57_samples.write_scaled(source, scan_of())
     handed = handed_over(source, index, registered(photo_of(PINHOLE)))
     handed = handed if is_copy else replace(handed, scan_file=None)
-    assert handed.colours
+    assert handed.colors
     for size in (2_000, 60_000, 145_000):
         with largest_file(size), pytest.raises(ExportError, match=r"cannot be written.*; give a writable folder"):
             export_to(tmp_path / "out", handed, ["e57"])
@@ -452,11 +452,11 @@ def test_real_files_of_other_writers_are_copied_unchanged(real_data: Path, tmp_p
     path = exported(handed, tmp_path / "out")
     old_file, file = map(opened, (source, path))
     changed = set(differences(old_file.root(), file.root()))
-    colours = {f"/data3D/0/points/{name}: values" for name in COLOURS}
-    assert changed == {"/guid: value", "/e57LibraryVersion: value", "/creationDateTime/dateTimeValue: value", *colours}
+    colors = {f"/data3D/0/points/{name}: values" for name in COLORS}
+    assert changed == {"/guid: value", "/e57LibraryVersion: value", "/creationDateTime/dateTimeValue: value", *colors}
     before, after = (raw_values(each.root()["data3D"][0]["points"]) for each in (old_file, file))
     scan: Scan = read_scan(path)
     assert scan.color is not None
-    unseen = scan.valid & (handed.colours.photo == 65535)
+    unseen = scan.valid & (handed.colors.photo == 65535)
     assert (scan.color[unseen] == handed.scan.color[unseen]).all()  # type: ignore[index]
     assert 0.05 < np.mean(before["colorRed"] != after["colorRed"]) < 0.95

@@ -7,13 +7,13 @@ import pytest
 from PIL import Image
 
 from ladarreg_core.errors import Cancelled, ExportError
-from ladarreg_core.export import staging
-from ladarreg_core.export.folder import FILE_NAMES, export_registration, write_folder
 from ladarreg_core.export.json import registration_document, write_document
-from ladarreg_core.export.replacement import remove_results, require_replaceable
-from ladarreg_core.manifest import MANIFEST_FILE, visible_files
-from ladarreg_core.palette import UNKNOWN
+from ladarreg_core.export.targets.folder import FILE_NAMES, export_registration, write_folder
+from ladarreg_core.foundations.palette import UNKNOWN
 from ladarreg_core.quality.smoothing import SmoothedScan
+from ladarreg_core.storage import staging
+from ladarreg_core.storage.manifest import MANIFEST_FILE, visible_files
+from ladarreg_core.storage.replacement import remove_results, require_replaceable
 from testing.scenes.small_registration import sample_registration
 
 
@@ -226,7 +226,7 @@ def test_a_file_that_appears_at_the_last_moment_is_kept(tmp_path, registration, 
         (out / "IMG_0001.jpg").write_bytes(b"just saved")
         real(new, target, verify)
 
-    monkeypatch.setattr("ladarreg_core.export.folder.put_in_place", put_in_place)
+    monkeypatch.setattr("ladarreg_core.export.targets.folder.put_in_place", put_in_place)
     with pytest.raises(ExportError, match=r"contains IMG_0001\.jpg next to registration\.json"):
         export_registration(out, registration, scan, photo, force=True)
     assert names(tmp_path) == ["out"]

@@ -5,12 +5,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ladarreg_core.errors import ExportError, ShapeError
-from ladarreg_core.export.glb import glb_bytes, write_model_glb
-from ladarreg_core.export.viser_colors import VISER_BASE_COLOUR, shown_colours, texture_for_viewer
+from ladarreg_core.export.models.glb import glb_bytes, write_model_glb
+from ladarreg_core.export.models.viser_colors import VISER_BASE_COLOR, shown_colors, texture_for_viewer
 from ladarreg_core.photo import Photo
-from ladarreg_core.surface.mesh import Mesh, scan_mesh
-from ladarreg_core.surface.photo_model import ModelPhoto, PhotoModel, photo_model
-from ladarreg_core.surface.texture import texture_scan
+from ladarreg_core.surface.mesh.grid_mesh import Mesh, scan_mesh
+from ladarreg_core.surface.texture.photo_model import ModelPhoto, PhotoModel, photo_model
+from ladarreg_core.surface.texture.registered_texture import texture_scan
 from testing.files.gltf_checks import Glb
 from testing.scenes.small_registration import POSE
 
@@ -27,7 +27,7 @@ def test_a_mesh_with_a_picture_keeps_the_rules_of_gltf(scan, step, for_viser):
     assert "KHR_materials_unlit" in material["extensions"]
     assert glb.document["extensionsUsed"] == ["KHR_materials_unlit"]
     factor = material["pbrMetallicRoughness"]["baseColorFactor"]
-    assert factor == ([VISER_BASE_COLOUR] * 3 + [1.0] if for_viser else [1.0] * 4)
+    assert factor == ([VISER_BASE_COLOR] * 3 + [1.0] if for_viser else [1.0] * 4)
     # In viser's scene the root is the scanner's frame.
     assert ("rotation" in glb.document["nodes"][0]) != for_viser
 
@@ -94,30 +94,30 @@ def test_an_empty_model_is_refused_with_a_reason(tmp_path):
 
 def test_every_gray_is_shown_to_within_2_levels():
     gray = np.arange(256)[:, None].repeat(3, axis=1)
-    shown = shown_colours(texture_for_viewer(gray)).astype(int)
+    shown = shown_colors(texture_for_viewer(gray)).astype(int)
     assert np.abs(shown - gray).max() <= 2
 
 
 @given(st.tuples(*[st.integers(0, 255)] * 3))
-def test_a_colour_is_shown_to_within_3_levels_wherever_the_curve_can_make_it(rgb):
+def test_a_color_is_shown_to_within_3_levels_wherever_the_curve_can_make_it(rgb):
     texture = texture_for_viewer(np.array([rgb]))
-    error = np.abs(shown_colours(texture).astype(int) - rgb)
+    error = np.abs(shown_colors(texture).astype(int) - rgb)
     inside = ((texture > 0) & (texture < 255)).all()
     # Where a channel of the texture is saturated, the colour is at or beyond the limit of the displayable range.
     assert error.max() <= 3 or not inside
 
 
-def test_muted_colours_can_be_displayed():
+def test_muted_colors_can_be_displayed():
     """Muted colours, of at most half saturation and up to 90 % bright."""
     rng = np.random.default_rng(0)
     value, saturation = rng.uniform(10, 230, 4000), rng.uniform(0, 0.5, 4000)
     weights = rng.random((4000, 3))
     weights = (weights - weights.min(1, keepdims=True)) / np.ptp(weights, axis=1, keepdims=True)
     rgb = np.rint(value[:, None] * (1 - saturation[:, None] * weights)).astype(np.uint8)
-    error = np.abs(shown_colours(texture_for_viewer(rgb)).astype(int) - rgb).max(axis=1)
+    error = np.abs(shown_colors(texture_for_viewer(rgb)).astype(int) - rgb).max(axis=1)
     assert np.quantile(error, 0.98) <= 2
 
 
 def test_the_forward_curve_is_the_viewers():
     """Measured in a browser: an unlit sRGB 128 shows as 141 when nothing is done about it."""
-    assert shown_colours(np.array([128, 128, 128]), base_colour=1.0).tolist() == [141, 141, 141]
+    assert shown_colors(np.array([128, 128, 128]), base_color=1.0).tolist() == [141, 141, 141]

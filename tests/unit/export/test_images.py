@@ -6,14 +6,14 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from ladarreg_core.errors import ExportError, LadarregError, OptionError, ShapeError
-from ladarreg_core.export.images import (
+from ladarreg_core.export.pictures.images import (
     uncertainty_picture,
     write_labels_png,
     write_registered_png,
     write_uncertainty_png,
 )
-from ladarreg_core.palette import UNKNOWN, VISIBILITY, scale_end
-from ladarreg_core.surface.texture import Label, RegisteredTexture
+from ladarreg_core.foundations.palette import UNKNOWN, VISIBILITY, scale_end
+from ladarreg_core.surface.texture.registered_texture import Label, RegisteredTexture
 
 
 def test_the_registered_picture_is_upright_and_lossless(tmp_path, texture):
@@ -30,11 +30,11 @@ def test_the_labels_are_codes_that_a_person_can_read(tmp_path):
     with Image.open(tmp_path / "labels.png") as image:
         assert image.mode == "P"
         np.testing.assert_array_equal(np.asarray(image), labels)
-        colours = np.asarray(image.convert("RGB"))
+        colors = np.asarray(image.convert("RGB"))
     for label in Label:
-        assert (colours[labels == label] == VISIBILITY[label]).all()
+        assert (colors[labels == label] == VISIBILITY[label]).all()
     # Readers that expand palettes show these colours.
-    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "labels.png"), cv2.IMREAD_COLOR)[..., ::-1], colours)
+    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "labels.png"), cv2.IMREAD_COLOR)[..., ::-1], colors)
 
 
 def test_the_png_shows_every_cell_and_a_scale(tmp_path):
@@ -52,7 +52,7 @@ def test_the_png_shows_every_cell_and_a_scale(tmp_path):
     np.testing.assert_array_equal(cells[40, 40], cells[0, -1])
     assert read.shape[0] > 90 + 40
     # The bar has exactly the colours of the cells, so that values can be read off.
-    bar = {tuple(colour) for row in read[90:] for colour in row.tolist()}
+    bar = {tuple(color) for row in read[90:] for color in row.tolist()}
     assert len({tuple(c) for c in cells[0].tolist()} - bar) < 60
     capped = uncertainty_picture(np.minimum(sigma, 2), most_px=2.0)
     assert not np.array_equal(capped[90:], read[90:]), "a scale that is exceeded says so"

@@ -16,13 +16,13 @@ import trimesh
 from ladarreg_core.camera import Camera, EquirectangularCamera, FisheyeCamera
 from ladarreg_core.errors import Cancelled
 from ladarreg_core.export.output_frame import OutputFrame
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.pipeline import export_to
-from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.formats import read_scan
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress
-from ladarreg_core.surface.texture import Label
+from ladarreg_core.surface.texture.registered_texture import Label
 from testing.scenes.simulated_clouds import dome, in_room
 from testing.scenes.small_registration import sample_photo, sample_registration, sample_scan
 
@@ -75,7 +75,7 @@ def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_las_keeps_every_field_and_gains_colours(cloud: Path, tmp_path: Path) -> None:
+def test_a_las_keeps_every_field_and_gains_colors(cloud: Path, tmp_path: Path) -> None:
     scan = read_scan(cloud, origin=tuple(SCANNER.tolist()))
     export_to(tmp_path / "out", registered(scan, cloud), ["laz"])
     before, after = laspy.read(cloud), laspy.read(tmp_path / "out" / "laz" / "hall 3.laz")
@@ -116,7 +116,7 @@ def test_a_las_keeps_every_field_and_gains_colours(cloud: Path, tmp_path: Path) 
     assert (np.ptp(gray.astype(int), axis=1) == 0).all()
 
 
-def test_a_second_export_of_the_export_keeps_the_first_and_its_colours_where_no_photograph_sees(
+def test_a_second_export_of_the_export_keeps_the_first_and_its_colors_where_no_photograph_sees(
     cloud: Path, tmp_path: Path
 ) -> None:
     scan = read_scan(cloud, origin=tuple(SCANNER.tolist()))
@@ -212,7 +212,7 @@ def test_header_states_bounds_and_returns(tmp_path: Path) -> None:
     assert after.header.point_count == COUNT
 
 
-def test_colours_of_eight_bits_become_sixteen_beside_the_photographs(tmp_path: Path) -> None:
+def test_colors_of_eight_bits_become_sixteen_beside_the_photographs(tmp_path: Path) -> None:
     rgb = np.random.default_rng(3).integers(0, 256, (3, COUNT)).astype(np.uint16)
     fields = dict(zip(("red", "green", "blue"), rgb, strict=True))
     before, after, _, _ = written_again(tmp_path, "c.las", point_format=8, nir=rgb[0] * 3, **fields)
@@ -270,11 +270,11 @@ def test_another_scan_is_written_in_the_world(tmp_path: Path, in_world: bool) ->
     legend = json.loads((tmp_path / "out" / "laz" / "legend.json").read_text())
     assert legend["coordinates"].startswith("world" if in_world else "scanner")
     assert legend["photo_id"] == {"0": None, "1": "photo"}
-    labels = handed.colours.labels[scan.valid]
+    labels = handed.colors.labels[scan.valid]
     np.testing.assert_array_equal(found["label"], labels)
     seen = labels == Label.SEEN
     rgb = np.stack([found.red, found.green, found.blue], axis=-1) // 257
-    np.testing.assert_array_equal(rgb[seen], handed.colours.image[scan.valid][seen])
+    np.testing.assert_array_equal(rgb[seen], handed.colors.image[scan.valid][seen])
 
     header, _, body = (tmp_path / "out" / "ply" / "cloud.ply").read_bytes().partition(b"end_header\n")
     assert b"comment photo_id 1: photo (accepted (image))" in header

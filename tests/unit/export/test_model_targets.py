@@ -15,8 +15,8 @@ import trimesh
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, FisheyeCamera
 from ladarreg_core.errors import Cancelled, ExportError
 from ladarreg_core.export.output_frame import OutputFrame
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.pipeline import export_to
-from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.photo import Photo
@@ -83,8 +83,8 @@ def sampled(meshes: dict[str, Any], shift: float, *, flip: bool) -> Iterator[tup
         uv = (np.asarray(mesh.visual.uv)[mesh.faces] * weights).sum(axis=1)
         height, width = picture.shape[:2]
         u, v = uv[:, 0] * width - 0.5 + shift, (uv[:, 1] if flip else 1 - uv[:, 1]) * height - 0.5 + shift
-        colour = look_up(picture, u[:, None].astype(np.float32), v[:, None].astype(np.float32))[:, 0]
-        yield mesh.visual.material.name, points, colour
+        color = look_up(picture, u[:, None].astype(np.float32), v[:, None].astype(np.float32))[:, 0]
+        yield mesh.visual.material.name, points, color
 
 
 def errors_db(meshes: dict[str, Any], of: RegisteredScan, *, shift: float = 0.0, flip: bool = False) -> list[float]:
@@ -93,7 +93,7 @@ def errors_db(meshes: dict[str, Any], of: RegisteredScan, *, shift: float = 0.0,
     """
     squares: dict[int, list[np.ndarray]] = {0: [], 1: []}
     back = of.frame.world_from_scanner.inverse
-    for name, points, colour in sampled(meshes, shift, flip=flip):
+    for name, points, color in sampled(meshes, shift, flip=flip):
         if "laser" in name:
             continue
         index = next(k for k, one in enumerate(of.photos) if one.id in name or one.photo.name in name)
@@ -101,7 +101,7 @@ def errors_db(meshes: dict[str, Any], of: RegisteredScan, *, shift: float = 0.0,
         in_scanner = back @ (points + np.array(of.frame.offset_m))
         uv = one.camera.project(one.camera_from_scanner @ in_scanner).astype(np.float32)
         true = look_up(one.photo.pixels, uv[:, :1].copy(), uv[:, 1:].copy())[:, 0]
-        squares[index].append(np.square(colour.astype(float) - true).ravel())
+        squares[index].append(np.square(color.astype(float) - true).ravel())
     assert all(sum(map(len, found)) > 3000 for found in squares.values())
     return [float(20 * np.log10(255 / np.sqrt(np.concatenate(found).mean()))) for found in squares.values()]
 
@@ -188,7 +188,7 @@ def test_a_panorama_and_what_no_photograph_covers(tmp_path: Path) -> None:
 @pytest.mark.parametrize("target", ["glb", "obj"])
 def test_a_cancelled_export_leaves_nothing(tmp_path: Path, target: str) -> None:
     said: list[Progress] = []
-    handed().compute_colours()  # they are kept, so that only the first export would report them
+    handed().compute_colors()  # they are kept, so that only the first export would report them
     export_to(tmp_path / "out", handed(), [target], report=said.append)
     for stop in range(1, len(said), max(1, len(said) // 6)):
         left = stop

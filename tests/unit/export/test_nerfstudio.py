@@ -20,11 +20,11 @@ import trimesh
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, FisheyeCamera
 from ladarreg_core.errors import Cancelled
 from ladarreg_core.export.output_frame import FrameName, OutputFrame
+from ladarreg_core.export.registered_scan import RegisteredScan
 from ladarreg_core.export.targets.nerfstudio import nerfstudio_files
 from ladarreg_core.export.targets.pipeline import export_to
-from ladarreg_core.export.targets.registered_scan import RegisteredScan
 from ladarreg_core.export.targets.target import ExportOptions
-from ladarreg_core.formats.camera_file import read_cameras, read_stated_pose
+from ladarreg_core.formats.cameras.camera_file import read_cameras, read_stated_pose
 from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
 from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan

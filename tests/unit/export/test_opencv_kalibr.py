@@ -12,7 +12,7 @@ import yaml
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.output_frame import FrameName
 from ladarreg_core.export.targets.pipeline import export_to
-from ladarreg_core.formats.camera_file import camera_format, read_camera, read_cameras
+from ladarreg_core.formats.cameras.camera_file import camera_format, read_camera, read_cameras
 from ladarreg_core.frames import Rigid
 from testing.scenes.small_registration import POSE
 from tests.unit.export.camera_cases import CAMERAS, TILTED, handed_over, photograph, scanner_points, world_points

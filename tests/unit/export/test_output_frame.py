@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from ladarreg_core.errors import OptionError
-from ladarreg_core.export.folder import export_registration
 from ladarreg_core.export.output_frame import OutputFrame
+from ladarreg_core.export.targets.folder import export_registration
 from ladarreg_core.frames import Rigid
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.photo_model import ModelPhoto, photo_model
-from ladarreg_core.surface.texture import texture_scan
+from ladarreg_core.surface.texture.photo_model import ModelPhoto, photo_model
+from ladarreg_core.surface.texture.registered_texture import texture_scan
 from testing.scenes.small_registration import POSE, sample_registration
 
 trimesh = pytest.importorskip("trimesh")

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.packed_mesh import MAGIC, packed_mesh
+from ladarreg_core.export.models.packed_mesh import MAGIC, packed_mesh
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.surface.facets import point_facets
-from ladarreg_core.surface.mesh import Mesh, scan_mesh
+from ladarreg_core.surface.mesh.facets import point_facets
+from ladarreg_core.surface.mesh.grid_mesh import Mesh, scan_mesh
 
 
 def unpacked(data):

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from ladarreg_core.errors import ExportError, ShapeError
-from ladarreg_core.export.ply import ply_bytes, write_ply
-from ladarreg_core.surface.texture import RegisteredTexture, model_picture
+from ladarreg_core.export.models.ply import ply_bytes, write_ply
+from ladarreg_core.surface.texture.registered_texture import RegisteredTexture, model_picture
 
 
 def test_another_reader_finds_every_return(tmp_path, scan, texture):

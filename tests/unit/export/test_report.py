@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from ladarreg_core.export.json import registration_document
-from ladarreg_core.export.match_crops import worst_matches
-from ladarreg_core.export.report import report_html
-from ladarreg_core.export.report_plots import residual_plots
+from ladarreg_core.export.report.match_crops import worst_matches
+from ladarreg_core.export.report.page import report_html
+from ladarreg_core.export.report.plots import residual_plots
 from ladarreg_core.foundations.markup import joined, tag
 from ladarreg_core.matches import Matches
 from ladarreg_core.photo import Photo

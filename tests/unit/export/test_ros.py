@@ -17,15 +17,15 @@ from scipy.spatial.transform import Rotation
 from ladarreg_core.camera import Camera, EquirectangularCamera, FisheyeCamera
 from ladarreg_core.errors import Cancelled, ExportError
 from ladarreg_core.export.output_frame import OutputFrame
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.pipeline import export_to
-from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.formats import read_scan
-from ladarreg_core.formats.camera_file import read_camera
+from ladarreg_core.formats.cameras.camera_file import read_camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.texture import Label
+from ladarreg_core.surface.texture.registered_texture import Label
 from testing.scenes.small_registration import POSE, sample_registration, sample_scan
 
 PINHOLE = (120, 90, 100.0, 101.0, 59.0, 45.0)
@@ -139,7 +139,7 @@ def test_points_of_the_recording_land_on_its_photograph(
     assert (cloud.height, cloud.point_step, cloud.row_step) == (1, 20, 20 * cloud.width)
     rows = np.frombuffer(cloud.data, np.float32).reshape(-1, 5)
     points = rows[:, :3].astype(np.float64)
-    colours = np.asarray(cloud.data).reshape(-1, 20)[:, 18:15:-1]  # red, green, blue
+    colors = np.asarray(cloud.data).reshape(-1, 20)[:, 18:15:-1]  # red, green, blue
     scan = handed.scan
     assert np.allclose(points, scan.points[scan.valid], atol=1e-6)
     assert np.allclose(rows[:, 3], scan.intensity[scan.valid])
@@ -147,7 +147,7 @@ def test_points_of_the_recording_land_on_its_photograph(
     assert transform.child_frame_id == info.header.frame_id == image.header.frame_id
     assert cloud.header.frame_id == "scanner"
 
-    seen = handed.colours.labels[scan.valid] == Label.SEEN
+    seen = handed.colors.labels[scan.valid] == Label.SEEN
     assert seen.sum() > 200
     homogeneous = np.column_stack([points, np.ones(len(points))])[seen]
 
@@ -158,7 +158,7 @@ def test_points_of_the_recording_land_on_its_photograph(
             ours = handed.photos[0].camera.project(handed.photos[0].camera_from_scanner @ points[seen])
             at = np.nan_to_num(uv, nan=-1e6, posinf=-1e6, neginf=-1e6).astype(np.float32)
             drawn = cv2.remap(shown.astype(np.float32), *at.T.reshape(2, -1, 1), cv2.INTER_LINEAR)[:, 0]
-            level = np.abs(drawn - colours[seen]).max(axis=1)
+            level = np.abs(drawn - colors[seen]).max(axis=1)
             return float(np.median(level)), float(np.nanmax(np.hypot(*(uv - ours).T)))
 
     pose = matrix_of(transform.transform)

@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.export.output_frame import OutputFrame
+from ladarreg_core.export.registered_scan import RegisteredScan
 from ladarreg_core.export.targets.pipeline import export_to
-from ladarreg_core.export.targets.registered_scan import RegisteredScan
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from testing.files.gltf_checks import Glb
 from testing.scenes.small_registration import sample_scan
@@ -63,7 +63,7 @@ class Read:
     """What a reader found: points in the survey (m), their colours, cameras."""
 
     points: np.ndarray | None = None
-    colours: np.ndarray | None = None
+    colors: np.ndarray | None = None
     views: dict[str, View] | None = None
 
 
@@ -122,7 +122,7 @@ def read_e57(folder: Path) -> Read:
     cartesian = np.stack([raw[f"cartesian{axis}"] for axis in "XYZ"], axis=-1)
     w, x, y, z = header.rotation
     points = Rotation.from_quat([x, y, z, w]).apply(cartesian) + header.translation
-    colours = np.stack([raw[f"color{name}"] for name in ("Red", "Green", "Blue")], axis=-1)
+    colors = np.stack([raw[f"color{name}"] for name in ("Red", "Green", "Blue")], axis=-1)
     views = {}
     images = file.image_file.root()["images2D"]
     for index in range(images.childCount()):
@@ -144,7 +144,7 @@ def read_e57(folder: Path) -> Read:
             (),
         )
     file.close()
-    return Read(points, colours, views)
+    return Read(points, colors, views)
 
 
 def read_ros(folder: Path) -> Read:
@@ -180,8 +180,8 @@ def read_ros(folder: Path) -> Read:
 
 def read_laz(folder: Path) -> Read:
     data = laspy.read(next(folder.glob("*.laz")))
-    colours = np.stack([data.red, data.green, data.blue], axis=-1) // 257
-    return Read(data.xyz, np.where(np.asarray(data["photo_id"])[:, None] > 0, colours, 0))
+    colors = np.stack([data.red, data.green, data.blue], axis=-1) // 257
+    return Read(data.xyz, np.where(np.asarray(data["photo_id"])[:, None] > 0, colors, 0))
 
 
 def read_ply(folder: Path) -> Read:
@@ -332,18 +332,18 @@ def test_poses_and_pixels(name: str, found: dict[str, Read], truth: np.ndarray) 
 
 
 @pytest.mark.parametrize("name", ["colmap", "nerfstudio", "e57", "ros", "laz", "ply"])
-def test_colours_are_those_of_the_pixels(name: str, found: dict[str, Read]) -> None:
+def test_colors_are_those_of_the_pixels(name: str, found: dict[str, Read]) -> None:
     """A photograph's red is its column and green its row; blue 128 tells them from gray points that none shows."""
-    points, stated = found[name].points, found[name].colours
+    points, stated = found[name].points, found[name].colors
     assert points is not None
     assert stated is not None
-    colours = stated.astype(float)
+    colors = stated.astype(float)
     states, controls = [], []
     for photo, (_, _, size) in TRUE_CAMERAS.items():
         uv = true_view(photo).pixels(points)
-        states.append(np.abs(colours[:, :2] * max(size) / 250 - uv).max(axis=1))
-        controls.append(np.abs(colours[:, :2] * max(size) / 250 - (uv @ np.array([[0, 1], [1, 0]]))).max(axis=1))
-    shown = (colours[:, 2] == 128) & (np.ptp(colours, axis=1) > 0)
+        states.append(np.abs(colors[:, :2] * max(size) / 250 - uv).max(axis=1))
+        controls.append(np.abs(colors[:, :2] * max(size) / 250 - (uv @ np.array([[0, 1], [1, 0]]))).max(axis=1))
+    shown = (colors[:, 2] == 128) & (np.ptp(colors, axis=1) > 0)
     assert shown.sum() > 500
     assert np.min(states, axis=0)[shown].max() < 1.1
     for off in states:

@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 from ladarreg_core.camera import Camera, EquirectangularCamera
 from ladarreg_core.errors import Cancelled
 from ladarreg_core.export.output_frame import OutputFrame
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.model import model_of
 from ladarreg_core.export.targets.pipeline import export_to
-from ladarreg_core.export.targets.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.photo import Photo

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ladarreg_core.features.channels import add_channels, normalised_channels, raw_channels
+from ladarreg_core.matching.features.channels import add_channels, normalised_channels, raw_channels
 
 
 def scene(seed: int = 0) -> np.ndarray:

@@ -10,7 +10,7 @@ import pytest
 from numpy.lib.stride_tricks import sliding_window_view
 
 from ladarreg_core.errors import OptionError, ShapeError
-from ladarreg_core.features.corners import CornerOptions, corner_maps, find_corners
+from ladarreg_core.matching.features.corners import CornerOptions, corner_maps, find_corners
 
 
 def squares(seed: int = 0) -> np.ndarray:

@@ -10,14 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ladarreg_core.errors import OptionError, ShapeError
-from ladarreg_core.features.correlation import (
+from ladarreg_core.matching.features.correlation import (
     correlation_product,
     correlation_rows,
     edge_image,
     unique_matches,
     windows_at,
 )
-from ladarreg_core.features.descriptors import unit_rows
+from ladarreg_core.matching.features.descriptors import unit_rows
 
 
 def test_the_product_is_the_mean_of_two_correlation_coefficients() -> None:

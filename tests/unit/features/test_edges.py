@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.camera import Camera
-from ladarreg_core.features.edges import EdgeOptions, edge_under
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.inspection.snapping import PhotoSnapper
+from ladarreg_core.matching.features.edges import EdgeOptions, edge_under
 from ladarreg_core.photo import Photo
 
 SIDE = 200

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.inspection.drawn_surface import drawn_surface
 from ladarreg_core.inspection.pictures import display_note, inspection_views, scan_picture, usual_show
 from ladarreg_core.scan import Scan

@@ -41,7 +41,7 @@ from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid
 from ladarreg_core.simulate import SimulatedCase
-from ladarreg_core.surface.texture import Label, texture_scan
+from ladarreg_core.surface.texture.registered_texture import Label, texture_scan
 from testing.scenes.simulated import simulated
 
 
@@ -219,7 +219,7 @@ def test_edges_are_transparent_but_for_lines() -> None:
         scan_over_photo(c.scan, c.true_camera, c.camera_from_scanner, "sound")
 
 
-def test_without_the_z_buffer_occluded_cells_are_coloured() -> None:
+def test_without_the_z_buffer_occluded_cells_are_colored() -> None:
     c = the_case()
     honest = texture_scan(c.scan, c.photo, c.camera_from_scanner)
     pose = describe_pose(
@@ -229,8 +229,8 @@ def test_without_the_z_buffer_occluded_cells_are_coloured() -> None:
     through = texture_without_z_buffer(c.scan, c.photo, pose)
     hidden = honest.labels == Label.OCCLUDED
     assert hidden.sum() > 1000
-    assert through.coloured[hidden].all()
-    assert not honest.coloured[hidden].any()
+    assert through.colored[hidden].all()
+    assert not honest.colored[hidden].any()
     view = inspection_views(c.scan)[0].view
     alpha = [photo_over_scan(view, texture)[..., 3] for texture in (honest, through)]
     assert (alpha[0] > 0).sum() < (alpha[1] > 0).sum()

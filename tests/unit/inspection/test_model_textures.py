@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
+from ladarreg_core.foundations.palette import UNKNOWN, VISIBILITY
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.inspection.model_textures import (
     model_texture,
@@ -28,12 +29,11 @@ from ladarreg_core.inspection.surface_fields import (
     without_pepper,
 )
 from ladarreg_core.matches import Matches
-from ladarreg_core.palette import UNKNOWN, VISIBILITY
 from ladarreg_core.photo import Photo
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.surface.texture import Label, texture_scan
+from ladarreg_core.surface.texture.registered_texture import Label, texture_scan
 from testing.scenes.painted_room import PaintedRoom, painted_room
 
 KINDS = ("colour", "intensity", "range", "residual", "depth_error", "uncertainty", "resolution", "label")
@@ -81,17 +81,17 @@ def test_every_kind_covers_the_grid_and_has_a_legend(kind: str, room: PaintedRoo
     assert not texture.legend.ramp or (texture.legend.least and texture.legend.most)
 
 
-def test_labels_have_exactly_their_colours_and_the_legend_names_those_present(
+def test_labels_have_exactly_their_colors_and_the_legend_names_those_present(
     room: PaintedRoom, result: PoseResult
 ) -> None:
     registered = texture_scan(
         room.scan, room.photo, room.camera_from_scanner, camera=result.camera, covariance=np.asarray(result.covariance)
     )
     texture = model_texture(room.scan, "label", photo=room.photo, result=result)
-    for label, colour in zip(Label, VISIBILITY, strict=True):
-        assert (texture.image[registered.labels == label] == colour).all()
+    for label, color in zip(Label, VISIBILITY, strict=True):
+        assert (texture.image[registered.labels == label] == color).all()
     present = {VISIBILITY[code] for code in np.unique(registered.labels) if code != Label.NO_RETURN}
-    assert {colour for colour, _ in texture.legend.entries} == present
+    assert {color for color, _ in texture.legend.entries} == present
     assert {VISIBILITY[Label.OCCLUDED], VISIBILITY[Label.SEEN]} <= present
 
 
@@ -115,7 +115,7 @@ def test_without_the_z_buffer_occluded_cells_take_the_photo(room: PaintedRoom, r
     np.testing.assert_array_equal(through[outside], solid[outside])
 
 
-def test_nothing_behind_the_camera_is_coloured(room: PaintedRoom, result: PoseResult) -> None:
+def test_nothing_behind_the_camera_is_colored(room: PaintedRoom, result: PoseResult) -> None:
     behind = Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, [100.0, 0.0, 0.0])
     picture = picture_without_z_buffer(room.scan, room.photo, dataclasses.replace(result, camera_from_scanner=behind))
     assert np.ptp(picture, axis=-1).max() == 0
@@ -183,10 +183,10 @@ def test_depth_errors_keep_their_sign_and_have_a_symmetric_scale(room: PaintedRo
     assert texture.legend.least.startswith("-20 ")
     assert texture.legend.most.startswith("+20 ")
     assert len(texture.legend.ramp) % 2 == 1, "zero has a colour of its own"
-    colours = texture.image.astype(int)
-    assert (colours[field < -0.015] @ [1, 0, -1] < 0).all(), "negative is blue"
-    assert (colours[field > 0.008] @ [1, 0, -1] > 0).all(), "positive is red"
-    assert (colours[~known] == UNKNOWN).all()
+    colors = texture.image.astype(int)
+    assert (colors[field < -0.015] @ [1, 0, -1] < 0).all(), "negative is blue"
+    assert (colors[field > 0.008] @ [1, 0, -1] > 0).all(), "positive is red"
+    assert (colors[~known] == UNKNOWN).all()
 
 
 def test_depth_errors_need_a_baseline(result: PoseResult) -> None:
@@ -217,7 +217,7 @@ def test_the_resolution_is_that_of_a_wall_seen_straight_and_slantwise() -> None:
         assert centre == pytest.approx(1000 * 3.0 / 400 / np.sqrt(across), rel=0.01)
 
 
-def test_single_unseen_cells_take_the_colour_around_them_and_shadows_stay() -> None:
+def test_single_unseen_cells_take_the_color_around_them_and_shadows_stay() -> None:
     picture = np.full((40, 40, 3), (200, 100, 50), np.uint8)
     known = np.ones((40, 40), bool)
     known[5, 5] = known[20, 7] = known[20, 8] = False
@@ -243,7 +243,7 @@ def test_a_legend_is_ready_for_the_page(room: PaintedRoom, result: PoseResult) -
     assert fields["least"] == "0"
 
 
-def test_a_pose_that_is_not_accepted_colours_nothing(room: PaintedRoom, result: PoseResult) -> None:
+def test_a_pose_that_is_not_accepted_colors_nothing(room: PaintedRoom, result: PoseResult) -> None:
     refused = result_of(room, accepted=False)
     for kind in set(KINDS) - {"intensity", "range"}:
         assert usable_texture(kind, None) == usable_texture(kind, refused) == "intensity"

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.export.viser_colors import line_colours_for_viewer, shown_colours
+from ladarreg_core.export.models.viser_colors import line_colors_for_viewer, shown_colors
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, look_along
 from ladarreg_core.inspection.scene_geometry import (
     Marks,
@@ -88,7 +88,7 @@ def test_small_helpers() -> None:
     assert camera_outlines(CAMERA, (Rigid.identity(),) * 3, depth_m=1.0).shape == (24, 2, 3)
     assert rays_to(np.ones((5, 3)), (np.zeros(3), np.ones(3))).shape == (10, 2, 3)
     assert faded([[200, 100, 0]], (0, 0, 0), share=0.5).tolist() == [[100, 50, 0]]
-    assert np.abs(shown_colours(line_colours_for_viewer([[92, 200, 255]]), base_colour=1.0).astype(int)).min() > 0
+    assert np.abs(shown_colors(line_colors_for_viewer([[92, 200, 255]]), base_color=1.0).astype(int)).min() > 0
 
 
 @given(st.integers(0, 500), st.integers(1, 60))

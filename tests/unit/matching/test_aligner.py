@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.matching.agreement import agreement
-from ladarreg_core.matching.aligner import Aligner, flow_step
-from ladarreg_core.matching.covariance import window_evidence
-from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
-from ladarreg_core.matching.verification import GateOptions, verify
+from ladarreg_core.matching.images.pyramid import photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.refine.aligner import Aligner, flow_step
+from ladarreg_core.matching.refine.covariance import window_evidence
+from ladarreg_core.matching.verify.agreement import agreement
+from ladarreg_core.matching.verify.verification import GateOptions, verify
 from ladarreg_core.surface.perspective import perspective_view
 from testing.scenes.painted_room import PaintedRoom, painted_room
 

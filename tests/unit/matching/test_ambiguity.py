@@ -10,9 +10,9 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.frames import Rigid, look_along, rotation_about, rotation_from_rotvec
-from ladarreg_core.matching.ambiguity import KnownPoses, ambiguity_sentence
 from ladarreg_core.matching.auto import AutoOptions
-from ladarreg_core.matching.verification import GateOptions
+from ladarreg_core.matching.search.ambiguity import KnownPoses, ambiguity_sentence
+from ladarreg_core.matching.verify.verification import GateOptions
 from ladarreg_core.registration import RegisterOptions, register
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.remap import look_up
@@ -58,21 +58,21 @@ def wall(seed: int, *, period_m: float, doors: str = "none") -> Wall:
             y = origin[1] + distance * rays[:, 1]
         z = origin[2] + distance * rays[:, 2]
         at = np.stack([np.mod(y, period_m), z + 2.5], axis=-1) * _PIXELS_A_METRE
-        colour = look_up(picture, at[:, :1].astype(np.float32), at[:, 1:].astype(np.float32))[:, 0]
-        return distance, colour
+        color = look_up(picture, at[:, :1].astype(np.float32), at[:, 1:].astype(np.float32))[:, 0]
+        return distance, color
 
     geometry = AzimuthElevation(260, 440, np.deg2rad(0.11), np.deg2rad(0.11))
-    distance, colour = seen(np.zeros(3), geometry.rays.reshape(-1, 3))
+    distance, color = seen(np.zeros(3), geometry.rays.reshape(-1, 3))
     ranges = distance + rng.normal(0, 0.003, len(distance))
-    laser = colour[:, 0] * (1 + rng.normal(0, 0.05, len(colour))) * (2.5 / distance) ** 2
+    laser = color[:, 0] * (1 + rng.normal(0, 0.05, len(color))) * (2.5 / distance) ** 2
     scan = lr.Scan(geometry, ranges.reshape(geometry.shape), laser.reshape(geometry.shape))
     centre = np.array([0.1, -0.3, 0.05])
     pose = lr.Rigid.from_centre(look_along(np.array([4.0, 0.1, 0.0]) - centre), centre)
     camera = lr.Camera.from_focal(480, 340, 700.0)
     v, u = np.mgrid[:680, :960]
     uv = (np.stack([u, v], axis=-1).reshape(-1, 2) + 0.5) / 2 - 0.5
-    _, colour = seen(centre, camera.unproject(uv) @ pose.rotation)
-    fine = cv2.resize(colour.reshape(680, 960, 3), (480, 340), interpolation=cv2.INTER_AREA)
+    _, color = seen(centre, camera.unproject(uv) @ pose.rotation)
+    fine = cv2.resize(color.reshape(680, 960, 3), (480, 340), interpolation=cv2.INTER_AREA)
     fine = np.clip(fine + rng.normal(0, 0.01, fine.shape), 0, 1)
     return Wall(scan, lr.Photo((255 * fine ** (1 / 2.2)).astype(np.uint8), camera), pose)
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from ladarreg_core.camera import CameraModel, EquirectangularCamera, FisheyeCamera
-from ladarreg_core.matching.agreement import Agreement, joined
-from ladarreg_core.matching.faces import FACE_FIELD_RAD, FaceSet, icosahedron
-from ladarreg_core.matching.structure import structured_cells
+from ladarreg_core.matching.images.faces import FACE_FIELD_RAD, FaceSet, icosahedron
+from ladarreg_core.matching.images.structure import structured_cells
+from ladarreg_core.matching.verify.agreement import Agreement, joined
 from ladarreg_core.photo import Photo
 
 _FISHEYE = FisheyeCamera(400, 400, 120.0, 120.0, 199.5, 199.5, (0.0, 0.0, 0.0, 0.0))

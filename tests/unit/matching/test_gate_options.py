@@ -9,9 +9,9 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.matching.agreement import Agreement
-from ladarreg_core.matching.ambiguity import KnownPoses, _differ, _peaks, competes
-from ladarreg_core.matching.verification import (
+from ladarreg_core.matching.search.ambiguity import KnownPoses, _differ, _peaks, competes
+from ladarreg_core.matching.verify.agreement import Agreement
+from ladarreg_core.matching.verify.verification import (
     COARSE_GATE,
     GateOptions,
     Verification,

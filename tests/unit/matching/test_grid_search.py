@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.matching.grid_search import MAX_STARTS, likely_poses
-from ladarreg_core.matching.pyramid import PhotoLevels, ScanLevels, photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.images.pyramid import PhotoLevels, ScanLevels, photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.search.grid_search import MAX_STARTS, likely_poses
 from ladarreg_core.surface.perspective import perspective_view
 from testing.scenes.painted_room import PaintedRoom, painted_room
 

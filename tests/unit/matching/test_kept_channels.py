@@ -12,10 +12,11 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.errors import OptionError, ShapeError
-from ladarreg_core.matching import kept_channels, kept_view, pyramid
-from ladarreg_core.matching.kept_channels import photo_key, view_key
-from ladarreg_core.matching.pyramid import PairLevels
-from ladarreg_core.matching.views import viewing_directions
+from ladarreg_core.matching.images import kept_channels, pyramid
+from ladarreg_core.matching.images.kept_channels import photo_key, view_key
+from ladarreg_core.matching.images.pyramid import PairLevels
+from ladarreg_core.matching.images.views import viewing_directions
+from ladarreg_core.matching.search import kept_view
 from testing.scenes.painted_room import PaintedRoom, painted_room
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import ladarreg_core as lr
-from ladarreg_core.matching import kept_view
-from ladarreg_core.matching.pyramid import PairLevels
-from ladarreg_core.matching.views import viewing_directions
+from ladarreg_core.matching.images.pyramid import PairLevels
+from ladarreg_core.matching.images.views import viewing_directions
+from ladarreg_core.matching.search import kept_view
 from testing.scenes.painted_room import PaintedRoom, painted_room
 
 

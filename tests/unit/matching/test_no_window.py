@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladarreg_core.matching.agreement import Agreement
-from ladarreg_core.matching.verification import verify
+from ladarreg_core.matching.verify.agreement import Agreement
+from ladarreg_core.matching.verify.verification import verify
 
 
 def test_a_candidate_without_windows_is_refused_with_a_reason() -> None:

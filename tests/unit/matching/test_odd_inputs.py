@@ -8,10 +8,10 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.errors import DegenerateGeometryError
-from ladarreg_core.features.correlation import windows_at
-from ladarreg_core.features.descriptors import describe
 from ladarreg_core.frames import rotation_from_rotvec
-from ladarreg_core.matching.pyramid import photo_levels, working_camera
+from ladarreg_core.matching.features.correlation import windows_at
+from ladarreg_core.matching.features.descriptors import describe
+from ladarreg_core.matching.images.pyramid import photo_levels, working_camera
 from ladarreg_core.registration import register
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.perspective import perspective_view

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import LadarregError, OptionError, ShapeError
-from ladarreg_core.features.channels import normalised_channels, raw_channels
-from ladarreg_core.features.corners import CornerOptions, find_corners
-from ladarreg_core.features.descriptors import describe
 from ladarreg_core.frames import Rigid, ThesisParameters, look_along
-from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
-from ladarreg_core.matching.roll import Roll, describe_rotated, detect_roll, rotate_pixels
-from ladarreg_core.matching.views import rolled_view
+from ladarreg_core.matching.features.channels import normalised_channels, raw_channels
+from ladarreg_core.matching.features.corners import CornerOptions, find_corners
+from ladarreg_core.matching.features.descriptors import describe
+from ladarreg_core.matching.images.pyramid import photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.images.views import rolled_view
+from ladarreg_core.matching.search.roll import Roll, describe_rotated, detect_roll, rotate_pixels
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import perspective_view

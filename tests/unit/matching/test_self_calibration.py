@@ -14,13 +14,13 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.camera.uncertainty import CALIBRATED_CAMERA_PRIOR, DEFAULT_CAMERA_PRIOR
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.matching.aligner import Aligner
 from ladarreg_core.matching.auto import AutoOptions
-from ladarreg_core.matching.covariance import RegionEvidence
-from ladarreg_core.matching.ecc import NO_CHANGE, CameraChange, _jacobian
-from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
-from ladarreg_core.matching.self_calibration import FinishedPose, estimate_camera, verify_finished
-from ladarreg_core.matching.verification import GateOptions
+from ladarreg_core.matching.images.pyramid import photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.refine.aligner import Aligner
+from ladarreg_core.matching.refine.covariance import RegionEvidence
+from ladarreg_core.matching.refine.ecc import NO_CHANGE, CameraChange, _jacobian
+from ladarreg_core.matching.refine.self_calibration import FinishedPose, estimate_camera, verify_finished
+from ladarreg_core.matching.verify.verification import GateOptions
 from ladarreg_core.photo import Photo
 from ladarreg_core.surface.perspective import perspective_view
 from testing.scenes.painted_room import PaintedRoom, painted_room

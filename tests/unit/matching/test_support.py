@@ -10,21 +10,21 @@ import pytest
 import ladarreg_core as lr
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, look_along
-from ladarreg_core.matching.grid_search import likely_poses
-from ladarreg_core.matching.pyramid import pair_levels, photo_levels, scan_levels, working_camera
-from ladarreg_core.matching.structure import painted_cells, shaped_pixels, structured_cells
-from ladarreg_core.matching.support import (
+from ladarreg_core.matching.images.pyramid import pair_levels, photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.images.structure import painted_cells, shaped_pixels, structured_cells
+from ladarreg_core.matching.images.support import (
     carries_intensity,
     comparison_focal_px,
     is_coarse,
     is_interpolated,
     open_cells,
 )
-from ladarreg_core.matching.verification import GateOptions, coarse_gate, shape_alone_gate
-from ladarreg_core.matching.views import scan_density
+from ladarreg_core.matching.images.views import scan_density
+from ladarreg_core.matching.search.grid_search import likely_poses
+from ladarreg_core.matching.verify.verification import GateOptions, coarse_gate, shape_alone_gate
+from ladarreg_core.registration.self_test.synthetic_photo import random_pose, render_photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import SphericalGrid
-from ladarreg_core.self_test.synthetic_photo import random_pose, render_photo
 from ladarreg_core.surface.perspective import perspective_view
 from ladarreg_core.surface.uncertainty import pixel_sigma
 from testing.scenes.painted_room import painted_room

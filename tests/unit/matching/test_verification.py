@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 import ladarreg_core as lr
 from ladarreg_core.frames import rotation_from_rotvec
-from ladarreg_core.matching.agreement import Agreement
-from ladarreg_core.matching.aligner import Aligner
-from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
-from ladarreg_core.matching.verification import GateOptions, check_precision, region_markers, verify
+from ladarreg_core.matching.images.pyramid import photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.refine.aligner import Aligner
+from ladarreg_core.matching.verify.agreement import Agreement
+from ladarreg_core.matching.verify.verification import GateOptions, check_precision, region_markers, verify
 from ladarreg_core.registration import register
 from ladarreg_core.surface.perspective import perspective_view
 from testing.scenes.painted_room import PaintedRoom, painted_room

@@ -7,7 +7,7 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.frames import look_along, rotation_from_rotvec
-from ladarreg_core.matching.views import (
+from ladarreg_core.matching.images.views import (
     MIN_RETURNS_IN_PHOTO,
     direction_towards_overlap,
     scan_density,

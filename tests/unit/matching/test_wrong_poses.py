@@ -10,16 +10,16 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.matching.aligner import Aligner
-from ladarreg_core.matching.pyramid import PairLevels, PhotoLevels, photo_levels, working_camera
-from ladarreg_core.matching.verification import (
+from ladarreg_core.matching.images.pyramid import PairLevels, PhotoLevels, photo_levels, working_camera
+from ladarreg_core.matching.images.views import viewing_directions
+from ladarreg_core.matching.refine.aligner import Aligner
+from ladarreg_core.matching.verify.verification import (
     GateOptions,
     Verification,
     beside_wrong_poses,
     coarse_gate,
     rests_on_number,
 )
-from ladarreg_core.matching.views import viewing_directions
 from ladarreg_core.matching.wrong_poses import (
     MIRRORED,
     TURNED,

@@ -11,10 +11,10 @@ import pytest
 from ladarreg.messages import length_lines
 
 import ladarreg_core as lr
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.errors import FormatError, OptionError, ShapeError
 from ladarreg_core.export.json import registration_document
-from ladarreg_core.formats.matches_file import read_matches, write_matches
+from ladarreg_core.formats.documents.matches_file import read_matches, write_matches
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.inspection.picks import pick_points
 from ladarreg_core.matching.image_check import ImageCheck, with_image_check

@@ -10,7 +10,7 @@ from benchmarks.assumed_camera import LEAST, LINES, MOST, drawn_camera
 from ladarreg_core.camera.uncertainty import CameraPrior, CameraUncertainty
 from ladarreg_core.errors import FormatError, OptionError, ShapeError
 from ladarreg_core.export.json import registration_document, write_document
-from ladarreg_core.formats.registration_file import read_registration
+from ladarreg_core.formats.documents.registration_file import read_registration
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.photo import Photo
 from ladarreg_core.picks.measure import matches_from_picks
@@ -19,7 +19,7 @@ from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.project.results import pose_entry, registration_of
 from ladarreg_core.quality.findings import findings
 from ladarreg_core.registration import RegisterOptions, register
-from ladarreg_core.surface.texture import Label, texture_scan
+from ladarreg_core.surface.texture.registered_texture import Label, texture_scan
 from ladarreg_core.surface.uncertainty import picture_sigma, pixel_sigma
 from testing.scenes.pose_case import difference
 from testing.scenes.room import ROOM_CAMERA, room_case

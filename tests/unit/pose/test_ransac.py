@@ -7,7 +7,7 @@ import pytest
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
-from ladarreg_core.pose.ransac import ransac_pose
+from ladarreg_core.pose.estimators.ransac import ransac_pose
 from testing.scenes.room import room_case
 
 BACKENDS = ("poselib", "opencv")

@@ -13,7 +13,7 @@ from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.pose.acceptance import AcceptanceOptions
 from ladarreg_core.pose.estimate import PoseOptions, estimate_pose, solve_pose
-from ladarreg_core.registration import RegisterOptions
+from ladarreg_core.registration.register import RegisterOptions
 from testing.scenes.pose_case import difference
 from testing.scenes.room import room_case, room_ranges
 from testing.scenes.room_lines import LineCase, line_case

@@ -7,12 +7,13 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from ladarreg_core.arrays import median
 from ladarreg_core.camera import Camera
+from ladarreg_core.foundations.arrays import median
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose import intrinsics, noise
+from ladarreg_core.pose import noise
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, count_distinct, find_critical_match
-from ladarreg_core.pose.bundle import (
+from ladarreg_core.pose.estimators import intrinsics
+from ladarreg_core.pose.estimators.bundle import (
     Descent,
     Evaluation,
     Measurements,
@@ -21,7 +22,7 @@ from ladarreg_core.pose.bundle import (
     information_matrix,
     rotations_from_rotvecs,
 )
-from ladarreg_core.pose.gnc import geman_mcclure
+from ladarreg_core.pose.estimators.gnc import geman_mcclure
 from testing.scenes.pose_case import start_near
 from testing.scenes.room import ROOM_CAMERA, room_case
 

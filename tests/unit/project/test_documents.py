@@ -14,13 +14,13 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError, FormatError, LadarregError, OptionError
 from ladarreg_core.matches import Matches, Pick, unit_rays
 from ladarreg_core.project import edits
-from ladarreg_core.project.codec import decode_document, encode
-from ladarreg_core.project.delta import check_readable
 from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source, Survey
 from ladarreg_core.project.results import pose_entry, registration_of, solved_on
 from ladarreg_core.project.settings import Settings
 from ladarreg_core.project.staleness import changed_since, rests_on, stale
 from ladarreg_core.project.station_edits import is_stale, place_of, with_stations
+from ladarreg_core.project.storage.codec import decode_document, encode
+from ladarreg_core.project.storage.delta import check_readable
 from ladarreg_core.project.stored_arrays import StoredArrays
 from testing.scenes.documents import SOURCE, a_document, a_pick, a_result, with_an_answer
 

@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 
 from ladarreg_core.errors import ExportError, FormatError
 from ladarreg_core.project import edits
-from ladarreg_core.project.codec import decode_document, encode
-from ladarreg_core.project.delta import apply_change, change_between
 from ladarreg_core.project.document import Document, PhotoEntry
-from ladarreg_core.project.folder import ProjectFolder
 from ladarreg_core.project.history import History
 from ladarreg_core.project.results import pose_entry, registration_of
+from ladarreg_core.project.storage.codec import decode_document, encode
+from ladarreg_core.project.storage.delta import apply_change, change_between
+from ladarreg_core.project.storage.folder import ProjectFolder
 from ladarreg_core.project.stored_arrays import StoredArrays
 from testing.scenes.documents import SOURCE, a_document, a_pick, a_result, with_an_answer
 
@@ -55,7 +55,7 @@ def test_undo_and_redo_walk_along_what_was_committed(moves: list[str]) -> None:
 
 
 def test_the_number_of_undo_steps_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ladarreg_core.project.history.MOST_STEPS", 5)
+    monkeypatch.setattr("ladarreg_core.project.history.MAX_STEPS", 5)
     history = History.begun(Document(name="0"), label="Begin", author="", when=WHEN)
     for k in range(1, 9):
         history = history.committed(named(history.document, str(k)), label=str(k), author="a", when=WHEN)
@@ -122,7 +122,7 @@ def test_a_saved_project_survives_a_truncated_history(
 
 
 def test_a_long_history_is_shortened_and_keeps_its_position(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ladarreg_core.project.folder._MOST_ENTRIES", 8)
+    monkeypatch.setattr("ladarreg_core.project.storage.folder._MAX_ENTRIES", 8)
     folder = ProjectFolder(tmp_path / "p")
     history = History.begun(a_document(), label="Begin", author="", when=WHEN)
     folder.begin(history)

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.bundle import Measurements, States, information_matrix
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
+from ladarreg_core.pose.estimators.bundle import Measurements, States, information_matrix
 from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.quality.conditioning import assess_conditioning
 from ladarreg_core.quality.findings import COST, LEVELS, findings

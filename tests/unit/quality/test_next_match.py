@@ -8,13 +8,13 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.bundle import Measurements, States, information_matrix
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
+from ladarreg_core.pose.estimators.bundle import Measurements, States, information_matrix
 from ladarreg_core.quality.next_match import part_of_photo, suggest_matches
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.ranges import surface_range
-from ladarreg_core.surface.visibility import project_scan
+from ladarreg_core.surface.visibility.visible_points import project_scan
 from testing.scenes.painted_room import shoot
 
 SIGMA_PX, SIGMA_M = 1.0, 0.01

@@ -11,9 +11,9 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, OptionError
 from ladarreg_core.frames import Rigid, rotation_about
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.thesis.starts import picture_roll
-from ladarreg_core.pose.thesis.stereo import StereoPairs
 from ladarreg_core.quality.stereo_limits import stereo_cautions
+from ladarreg_core.thesis.estimators.starts import picture_roll
+from ladarreg_core.thesis.estimators.stereo import StereoPairs
 from testing.scenes.room import room_case
 
 BIG = Camera.from_focal(1400, 1400, 974.0)
@@ -72,7 +72,7 @@ def test_the_roll_is_estimated_from_the_matches(seed, roll, outliers):
     matches, pose = rolled(seed, roll, outliers=outliers)
     pairs = StereoPairs.of(matches, BIG)
     true = pairs.parameters(pose)[5]
-    found = picture_roll(pairs.laser, pairs.colour, pairs.depth)
+    found = picture_roll(pairs.laser, pairs.color, pairs.depth)
     assert found is not None
     assert abs(np.angle(np.exp(1j * (found - true)))) < np.deg2rad(15)
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ladarreg_core.acquisition.alignment.mount_calibration import calibrate_mount
+from ladarreg_core.acquisition.alignment.mount_result import MountCalibration
 from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.frames import Rigid, rotation_about, rotvec_from_rotation
-from ladarreg_core.range_alignment.mount_calibration import calibrate_mount
-from ladarreg_core.range_alignment.mount_result import MountCalibration
 from testing.scenes import box_room
 from testing.scenes.box_room import MOUNT, in_motion, stop_and_go
 
@@ -120,7 +120,7 @@ def test_a_line_of_half_a_turn_sees_nothing_twice_and_keeps_the_mount() -> None:
 
 
 def test_a_mount_that_does_not_help_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    from ladarreg_core.range_alignment import mount_calibration
+    from ladarreg_core.acquisition.alignment import mount_calibration
 
     wrong = Rigid.from_rotvec([0.0, 0.01, 0.0], [0.02, 0, 0])
     fit = mount_calibration._fit

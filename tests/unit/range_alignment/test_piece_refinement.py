@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from ladarreg_core.acquisition.devices import PanTilt
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.acquisition.alignment.adjustment import off_planes, planes_of
+from ladarreg_core.acquisition.alignment.piece_refinement import _views, refine_pieces
+from ladarreg_core.acquisition.alignment.refined_pieces import Refinement
+from ladarreg_core.acquisition.interfaces import PanTilt
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress
-from ladarreg_core.range_alignment.adjustment import off_planes, planes_of
-from ladarreg_core.range_alignment.piece_refinement import _views, refine_pieces
-from ladarreg_core.range_alignment.refined_pieces import Refinement
 from ladarreg_core.scanner.grids import AzimuthElevation, TabulatedGrid
 from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
 from ladarreg_core.scanner.ray_table import RayTableInverse

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.acquisition.alignment.adjustment import RangeView, adjust
+from ladarreg_core.acquisition.alignment.intensity_links import BLUR_CELLS, links_of
+from ladarreg_core.acquisition.alignment.intensity_view import IntensityView
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
-from ladarreg_core.range_alignment.adjustment import RangeView, adjust
-from ladarreg_core.range_alignment.intensity_links import BLUR_CELLS, links_of
-from ladarreg_core.range_alignment.intensity_view import IntensityView
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 

@@ -10,11 +10,11 @@ import pytest
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import Cancelled, OptionError
 from ladarreg_core.progress import Progress
-from ladarreg_core.self_test.report import SelfTest, self_test
-from ladarreg_core.self_test.synthetic_photo import random_pose, render_photo, unrelated_photo
-from ladarreg_core.self_test.trials import SelfTestOptions, Trial, run_trials
+from ladarreg_core.registration.self_test.report import SelfTest, self_test
+from ladarreg_core.registration.self_test.synthetic_photo import random_pose, render_photo, unrelated_photo
+from ladarreg_core.registration.self_test.trials import SelfTestOptions, Trial, run_trials
 from ladarreg_core.surface.remap import look_up
-from ladarreg_core.surface.visibility import project_scan
+from ladarreg_core.surface.visibility.visible_points import project_scan
 from testing.scenes.painted_room import PaintedRoom, painted_room
 
 

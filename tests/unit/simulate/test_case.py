@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 
 from ladarreg_core.camera import Camera, camera_from_model_fields
 from ladarreg_core.errors import Cancelled, DependencyError, ExportError, OptionError
-from ladarreg_core.formats.npz import read_npz
+from ladarreg_core.formats.scans.npz import read_npz
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters
 from ladarreg_core.progress import Progress
 from ladarreg_core.simulate import SCENES, SETS, SimulatedCase, sample, simulate_case, write_case
 from ladarreg_core.simulate.case import CAMERA, _pose
 from ladarreg_core.simulate.ladar import GEOMETRY, LadarImages
-from ladarreg_core.simulate.materials import InkMixer
 from ladarreg_core.simulate.sample import SAMPLE_FILES, sample_folder
-from ladarreg_core.simulate.scenes import build_scene
+from ladarreg_core.simulate.worlds.materials import InkMixer
+from ladarreg_core.simulate.worlds.scenes import build_scene
 from testing.scenes.kept import kept
 from testing.scenes.simulated import COMMON_SEED, simulated
 
@@ -139,7 +139,7 @@ def test_poses_stay_within_their_set(set_name: str) -> None:
 
 
 @pytest.mark.parametrize("set_name", ["standard", "hard"])
-def test_a_laser_sees_other_colours_than_the_eye(set_name: str) -> None:
+def test_a_laser_sees_other_colors_than_the_eye(set_name: str) -> None:
     well = InkMixer(np.random.default_rng(0), independent=set_name == "hard")
     red = np.array([well.of((255, 40, 40))[3] for _ in range(2000)]) / 255
     black = np.array([well.of((20, 20, 20))[3] for _ in range(2000)]) / 255

@@ -22,9 +22,9 @@ from ladarreg_core.simulate import thermal as thermal_camera
 from ladarreg_core.simulate.case import case_files
 from ladarreg_core.simulate.gamma import GAMMA_CAMERA, take_gamma_image
 from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.simulate.scenes import build_scene
 from ladarreg_core.simulate.thermal import THERMAL_CAMERA, take_thermal_image
-from ladarreg_core.simulate.world import Texture, WorldBuilder
+from ladarreg_core.simulate.worlds.scenes import build_scene
+from ladarreg_core.simulate.worlds.world import Texture, WorldBuilder
 from testing.scenes.simulated import simulated
 
 AHEAD = Rigid(CAMERA_AXES_FROM_SCANNER, np.zeros(3))

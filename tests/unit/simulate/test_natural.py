@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ladarreg_core.simulate.materials import InkMixer
-from ladarreg_core.simulate.natural import NaturalPrinter, natural_noise
-from ladarreg_core.simulate.scenes import build_scene
-from ladarreg_core.simulate.textures import Printer
+from ladarreg_core.simulate.worlds.materials import InkMixer
+from ladarreg_core.simulate.worlds.natural import NaturalPrinter, natural_noise
+from ladarreg_core.simulate.worlds.scenes import build_scene
+from ladarreg_core.simulate.worlds.textures import Printer
 
 
 def slope(image: NDArray[Any]) -> float:

@@ -9,9 +9,9 @@ pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`"
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.simulate.outdoor_case import OutdoorCase, simulate_outdoors
-from ladarreg_core.simulate.outdoors import EYE_M, build_outdoors
 from ladarreg_core.simulate.ray_cast import RayCaster
 from ladarreg_core.simulate.robot_lidar import BEAM_NOISE, BeamNoise, LidarName, lidar_rays, scan_points
+from ladarreg_core.simulate.worlds.outdoors import EYE_M, build_outdoors
 from testing.scenes.simulated import outdoors
 
 

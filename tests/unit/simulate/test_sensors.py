@@ -18,8 +18,8 @@ pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`"
 
 from ladarreg_core.simulate import ladar, photograph
 from ladarreg_core.simulate.ray_cast import RayCaster, SampleGrid, differs_from_neighbours
-from ladarreg_core.simulate.scenes import build_scene
-from ladarreg_core.simulate.world import Placement, Texture, Viewpoint, World, WorldBuilder
+from ladarreg_core.simulate.worlds.scenes import build_scene
+from ladarreg_core.simulate.worlds.world import Placement, Texture, Viewpoint, World, WorldBuilder
 
 DARK = photograph.Lighting(ambient=1.0, strength=(), tints=())
 

@@ -9,17 +9,17 @@ import pytest
 
 pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
 
-from ladarreg_core.arrays import FloatArray
 from ladarreg_core.errors import OptionError
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid, rotation_about
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.simulate import simulate_case
 from ladarreg_core.simulate.ladar import Ladar, scan_world
 from ladarreg_core.simulate.ray_cast import RayCaster
-from ladarreg_core.simulate.scenes import SCENES, build_scene
-from ladarreg_core.simulate.surroundings import SURROUNDINGS
 from ladarreg_core.simulate.terrestrial import RangeNoise, dome_grid, scan_around
-from ladarreg_core.simulate.world import World
+from ladarreg_core.simulate.worlds.scenes import SCENES, build_scene
+from ladarreg_core.simulate.worlds.surroundings import SURROUNDINGS
+from ladarreg_core.simulate.worlds.world import World
 
 STEP_RAD = np.radians(1.5)
 SIDES = 8

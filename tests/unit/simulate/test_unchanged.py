@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.simulate.case import case_world, simulate_case
 from ladarreg_core.simulate.panorama import PanoramaOptions, simulate_panorama
-from ladarreg_core.simulate.world import World
+from ladarreg_core.simulate.worlds.world import World
 
 _FILE = Path(__file__).with_name("prints.json")
 _SLICES = 8

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from ladarreg_core.acquisition.alignment.adjustment import RangeView
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
-from ladarreg_core.range_alignment.adjustment import RangeView
-from ladarreg_core.stations.uncertainty import polish
+from ladarreg_core.registration.stations.uncertainty import polish
 
 SIZE = np.array([4.0, 3.0, 2.5])
 SECOND = Rigid.from_rotvec([0.01, -0.02, 0.6], [0.9, 0.4, 0.1])

@@ -12,9 +12,9 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.surface import texture
-from ladarreg_core.surface.best_photo import NO_PHOTO, PointColourer, PosedPhoto, best_photo
-from ladarreg_core.surface.texture import Label, texture_scan
+from ladarreg_core.surface.texture import registered_texture as texture
+from ladarreg_core.surface.texture.best_photo import NO_PHOTO, PointColorer, PosedPhoto, best_photo
+from ladarreg_core.surface.texture.registered_texture import Label, texture_scan
 
 COVARIANCE = np.diag([1e-8] * 3 + [1e-8] * 3)
 
@@ -29,10 +29,10 @@ def room() -> Scan:
 
 
 def view(
-    colour: tuple[int, int, int], centre: tuple[float, float, float], focal_px: float, size: int = 200
+    color: tuple[int, int, int], centre: tuple[float, float, float], focal_px: float, size: int = 200
 ) -> PosedPhoto:
     camera = Camera(size, size, focal_px, focal_px, (size - 1) / 2, (size - 1) / 2)
-    pixels = np.broadcast_to(np.array(colour, np.uint8), (size, size, 3))
+    pixels = np.broadcast_to(np.array(color, np.uint8), (size, size, 3))
     return PosedPhoto(Photo(pixels, camera), Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, centre), camera, COVARIANCE)
 
 
@@ -45,12 +45,12 @@ def test_one_photograph_gives_its_texture() -> None:
     alone = texture_scan(scan, one.photo, one.camera_from_scanner, covariance=COVARIANCE)
     np.testing.assert_array_equal(found.image, alone.image)
     np.testing.assert_array_equal(found.labels, alone.labels)
-    np.testing.assert_array_equal(found.photo == 0, alone.coloured)
-    assert np.isfinite(found.sigma_px[alone.coloured]).all()
-    assert np.isnan(found.sigma_px[~alone.coloured]).all()
+    np.testing.assert_array_equal(found.photo == 0, alone.colored)
+    assert np.isfinite(found.sigma_px[alone.colored]).all()
+    assert np.isnan(found.sigma_px[~alone.colored]).all()
 
 
-def test_the_finer_photograph_colours_what_both_see_and_each_what_it_sees_alone() -> None:
+def test_the_finer_photograph_colors_what_both_see_and_each_what_it_sees_alone() -> None:
     scan = room()
     coarse, fine = view(RED, (0, 0.5, 0), 100), view(BLUE, (0, -0.5, 0), 400)
     found = best_photo(scan, [coarse, fine])
@@ -83,7 +83,7 @@ def test_cells_that_none_shows_say_whether_they_are_hidden() -> None:
 
 
 @pytest.mark.parametrize("wide", [False, True])
-def test_points_beside_the_cells_have_the_colour_of_their_own_place(wide: bool) -> None:
+def test_points_beside_the_cells_have_the_color_of_their_own_place(wide: bool) -> None:
     scan = room()
     size = (800, 400) if wide else (400, 400)
     camera = EquirectangularCamera(*size) if wide else Camera(400, 400, 150.0, 150.0, 199.5, 199.5)
@@ -91,36 +91,36 @@ def test_points_beside_the_cells_have_the_colour_of_their_own_place(wide: bool) 
     pixels = np.stack([u % 256, v % 256, (u // 256) * 60], axis=-1).astype(np.uint8)
     pose = Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, (0, 0.4, 0))
     one = PosedPhoto(Photo(pixels, camera), pose, camera, COVARIANCE)
-    colourer = PointColourer(scan, [one], best_photo(scan, [one]))
+    colorer = PointColorer(scan, [one], best_photo(scan, [one]))
     rng = np.random.default_rng(3)
     wall = np.stack([np.full(300, 4.0), rng.uniform(-1.3, -0.8, 300), rng.uniform(-0.8, 0.8, 300)], axis=1)
     beside_box = np.abs(scan.geometry.cell_of(wall)[:, 1] - 60) > 14
-    found = colourer.colours_of(wall[beside_box])
+    found = colorer.colors_of(wall[beside_box])
     assert (found.labels == Label.SEEN).all()
     uv = camera.project(pose @ wall[beside_box])
     inner = (uv % 256 > 2).all(axis=1) & (uv % 256 < 253).all(axis=1)
-    off = np.abs(found.colour[:, :2].astype(float) - uv % 256).max(axis=1)[inner]
+    off = np.abs(found.color[:, :2].astype(float) - uv % 256).max(axis=1)[inner]
     assert off.max() <= 0.6, "bilinear, to the rounding"
-    shifted = np.abs(found.colour[:, :2].astype(float) - (uv + 1.2) % 256).max(axis=1)[inner]
+    shifted = np.abs(found.color[:, :2].astype(float) - (uv + 1.2) % 256).max(axis=1)[inner]
     assert shifted.min() > 0.6, "more than a pixel off would be noticed"
     assert np.isfinite(found.sigma_px).all()
 
 
 def test_a_point_behind_the_box_is_hidden_and_one_in_free_space_is_shown() -> None:
     scan, one = room(), view(RED, (0, 0.0, 0), 150)
-    colourer = PointColourer(scan, [one], best_photo(scan, [one]))
+    colorer = PointColorer(scan, [one], best_photo(scan, [one]))
     points = np.array([[3.6, 0.0, 0.0], [2.0, 0.0, 0.0], [np.nan, 0, 0], [-1.0, 0, 0], [3.0, -0.9, 0.4]])
     done: list[int] = []
-    found = colourer.colours_of(points, report=done.append)
+    found = colorer.colors_of(points, report=done.append)
     assert found.labels.tolist() == [
         Label.OCCLUDED, Label.UNCERTAIN, Label.NO_RETURN, Label.OUT_OF_FRAME, Label.UNCERTAIN,
     ]  # fmt: skip
     assert found.photo.tolist() == [NO_PHOTO, 0, NO_PHOTO, NO_PHOTO, 0]
-    assert found.colour[1].tolist() == list(RED)
+    assert found.color[1].tolist() == list(RED)
     assert done == [5]
 
 
-def test_large_scans_are_coloured_alike_by_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_scans_are_colored_alike_by_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     scan = room()
     views = [view(RED, (0, 0.5, 0), 100), view(BLUE, (0, -0.5, 0), 300)]
     whole = best_photo(scan, views)

@@ -5,8 +5,8 @@ import pytest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components as by_scipy
 
-from ladarreg_core.surface.components import connected_components
-from ladarreg_core.surface.subdivision import distinct
+from ladarreg_core.surface.mesh.components import connected_components
+from ladarreg_core.surface.mesh.subdivision import distinct
 
 
 @pytest.mark.parametrize("seed", range(20))

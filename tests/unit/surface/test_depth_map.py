@@ -9,8 +9,8 @@ from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, Fis
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.surface import depth_map as module
-from ladarreg_core.surface.depth_map import depth_map
+from ladarreg_core.surface.visibility import depth_map as module
+from ladarreg_core.surface.visibility.depth_map import depth_map
 
 WALL_M, BOX_M = 4.0, 2.5
 POSE = Rigid.from_rotvec((0.05, -0.1, 0.2)) @ Rigid.from_centre(CAMERA_AXES_FROM_SCANNER, (0.2, 0.3, -0.1))
@@ -58,7 +58,7 @@ def test_pixels_have_the_depth_of_the_plane_behind_them(name: str) -> None:
 def test_a_picture_in_bands_and_a_scan_in_parts_give_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     camera = CAMERAS["pinhole"]
     whole = depth_map(room(), camera, POSE)
-    monkeypatch.setattr(module, "_MOST_PIXELS", 200 * 40)
+    monkeypatch.setattr(module, "_MAX_PIXELS", 200 * 40)
     monkeypatch.setattr(module, "LARGEST_WHOLE_SCAN", 1000)
     banded = depth_map(room(), camera, POSE)
     assert (np.isfinite(whole) == np.isfinite(banded)).mean() > 0.999

@@ -8,8 +8,8 @@ import pytest
 from ladarreg_core.errors import OptionError
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import SphericalGrid
-from ladarreg_core.surface.grid_block import GridBlock, block_mesh
-from ladarreg_core.surface.mesh import Mesh, scan_mesh
+from ladarreg_core.surface.mesh.grid_block import GridBlock, block_mesh
+from ladarreg_core.surface.mesh.grid_mesh import Mesh, scan_mesh
 from testing.scenes.box_room import distances, off_surface
 
 SHAPE = (93, 170)

@@ -6,9 +6,9 @@ from hypothesis import strategies as st
 from ladarreg_core.errors import OptionError
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid, TabulatedGrid
-from ladarreg_core.surface.mesh import grid_edges, scan_mesh, whole_blocks
-from ladarreg_core.surface.normals import cell_normals
-from ladarreg_core.surface.visibility import occluding_surface
+from ladarreg_core.surface.mesh.grid_mesh import grid_edges, scan_mesh, whole_blocks
+from ladarreg_core.surface.mesh.normals import cell_normals
+from ladarreg_core.surface.visibility.visible_points import occluding_surface
 
 
 def plane_ranges(rays, normal, distance):

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ladarreg_core.surface.model_part import ModelPart, model_part
-from ladarreg_core.surface.model_tree import ModelTree
+from ladarreg_core.surface.mesh.model_part import ModelPart, model_part
+from ladarreg_core.surface.mesh.model_tree import ModelTree
 
 
 def soup(seed: int, count: int, *, spread_m: float, size_m: float) -> ModelPart:

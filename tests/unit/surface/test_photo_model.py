@@ -8,9 +8,9 @@ from ladarreg_core.errors import Cancelled
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.surface.photo_model import UV_ERROR_PX, ModelPhoto, photo_model
-from ladarreg_core.surface.texture import Label, texture_scan
-from ladarreg_core.surface.textured_triangles import TexturedTriangles
+from ladarreg_core.surface.texture.photo_model import UV_ERROR_PX, ModelPhoto, photo_model
+from ladarreg_core.surface.texture.registered_texture import Label, texture_scan
+from ladarreg_core.surface.texture.textured_triangles import TexturedTriangles
 from testing.scenes.painted_room import painted_room
 from testing.scenes.panorama import panorama
 
@@ -157,7 +157,7 @@ def test_the_photograph_ends_where_its_frame_does():
     assert (part.tile.width, part.tile.height) == camera.size
 
 
-def test_the_best_photograph_colours_and_crop_leaves_the_rest_out():
+def test_the_best_photograph_colors_and_crop_leaves_the_rest_out():
     scene = room()
     scan, pose = scene.scan, scene.camera_from_scanner
     photos = [photo_of(scan, scene.photo.camera, pose, scene.photo.pixels), photo_of(scan, LENSES["fisheye"], pose)]
@@ -168,9 +168,9 @@ def test_the_best_photograph_colours_and_crop_leaves_the_rest_out():
     assert {part.photo for part in cropped.parts} == {0, 1}
     assert texture_errors(cropped, photos).max() <= UV_ERROR_PX
     whole = photo_model(scan, photos, best)
-    coloured = sum(len(part.faces) for part in whole.parts if part.photo is not None)
+    colored = sum(len(part.faces) for part in whole.parts if part.photo is not None)
     assert whole.faces > cropped.faces
-    assert abs(coloured - cropped.faces) < 0.02 * coloured  # small islands of colour are specks once they are alone
+    assert abs(colored - cropped.faces) < 0.02 * colored  # small islands of colour are specks once they are alone
     again = photo_model(scan, photos, best, crop=True)
     for one, other in zip(cropped.parts, again.parts, strict=True):
         np.testing.assert_array_equal(one.faces, other.faces)

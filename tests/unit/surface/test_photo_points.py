@@ -12,7 +12,7 @@ from ladarreg_core.camera import CameraModel
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import ExportError, OptionError
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.surface import photo_points
+from ladarreg_core.surface.texture import photo_points
 
 GRID = AzimuthElevation(90, 120, 0.008, 0.008)
 POSE = lr.Rigid.from_centre(

@@ -87,8 +87,8 @@ def test_the_simulated_scanner_errs_as_its_ranges_are_rated() -> None:
     pytest.importorskip("embreex")
     from ladarreg_core.simulate.ladar import DR_M, GEOMETRY, R0_M, scan_world
     from ladarreg_core.simulate.ray_cast import RayCaster
-    from ladarreg_core.simulate.scenes import build_scene
-    from ladarreg_core.simulate.world import Viewpoint
+    from ladarreg_core.simulate.worlds.scenes import build_scene
+    from ladarreg_core.simulate.worlds.world import Viewpoint
 
     layout, noise = (np.random.default_rng([zlib.crc32(b"quality"), k]) for k in (0, 1))
     world = build_scene("desk", layout=layout, independent_inks=False)

@@ -6,9 +6,9 @@ import pytest
 from ladarreg_core.errors import OptionError
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import SphericalGrid
-from ladarreg_core.surface import mesh as mesh_module
-from ladarreg_core.surface.mesh import grid_edges, scan_mesh
-from ladarreg_core.surface.reduced_mesh import reduced_mesh
+from ladarreg_core.surface.mesh import grid_mesh as mesh_module
+from ladarreg_core.surface.mesh.grid_mesh import grid_edges, scan_mesh
+from ladarreg_core.surface.mesh.reduced_mesh import reduced_mesh
 
 STEP = 0.004
 GEOMETRY = SphericalGrid(170, 230, STEP, STEP, 0.1, 0.3)

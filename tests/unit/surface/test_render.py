@@ -10,22 +10,22 @@ from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.surface.render import render_scan_colors, render_scan_picture
-from ladarreg_core.surface.texture import intensity_picture
+from ladarreg_core.surface.texture.registered_texture import intensity_picture
+from ladarreg_core.surface.visibility.render import render_scan_colors, render_scan_picture
 from testing.scenes.simulated import simulated
 
 LENSES = [(), (0.12, -0.04, 0.002, -0.001), (-0.25, 0.08, 0.001, 0.0005, -0.01)]
 
 
-def wall_scan(colour_of_yz, *, rows=160, columns=200, step=0.004, lean=0.3):
+def wall_scan(color_of_yz, *, rows=160, columns=200, step=0.004, lean=0.3):
     """A plane X = 3 + lean Y whose colour is a function of (Y, Z)."""
     geometry = AzimuthElevation(rows, columns, step, step)
     rays = geometry.rays
     ranges = 3.0 / (rays[..., 0] - lean * rays[..., 1])
     points = rays * ranges[..., None]
-    value = np.clip(colour_of_yz(points[..., 1], points[..., 2]), 0, 255)
-    colour = np.repeat(np.rint(value)[..., None], 3, axis=-1).astype(np.uint8)
-    return Scan(geometry, ranges, np.ones(geometry.shape), color=colour)
+    value = np.clip(color_of_yz(points[..., 1], points[..., 2]), 0, 255)
+    color = np.repeat(np.rint(value)[..., None], 3, axis=-1).astype(np.uint8)
+    return Scan(geometry, ranges, np.ones(geometry.shape), color=color)
 
 
 @settings(max_examples=6, deadline=None)
@@ -59,7 +59,7 @@ def test_a_rendered_pattern_lies_where_the_camera_projects_it(turn, centre, offs
     assert np.quantile(np.abs(error[inner]), 0.99) < 2.0
 
 
-def test_a_border_between_two_colours_lies_at_its_sub_pixel():
+def test_a_border_between_two_colors_lies_at_its_sub_pixel():
     """The mean of each row across a black and white border gives its position, which is known."""
     scan = wall_scan(lambda y, z: 255.0 * (y > 0.0), columns=400, step=0.002, lean=0.0)
     camera = Camera(200, 40, 500.0, 500.0, 99.5, 19.5)

@@ -5,9 +5,9 @@ import pytest
 
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import SphericalGrid, TabulatedGrid
-from ladarreg_core.surface.mesh import Mesh, scan_mesh
-from ladarreg_core.surface.photo_model import photo_model
-from ladarreg_core.surface.reduced_mesh import reduced_mesh
+from ladarreg_core.surface.mesh.grid_mesh import Mesh, scan_mesh
+from ladarreg_core.surface.mesh.reduced_mesh import reduced_mesh
+from ladarreg_core.surface.texture.photo_model import photo_model
 
 COLUMNS = 240
 STEP = 2 * np.pi / COLUMNS

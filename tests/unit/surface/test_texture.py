@@ -7,14 +7,14 @@ from hypothesis import strategies as st
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.formats import read_scan
+from ladarreg_core.foundations.palette import UNSEEN
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
-from ladarreg_core.palette import UNSEEN
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.surface.render import render_scan_colors
-from ladarreg_core.surface.texture import Label, model_picture, pixel_sigma, texture_scan
-from ladarreg_core.surface.visibility import project_scan
+from ladarreg_core.surface.texture.registered_texture import Label, model_picture, pixel_sigma, texture_scan
+from ladarreg_core.surface.visibility.render import render_scan_colors
+from ladarreg_core.surface.visibility.visible_points import project_scan
 
 LENSES = [(), (0.12, -0.04, 0.002, -0.001), (-0.25, 0.08, 0.001, 0.0005, -0.01)]
 
@@ -40,7 +40,7 @@ def smooth_photo(camera):
     lens=st.sampled_from(LENSES),
     focal=st.sampled_from([90.0, 300.0, 1300.0]),
 )
-def test_every_cell_gets_the_colour_at_its_own_projection(turn, centre, lens, focal):
+def test_every_cell_gets_the_color_at_its_own_projection(turn, centre, lens, focal):
     camera = Camera(int(1.1 * focal), int(0.9 * focal), focal, 1.02 * focal, 0.5 * focal, 0.47 * focal, lens)
     pose = Rigid.from_centre(rotation_from_rotvec(turn) @ CAMERA_AXES_FROM_SCANNER, centre)
     scan = wall_scan()
@@ -93,12 +93,12 @@ def test_the_labels_of_a_panel_before_a_wall():
     shadow = 0.5 * 1.5 / 2.5 / 4.0 / 0.005
     assert (labels[34:46, int(41 - shadow + 2) : 39] == Label.OCCLUDED).all()
     assert (labels[34:46, 10 : int(39 - shadow - 2)] == Label.SEEN).all()
-    assert (texture.image[~texture.coloured] == (1, 2, 3)).all()
-    np.testing.assert_array_equal(texture.coloured, np.isin(labels, (1, 4, 5)))
+    assert (texture.image[~texture.colored] == (1, 2, 3)).all()
+    np.testing.assert_array_equal(texture.colored, np.isin(labels, (1, 4, 5)))
 
     shown = model_picture(scan, texture)
-    np.testing.assert_array_equal(shown[texture.coloured], texture.image[texture.coloured])
-    gray = shown[~texture.coloured].astype(int)
+    np.testing.assert_array_equal(shown[texture.colored], texture.image[texture.colored])
+    gray = shown[~texture.colored].astype(int)
     assert (np.ptp(gray, axis=1) == 0).all()
     assert 15 < gray.min() < gray.max() < 130
 
@@ -179,7 +179,7 @@ def test_the_uncertainty_is_that_of_each_cell_under_any_lens():
         assert 0.2 < np.mean(sigma[inside] > 2.01) < 0.8
 
 
-def test_a_photo_that_sees_nothing_colours_nothing():
+def test_a_photo_that_sees_nothing_colors_nothing():
     scan = wall_scan()
     camera = Camera.from_focal(64, 48, 60.0)
     away = rotation_from_rotvec((0, np.pi, 0)) @ CAMERA_AXES_FROM_SCANNER
@@ -231,7 +231,7 @@ def test_nothing_shines_through_the_machines_of_a_real_scan(real_data):
         assert np.mean(error > 40) < 0.005
 
 
-def test_cells_that_only_noise_hides_keep_the_colour_and_are_uncertain() -> None:
+def test_cells_that_only_noise_hides_keep_the_color_and_are_uncertain() -> None:
     geometry = AzimuthElevation(120, 160, 0.004, 0.004)
     ranges = 4.0 / geometry.rays[..., 0]
     ranges[80:116:6, 10:150:7] *= 1.03  # single ranges that are too long

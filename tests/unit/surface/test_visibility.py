@@ -7,7 +7,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid
-from ladarreg_core.surface.visibility import project_scan, visible_cells
+from ladarreg_core.surface.visibility.visible_points import project_scan, visible_cells
 
 NEAR, FAR = 2.5, 4.0
 PANEL = ((-0.45, 0.35), (-0.4, 0.5))  # Y and Z of the panel at X = NEAR
@@ -176,7 +176,7 @@ def test_a_camera_among_the_triangles_sees_past_those_beside_it():
 @pytest.mark.slow
 @pytest.mark.parametrize("lens", LENSES[:2])
 def test_a_large_scan_is_projected_in_tiles_as_in_one_piece(lens, monkeypatch):
-    from ladarreg_core.surface import visibility
+    from ladarreg_core.surface.visibility import visible_points as visibility
 
     scan, _ = panel_scan(AzimuthElevation(260, 330, 0.003, 0.003), noise_m=0.001)
     camera = Camera(260, 220, 300.0, 300.0, 130.0, 110.0, lens)

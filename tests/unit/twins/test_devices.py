@@ -14,21 +14,21 @@ import pytest
 pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
 
 import ladarreg_core as lr
-from ladarreg_core.acquisition.connected import connected
-from ladarreg_core.acquisition.devices import PanTilt
-from ladarreg_core.acquisition.flir_unit import FlirUnit
+from ladarreg_core.acquisition.devices.flir_unit import FlirUnit
+from ladarreg_core.acquisition.devices.ports import Ports
+from ladarreg_core.acquisition.devices.scip_scanner import ScipScanner
+from ladarreg_core.acquisition.interfaces import PanTilt
 from ladarreg_core.acquisition.plan import ScannerPlan, UnitPlan, plan_from_fields
-from ladarreg_core.acquisition.ports import Ports
-from ladarreg_core.acquisition.run_folder import RunFolder, RunWriter, ScanPiece
-from ladarreg_core.acquisition.runner import Paused
-from ladarreg_core.acquisition.scip_scanner import ScipScanner
+from ladarreg_core.acquisition.runs.connected import connected
+from ladarreg_core.acquisition.runs.run_folder import RunFolder, RunWriter, ScanPiece
+from ladarreg_core.acquisition.runs.runner import Paused
+from ladarreg_core.acquisition.simulated.devices import CAMERA, SCANNER, TwinDevices
+from ladarreg_core.acquisition.simulated.folder_twin import CAMERA as CAMERA_MODEL
+from ladarreg_core.acquisition.simulated.folder_twin import FRAME
+from ladarreg_core.acquisition.simulated.world import FRAME_MOUNT, Bench
 from ladarreg_core.acquisition.twin_address import watched_folder
 from ladarreg_core.errors import DeviceError, OptionError
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.twins.devices import CAMERA, SCANNER, TwinDevices
-from ladarreg_core.twins.folder_twin import CAMERA as CAMERA_MODEL
-from ladarreg_core.twins.folder_twin import FRAME
-from ladarreg_core.twins.world import FRAME_MOUNT, Bench
 from testing.devices.simulated_clock import SimulatedClock
 from testing.devices.simulated_ports import MemoryPorts, MemoryServer
 

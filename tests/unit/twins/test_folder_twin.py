@@ -10,12 +10,12 @@ import pytest
 pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
 
 import ladarreg_core as lr
-from ladarreg_core.acquisition.devices import PanTilt
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.acquisition.interfaces import PanTilt
+from ladarreg_core.acquisition.simulated.folder_twin import ScanFormat, camera_twin, scanner_twin
+from ladarreg_core.acquisition.simulated.world import Angles, Bench
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.twins.folder_twin import ScanFormat, camera_twin, scanner_twin
-from ladarreg_core.twins.world import Angles, Bench
 from testing.devices.simulated_clock import SimulatedClock
 
 GEOMETRY = AzimuthElevation(35, 50, np.radians(1.1), np.radians(1.1))

@@ -7,12 +7,12 @@ import pytest
 
 pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
 
+from ladarreg_core.acquisition.simulated.recordings import Continuous, simulate_mosaic, simulate_sweep
+from ladarreg_core.acquisition.simulated.world import Bench
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.simulate.terrestrial import RangeNoise
-from ladarreg_core.twins.recordings import Continuous, simulate_mosaic, simulate_sweep
-from ladarreg_core.twins.world import Bench
 
 ANGLES = np.radians(np.linspace(-100, 100, 201))
 PANS = np.radians(np.linspace(-40, 40, 33))

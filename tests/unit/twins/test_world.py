@@ -9,16 +9,16 @@ import pytest
 
 pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
 
-from ladarreg_core.acquisition.devices import PanTilt
-from ladarreg_core.arrays import FloatArray
+from ladarreg_core.acquisition.interfaces import PanTilt
+from ladarreg_core.acquisition.simulated.world import Angles, Bench
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
+from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scanner.grids import AzimuthElevation, PinholeGrid
 from ladarreg_core.scanner.pan_tilt import pan_tilt_pose, rays_of_line
 from ladarreg_core.simulate.ray_cast import RayCaster
 from ladarreg_core.simulate.terrestrial import RangeNoise, echoes_along
-from ladarreg_core.twins.world import Angles, Bench
 
 ANGLES = np.radians(np.linspace(-135, 135, 541))
 STATION = Rigid.from_rotvec([0, 0, 0.7], [0.4, -0.3, 0.1])

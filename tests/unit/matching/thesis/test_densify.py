@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, look_along, rotation_from_rotvec
-from ladarreg_core.matching.pyramid import ScanLevels, scan_levels
-from ladarreg_core.matching.thesis.densify import DensifyOptions, LinePoints, fraction_in_photo, lines_between
+from ladarreg_core.matching.images.pyramid import ScanLevels, scan_levels
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.perspective import perspective_view
+from ladarreg_core.thesis.matching.densify import DensifyOptions, LinePoints, fraction_in_photo, lines_between
 from testing.scenes.painted_room import shoot
 
 CAMERA = Camera.from_focal(420, 300, 520.0)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from ladarreg_core.errors import OptionError
-from ladarreg_core.features.corners import CornerOptions
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.matching.pyramid import photo_levels, scan_levels, working_camera
-from ladarreg_core.matching.thesis.matcher import FoundMatches, ThesisMatchOptions, ThesisSearch
+from ladarreg_core.matching.features.corners import CornerOptions
+from ladarreg_core.matching.images.pyramid import photo_levels, scan_levels, working_camera
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate import SCENES, SimulatedCase
 from ladarreg_core.surface.perspective import perspective_view
+from ladarreg_core.thesis.matching.matcher import FoundMatches, ThesisMatchOptions, ThesisSearch
 from testing.scenes.painted_room import PaintedRoom, painted_room
 from testing.scenes.simulated import simulated
 

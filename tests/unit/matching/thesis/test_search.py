@@ -10,9 +10,9 @@ from hypothesis.extra import numpy as hnp
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import LadarregError, OptionError, ShapeError
-from ladarreg_core.features.correlation import unique_matches
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
-from ladarreg_core.matching.thesis.search import (
+from ladarreg_core.matching.features.correlation import unique_matches
+from ladarreg_core.thesis.matching.search import (
     candidates_near,
     consistent_displacements,
     disparities,

@@ -8,7 +8,7 @@ import pytest
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.pose.estimate import estimate_pose
-from ladarreg_core.pose.thesis.linear import linear_pose
+from ladarreg_core.thesis.estimators.linear import linear_pose
 from testing.scenes.pose_case import difference
 from testing.scenes.room import room_case
 

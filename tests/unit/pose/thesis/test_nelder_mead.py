@@ -13,8 +13,8 @@ from hypothesis.extra import numpy as hnp
 from scipy.optimize import minimize, rosen
 
 from ladarreg_core.errors import LadarregError, OptionError, ShapeError
-from ladarreg_core.pose.thesis.nelder_mead import nelder_mead, start_simplex
-from ladarreg_core.pose.thesis.stereo import StereoPairs, stereo_cost
+from ladarreg_core.thesis.estimators.nelder_mead import nelder_mead, start_simplex
+from ladarreg_core.thesis.estimators.stereo import StereoPairs, stereo_cost
 from testing.scenes.room import room_case
 
 

@@ -11,8 +11,8 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.diagnostics import diagnose, stereo_depth_error
-from ladarreg_core.pose.thesis.epipolar import epipolar_cost, epipolar_residuals
-from ladarreg_core.pose.thesis.stereo import StereoPairs, stereo_cost, stereo_frame
+from ladarreg_core.thesis.estimators.epipolar import epipolar_cost, epipolar_residuals
+from ladarreg_core.thesis.estimators.stereo import StereoPairs, stereo_cost, stereo_frame
 from testing.scenes.room import room_case
 from tests.properties.strategies import rotvecs
 

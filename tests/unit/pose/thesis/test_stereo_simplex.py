@@ -13,9 +13,9 @@ from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, estimate_pose, solve_pose
-from ladarreg_core.pose.thesis.nelder_mead import SimplexStep
-from ladarreg_core.pose.thesis.stereo import StereoPairs, stereo_cost
-from ladarreg_core.pose.thesis.stereo_simplex import SimplexOptions, descend, fit_simplex
+from ladarreg_core.thesis.estimators.nelder_mead import SimplexStep
+from ladarreg_core.thesis.estimators.stereo import StereoPairs, stereo_cost
+from ladarreg_core.thesis.estimators.stereo_simplex import SimplexOptions, descend, fit_simplex
 from testing.scenes.accuracy import default
 from testing.scenes.apple import THESIS_START, apple_case
 from testing.scenes.pose_case import Case, difference, picture_difference_px, start_near

@@ -1,0 +1,1 @@
+"""How good automatic registration is, beside its peers."""

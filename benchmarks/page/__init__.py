@@ -1,0 +1,1 @@
+"""How the page draws, snaps, and works over a slow link."""

@@ -1,0 +1,1 @@
+"""How good the estimators of a pose are, beside their peers."""

@@ -1,0 +1,1 @@
+"""What several benchmarks share: bars, plots, and a panorama."""

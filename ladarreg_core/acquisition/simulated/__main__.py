@@ -1,0 +1,37 @@
+"""`python -m ladarreg_core.acquisition.simulated [JSON]`: simulated devices for `twin:` addresses, until the standard input ends.
+
+The argument is an object with `scene`, `seed` and `sockets`, all optional. Lines on the standard input are requests as
+`TwinDevices.obey` takes them.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from functools import partial
+
+from ladarreg_core.acquisition.simulated.devices import TwinDevices
+from ladarreg_core.acquisition.simulated.server import TwinServer
+from ladarreg_core.errors import LadarregError
+
+
+def main() -> int:
+    """Serve devices; print their addresses as one line of JSON."""
+    options = json.loads(sys.argv[1]) if len(sys.argv) > 1 else {}
+    scene, seed = str(options.get("scene", "office")), int(options.get("seed", 0))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program, whose end ends the devices
+    try:
+        with TwinDevices(scene, seed, serve=partial(TwinServer, sockets=bool(options.get("sockets")))) as devices:
+            sys.stdout.write(json.dumps({"devices": devices.addresses, "control": devices.listen()}) + "\n")
+            sys.stdout.flush()
+            while line := sys.stdin.readline():
+                devices.obey(line)
+    except LadarregError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,119 @@
+"""Export of the coloured cloud as binary PLY."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ladarreg_core.errors import ShapeError
+from ladarreg_core.export.output_frame import OutputFrame
+from ladarreg_core.progress import Progress, Report
+from ladarreg_core.scan import Scan
+from ladarreg_core.storage.atomic_write import write_chunks
+from ladarreg_core.surface.texture.best_photo import CellColors
+from ladarreg_core.surface.texture.registered_texture import Label, RegisteredTexture, dimmed_levels, model_rows
+
+_VERTEX = np.dtype(
+    [
+        ("x", "<f4"),
+        ("y", "<f4"),
+        ("z", "<f4"),
+        ("red", "u1"),
+        ("green", "u1"),
+        ("blue", "u1"),
+        ("intensity", "<f4"),
+        ("label", "u1"),
+    ]
+)
+_FROM_PHOTOS = np.dtype([("photo_id", "<u2"), ("sigma_px", "<f4")])
+SCANNER_FRAME = OutputFrame()
+_ROWS_AT_ONCE = 128
+_PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<u2": "ushort"}
+
+
+def write_ply(
+    path: str | Path,
+    scan: Scan,
+    texture: RegisteredTexture | CellColors,
+    *,
+    frame: OutputFrame = SCANNER_FRAME,
+    mark: str = "",
+    comments: Sequence[str] = (),
+    report: Report | None = None,
+) -> None:
+    """Write every return of a scan with its colour, intensity and label; see `ply_bytes`.
+
+    Colours from several photographs add `photo_id` (from 1; 0: none) and `sigma_px`. A mark, of a pose that was not
+    verified, and further sentences are written as comments. `report` receives the progress.
+
+    Raises:
+        ExportError: if the file cannot be written.
+    """
+    write_chunks(path, _chunks(scan, texture, frame, [*([f"pose: {mark}"] if mark else []), *comments], report))
+
+
+def ply_bytes(scan: Scan, texture: RegisteredTexture, *, frame: OutputFrame = SCANNER_FRAME) -> bytes:
+    """Return the returns of a scan as binary little-endian PLY, row by row.
+
+    Cells that the camera does not see have their dimmed laser intensity as colour. Coordinates are in single precision,
+    which most viewers have; a frame with large coordinates states its offset in a comment.
+
+    Raises:
+        ShapeError: if the texture is not on the scan's grid.
+    """
+    return b"".join(_chunks(scan, texture, frame))
+
+
+def _chunks(
+    scan: Scan,
+    texture: RegisteredTexture | CellColors,
+    frame: OutputFrame,
+    comments: Sequence[str] = (),
+    report: Report | None = None,
+) -> Iterator[bytes]:
+    """Yield the header, then the vertices of some rows at a time."""
+    if texture.labels.shape != scan.shape:
+        raise ShapeError(f"the texture has {texture.labels.shape} cells, the scan {scan.shape}; they must agree")
+    count = int(np.count_nonzero(scan.valid))
+    several = isinstance(texture, CellColors)
+    layout = np.dtype([*_VERTEX.descr, *_FROM_PHOTOS.descr]) if several else _VERTEX
+    codes = ", ".join(f"{label.value} {label.name.lower().replace('_', ' ')}" for label in Label)
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment ladarreg: {frame.sentence}",
+        *([f"comment offset_m {' '.join(f'{value:.0f}' for value in frame.offset_m)}"] if any(frame.offset_m) else []),
+        *(f"comment {_ascii(comment)}" for comment in comments),
+        f"comment label: {codes}",
+        f"element vertex {count}",
+        *(f"property {_PLY_TYPES[layout[name].str]} {name}" for name in layout.names or ()),
+        "end_header\n",
+    ]
+    yield "\n".join(header).encode("ascii")
+    levels, drawn = dimmed_levels(scan), texture.texture if isinstance(texture, CellColors) else texture
+    done = 0
+    for first in range(0, scan.shape[0], _ROWS_AT_ONCE):
+        rows = slice(first, first + _ROWS_AT_ONCE)
+        valid = np.flatnonzero(scan.valid[rows])
+        vertices = np.zeros(len(valid), dtype=layout)
+        points = frame.place(scan.points_at(rows, slice(None)).reshape(-1, 3).take(valid, axis=0))
+        rgb = model_rows(scan, drawn, rows, levels).reshape(-1, 3).take(valid, axis=0)
+        for k in range(3):
+            vertices["xyz"[k]] = points[:, k]
+            vertices[("red", "green", "blue")[k]] = rgb[:, k]
+        vertices["intensity"] = scan.intensity[rows].take(valid)
+        vertices["label"] = texture.labels[rows].take(valid)
+        if isinstance(texture, CellColors):
+            vertices["photo_id"] = texture.photo[rows].take(valid) + np.uint16(1)  # that of none becomes 0
+            vertices["sigma_px"] = texture.sigma_px[rows].take(valid)
+        yield vertices.tobytes()
+        done += len(vertices)
+        if report is not None:
+            report(Progress(done, count, "writing the cloud"))
+
+
+def _ascii(text: str) -> str:
+    """Return a text on one line of ASCII, as a PLY's header must be."""
+    return " ".join(text.encode("ascii", "replace").decode().split())

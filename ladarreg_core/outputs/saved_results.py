@@ -1,0 +1,382 @@
+"""Saved results: folders with a `registration.json`, opened again together with the files that they were made of."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from ladarreg_core.errors import ExportError, FormatError, LadarregError, OptionError
+from ladarreg_core.export.json import find_inputs, is_recorded
+from ladarreg_core.export.output_frame import FrameName, OutputFrame
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan, photo_id
+from ladarreg_core.formats import read_photo, read_scan
+from ladarreg_core.formats.documents.registration_file import read_result
+from ladarreg_core.formats.scans.scan_request import ScanOptions, stated_options
+from ladarreg_core.photo import Photo
+from ladarreg_core.progress import Progress, Report
+from ladarreg_core.results import Registration
+from ladarreg_core.scan import Scan
+
+RESULT_FILE = "registration.json"
+"""The file by which a folder of results is recognised."""
+_DAMAGED = "give an unmodified one"
+_MAX_SUBFOLDERS = 500
+
+
+class _PhotoReading(msgspec.Struct):
+    """Recorded arguments of `read_photo`."""
+
+    camera: str | msgspec.UnsetType = msgspec.UNSET
+    camera_name: str | msgspec.UnsetType = msgspec.UNSET
+    focal_px: float | msgspec.UnsetType = msgspec.UNSET
+    focal_mm: float | msgspec.UnsetType = msgspec.UNSET
+    sensor_mm: float | msgspec.UnsetType = msgspec.UNSET
+    camera_model: Literal["pinhole", "equirectangular"] | msgspec.UnsetType = msgspec.UNSET
+    temperature_unit: Literal["K", "C", "none"] | msgspec.UnsetType = msgspec.UNSET
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SavedResult:
+    """A `registration.json`, and how the files were read that it was made of."""
+
+    file: Path
+    """The `registration.json`."""
+    registration: Registration
+    """The result with its matches; of a refused one with the best guess as its pose."""
+    document: Mapping[str, Any]
+    """The whole document."""
+    inputs: Sequence[Mapping[str, Any]]
+    """Documents of the input files: the scan, the photograph, and others."""
+    scan_options: Mapping[str, Any]
+    """The recorded arguments of `read_scan`; empty in results of earlier versions."""
+    photo_options: Mapping[str, Any] | None
+    """The recorded arguments of `read_photo`, a camera file by its name; None in results of earlier versions."""
+    within: Sequence[Path] | None = None
+    """Folders that inputs are found in by the paths that the result states; None: anywhere."""
+
+    @property
+    def photo_name(self) -> str:
+        """The photograph's file name."""
+        return str(self.inputs[1].get("name"))
+
+    def find(
+        self, folders: Sequence[Path], *, scan_file: Path | None = None, option: str = "`inputs`"
+    ) -> tuple[Path, Path]:
+        """Return the files of scan and photograph, see `find_inputs`; `scan_file` must be that of the scan.
+
+        Raises:
+            ExportError: if one is not found, or only files of its name with another content.
+        """
+        near = self._near(folders)
+        if scan_file is None:
+            scan = self._find(self.inputs[0], near, option=option)
+        else:
+            (scan,) = find_inputs(self.inputs[:1], [scan_file], option=option)
+        return scan, self._find(self.inputs[1], near, option=option)
+
+    def _find(self, record: Mapping[str, Any], near: Sequence[Path], *, option: str = "`inputs`") -> Path:
+        """Return the file of an input, which lies in a folder or where the result states it.
+
+        Raises:
+            ExportError: if it is not found.
+        """
+        return find_inputs([record], near, beside=self.file.parent, within=self.within, option=option)[0]
+
+    def camera_file(self, folders: Sequence[Path]) -> Path | None:
+        """Return the camera file, if there was one and it is found."""
+        name = (self.photo_options or {}).get("camera")
+        record = next((one for one in self.inputs[2:] if one.get("name") == name), None)
+        if name is None or record is None:
+            return None
+        try:
+            return self._find(record, self._near(folders))
+        except ExportError:
+            return None
+
+    def _near(self, folders: Sequence[Path]) -> list[Path]:
+        near = [*folders, self.file.parent, self.file.resolve().parent.parent, Path.cwd()]
+        return [*near, *(inner for folder in near for inner in _subfolders(folder))]
+
+    def read_scan(self, file: Path, given: Mapping[str, Any] | None = None, *, report: Report | None = None) -> Scan:
+        """Read the scan as it was read for the result.
+
+        Args:
+            file: the scan's file.
+            given: arguments of `read_scan`; those that differ from its defaults precede the recorded ones.
+            report: receives the progress.
+
+        Raises:
+            LadarregError: as `read_scan`.
+        """
+        return read_scan(file, report=report, **self.scan_reading(given, scan_file=file))
+
+    def scan_reading(self, given: Mapping[str, Any] | None = None, *, scan_file: Path | None = None) -> dict[str, Any]:
+        """Return the arguments of `read_scan`: the recorded ones, and those `given` that are no defaults.
+
+        Raises:
+            ExportError: if further files of the standpoint were recorded and are not found, beside `scan_file` or in
+                the folders of the result.
+        """
+        found = {**self.scan_options, **_changed(given)}
+        if found.get("more"):
+            near = self._near_scan(scan_file)
+            found["more"] = tuple(self._find(record, near) for record in self._further_scans)
+        return found
+
+    def further_scans(self, scan_file: Path) -> tuple[list[Path], list[str]]:
+        """Return the further files of the standpoint that were accumulated with the scan.
+
+        Args:
+            scan_file: the scan's file; they are looked for beside it and in the folders of the result.
+
+        Returns:
+            The files that are found, recognised by their SHA-256, and the names of those that are not.
+        """
+        found: list[Path] = []
+        missing: list[str] = []
+        for record in self._further_scans:
+            try:
+                found.append(self._find(record, self._near_scan(scan_file)))
+            except ExportError:
+                missing.append(str(record.get("name")))
+        return found, missing
+
+    @property
+    def _further_scans(self) -> list[Mapping[str, Any]]:
+        names = self.scan_options.get("more", ())
+        recorded = [one for one in self.inputs[2:] if one.get("name") in names]
+        known = {one.get("name") for one in recorded}
+        return [*recorded, *({"name": name} for name in names if name not in known)]
+
+    def _near_scan(self, scan_file: Path | None) -> list[Path]:
+        return self._near([] if scan_file is None else [scan_file.parent])
+
+    def read_photo(self, file: Path, *, temperature_unit: str | None = None) -> Photo:
+        """Read the photograph as it was read for the result, with the camera of the result.
+
+        Args:
+            file: the photograph's file.
+            temperature_unit: precedes the recorded unit.
+
+        Raises:
+            LadarregError: as `read_photo`.
+        """
+        recorded = dict(self.photo_options or {})
+        unit: Any = temperature_unit or recorded.pop("temperature_unit", None)
+        camera = self.registration.camera
+        if self.photo_options is None or "camera" in recorded:  # its size says whether pixels are raw
+            return read_photo(file, camera=camera, temperature_unit=unit)
+        photo = read_photo(file, **{**recorded, "temperature_unit": unit})
+        if photo.camera.size != camera.size:
+            raise FormatError(f"{self.file}: its camera is {camera.size}, the photo {photo.camera.size}; {_DAMAGED}")
+        return replace(photo, camera=camera)
+
+
+def _subfolders(folder: Path) -> list[Path]:
+    """Return the first folders in a folder, by name, without hidden ones and those that cannot be listed."""
+    try:
+        with os.scandir(folder) as listed:
+            names = sorted(entry.name for entry in listed if entry.is_dir() and not entry.name.startswith("."))
+    except OSError:
+        return []
+    return [folder / name for name in names[:_MAX_SUBFOLDERS]]
+
+
+def is_saved_result(folder: Path) -> bool:
+    """Return whether a folder has a `registration.json`."""
+    return (folder / RESULT_FILE).is_file()
+
+
+def read_saved_result(
+    folder: str | Path, *, trust_edited: bool = False, within: Sequence[Path] | None = None
+) -> SavedResult:
+    """Read a folder of results, or its `registration.json`.
+
+    Args:
+        folder: the folder or the file.
+        trust_edited: read a result that was changed after it was written, as a pose that was given.
+        within: as `SavedResult.within`.
+
+    Raises:
+        FormatError: if it is none, is damaged, or was changed after it was written.
+    """
+    file = Path(folder) / RESULT_FILE if Path(folder).is_dir() else Path(folder)
+    registration, document = read_result(file, trust_edited=trust_edited)
+    inputs = document.get("inputs")
+    if not isinstance(inputs, list) or len(inputs) < 2 or not all(isinstance(one, dict) for one in inputs):
+        raise FormatError(f"{file} does not name the scan and the photo that it was made of")
+    try:
+        scan = _recorded_scan(inputs[0])
+        photo = _recorded(inputs[1], _PhotoReading)
+    except (msgspec.ValidationError, OptionError) as error:
+        raise FormatError(f"{file}: the options of an input are damaged ({error}); {_DAMAGED}") from None
+    return SavedResult(file, registration, document, inputs, scan or {}, photo, within)
+
+
+def recorded_options(result: Path, scan: Path, photo: Path) -> dict[str, Any]:
+    """Return the options that a result records of a scan and a photograph, if it was made of them.
+
+    Args:
+        result: a `registration.json`; of any other file, such as a pose, the options are empty.
+        scan: the scan's file.
+        photo: the photograph's file.
+
+    Returns:
+        Arguments of `read_scan` and `read_photo` by their names, without the camera file and further scans, see
+        `recorded_scans`; those of a file with another content than the recorded one are left out.
+    """
+    try:
+        saved = read_saved_result(result, trust_edited=True)
+        found = dict(saved.scan_options) if is_recorded(scan, saved.inputs[0]) else {}
+        if is_recorded(photo, saved.inputs[1]):
+            found |= saved.photo_options or {}
+    except (LadarregError, OSError):  # each file is read again, and refused, where it is needed
+        return {}
+    return {name: value for name, value in found.items() if name not in ("camera", "camera_name", "more")}
+
+
+def recorded_scans(result: Path, scan: Path, *, within: Sequence[Path] | None = None) -> tuple[list[Path], list[str]]:
+    """Return the further files that a result records as accumulated with a scan, if it was made of that scan.
+
+    Args:
+        result: a `registration.json`; any other file, such as a pose, records none.
+        scan: the scan's file.
+        within: as `SavedResult.within`.
+
+    Returns:
+        See `SavedResult.further_scans`.
+    """
+    try:
+        saved = read_saved_result(result, trust_edited=True, within=within)
+        return saved.further_scans(scan) if is_recorded(scan, saved.inputs[0]) else ([], [])
+    except (LadarregError, OSError):  # as in `recorded_options`
+        return [], []
+
+
+def missing_scans(result: Path, scan: Path, more: Sequence[Path], *, within: Sequence[Path] | None = None) -> str:
+    """Return a sentence on the clouds that a result was made of and that are not found; empty: none is missing.
+
+    Args:
+        result: a file that may be a result.
+        scan: the scan's file.
+        more: the further clouds that are read with it.
+        within: as `SavedResult.within`.
+    """
+    found, missing = recorded_scans(result, scan, within=within)
+    if not missing or len(more) >= len(found) + len(missing):
+        return ""
+    clouds = "this cloud is" if not more else f"{1 + len(more)} clouds are"
+    return (
+        f"{result} was registered on {1 + len(found) + len(missing)} accumulated clouds; {', '.join(missing)} "
+        f"{'was' if len(missing) == 1 else 'were'} not found beside {scan.name} or the result, and only {clouds} "
+        "used; give all clouds with their folders"
+    )
+
+
+def registered_scan(
+    results: Sequence[SavedResult],
+    *,
+    folders: Sequence[Path] = (),
+    scan_file: Path | None = None,
+    scan_options: Mapping[str, Any] | None = None,
+    temperature_unit: str | None = None,
+    frame: FrameName = "scanner",
+    option: str = "`inputs`",
+    report: Report | None = None,
+) -> RegisteredScan:
+    """Return results on the same scan as one hand-over, their inputs read again.
+
+    Args:
+        results: the results, accepted, given or refused; refused ones are listed as such.
+        folders: where inputs are looked for before the folders of the results, the folders above them, and the working
+            folder; a file among them stands for itself. Files are recognised by their SHA-256.
+        scan_file: the scan's file; None: it is looked for.
+        scan_options: arguments of `read_scan` for results that do not record them.
+        temperature_unit: unit of the pixels of thermal photographs whose results do not record it.
+        frame: of written points and poses.
+        option: how to give a folder, for messages.
+        report: receives the progress of reading, with the files' names.
+
+    Raises:
+        OptionError: if there is no result, they are on different scans, or the frame is `world` and the scan does not
+            state where it stands.
+        ExportError: if an input is not found.
+        LadarregError: if an input cannot be read.
+    """
+    if not results:
+        raise OptionError("there is no result to export; give one or several folders of results")
+    _require_one_scan(results, scan_options)
+    found = [one.find(folders, scan_file=scan_file, option=option) for one in results]
+    reading = results[0].scan_reading(scan_options, scan_file=found[0][0])
+    scan = read_scan(found[0][0], report=report, **reading)
+    placed = OutputFrame.of(scan, frame)
+    photos: list[RegisteredPhoto] = []
+    for done, (one, (_, file)) in enumerate(zip(results, found, strict=True)):
+        if report is not None:
+            report(Progress(done, len(results), f"reading {file.name}"))
+        photos.append(
+            RegisteredPhoto(
+                photo_id(file.name, [other.id for other in photos]),
+                one.read_photo(file, temperature_unit=temperature_unit),
+                replace(one.registration, world_from_scanner=scan.world_from_scanner),
+                file,
+                one.camera_file(folders),
+                dict(one.photo_options or {}),
+                _document_of(one),
+            )
+        )
+    return RegisteredScan(
+        scan,
+        [one for one in photos if one.registration.is_shown],
+        found[0][0],
+        reading,
+        placed,
+        [one for one in photos if not one.registration.is_shown],
+    )
+
+
+def _document_of(result: SavedResult) -> Callable[[], Mapping[str, Any]]:
+    return lambda: result.document
+
+
+def _require_one_scan(results: Sequence[SavedResult], scan_options: Mapping[str, Any] | None) -> None:
+    first = results[0]
+    for other in results[1:]:
+        if other.inputs[0].get("sha256") != first.inputs[0].get("sha256"):
+            one, two = (f"{result.file.parent} ({result.inputs[0].get('name')})" for result in (first, other))
+            raise OptionError(f"the results are on different scans: {one}, {two}; export the results of each by itself")
+        if {**other.scan_options, **_changed(scan_options)} != {**first.scan_options, **_changed(scan_options)}:
+            raise OptionError(
+                f"{first.file.parent} and {other.file.parent} read {first.inputs[0].get('name')} with different "
+                "options (another scan of the file, or another origin); export each by itself"
+            )
+
+
+def _recorded(record: Mapping[str, Any], kind: type[msgspec.Struct]) -> dict[str, Any] | None:
+    """Return the options that an input document records; None if it is of an earlier version."""
+    fields = record.get("read_with")
+    if fields is None:
+        return None
+    found = msgspec.convert(fields, kind)
+    values = {name: getattr(found, name) for name in kind.__struct_fields__}
+    return {name: value for name, value in values.items() if value is not msgspec.UNSET}
+
+
+def _recorded_scan(record: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the recorded arguments of `read_scan`, `more` among them; None in results of earlier versions."""
+    fields = record.get("read_with")
+    if fields is None:
+        return None
+    fields = msgspec.convert(fields, dict[str, Any])
+    more = {"more": msgspec.convert(fields["more"], tuple[str, ...])} if "more" in fields else {}
+    return {**stated_options(fields), **more}
+
+
+def _changed(given: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return the arguments of `read_scan` that are no defaults."""
+    return {} if given is None else ScanOptions(**given).given()
