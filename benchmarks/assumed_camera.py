@@ -19,7 +19,7 @@ from ladarreg_core.camera.uncertainty import DEFAULT_CAMERA_PRIOR
 from ladarreg_core.frames import Rigid
 from ladarreg_core.photo import Photo
 from ladarreg_core.quality.assessment import assess
-from ladarreg_core.registration import register
+from ladarreg_core.registration.register import register
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate import SCENES, simulate_case

@@ -1,10 +1,10 @@
 """Time and memory of the export of a large scan: python -m benchmarks.export [FOLDER] [--cells 10] [--to laz,ply,e57].
 
-The scan is a dome made by `benchmarks.shared.dome` in the folder, unless it is there already, with its photograph and the true
-pose. Ladarreg exports it in a fresh process; the peers then write the same arrays, read from what ladarreg wrote, in
-others: laspy alone the LAZ, pye57 alone the points of the E57. Also measured: how long a cancelled export takes to end,
-and what it leaves. Times are wall-clock and of the processor; the load before the run is printed, since other programs
-mislead by a factor.
+The scan is a dome made by `benchmarks.shared.dome` in the folder, unless it is there already, with its photograph and
+the true pose. Ladarreg exports it in a fresh process; the peers then write the same arrays, read from what ladarreg
+wrote, in others: laspy alone the LAZ, pye57 alone the points of the E57. Also measured: how long a cancelled export
+takes to end, and what it leaves. Times are wall-clock and of the processor; the load before the run is printed, since
+other programs mislead by a factor.
 """
 
 from __future__ import annotations

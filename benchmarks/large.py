@@ -1,9 +1,9 @@
 """Time and memory of a dome scan of 1 to 28 million cells: read, registered, coloured and written, stage by stage.
 
-Run it as `python -m benchmarks.large [FOLDER] [--cells 1 4 10 28]`. The scans are made by `benchmarks.shared.dome` in the
-folder, unless they are there already. Every size runs in a fresh process on at most two cores. Reading by pye57 alone
-is measured in another process just before. Times are of the processor (user and system), since other programs may be
-running; wall-clock time and load are printed beside them. The exponent of a stage is the slope of log time over log
+Run it as `python -m benchmarks.large [FOLDER] [--cells 1 4 10 28]`. The scans are made by `benchmarks.shared.dome` in
+the folder, unless they are there already. Every size runs in a fresh process on at most two cores. Reading by pye57
+alone is measured in another process just before. Times are of the processor (user and system), since other programs may
+be running; wall-clock time and load are printed beside them. The exponent of a stage is the slope of log time over log
 cells from the smallest to the largest scan.
 """
 

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 from ladarreg_core.foundations.version import VERSION
 
 if TYPE_CHECKING:
-    from ladarreg_core import views as views
     from ladarreg_core.batch.photo_run import register_photos as register_photos
     from ladarreg_core.batch.photo_summary import PhotosResult as PhotosResult
     from ladarreg_core.camera import Camera as Camera
@@ -34,6 +33,7 @@ if TYPE_CHECKING:
     from ladarreg_core.formats import read_scan as read_scan
     from ladarreg_core.frames import Rigid as Rigid
     from ladarreg_core.frames import ThesisParameters as ThesisParameters
+    from ladarreg_core.inspection.notebook import views as views
     from ladarreg_core.inspection.notebook.progress import NotebookProgress as NotebookProgress
     from ladarreg_core.matches import Matches as Matches
     from ladarreg_core.matches import Pick as Pick
@@ -48,11 +48,11 @@ if TYPE_CHECKING:
     from ladarreg_core.pose.estimate import estimate_pose as estimate_pose
     from ladarreg_core.progress import Progress as Progress
     from ladarreg_core.progress import Step as Step
-    from ladarreg_core.registration import register as register
     from ladarreg_core.registration.comparison import compare as compare
     from ladarreg_core.registration.given import given_pose as given_pose
     from ladarreg_core.registration.given import verify_pose as verify_pose
     from ladarreg_core.registration.register import RegisterOptions as RegisterOptions
+    from ladarreg_core.registration.register import register as register
     from ladarreg_core.registration.rig.options import RigOptions as RigOptions
     from ladarreg_core.registration.rig.registration import register_rig as register_rig
     from ladarreg_core.registration.rig.results import RigPair as RigPair
@@ -81,45 +81,45 @@ _HOMES = {
     "AutoOptions": "matching.auto",
     "Camera": "camera",
     "Cancelled": "errors",
-    "Channels": "matching.kept_channels",
+    "Channels": "matching.images.kept_channels",
     "ComparedBlocks": "results",
     "EquirectangularCamera": "camera",
     "FisheyeCamera": "camera",
     "ImageCheck": "matching.image_check",
-    "Label": "surface.texture",
+    "Label": "surface.texture.registered_texture",
     "LadarregError": "errors",
     "Matches": "matches",
-    "NotebookProgress": "notebook",
+    "NotebookProgress": "inspection.notebook.progress",
     "Photo": "photo",
-    "PhotoPoints": "surface.photo_points",
-    "PhotoPointsWithNormals": "surface.photo_points",
+    "PhotoPoints": "surface.texture.photo_points",
+    "PhotoPointsWithNormals": "surface.texture.photo_points",
     "PhotosResult": "batch.photo_summary",
     "Pick": "matches",
     "PoseOptions": "pose.estimate",
     "PoseResult": "results",
     "Progress": "progress",
-    "RegisterOptions": "registration",
-    "RegisteredPhoto": "export.targets.registered_scan",
-    "RegisteredScan": "export.targets.registered_scan",
-    "RegisteredTexture": "surface.texture",
+    "RegisterOptions": "registration.register",
+    "RegisteredPhoto": "export.registered_scan",
+    "RegisteredScan": "export.registered_scan",
+    "RegisteredTexture": "surface.texture.registered_texture",
     "Registration": "results",
-    "RigOptions": "rig.options",
-    "RigPair": "rig.results",
-    "RigResult": "rig.results",
+    "RigOptions": "registration.rig.options",
+    "RigPair": "registration.rig.results",
+    "RigResult": "registration.rig.results",
     "Rigid": "frames",
     "Scan": "scan",
-    "StationNetwork": "stations.results",
-    "StationPair": "stations.results",
+    "StationNetwork": "registration.stations.results",
+    "StationPair": "registration.stations.results",
     "Step": "progress",
     "ThesisParameters": "frames",
     "View": "surface.perspective",
     "camera_from_json": "camera",
-    "compare": "comparison",
+    "compare": "registration.comparison",
     "estimate_pose": "pose.estimate",
-    "export_registration": "export.folder",
+    "export_registration": "export.targets.folder",
     "export_to": "export.targets.pipeline",
-    "given_pose": "given",
-    "intensity_picture": "surface.texture",
+    "given_pose": "registration.given",
+    "intensity_picture": "surface.texture.registered_texture",
     "perspective_view": "surface.perspective",
     "picks_of_arrays": "matches",
     "read_camera": "formats",
@@ -127,18 +127,18 @@ _HOMES = {
     "read_photo": "formats",
     "read_pose": "formats",
     "read_registration": "formats",
-    "read_rig": "rig_folder",
+    "read_rig": "outputs.rig_folder",
     "read_scan": "formats",
-    "register": "registration",
+    "register": "registration.register",
     "register_photos": "batch.photo_run",
-    "register_rig": "rig.registration",
-    "register_scans": "stations.registration",
+    "register_rig": "registration.rig.registration",
+    "register_scans": "registration.stations.registration",
     "simulate_case": "simulate",
-    "texture_scan": "surface.texture",
-    "verify_pose": "given",
-    "views": "views",
+    "texture_scan": "surface.texture.registered_texture",
+    "verify_pose": "registration.given",
+    "views": "inspection.notebook.views",
     "with_image_check": "matching.image_check",
-    "xyz_of_photo": "surface.photo_points",
+    "xyz_of_photo": "surface.texture.photo_points",
 }
 __all__ = sorted(_HOMES)
 
@@ -149,7 +149,7 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     home = importlib.import_module(f"{__name__}.{_HOMES[name]}")
-    value = home if name == _HOMES[name] else getattr(home, name)
+    value = getattr(home, name, home)  # `views` is a module
     globals()[name] = value
     return value
 

@@ -17,5 +17,5 @@ __all__ = [
     "SimplexFrame",
     "StationShown",
     "Subject",
-    "residual_colours",
+    "residual_colors",
 ]

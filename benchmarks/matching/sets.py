@@ -118,7 +118,7 @@ def near_rows(seeds: range) -> Iterator[Row]:
 
 def real_rows(seeds: range) -> Iterator[Row]:
     """Real captures beside the checkout, or in LADARREG_DATA, against their known poses."""
-    data = Path(os.environ.get("LADARREG_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
+    data = Path(os.environ.get("LADARREG_DATA") or Path(__file__).resolve().parents[3] / "shared" / "data")
     captures = (
         ("kinect", "scan.json", "color_1.jpg"),
         ("garage", "scan.npz", "frame9.png"),

@@ -80,7 +80,7 @@ def shuffled_rows(seeds: range) -> Iterator[Row]:
 
 def real_cases() -> Iterator[tuple[str, lr.Scan, lr.Photo, Rigid]]:
     """Yield the captures beside the checkout, or in LADARREG_DATA, with their published poses."""
-    data = Path(os.environ.get("LADARREG_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
+    data = Path(os.environ.get("LADARREG_DATA") or Path(__file__).resolve().parents[3] / "shared" / "data")
     for name, scan_file, photo_file, truth_file in _REAL:
         folder = data / name
         if not (folder / truth_file).is_file():

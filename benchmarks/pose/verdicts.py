@@ -344,7 +344,7 @@ def main() -> None:
         return
     if not arguments.against:
         parser.error("give --against CHECKOUT")
-    here = Path(__file__).resolve().parents[1]
+    here = Path(__file__).resolve().parents[2]
     (before, took), (after, takes) = (
         outcomes_of(checkout, arguments.cases, arguments.first) for checkout in (arguments.against, here)
     )

@@ -1,7 +1,7 @@
 """Makes a dome scan of a simulated room as a terrestrial scanner would write it, with a photograph and the truth.
 
-Run it as `python -m benchmarks.shared.dome FOLDER --cells 28`. The folder then contains `scan.e57` (one structured scan:
-Cartesian coordinates in single precision, intensity, colour, row and column indices, points without return marked
+Run it as `python -m benchmarks.shared.dome FOLDER --cells 28`. The folder then contains `scan.e57` (one structured
+scan: Cartesian coordinates in single precision, intensity, colour, row and column indices, points without return marked
 invalid), `photo.png`, `camera.json` and `truth.json`. Columns are cast and written in strips, so that memory does not
 grow with the scan. The file is written by pye57's raw nodes and not by the project's own code.
 """

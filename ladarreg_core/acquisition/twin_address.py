@@ -1,7 +1,8 @@
 """Addresses of simulated devices: `twin:NAME?seed=N&scene=...`.
 
-A process of its own (`python -m ladarreg_core.acquisition.simulated`) simulates all devices of equal arguments in one room. It prints a
-JSON object that maps their names to addresses, and ends when its standard input does: with this program.
+A process of its own (`python -m ladarreg_core.acquisition.simulated`) simulates all devices of equal arguments in one
+room. It prints a JSON object that maps their names to addresses, and ends when its standard input does: with this
+program.
 """
 
 from __future__ import annotations
@@ -74,8 +75,9 @@ def resolved_twin(address: str) -> str:
 def _started(arguments: tuple[tuple[str, str], ...]) -> tuple[subprocess.Popen[str], dict[str, str]]:
     # Like a real device it does not hear the signals that a terminal sends to all processes of this program.
     process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "ladarreg_core.acquisition.simulated", json.dumps(dict(arguments))], start_new_session=True,
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=_environment(),
+        [sys.executable, "-P", "-m", "ladarreg_core.acquisition.simulated", json.dumps(dict(arguments))],
+        start_new_session=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env=_environment(),
     )  # fmt: skip
     said: deque[str] = deque(maxlen=_KEPT_LINES)
     complaining = _read_aside(process.stderr, said.append)

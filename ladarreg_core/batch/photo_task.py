@@ -31,7 +31,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.images.kept_channels import Channels
 from ladarreg_core.photo import Photo
 from ladarreg_core.quality.assessment import assess
-from ladarreg_core.registration import RegisterOptions, register
+from ladarreg_core.registration.register import RegisterOptions, register
 from ladarreg_core.results import Registration, verdict_words
 from ladarreg_core.scan import Scan
 

@@ -144,9 +144,9 @@ class RegisteredScan:
         return best_photo(self.scan, self.views)
 
     def compute_colors(self, report: Report | None = None) -> None:
-        """Compute `colours` with a report of the progress, unless they are there already."""
-        if "colours" not in self.__dict__:
-            self.__dict__["colours"] = best_photo(self.scan, self.views, report=report)
+        """Compute `colors` with a report of the progress, unless they are there already."""
+        if "colors" not in self.__dict__:
+            self.__dict__["colors"] = best_photo(self.scan, self.views, report=report)
 
     @cached_property
     def photo_labels(self) -> tuple[ByteArray, ...]:

@@ -98,7 +98,7 @@ class Marks:
     def __post_init__(self) -> None:
         points = read_only(self.points, np.float32, (None, 3), "the marks' points")
         object.__setattr__(self, "points", points)
-        object.__setattr__(self, "colours", read_only(self.colors, np.uint8, (len(points), 3), "the marks' colours"))
+        object.__setattr__(self, "colors", read_only(self.colors, np.uint8, (len(points), 3), "the marks' colours"))
         object.__setattr__(self, "on", read_only(self.on, np.bool_, (len(points),), "the marks' 'on'"))
         object.__setattr__(self, "given", read_only(self.given, np.int64, (len(points),), "the marks' numbers"))
 

@@ -285,9 +285,8 @@ def _verdict_fields(result: RigResult) -> dict[str, Any]:
 
 def _overlay_frames(result: RigResult, pairs: Sequence[RigPair]) -> list[OverlayFrame]:
     """Return what the overlay video of a camera shows of each pair."""
-    from ladarreg_core.registration.rig.time_offset import paired_at
-
     from ladarreg_core.export.overlay_video import OverlayFrame
+    from ladarreg_core.registration.rig.time_offset import paired_at
 
     offset, evidence = result.time_offset, {one.name: one for one in result.pairs}
     found = []

@@ -12,7 +12,7 @@ from ladarreg_core.matches import Pick
 from ladarreg_core.photo import Photo
 from ladarreg_core.picks.lengths import with_lengths_checked
 from ladarreg_core.progress import StepLog, StepReport
-from ladarreg_core.registration import RegisterOptions, register
+from ladarreg_core.registration.register import RegisterOptions, register
 from ladarreg_core.results import Stage
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.registered_texture import RegisteredTexture, texture_scan

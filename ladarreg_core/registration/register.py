@@ -29,7 +29,13 @@ from ladarreg_core.matching.image_check import Proposal, check_against_images, r
 from ladarreg_core.matching.images.kept_channels import Channels
 from ladarreg_core.photo import Photo
 from ladarreg_core.picks.lengths import with_lengths_checked
-from ladarreg_core.picks.measure import SAMPLES_PER_LINE, LineUse, check_line_use, check_samples, matches_from_picks
+from ladarreg_core.picks.measure import (
+    SAMPLES_PER_LINE,
+    LineUse,
+    check_line_use,
+    check_samples,
+    matches_from_picks,
+)
 from ladarreg_core.pose.assumed_camera import with_assumed_camera
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.multistart import confirm

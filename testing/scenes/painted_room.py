@@ -13,7 +13,7 @@ import numpy as np
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec, rotvec_from_rotation
 from ladarreg_core.photo import Photo
-from ladarreg_core.registration import register
+from ladarreg_core.registration.register import register
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation

@@ -18,7 +18,7 @@ from ladarreg_core.formats.scans.scan_request import SCAN_OPTIONS, ScanOptions
 CORE = Path(__file__).resolve().parents[2] / "ladarreg_core"
 _FLAG = re.compile(r"(?<![\w`-])--[a-z][a-z-]+")
 _ARGUMENT = re.compile(r"`(\w+)(?:=[^`]*)?`")
-_NOT_OURS = {"report_style.py", "ros.py", "report.py"}  # style sheets, and commands of ROS
+_NOT_OURS = {"style.py", "ros.py", "report.py"}  # style sheets, and commands of ROS
 _ONLY_IN_PYTHON = {"xyz", "ranges", "rays", "azimuth_rad", "elevation_rad", "white", "points", "to_json"}
 
 

@@ -1,4 +1,4 @@
-"""Table 3.1: the apple, by the thesis's estimator from its starting pose; benchmarks/pose/__main__.py has the long runs.
+"""Table 3.1: the apple, by the thesis's estimator from its starting pose; `benchmarks.pose` has the long runs.
 
 Limits of the medians over 200 seeds are 5.2, 2.5 and 2.0 %. The standard error of a median of 24 seeds is about
 1.25 s / sqrt(24), with s from the interquartile range: 13, 11 and 9 % of the median; 2.5 standard errors are allowed.

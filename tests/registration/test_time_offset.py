@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ladarreg_core.registration.rig.time_offset import estimate_time_offset, paired_at
 
 import ladarreg_core as lr
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.photo import TimedPhoto
+from ladarreg_core.registration.rig.time_offset import estimate_time_offset, paired_at
 from testing.scenes.camera_rig import Motion, mounted, moving_rig
 
 pytestmark = pytest.mark.timeout(1200)

@@ -1,13 +1,13 @@
 """The guard: a process that holds the ports, and stops the devices when the program that drives them is gone.
 
-`python -m ladarreg_core.acquisition.devices.guard` reads frames on its standard input and writes frames on its standard output:
-four bytes for the channel, four for the length, big-endian, and the content. Channel 0 carries JSON: from the program
-`{"open": channel, "address", "baud", "stop"}`, `{"close": channel}`, `{"beat": n}` and `{"end": true}`; from the guard
-`{"opened": channel}`, `{"refused": channel, "text"}`, `{"lost": channel, "text"}` and `{"ended": text, "hung": bool}`.
-The other channels carry the bytes of the ports.
+`python -m ladarreg_core.acquisition.devices.guard` reads frames on its standard input and writes frames on its standard
+output: four bytes for the channel, four for the length, big-endian, and the content. Channel 0 carries JSON: from the
+program `{"open": channel, "address", "baud", "stop"}`, `{"close": channel}`, `{"beat": n}` and `{"end": true}`; from
+the guard `{"opened": channel}`, `{"refused": channel, "text"}`, `{"lost": channel, "text"}` and `{"ended": text,
+"hung": bool}`. The other channels carry the bytes of the ports.
 
-When its input ends, or no frame has come for a while, the guard sends each port its stop bytes, closes it, and ends.
-A port that hangs, while it is opened or written to, never holds up another one, nor the watch over the program.
+When its input ends, or no frame has come for a while, the guard sends each port its stop bytes, closes it, and ends. A
+port that hangs, while it is opened or written to, never holds up another one, nor the watch over the program.
 """
 
 from __future__ import annotations

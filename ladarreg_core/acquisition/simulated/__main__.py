@@ -1,4 +1,6 @@
-"""`python -m ladarreg_core.acquisition.simulated [JSON]`: simulated devices for `twin:` addresses, until the standard input ends.
+"""Simulated devices for `twin:` addresses, until the standard input ends.
+
+Run as `python -m ladarreg_core.acquisition.simulated [JSON]`.
 
 The argument is an object with `scene`, `seed` and `sockets`, all optional. Lines on the standard input are requests as
 `TwinDevices.obey` takes them.

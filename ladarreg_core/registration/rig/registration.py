@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 
 import numpy as np
-from ladarreg_core.registration.rig.time_offset import estimate_time_offset, paired_at
 from threadpoolctl import threadpool_limits
 
 from ladarreg_core.errors import OptionError
@@ -27,6 +26,7 @@ from ladarreg_core.registration.rig.evidence import ADVICE, Jury, held_out, join
 from ladarreg_core.registration.rig.joint import JointPairs, PairViews
 from ladarreg_core.registration.rig.options import MIN_PAIRS, RigOptions
 from ladarreg_core.registration.rig.results import PairEvidence, RigPair, RigResult
+from ladarreg_core.registration.rig.time_offset import estimate_time_offset, paired_at
 
 # Variance factors of the covariance from regions, for pairs with intensity and for those whose shape alone is compared;
 # to it that of leaving out pairs is added. From simulated rigs of other seeds than those of the benchmark.

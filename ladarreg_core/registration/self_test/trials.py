@@ -17,7 +17,7 @@ from ladarreg_core.matching.auto import AutoOptions
 from ladarreg_core.matching.images.support import is_coarse
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
-from ladarreg_core.registration import RegisterOptions, register
+from ladarreg_core.registration.register import RegisterOptions, register
 from ladarreg_core.registration.self_test.synthetic_photo import (
     FARTHEST_REACH_M,
     SyntheticPhoto,

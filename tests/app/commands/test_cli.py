@@ -95,8 +95,15 @@ def test_a_registration_imports_what_it_uses_alone(tmp_path: Path) -> None:
         "uvicorn",
         "rich",
     }
-    rooms = {"acquisition", "twins", "project", "stations", "rig", "self_test", "simulate"}
-    files = {"comparison", "export.comparison_table", "quality.smoothing", "saved_results"}
+    rooms = {
+        "acquisition",
+        "project",
+        "registration.stations",
+        "registration.rig",
+        "registration.self_test",
+        "simulate",
+    }
+    files = {"registration.comparison", "export.comparison", "quality.smoothing", "outputs"}
     unused = others | {f"ladarreg_core.{name}" for name in rooms | files}
     code = (
         f"import sys; from ladarreg.cli import main; code = main({sample('-o', str(tmp_path / 'out'), '--quiet')!r})\n"

@@ -1,4 +1,4 @@
-"""Snapping on simulated rooms, whose true edges are known; `benchmarks/page/snapping.py` measures all four at length."""
+"""Snapping on simulated rooms, whose true edges are known; `benchmarks.page.snapping` measures all four."""
 
 from __future__ import annotations
 

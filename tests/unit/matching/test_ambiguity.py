@@ -13,7 +13,7 @@ from ladarreg_core.frames import Rigid, look_along, rotation_about, rotation_fro
 from ladarreg_core.matching.auto import AutoOptions
 from ladarreg_core.matching.search.ambiguity import KnownPoses, ambiguity_sentence
 from ladarreg_core.matching.verify.verification import GateOptions
-from ladarreg_core.registration import RegisterOptions, register
+from ladarreg_core.registration.register import RegisterOptions, register
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.remap import look_up
 from testing.scenes.kept import kept

@@ -12,7 +12,7 @@ from ladarreg_core.frames import rotation_from_rotvec
 from ladarreg_core.matching.features.correlation import windows_at
 from ladarreg_core.matching.features.descriptors import describe
 from ladarreg_core.matching.images.pyramid import photo_levels, working_camera
-from ladarreg_core.registration import register
+from ladarreg_core.registration.register import register
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.perspective import perspective_view
 from testing.scenes.painted_room import PaintedRoom, painted_room

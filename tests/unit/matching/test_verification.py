@@ -18,7 +18,7 @@ from ladarreg_core.matching.images.pyramid import photo_levels, scan_levels, wor
 from ladarreg_core.matching.refine.aligner import Aligner
 from ladarreg_core.matching.verify.agreement import Agreement
 from ladarreg_core.matching.verify.verification import GateOptions, check_precision, region_markers, verify
-from ladarreg_core.registration import register
+from ladarreg_core.registration.register import register
 from ladarreg_core.surface.perspective import perspective_view
 from testing.scenes.painted_room import PaintedRoom, painted_room
 from testing.scenes.thinned_scan import thinned

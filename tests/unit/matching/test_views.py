@@ -13,7 +13,7 @@ from ladarreg_core.matching.images.views import (
     scan_density,
     viewing_directions,
 )
-from ladarreg_core.registration import register
+from ladarreg_core.registration.register import register
 from ladarreg_core.scanner.grids import PinholeGrid
 from ladarreg_core.surface.perspective import perspective_view
 from testing.scenes.painted_room import PaintedRoom, painted_room

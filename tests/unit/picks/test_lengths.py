@@ -21,7 +21,7 @@ from ladarreg_core.matching.image_check import ImageCheck, with_image_check
 from ladarreg_core.picks.lengths import check_lengths
 from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.quality.findings import findings
-from ladarreg_core.registration import RegisterOptions, register
+from ladarreg_core.registration.register import RegisterOptions, register
 from ladarreg_core.surface.ranges import surface_range
 from testing.scenes.painted_room import PaintedRoom, painted_room
 

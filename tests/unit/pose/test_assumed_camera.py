@@ -18,7 +18,7 @@ from ladarreg_core.pose.assumed_camera import with_assumed_camera
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.project.results import pose_entry, registration_of
 from ladarreg_core.quality.findings import findings
-from ladarreg_core.registration import RegisterOptions, register
+from ladarreg_core.registration.register import RegisterOptions, register
 from ladarreg_core.surface.texture.registered_texture import Label, texture_scan
 from ladarreg_core.surface.uncertainty import picture_sigma, pixel_sigma
 from testing.scenes.pose_case import difference

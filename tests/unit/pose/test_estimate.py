@@ -1,4 +1,4 @@
-"""Accuracy and acceptance of the default estimator on a few seeds each; benchmarks/pose/__main__.py has the long runs."""
+"""Accuracy and acceptance of the default estimator on a few seeds each; `benchmarks.pose` has the long runs."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ import pytest
 from ladarreg_core.foundations import palette
 from ladarreg_core.surface.texture.registered_texture import Label
 
-TOKENS = (Path(__file__).resolve().parents[2] / "static" / "tokens.css").read_text(encoding="utf-8")
+TOKENS = (Path(__file__).resolve().parents[3] / "static" / "tokens.css").read_text(encoding="utf-8")
 LOOK = ("background", "panel", "line", "ink", "dim", "accent", "ok", "ok-ground", "warn", "warn-ground", "bad")
 
 

@@ -34,7 +34,7 @@ from ladarreg_core.storage.checksums import canonical, checksum, checksum_state,
 from ladarreg_core.storage.manifest import MANIFEST_FILE, ListedFile, read_manifest, update_manifest, write_manifest
 from testing.scenes.small_registration import sample_photo, sample_registration, sample_scan
 
-SAVED = Path(__file__).parents[1] / "app/workbench/saved_by_0_1"
+SAVED = Path(__file__).parents[2] / "app/workbench/saved_by_0_1"
 Edit = Callable[[str], str]
 
 _TEXTS = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)

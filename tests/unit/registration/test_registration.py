@@ -28,7 +28,7 @@ from ladarreg_core.frames import rotation_from_rotvec
 from ladarreg_core.inspection.figures import parameters
 from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.quality.assessment import assess
-from ladarreg_core.registration import RegisterOptions, register
+from ladarreg_core.registration.register import RegisterOptions, register
 from ladarreg_core.results import COARSE_CAVEAT, COARSE_SIGMA_PX
 from ladarreg_core.surface.ranges import surface_range
 from testing.scenes.painted_room import PaintedRoom, painted_room, registered_room
@@ -156,7 +156,7 @@ def test_every_step_is_reported_as_it_ends(room: PaintedRoom) -> None:
 _FINGERPRINT = """
 import pickle, sys, cv2
 cv2.setNumThreads(int(sys.argv[1]))
-from ladarreg_core.registration import register
+from ladarreg_core.registration.register import register
 scan, photo = pickle.load(open(sys.argv[2], "rb"))
 print(register(scan, photo).camera_from_scanner.matrix.tobytes().hex())
 """

@@ -1,0 +1,1 @@
+"""Pieces composed into one panorama."""

@@ -1,0 +1,1 @@
+"""Pan/tilt units, scanners and cameras: protocols, links and ports."""

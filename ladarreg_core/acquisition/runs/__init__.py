@@ -1,0 +1,1 @@
+"""A run of stops: its runner, its folder, its pieces."""

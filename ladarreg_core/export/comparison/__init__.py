@@ -1,0 +1,1 @@
+"""Several registrations of one pair beside one another."""

@@ -1,0 +1,1 @@
+"""Pictures, poses and colors written into E57 files."""

@@ -1,0 +1,1 @@
+"""The textured model in the formats of models."""

@@ -1,0 +1,1 @@
+"""Readers of cameras, a module per program's format."""

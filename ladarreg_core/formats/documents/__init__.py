@@ -1,0 +1,1 @@
+"""Matches, poses and results as files."""

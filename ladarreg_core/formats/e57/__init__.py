@@ -1,0 +1,1 @@
+"""E57 files: pages, trees, records."""

@@ -1,0 +1,1 @@
+"""Recordings of ROS: what they hold, and their pictures."""

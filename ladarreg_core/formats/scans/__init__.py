@@ -1,0 +1,1 @@
+"""Readers of scans and clouds, a module per format."""

@@ -1,0 +1,1 @@
+"""What notebooks show: progress, and pictures as arrays and figures."""

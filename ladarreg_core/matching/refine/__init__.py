@@ -1,0 +1,1 @@
+"""A pose refined by the agreement of blocks, and its covariance."""

@@ -1,0 +1,1 @@
+"""Poses proposed: hypotheses from features, and searches over views and faces."""

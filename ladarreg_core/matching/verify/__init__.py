@@ -1,0 +1,1 @@
+"""Whether images agree at a pose: evidence, and verdicts on it."""

@@ -1,0 +1,1 @@
+"""What earlier commands wrote: recognized, checked and opened again."""

@@ -1,0 +1,1 @@
+"""Estimators of a pose: robust, by sampling, and by bundle adjustment."""

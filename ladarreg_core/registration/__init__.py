@@ -1,0 +1,1 @@
+"""A scan registered with photographs: one, several of a rig, and scans with one another."""

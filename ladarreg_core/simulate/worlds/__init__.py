@@ -1,0 +1,1 @@
+"""Simulated worlds: rooms, outdoors, materials and textures."""

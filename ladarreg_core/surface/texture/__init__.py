@@ -1,0 +1,1 @@
+"""Colors on the surface: labels, textures, and the model of photographs."""

@@ -1,0 +1,1 @@
+"""The chain of 1998: its estimators and its matching."""
