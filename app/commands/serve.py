@@ -141,8 +141,8 @@ def _reading(arguments: Arguments) -> Reading:
 def _serve(arguments: Arguments, token: str | None, options: GatewayOptions) -> None:
     from ..process_resources import limit_arenas
     from ..stop_signals import StopSignals
+    from ..workbench.acquisition.watchable import Watchable
     from ..workbench.launch import TokenChoice, open_workbench, serve_and_close
-    from ..workbench.watchable import Watchable
 
     limit_arenas()
     stop = StopSignals()

@@ -25,17 +25,17 @@ from ..gateway.protocol import Picture, Visitor
 from ..gateway.uploads import remove_partial_uploads
 from ..jobs.export import Ending
 from ..session.session import Change, now
-from .clients import Client
-from .command import Reply
-from .commands import answer_command, reply_to
+from .commands.command import Reply
+from .commands.projects import PROJECT_COMMANDS
+from .commands.registry import answer_command, reply_to
 from .given_files import Reading
-from .project_commands import PROJECT_COMMANDS
-from .recent import RecentProjects, project_id
 from .sample import SAMPLE_NAME, register_sample, sample_files
-from .thumbnail import draw_thumbnail
+from .state.clients import Client
+from .state.recent import RecentProjects, project_id
+from .state.thumbnail import draw_thumbnail
 
 if TYPE_CHECKING:
-    from .clients import Clients
+    from .state.clients import Clients
     from .workbench import Limits, Workbench
 
 log = logging.getLogger(__name__)

@@ -18,8 +18,8 @@ from ladarreg_core.project.document import CameraGiven, Source
 from ladarreg_core.project.history import NOBODY
 
 from ..session.isolated_readers import READERS
-from .files import HowScans
-from .reading import with_reading
+from .files.opening import HowScans
+from .files.reading import with_reading
 
 if TYPE_CHECKING:
     from ladarreg_core.project.document import PhotoEntry

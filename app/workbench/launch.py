@@ -25,8 +25,8 @@ from ..session.isolated_readers import READERS
 from ..session.loader import DEFAULT_CACHE_BYTES, Loader
 from ..session.session import Session, now
 from ..stop_signals import StopSignals, exit_now, print_error
+from .acquisition.watchable import SIMULATED_ONLY, Watchable
 from .given_files import Reading, add_files
-from .watchable import SIMULATED_ONLY, Watchable
 
 if TYPE_CHECKING:
     import viser
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from ..gateway.options import GatewayOptions
     from ..gateway.tokens import Tokens
     from ..gateway.viser_backend import ViserAddress
-    from .clients import Clients
+    from .state.clients import Clients
     from .workbench import Workbench
 
 log = logging.getLogger(__name__)

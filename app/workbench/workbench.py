@@ -25,22 +25,23 @@ from ..scene.person import ANYBODY, Person
 from ..session.cache import IdentityCache, ListCache
 from ..session.loader import Loader
 from ..session.session import RETRY_S, Change, Session
-from .acquisition import Acquisition
-from .batches import ANY, Batches
-from .clients import Client, Clients
-from .commands import URGENT, answer
-from .embedded import EmbeddedPictures
-from .files import Files
-from .images import Images
-from .model_parts import ModelParts
-from .pose_state import judged_slice, poses_slice, stage_state
-from .publisher import Publisher
-from .queries import Queries
-from .recent import project_id
-from .scene_sync import SceneSync
-from .selection import Selection
-from .settings_form import settings_slice
-from .state import (
+from .acquisition.driving import Acquisition
+from .acquisition.watchable import SIMULATED_ONLY, Watchable
+from .commands.registry import URGENT, answer
+from .files.batches import ANY, Batches
+from .files.embedded import EmbeddedPictures
+from .files.opening import Files
+from .state.clients import Client, Clients
+from .state.images import Images
+from .state.model_parts import ModelParts
+from .state.pose_state import judged_slice, poses_slice, stage_state
+from .state.publisher import Publisher
+from .state.queries import Queries
+from .state.recent import project_id
+from .state.scene_sync import SceneSync
+from .state.selection import Selection
+from .state.settings_form import settings_slice
+from .state.slices import (
     formats_slice,
     history_entry,
     history_slice,
@@ -52,8 +53,7 @@ from .state import (
     project_slice,
     scan_slice,
 )
-from .stations import Stations
-from .watchable import SIMULATED_ONLY, Watchable
+from .state.stations import Stations
 
 if TYPE_CHECKING:
     from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry

@@ -8,7 +8,7 @@ import time
 from dataclasses import dataclass, field
 from typing import Any
 
-from ladarreg.workbench.commands import COMMANDS
+from ladarreg.workbench.commands.registry import COMMANDS
 
 from testing.attacks.mutations import mutated
 from testing.attacks.server_process import Page, Server, ServerGone

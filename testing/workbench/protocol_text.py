@@ -11,9 +11,9 @@ import re
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
-from ladarreg.workbench.command import Command
-from ladarreg.workbench.commands import EVERY_COMMAND
-from ladarreg.workbench.decoding import is_union, types_of
+from ladarreg.decoding import is_union, types_of
+from ladarreg.workbench.commands.command import Command
+from ladarreg.workbench.commands.registry import EVERY_COMMAND
 from msgspec import NODEFAULT, UnsetType
 from msgspec.structs import fields as struct_fields
 

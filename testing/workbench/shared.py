@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from ladarreg.workbench.recent import project_id
+from ladarreg.workbench.state.recent import project_id
 
 from ladarreg_core.simulate.sample import sample_folder
 from testing.scenes.true_matches import true_points

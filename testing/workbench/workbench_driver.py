@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from ladarreg.gateway.protocol import Visitor
-from ladarreg.workbench.clients import Client
 from ladarreg.workbench.given_files import Reading
 from ladarreg.workbench.launch import open_workbench
+from ladarreg.workbench.state.clients import Client
 from ladarreg.workbench.workbench import Workbench
 
 from ladarreg_core.simulate.sample import sample_folder

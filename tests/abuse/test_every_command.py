@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from ladarreg.gateway.encoding import InvalidMessageError, decode_object, encode
-from ladarreg.workbench.commands import COMMANDS
+from ladarreg.workbench.commands.registry import COMMANDS
 
 from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.cameras.camera_file import read_camera

@@ -10,15 +10,22 @@ from pathlib import Path
 import pytest
 
 PAGE = Path(__file__).resolve().parents[2] / "static" / "js"
-ROOMS = {
+PANELS = {
+    f"panels/{room}" for room in ("acquire", "export", "files", "matches", "model", "pose", "project", "stations")
+}
+ROOMS: dict[str, set[str]] = {
     "ui": set(),
     "net": {"ui"},
     "state": {"ui", "net"},
     "panes": {"ui", "net", "state"},
-    "panels": {"ui", "net", "state"},
-    "panels/acquire": {"ui", "net", "state"},
-    "layout": {"ui", "net", "state", "panels", "panels/acquire"},
-    "": {"ui", "net", "state", "panes", "panels", "panels/acquire", "layout"},
+    **{
+        f"panels/{room}": {"ui", "net", "state"}
+        for room in ("acquire", "export", "files", "matches", "model", "stations")
+    },
+    "panels/pose": {"ui", "net", "state", "panels/files", "panels/matches"},
+    "panels/project": {"ui", "net", "state", "panels/files", "panels/pose"},
+    "layout": {"ui", "net", "state", *PANELS},
+    "": {"ui", "net", "state", "panes", "layout", *PANELS},
 }
 """What each room may import; main.js, at the top, puts everything together."""
 LONGEST = 485

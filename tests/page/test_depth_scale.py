@@ -21,7 +21,7 @@ def test_the_suggestion_rests_on_the_robust_inliers(page: Page, modules: str) ->
     ]
     above = page.evaluate(
         """async ([stems, sigmas]) => {
-             const { suggestedThreshold } = await import('/js/panels/depth_scale.js');
+             const { suggestedThreshold } = await import('/js/panels/pose/depth_scale.js');
              return sigmas.map((each) => suggestedThreshold(stems, each));
            }""",
         [stems, [0.5, 1, 3]],
@@ -29,5 +29,6 @@ def test_the_suggestion_rests_on_the_robust_inliers(page: Page, modules: str) ->
     assert all(max(map(abs, GOOD)) <= value for value in above)
     assert above[0] == 0.44  # rounded up to two figures: not one correct match is beyond
     assert (
-        page.evaluate("""async () => (await import('/js/panels/depth_scale.js')).suggestedThreshold([], 3)""") is None
+        page.evaluate("""async () => (await import('/js/panels/pose/depth_scale.js')).suggestedThreshold([], 3)""")
+        is None
     )

@@ -26,10 +26,10 @@ SLICES = {
     "judged:p1": {"by_pick": RESIDUALS, "lines": {"m1": {"used": 6, "sampled": 13}, "m3": {"used": 5, "sampled": 5}}},
 }
 MOUNTED = """async ([slices, extra]) => {
-  const { COLUMNS } = await import('/js/panels/match_columns.js');
+  const { COLUMNS } = await import('/js/panels/matches/match_columns.js');
   if (extra) COLUMNS.splice(3, 0, { ...extra, value: (row) => -row.number, text: (row) => `no. ${row.number}` });
   const { store } = await import('/js/net/store.js');
-  const { mountMatchTable } = await import('/js/panels/match_table.js');
+  const { mountMatchTable } = await import('/js/panels/matches/match_table.js');
   document.body.append(mountMatchTable());
   store.take({ slices });
   window.columns = COLUMNS.map(({ id }) => id);

@@ -19,7 +19,7 @@ def blocks(
     page: Page, cells: Any, shape: Any = SHAPE, *, vertices: int = 60_000, turns: bool = True
 ) -> list[list[int]]:
     found = run(
-        page, "panels/model_view", "return m.blocksAt(...a)", [np.asarray(cells).tolist(), shape, vertices, turns]
+        page, "panels/model/model_view", "return m.blocksAt(...a)", [np.asarray(cells).tolist(), shape, vertices, turns]
     )
     return [[int(number) for number in name.split(".")] for name in found]
 
@@ -73,7 +73,7 @@ def test_blocks_replace_the_faces_within_them_and_those_across_their_borders_sta
         "shape": [rows, columns],
         "names": names,
     }
-    kept = np.array(run(blank, "panels/model_view", body, given)).reshape(-1, 3)
+    kept = np.array(run(blank, "panels/model/model_view", body, given)).reshape(-1, 3)
     owner = np.full(rows * columns, -1)
     for number, name in enumerate(names):
         level, row, column = map(int, name.split("."))

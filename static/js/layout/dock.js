@@ -3,14 +3,14 @@
 import { mountDevices } from "../panels/acquire/devices.js";
 import { mountPlanForm } from "../panels/acquire/plan_form.js";
 import { mountRun } from "../panels/acquire/run.js";
-import { mountConvergence } from "../panels/convergence.js";
-import { mountDepthPlot } from "../panels/depth_plot.js";
-import { mountExport } from "../panels/export.js";
-import { mountMatchTable } from "../panels/match_table.js";
-import { mountPipeline } from "../panels/pipeline.js";
-import { mountStages } from "../panels/stages.js";
-import { mountStations } from "../panels/stations.js";
-import { mountVerdict } from "../panels/verdict.js";
+import { mountConvergence } from "../panels/pose/convergence.js";
+import { mountDepthPlot } from "../panels/pose/depth_plot.js";
+import { mountExport } from "../panels/export/export.js";
+import { mountMatchTable } from "../panels/matches/match_table.js";
+import { mountPipeline } from "../panels/matches/pipeline.js";
+import { mountStages } from "../panels/pose/stages.js";
+import { mountStations } from "../panels/stations/stations.js";
+import { mountVerdict } from "../panels/pose/verdict.js";
 import { view } from "../state/view.js";
 import { element } from "../ui/dom.js";
 

@@ -272,7 +272,7 @@ def test_results_of_several_photographs_have_a_folder_each_beside_other_targets(
     ],
 )
 def test_export_commands_of_earlier_versions_are_read(former: dict[str, object], present: dict[str, object]) -> None:
-    from ladarreg.workbench.former_commands import present_form
+    from ladarreg.workbench.commands.former import present_form
 
     assert present_form(former) == present
 

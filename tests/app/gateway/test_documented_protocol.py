@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
+from ladarreg.decoding import types_of
 from ladarreg.gateway.uploads import KINDS, STATION
-from ladarreg.workbench.commands import EVERY_COMMAND
-from ladarreg.workbench.decoding import types_of
+from ladarreg.workbench.commands.registry import EVERY_COMMAND
 
 from ladarreg_core.project.settings import Settings
 from ladarreg_core.results import StageId

@@ -11,7 +11,7 @@ import msgspec
 import pytest
 from ladarreg.gateway.protocol import READ_ONLY, Visitor
 from ladarreg.gateway.viser_proxy import _only_looks
-from ladarreg.workbench.commands import COMMANDS
+from ladarreg.workbench.commands.registry import COMMANDS
 
 from testing.workbench.access import Access
 from testing.workbench.gateway_driver import LOOK_TOKEN, PNG, Running, hear, running

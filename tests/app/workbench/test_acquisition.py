@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from ladarreg.gateway.protocol import Visitor
-from ladarreg.workbench.watchable import Watchable
+from ladarreg.workbench.acquisition.watchable import Watchable
 from PIL import Image
 
 from ladarreg_core.acquisition.composition import panorama

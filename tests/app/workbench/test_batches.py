@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from ladarreg.workbench.batch_plan import BatchFile, PhotoTarget, Plan, plan_batch
+from ladarreg.workbench.files.batch_plan import BatchFile, PhotoTarget, Plan, plan_batch
 
 from ladarreg_core.formats.survey import FileSurvey
 from ladarreg_core.simulate.sample import sample_folder

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from ladarreg.gateway.protocol import Visitor
-from ladarreg.workbench.clients import COLORS, MAX_CLIENTS, Client, Clients
+from ladarreg.workbench.state.clients import COLORS, MAX_CLIENTS, Client, Clients
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.simulate.sample import sample_folder

@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 from ladarreg.gateway.protocol import READ_ONLY, Visitor
-from ladarreg.workbench.clients import Client
 from ladarreg.workbench.desk import Desk
 from ladarreg.workbench.launch import data_folder, open_workbench
+from ladarreg.workbench.state.clients import Client
 from PIL import Image
 
 from ladarreg_core.project.summary import read_summary

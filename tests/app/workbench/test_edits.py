@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from ladarreg.gateway.protocol import Visitor
-from ladarreg.workbench.commands import COMMANDS, reply_to
+from ladarreg.workbench.commands.registry import COMMANDS, reply_to
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.simulate.sample import sample_folder

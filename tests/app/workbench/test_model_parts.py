@@ -12,7 +12,7 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
-from ladarreg.workbench.model_parts import LEVELS, MAX_VERTICES
+from ladarreg.workbench.state.model_parts import LEVELS, MAX_VERTICES
 from PIL import Image, ImageOps
 
 from ladarreg_core.errors import LadarregError

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from ladarreg.workbench.reading import reading_of, with_reading
+from ladarreg.workbench.files.reading import reading_of, with_reading
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project.document import Source

@@ -149,7 +149,7 @@ def test_rough_places_and_refusals(bench: WorkbenchDriver, files: tuple[list[Pat
     job(bench, "register_stations")
     assert station(bench)["state"] == "out"
     assert "'Poses in the files': search looks everywhere" in bench.slice("stations")["pairs"][0]["reasons"][-1]
-    assert "must be one of keep, refine, search" in bench.refused("register_stations", poses="exact")
+    assert "must be 'keep', 'refine' or 'search'" in bench.refused("register_stations", poses="exact")
     job(bench, "register_stations", poses="search")
     assert abs(station(bench)["place"]["x"] - BETWEEN.translation[0]) < 0.002
 

@@ -13,7 +13,7 @@ from ladarreg_core.surface.mesh.grid_mesh import Mesh, scan_mesh
 
 
 def unpacked(data):
-    """Decode as static/js/panels/model_parts.js does."""
+    """Decode as static/js/panels/model/model_parts.js does."""
     plain = gzip.decompress(data)
     magic, vertices, faces, rows, columns, unit = struct.unpack_from("<4s4Id", plain)
     assert magic == MAGIC

@@ -1,0 +1,1 @@
+"""Devices that a page drives, and runs that it watches."""

@@ -1,0 +1,1 @@
+"""The commands of a page, a struct each."""

@@ -1,0 +1,138 @@
+"""The commands that start jobs and control them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+from msgspec import Meta
+
+from ladarreg_core.errors import OptionError
+from ladarreg_core.project import edits
+
+from ...jobs.export import Wanted
+from .command import Context, PhotoId, Reply, WorkbenchCommand
+
+if TYPE_CHECKING:
+    from ..state.clients import Client
+
+_MAX_ACTION = 80
+_MAX_PATH, _MAX_PATH_PART = 4000, 255
+TargetNames = Annotated[list[str], Meta(max_length=1000, title="the targets are a list of names")]
+PhotoIds = Annotated[list[str], Meta(max_length=10_000, title="the photographs are a list of names")]
+
+
+class Run(WorkbenchCommand, frozen=True):
+    """starts a job, and returns its id"""
+
+    replies: ClassVar[str] = "job"
+    photo: PhotoId
+    job: Annotated[str, Meta(title="give the name of a job")]
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Start it."""
+        return {"job": context.jobs.run(self.job, self.photo, client.author)}
+
+
+class Refine(WorkbenchCommand, frozen=True):
+    """registers from the images, starting from a rough pose: the matrix (4 rows), or where this client looks from in
+    the 3-D view
+    """
+
+    replies: ClassVar[str] = "job"
+    photo: PhotoId
+    camera_from_scanner: list[list[float]] | None = None
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Start it."""
+        if self.camera_from_scanner is not None:
+            initial = edits.pose(self.camera_from_scanner)
+        else:
+            seen = None if context.scene is None else context.scene.pose_of(client.id)
+            if seen is None:
+                raise OptionError("the 3-D view is not open yet; wait until the model is shown")
+            initial = seen
+        return {"job": context.jobs.run_refine(self.photo, client.author, initial)}
+
+
+class JobControl(WorkbenchCommand, frozen=True):
+    """controls the running job: `pause`, `resume`, `stop`, `step`, or `speed` with its value"""
+
+    action: Annotated[str, Meta(title="give an action: pause, resume, stop, step or speed")]
+    value: float | None = None
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Control it."""
+        context.runner.control(self.action[:_MAX_ACTION], self.value)
+        return {}
+
+
+class ExportTargets(WorkbenchCommand, frozen=True):
+    """what can be exported: all targets `{name, title, purpose, refusal}`, whose `refusal` says why one cannot be
+    written (null: it can); `photos` are ids (null: all), the reply's `{id, name}` are exported to `targets` and those
+    of `left_out`, `{id, name, why, is_stale}`, are not
+    """
+
+    replies: ClassVar[str] = "targets, photos, left_out"
+    targets: TargetNames | None = None
+    photos: PhotoIds | None = None
+    frame: Literal["scanner", "world"] = "scanner"
+    full: bool = False
+    crop: Literal["none", "photo"] = "none"
+    last_solved: bool = False
+
+    @property
+    def wanted(self) -> Wanted:
+        """What is exported."""
+        return Wanted(
+            targets=self.targets or (), photos=self.photos, frame=self.frame, full=self.full, crop=self.crop,
+            last_solved=self.last_solved,
+        )  # fmt: skip
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Return it."""
+        return context.jobs.exports.table(self.wanted)
+
+
+class Export(ExportTargets, frozen=True):
+    """exports photographs and stations to targets by their names, as a zip or, with `folder`, into one of the server's
+    machine, where `force` replaces an earlier export (see Exports); `frame` of points, models and poses; `full`: whole
+    meshes; `crop: "photo"`: models only where a photograph covers them
+    """
+
+    replies: ClassVar[str] = "job"
+    folder: Annotated[str, Meta(title="give the folder to export to")] | None = None
+    force: bool = False
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Start it."""
+        folder = None if self.folder is None else _folder_path(self.folder)
+        export = context.jobs.exports.begin(self.wanted, folder, force=self.force)
+        return {"job": context.jobs.run_export(export, client.author)}
+
+
+class WriteReport(WorkbenchCommand, frozen=True):
+    """writes a photograph's report as a page to be opened in a tab"""
+
+    replies: ClassVar[str] = "job"
+    photo: PhotoId
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Start it."""
+        return {"job": context.jobs.run_export(context.jobs.exports.begin_page(self.photo), client.author)}
+
+
+def _folder_path(text: str) -> Path:
+    """Return the path of a folder if its name is valid.
+
+    Raises:
+        OptionError: if it is empty, too long, or contains control characters.
+    """
+    name = text.strip()
+    if not name:
+        raise OptionError("give the folder to export to")
+    if not name.isprintable():
+        raise OptionError("the folder's path contains control characters; enter it again")
+    if len(name.encode()) > _MAX_PATH or any(len(part.encode()) > _MAX_PATH_PART for part in Path(name).parts):
+        raise OptionError(f"the folder's path is too long; the limit is {_MAX_PATH} bytes, {_MAX_PATH_PART} per name")
+    return Path(name)

@@ -1,0 +1,1 @@
+"""Files that are opened: uploads, served folders, and what is asked about them."""

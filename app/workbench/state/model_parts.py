@@ -1,0 +1,324 @@
+"""The parts of the 3-D model that the page fetches: meshes and textures, in three levels of detail."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+from urllib.parse import quote
+
+import numpy as np
+
+from ladarreg_core.errors import LadarregError, OptionError, ShapeError
+from ladarreg_core.foundations.palette import as_css
+from ladarreg_core.inspection.model_textures import (
+    ModelTexture,
+    model_texture,
+    registered_texture,
+    small_picture,
+    texture_choices,
+    usable_texture,
+)
+
+from ...gateway.protocol import Picture
+from ...scene.model_view import DETAILS
+from ...session.loader import Loader
+from ...session.session import Session
+
+if TYPE_CHECKING:
+    from ladarreg_core.foundations.arrays import ByteArray
+    from ladarreg_core.inspection.model_textures import Legend
+    from ladarreg_core.photo import Photo
+    from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
+    from ladarreg_core.results import PoseResult
+    from ladarreg_core.scan import Scan
+    from ladarreg_core.surface.mesh.grid_block import GridBlock
+    from ladarreg_core.surface.mesh.grid_mesh import Mesh
+    from ladarreg_core.surface.texture.registered_texture import RegisteredTexture
+
+NO_PHOTO = "none"
+"""Stands for the id of a photograph where there is none."""
+LEGEND_HEADER = "x-legend"
+_OF_CODES = ("label",)
+"""Textures whose colours are codes, which a lossy format would blur."""
+_NEED_VISIBILITY = ("resolution", "label")
+_LOSSY_QUALITY = 84
+_PHOTO_QUALITY = 90
+MAX_VERTICES = 400_000
+"""Most vertices that a page shows of the model at once."""
+BLOCK_VERTICES = 37_500
+"""Most vertices of a block of the mesh; the page shows at most four, so that there are 400,000 with the dense mesh."""
+_MAX_COLORED_CELLS = 200_000_000
+"""Most cells, counted once for each photograph, that are coloured by all photographs together."""
+_LONGEST_BLOCK = 20
+_FACES_PER_VERTEX = 4  # of a photo layer; a surface has two before it is divided
+
+
+class Detail(NamedTuple):
+    """A level of detail."""
+
+    vertices: int
+    """Largest number of vertices of the mesh."""
+    texture_px: int
+    """Longer side of the texture."""
+    photo_px: int
+    """Longer side of the photograph that is drawn over the texture; 0: none is drawn."""
+
+
+LEVELS = dict(
+    zip(DETAILS, (Detail(12_000, 768, 0), Detail(60_000, 2048, 4096), Detail(250_000, 8192, 8192)), strict=True)
+)
+
+
+class ModelParts:
+    """Makes the parts of the model once; they depend on scan, photograph and pose, not on who looks at them."""
+
+    def __init__(self, session: Session, loader: Loader) -> None:
+        self._session, self._loader = session, loader
+
+    def part(self, name: str, query: Mapping[str, str]) -> Picture:
+        """Return a part.
+
+        Args:
+            name: `mesh`, `texture`, `layer` or `photo`.
+            query: `detail`, or of a mesh `block`; of all but a mesh `photo`; of a texture `kind` and `z_buffer`; see
+                docs/workbench.md.
+
+        Raises:
+            LadarregError: if there is no such part, or it needs an accepted pose.
+        """
+        document = self._session.document
+        scan = self._loader.scan(document)
+        if scan is None:
+            raise OptionError("there is no scan; open one")
+        detail = query.get("detail", DETAILS[1])
+        if detail not in LEVELS:
+            raise OptionError(f"there is no detail {detail[:20]!r}; it is one of {', '.join(LEVELS)}")
+        if name == "mesh" and "block" in query:
+            block = _block_of(query["block"])
+            return self._loader.cached("model", ("mesh", block), lambda: _block_part(scan, block))
+        if name == "mesh":
+            return self._loader.cached("model", ("mesh", detail), lambda: _mesh_part(scan, LEVELS[detail].vertices))
+        if name == "texture":
+            return self._texture_part(document, scan, query, LEVELS[detail].texture_px)
+        if name in ("layer", "photo"):
+            return self._photo_part(document, scan, name, query, LEVELS[detail])
+        raise OptionError(f"the model has no part {name[:20]!r}")
+
+    def slice(self, document: Document, entry: PhotoEntry | None) -> dict[str, Any]:
+        """Return the slice `textures`: the kinds of texture, and a text that changes with scan, photograph or pose."""
+        result = self._result(entry)
+        made_of: list[object] = [document.scan]
+        for one in [*([] if entry is None else [entry]), *_accepted(document)]:
+            pose = one.pose
+            made_of += [one.source, one.camera]
+            made_of += [] if pose is None else [pose.camera_from_scanner, pose.camera, pose.covariance, pose.accepted]
+        choices = [
+            {"value": choice.kind, "label": choice.label, "usable": choice.usable, "said": choice.description}
+            for choice in texture_choices(_accepted_only(result))
+        ]
+        others = [one for one in _accepted(document) if one is not entry]
+        if others and choices[0]["value"] == "colour":
+            choices[0] |= {"usable": True, "said": "each place in the colours of the photograph that shows it best"}
+        rev = hashlib.sha256(repr(made_of).encode()).hexdigest()[:12]
+        return {"rev": rev, "accepted": bool(result is not None and result.accepted), "choices": choices}
+
+    def _result(self, entry: PhotoEntry | None) -> PoseResult | None:
+        if entry is None or entry.pose is None:
+            return None
+        try:
+            return self._loader.registration(entry.pose)
+        except LadarregError:  # its matches are missing, which the verdict of its stage states
+            return None
+
+    def _texture_part(self, document: Document, scan: Scan, query: Mapping[str, str], longest_px: int) -> Picture:
+        name = query.get("photo", NO_PHOTO)
+        entry = None if name == NO_PHOTO else document.photo(name)
+        if entry is None and name != NO_PHOTO:
+            raise OptionError("there is no such photograph")
+        result, kind, z_buffer = self._result(entry), query.get("kind", "intensity"), query.get("z_buffer") != "0"
+        others = entry is not None and any(one is not entry for one in _accepted(document))
+        if kind == "colour" and z_buffer and others:
+            return self._colors_of_all(document, scan, longest_px)
+        if usable_texture(kind, _accepted_only(result)) != kind:
+            raise OptionError(f"the texture {kind!r} needs an accepted pose")
+        of_scan = kind in ("intensity", "range")
+        pose = None if of_scan or entry is None else entry.pose
+        photo = None if of_scan or entry is None else self._loader.photo(entry)
+        key = (kind, z_buffer or kind != "colour", longest_px, id(pose), id(photo))
+        make = partial(self._make_texture, scan, kind, photo, None if of_scan else result, z_buffer=z_buffer)
+        return self._loader.cached(
+            "model", key, lambda: ((pose, photo), _picture_of(make(), longest_px, lossless=kind in _OF_CODES))
+        )[1]
+
+    def _colors_of_all(self, document: Document, scan: Scan, longest_px: int) -> Picture:
+        """Return the colours of all accepted photographs: of each place, from the one that shows it best."""
+        from ladarreg_core.surface.texture.best_photo import PosedPhoto, best_photo
+
+        seen_by: list[tuple[PoseEntry, Photo, PoseResult]] = []
+        for entry in _accepted(document)[: max(1, _MAX_COLORED_CELLS // scan.ranges.size)]:
+            result = self._result(entry)
+            if entry.pose is None or result is None or _accepted_only(result) is not result:
+                continue
+            try:
+                seen_by.append((entry.pose, self._loader.photo(entry), result))
+            except LadarregError:  # its file has gone, which the slice `photos` states
+                continue
+        if not seen_by:
+            raise OptionError("the texture 'colour' needs an accepted pose")
+        key = tuple((id(pose), id(photo)) for pose, photo, _ in seen_by)
+
+        def colors() -> tuple[object, RegisteredTexture]:
+            views = [
+                PosedPhoto(photo, result.camera_from_scanner, result.camera, result.joint_covariance)
+                for _, photo, result in seen_by
+            ]
+            return seen_by, best_photo(scan, views).texture
+
+        def make() -> tuple[object, Picture]:
+            registered = self._loader.cached("model", ("best photographs", key), colors)[1]
+            texture = model_texture(scan, "colour", photo=seen_by[0][1], result=seen_by[0][2], registered=registered)
+            return seen_by, _picture_of(texture, longest_px, lossless=False)
+
+        return self._loader.cached("model", ("colours of all", longest_px, key), make)[1]
+
+    def _photo_part(
+        self, document: Document, scan: Scan, name: str, query: Mapping[str, str], level: Detail
+    ) -> Picture:
+        entry = document.photo(query.get("photo", NO_PHOTO))
+        result = _accepted_only(self._result(entry))
+        if entry is None or result is None or not result.accepted:
+            raise OptionError("the photograph is drawn on the model only with an accepted pose")
+        if not level.photo_px:
+            raise OptionError("the photograph is not drawn on the coarse model")
+        pose, photo = entry.pose, self._loader.photo(entry)
+        if name == "photo":
+            return self._loader.cached(
+                "model", ("photo", level.photo_px, id(photo)), lambda: (photo, _photo_picture(photo, level.photo_px))
+            )[1]
+        registered = self._registered(scan, photo, result)
+        return self._loader.cached(
+            "model",
+            ("layer", level.vertices, id(pose), id(photo)),
+            lambda: ((pose, photo), _layer_part(scan, photo, result, registered.labels, level)),
+        )[1]
+
+    def _make_texture(
+        self, scan: Scan, kind: str, photo: Photo | None, result: PoseResult | None, *, z_buffer: bool
+    ) -> ModelTexture:
+        registered = None
+        if photo is not None and result is not None and (kind in _NEED_VISIBILITY or (kind == "colour" and z_buffer)):
+            registered = self._registered(scan, photo, result)
+        return model_texture(scan, kind, photo=photo, result=result, z_buffer=z_buffer, registered=registered)
+
+    def _registered(self, scan: Scan, photo: Photo, result: PoseResult) -> RegisteredTexture:
+        key = ("registered", id(result), id(photo))
+        return self._loader.cached("model", key, lambda: ((result, photo), registered_texture(scan, photo, result)))[1]
+
+
+def _accepted(document: Document) -> list[PhotoEntry]:
+    """Return the photographs whose poses are accepted, in their order."""
+    return [entry for entry in document.photos if entry.pose is not None and entry.pose.accepted]
+
+
+def _accepted_only(result: PoseResult | None) -> PoseResult | None:
+    """Return a result that the model may show; a given pose would need its mark there, and counts as refused."""
+    return result if result is None or not result.mark else replace(result, evidence="none")
+
+
+def legend_entries(legend: Legend) -> dict[str, Any]:
+    """Return a legend with its colours as CSS."""
+    return {
+        **asdict(legend),
+        "entries": [{"colour": as_css(color), "label": label} for color, label in legend.entries],
+        "ramp": [as_css(color) for color in legend.ramp],
+    }
+
+
+def _mesh_part(scan: Scan, most_vertices: int) -> Picture:
+    from ladarreg_core.export.models.packed_mesh import packed_mesh
+
+    return _packed(packed_mesh(surface_or_facets(scan, most_vertices)))
+
+
+def _block_of(text: str) -> GridBlock:
+    from ladarreg_core.surface.mesh.grid_block import GridBlock
+
+    try:
+        level, row, column = (int(number) for number in text[:_LONGEST_BLOCK].split("."))
+    except ValueError:
+        raise OptionError(f"a block of the mesh is LEVEL.ROW.COLUMN, not {text[:_LONGEST_BLOCK]!r}") from None
+    return GridBlock(level, row, column)
+
+
+def _block_part(scan: Scan, block: GridBlock) -> Picture:
+    """Return the surface of a block; without data if it has none."""
+    from ladarreg_core.export.models.packed_mesh import packed_mesh
+    from ladarreg_core.surface.mesh.grid_block import block_mesh
+
+    try:
+        mesh = block_mesh(scan, block, max_vertices=BLOCK_VERTICES)
+    except ShapeError:  # no returns at all
+        return _packed(b"")
+    return _packed(packed_mesh(mesh) if len(mesh.faces) else b"")
+
+
+def _layer_part(scan: Scan, photo: Photo, result: PoseResult, labels: ByteArray, level: Detail) -> Picture:
+    """Return the mesh that the photograph is drawn on; without data if it would show no more than the texture does."""
+    from ladarreg_core.export.models.packed_mesh import packed_mesh
+    from ladarreg_core.surface.texture.photo_layer import photo_layer, shows_more_detail
+    from ladarreg_core.surface.texture.photo_model import ModelPhoto
+
+    if not shows_more_detail(scan, result.camera, photo_px=level.photo_px, texture_px=level.texture_px):
+        return _packed(b"")
+    seen_by = ModelPhoto(photo.pixels, result.camera, result.camera_from_scanner, labels)
+    vertices = level.vertices
+    while True:
+        mesh = surface_or_facets(scan, vertices)
+        layer = photo_layer(scan, mesh, seen_by, shown_px=level.photo_px, most_faces=_FACES_PER_VERTEX * vertices)
+        if len(layer.vertices) <= MAX_VERTICES - level.vertices or vertices <= LEVELS[DETAILS[0]].vertices:
+            break
+        vertices //= 2  # a photograph of all that surrounds it is seen by the whole surface
+    return _packed(packed_mesh(layer) if len(layer.faces) else b"")
+
+
+def _packed(data: bytes) -> Picture:
+    return Picture(data, "application/octet-stream", hashlib.sha256(data).hexdigest()[:16])
+
+
+def _photo_picture(photo: Photo, longest_px: int) -> Picture:
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    pixels = small_picture(photo.pixels, longest_px)
+    Image.fromarray(pixels).save(buffer, "WEBP", quality=_PHOTO_QUALITY, method=2)
+    data = buffer.getvalue()
+    return Picture(data, "image/webp", hashlib.sha256(data).hexdigest()[:16])
+
+
+def surface_or_facets(scan: Scan, most_vertices: int) -> Mesh:
+    """Return the surface of a scan; if it has none, its points as small triangles."""
+    from ladarreg_core.surface.mesh.facets import point_facets
+    from ladarreg_core.surface.mesh.grid_mesh import scan_mesh
+
+    mesh = scan_mesh(scan, max_vertices=most_vertices, closed=True)
+    return mesh if len(mesh.faces) else point_facets(scan, max_vertices=most_vertices)
+
+
+def _picture_of(texture: ModelTexture, longest_px: int, *, lossless: bool) -> Picture:
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    if lossless:
+        image = Image.fromarray(np.asarray(texture.image))
+        image.thumbnail((longest_px, longest_px), Image.Resampling.NEAREST)
+    else:
+        image = Image.fromarray(small_picture(texture.image, longest_px))
+    image.save(buffer, "WEBP", lossless=lossless, quality=_LOSSY_QUALITY, method=3)
+    data = buffer.getvalue()
+    header = quote(json.dumps(legend_entries(texture.legend), separators=(",", ":")))
+    return Picture(data, "image/webp", hashlib.sha256(data).hexdigest()[:16], {LEGEND_HEADER: header})

@@ -1,0 +1,218 @@
+"""The slices on a photograph's poses: pick errors, and every stage with its verdict."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, Any
+
+from ladarreg_core.errors import LadarregError
+from ladarreg_core.inspection.figures import figures, parameters
+from ladarreg_core.matching.step_labels import step_label
+from ladarreg_core.project.results import pose_of
+from ladarreg_core.project.staleness import changed_since
+from ladarreg_core.results import STAGE_LABELS
+
+from ...argument_names import as_fields
+from ...messages import verdict
+
+if TYPE_CHECKING:
+    from ladarreg_core.matches import Matches, Pick
+    from ladarreg_core.photo import Photo
+    from ladarreg_core.project.document import PhotoEntry, PoseEntry
+    from ladarreg_core.quality.assessment import Assessment
+    from ladarreg_core.results import StageId
+    from ladarreg_core.scan import Scan
+
+    from ...session.loader import Loader
+
+
+log = logging.getLogger(__name__)
+_WORST_FIRST = ("poor", "fair", "good")
+_MIN_MATCHES = 4
+"""The number of matches from which on cautions are computed."""
+
+
+def judged_slice(loader: Loader, scan: Scan, photo: Photo | None, entry: PhotoEntry) -> dict[str, Any]:
+    """Return the slice `judged`: errors of the picks under the shown pose, samples of lines, losses and cautions."""
+    from ladarreg_core.inspection.picks import pick_residuals
+
+    picks = loader.picks(entry)
+    lines = {pick.id: sampled_line(loader, scan, pick.scan.tolist()) for pick in picks if pick.kind == "line"}
+    found: dict[str, Any] = {
+        "stage": entry.shown_stage,
+        "by_pick": {},
+        "predicted": {},
+        "lines": lines,
+        "lengths": _lengths(scan, picks),
+        "losses": [],
+        "cautions": [],
+    }
+    if photo is None:
+        return found
+    measured = loader.measured(scan, photo)
+    found["losses"] = list(measured.losses(picks))
+    found["cautions"] = _cautions(loader, measured.joined([pick for pick in picks if pick.on]), photo, entry)
+    if entry.pose is None or not picks:
+        return found
+    try:
+        registration = loader.registration(entry.pose)
+    except LadarregError:  # its matches are missing, which the verdict of its stage states
+        return found
+    changed = changed_since(entry, loader.solved_on(entry.pose))
+    agreeing = loader.agreeing(entry.pose)
+    for name, judged in pick_residuals(measured, picks, registration).items():
+        known = name not in changed  # what the solver found of a match does not hold for what it has become
+        found["by_pick"][name] = {
+            "px": number(judged.px),
+            "mm": number(judged.mm),
+            "depth_m": number(judged.depth_m),
+            "inlier": judged.inlier if known else None,
+            "agrees": agreeing.get(name) if known else None,
+            "influence": number(judged.influence_px) if known else None,
+        }
+        found["predicted"][name] = [None if math.isnan(at[0]) else at for at in judged.photo.tolist()]
+    return found
+
+
+def _lengths(scan: Scan, picks: Sequence[Pick]) -> dict[str, Any]:
+    """Return the lengths that came with picks beside the scan's own ranges, by pick; of a line, of its worse end."""
+    from ladarreg_core.picks.lengths import check_lengths
+
+    check = check_lengths(scan, [replace(pick, on=True) for pick in picks if pick.lengths_m is not None])
+    found: dict[str, Any] = {}
+    for one in () if check is None else check.lengths:
+        before = found.get(one.pick_id)
+        if before is None or abs(before["difference_m"] or 0) < abs(one.difference_m or 0):
+            names = ("length_m", "scan_range_m", "difference_m", "tolerance_m", "state")
+            found[one.pick_id] = {**{name: getattr(one, name) for name in names}, "beyond": one.is_beyond}
+    return found
+
+
+def _cautions(loader: Loader, matches: Matches, photo: Photo, entry: PhotoEntry) -> list[str]:
+    """Return the limits of the thesis's methods on these matches, before they are solved."""
+    from ladarreg_core.quality.stereo_limits import stereo_cautions
+
+    if len(matches) < _MIN_MATCHES:
+        return []
+    pose = entry.pose
+    try:
+        known = pose_of(pose) if pose is not None and pose.accepted else None
+        return list(stereo_cautions(matches, photo.camera, pose=known))
+    except LadarregError as error:
+        log.debug("no cautions can be computed: %s", error)
+        return []
+
+
+def sampled_line(loader: Loader, scan: Scan, ends: Any) -> dict[str, Any]:
+    """Return the sample points of a line on the scan, and which of them have a range."""
+    from ladarreg_core.inspection.picks import sample_line
+
+    key = ("line", id(scan), tuple(tuple(ray) for ray in ends))
+    line = loader.cached("line", key, lambda: sample_line(scan, ends))
+    samples = [[ray, known] for ray, known in zip(line.rays.tolist(), line.known, strict=True)]
+    return {"scan_samples": samples, "sampled": line.sampled, "used": line.used}
+
+
+def poses_slice(entry: PhotoEntry, stage_of: Callable[[PoseEntry], dict[str, Any]]) -> dict[str, Any]:
+    """Return the slice `poses`: every stage as `stage_of` describes it."""
+    return {"shown": entry.shown_stage, "stages": [stage_of(pose) for pose in entry.poses]}
+
+
+def stage_state(loader: Loader, pose: PoseEntry, *, stale: str, stages: Sequence[StageId]) -> dict[str, Any]:
+    """Return a stage with its verdict and, once computed, its assessment.
+
+    Args:
+        loader: reads the stored registration.
+        pose: the stage.
+        stale: why it is out of date; empty: it is not.
+        stages: all stages that the photograph has a pose of.
+    """
+    from ladarreg_core.matching.image_check import statistics_note
+    from ladarreg_core.matching.images.views import would_clouds_help
+    from ladarreg_core.quality.verdict import LIGHT_WORDS, verdict_of
+
+    try:
+        registration = loader.registration(pose)
+    except LadarregError as error:
+        return {
+            "stage": pose.stage,
+            "label": STAGE_LABELS[pose.stage],
+            "accepted": False,
+            "verdict": as_fields(str(error)),
+            "stale": stale,
+            "summary": _missing_summary(as_fields(str(error))),
+        }
+    verification = pose.diagnostics.get("verification", {})
+    checked = "outcome" in verification
+    wants_frames = would_clouds_help(pose.reasons)
+    assessment = loader.known_assessment(pose)
+    summary = verdict_of(
+        registration, stage=pose.stage, stale=stale, stages=stages, wants_frames=wants_frames, assessment=assessment
+    )
+    return {
+        "stage": pose.stage,
+        "label": STAGE_LABELS[pose.stage],
+        "method": pose.method,
+        "accepted": pose.accepted,
+        "evidence": pose.evidence,
+        "verdict": verdict(registration),
+        "reasons": [as_fields(reason) for reason in pose.reasons],
+        "wants_frames": wants_frames,
+        "stale": stale,
+        "summary": {**asdict(summary), "words": LIGHT_WORDS[summary.light]},
+        "note": " ".join(filter(None, [pose.note, statistics_note(registration)])),
+        **({"image": {name: verification[name] for name in ("outcome", "sentence")}} if checked else {}),
+        "parameters": [asdict(parameter) for parameter in parameters(registration)],
+        **{name: number(value) for name, value in asdict(figures(registration)).items()},
+        "cost": number(registration.chi2_per_dof),
+        "centre": registration.camera_from_scanner.centre.tolist(),
+        "in_world": registration.in_world if registration.is_determined else None,
+        "focal_px": registration.camera.focal_px,
+        "camera_sigmas": dict(registration.camera_sigmas),
+        "seconds": pose.seconds,
+        "regions": [list(region) for region in verification.get("regions", [])],
+        "steps": [{"name": step.name, "label": step_label(step.name), "seconds": step.seconds} for step in pose.steps],
+        **_assessment_fields(assessment),
+    }
+
+
+def _missing_summary(problem: str) -> dict[str, Any]:
+    """Return the summary of a pose whose matches are missing."""
+    from ladarreg_core.quality.verdict import LIGHT_WORDS, NextStep, Verdict
+
+    line = f"{problem[:1].upper()}{problem[1:]}."
+    summary = Verdict("not_accepted", line, "", "", "", NextStep("Solve again.", "solve"))
+    return {**asdict(summary), "words": LIGHT_WORDS["not_accepted"]}
+
+
+def _assessment_fields(assessment: Assessment | None) -> dict[str, Any]:
+    if assessment is None:
+        return {}
+    return {
+        "findings": [
+            {"what": f.name, "level": f.level, "sentence": f.sentence, "what_to_do": f.what_to_do}
+            for f in sorted(assessment.findings or (), key=lambda f: _WORST_FIRST.index(f.level))
+        ],
+        "uncertainty": assessment.uncertainty.summary() if assessment.uncertainty else "",
+        "check": assessment.match_to_check,
+        "check_pick": _match_to_check(assessment),
+        "advice": [
+            {"uv": place.uv.tolist(), "ray": place.ray.tolist(), "sentence": place.summary()}
+            for place in assessment.advice or ()
+        ],
+        "absent": dict(assessment.absent),
+    }
+
+
+def _match_to_check(assessment: Assessment) -> str | None:
+    if not assessment.match_to_check or assessment.influence is None:
+        return None
+    return assessment.influence.pick_ids[assessment.influence.most_influential]
+
+
+def number(value: float) -> float | None:
+    """Return a finite number; None, JSON's null, for any other."""
+    return value if math.isfinite(value) else None

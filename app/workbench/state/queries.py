@@ -1,0 +1,104 @@
+"""Queries of a page: computations on the present document that change nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from ladarreg_core.errors import OptionError
+from ladarreg_core.project.edits import require_photo
+
+from ...session.loader import Loader
+from ...session.session import Session
+from .pose_state import judged_slice, sampled_line
+
+if TYPE_CHECKING:
+    from ladarreg_core.inspection.picks import PickPredictor
+    from ladarreg_core.project.document import CameraGiven, PhotoEntry
+    from ladarreg_core.scan import Scan
+
+
+class Queries:
+    """Answers queries of a page.
+
+    Args:
+        session: the session.
+        loader: its loader.
+    """
+
+    def __init__(self, session: Session, loader: Loader) -> None:
+        self._session = session
+        self._loader = loader
+
+    def pick_errors(self, photo_id: str) -> dict[str, Any]:
+        """Return the errors of a photograph's picks under the shown pose, by pick, as in the slice `judged`."""
+        entry = require_photo(self._session.document, photo_id)
+        found: dict[str, Any] = judged_slice(self._loader, self._scan(), self._loader.photo(entry), entry)["by_pick"]
+        return found
+
+    def partners(self, entry: PhotoEntry) -> PickPredictor:
+        """Return the prediction of picks from one image to the other under the shown pose.
+
+        Raises:
+            OptionError: if there is no pose.
+        """
+        scan = self._loader.scan(self._session.document)
+        if scan is None or entry.pose is None:
+            raise OptionError("there is no pose yet to predict with; solve first")
+        return self._loader.partners(scan, entry.pose)
+
+    def snapped(
+        self, side: object, view: int, photo: object, ends: Sequence[Sequence[float]], *, px_per_screen: float
+    ) -> list[list[float]] | None:
+        """Return the pixels that a point (one end) or a line (two) snaps to; None if it stays where it is."""
+        from ladarreg_core.inspection.snapping import PhotoSnapper, ViewSnapper
+
+        snapper: ViewSnapper | PhotoSnapper
+        if side == "scan":
+            document = self._session.document
+            if not 0 <= view < len(self._loader.views(document)):
+                return None
+            key = ("snapper", document.scan, view)
+            snapper = self._loader.cached("picture", key, lambda: ViewSnapper.of(self._loader.view(document, view)))
+        else:
+            viewed = self._loader.viewable_photo(require_photo(self._session.document, photo))
+            snapper = self._loader.cached("picture", ("snapper", id(viewed)), lambda: PhotoSnapper.of(viewed))
+        if len(ends) == 1:
+            corner = snapper.point(ends[0], px_per_screen=px_per_screen)
+            return None if corner is None else [corner.tolist()]
+        if len(ends) != 2:
+            raise OptionError("give one end of a point or two of a line")
+        line = snapper.line(ends, px_per_screen=px_per_screen)
+        return None if line is None else line.tolist()
+
+    def sample_line(self, ends: Any) -> dict[str, Any]:
+        """Return the sample points of a line on the scan, given by the rays of its ends."""
+        scan = self._loader.scan(self._session.document)
+        if scan is None or len(ends) != 2:
+            raise OptionError("a line on a scan has two ends")
+        return sampled_line(self._loader, scan, ends)
+
+    def probe(self, ray: Sequence[float]) -> dict[str, Any]:
+        """Return the scan's measurement along a ray."""
+        from ladarreg_core.inspection.picks import probe
+
+        found = probe(self._scan(), ray)
+        return {"range_m": found.range_m, "intensity": found.intensity, "cell": found.cell}
+
+    def check_camera(self, entry: PhotoEntry, camera: CameraGiven) -> None:
+        """Refuse a camera that does not fit its photograph.
+
+        Raises:
+            LadarregError: naming the reason.
+        """
+        trial = msgspec.structs.replace(entry, camera=camera)
+        self._loader.preload_photo(trial)
+        self._loader.photo(trial)
+
+    def _scan(self) -> Scan:
+        scan = self._loader.scan(self._session.document)
+        if scan is None:
+            raise OptionError("there is no scan; open one")
+        return scan

@@ -1,0 +1,53 @@
+/** Dropping files anywhere on the page, with an explanation while they are over it. */
+
+import { element } from "../../ui/dom.js";
+import { icon } from "../../ui/icons.js";
+import { notice } from "../../ui/notices.js";
+import { addFiles } from "./files.js";
+
+const hasFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes("Files");
+
+/** @returns {Set<string>} names of dropped folders, which look like unreadable files */
+const foldersOf = ({ items }) =>
+  new Set([...items].map((item) => item.webkitGetAsEntry?.()).filter((entry) => entry?.isDirectory).map(({ name }) => name));
+
+/** Accept dropped files. @param {HTMLElement} floating contains the explanation */
+export const acceptDrops = (floating) => {
+  const veil = element(
+    "div",
+    { class: "drop-veil", hidden: true },
+    element(
+      "div",
+      { class: "drop-zone" },
+      icon("download"),
+      element("p", { class: "drop-title" }, "Drop to open"),
+      element(
+        "p",
+        { class: "dim" },
+        "Files that belong together are opened together; names and endings do not matter. Each step can be undone.",
+      ),
+    ),
+  );
+  floating.append(veil);
+  let depth = 0;
+  const show = (shown) => {
+    veil.hidden = !shown || document.querySelector("dialog[open]") !== null;
+    document.body.classList.toggle("dropping", shown);
+    if (!shown) depth = 0;
+  };
+  addEventListener("dragenter", (event) => hasFiles(event) && (event.preventDefault(), (depth += 1), show(true)));
+  addEventListener("dragleave", (event) => hasFiles(event) && --depth <= 0 && show(false));
+  addEventListener(
+    "dragover",
+    (event) => hasFiles(event) && (event.preventDefault(), (event.dataTransfer.dropEffect = "copy")),
+  );
+  addEventListener("drop", (event) => {
+    if (!hasFiles(event)) return;
+    event.preventDefault();
+    show(false);
+    const folders = foldersOf(event.dataTransfer);
+    for (const name of folders) notice(`${name} is a folder: drop the files in it.`, "warn");
+    const files = [...event.dataTransfer.files].filter(({ name }) => !folders.has(name));
+    if (files.length) addFiles(files);
+  });
+};

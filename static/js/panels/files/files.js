@@ -1,0 +1,339 @@
+/** The dialog for opening files: dropped, chosen, or from the served folder. */
+
+import { request } from "../../net/requests.js";
+import { store } from "../../net/store.js";
+import { sendFile } from "../../net/uploads.js";
+import { button } from "../../ui/controls.js";
+import { makeDialog } from "../../ui/dialog.js";
+import { element, newId, setChildren, setText } from "../../ui/dom.js";
+import { icon } from "../../ui/icons.js";
+import { notice } from "../../ui/notices.js";
+import { bytes } from "../../ui/numbers.js";
+import { confirmation } from "./confirmation.js";
+import { embeddedList, offeredPictures } from "./embedded_pictures.js";
+import { accepted, labelOf, readable } from "./file_kinds.js";
+import { ABOUT_FRAMES, scanClouds } from "./scan_clouds.js";
+import { scanQuestion } from "./scan_question.js";
+import { waitingList } from "./waiting_files.js";
+
+const OPENABLE = new Set(["scan", "photo", "camera", "matches"]);
+const NEEDS_PHOTO = new Set(["camera", "matches"]);
+
+const TITLES = {
+  photo: "Drop photographs here",
+  scan: "Drop a scan here",
+  frames: "Drop further frames of the scan here",
+};
+
+const isLeft = ({ state }) => state !== "opened" && state !== "kept";
+
+let files = null; // the dialog
+
+/** One file of a drop: due, being sent, sent, opened or refused. */
+class FileEntry {
+  constructor(file, removed) {
+    Object.assign(this, { file, state: "due", id: null, abort: () => {} });
+    this.progress = element("progress", { max: 1, value: 0, hidden: true, "aria-label": `Upload of ${file.name}` });
+    this.status = element("span", { class: "file-status", role: "status" });
+    this.discard = button({
+      label: `Remove ${file.name}`,
+      icon: "close",
+      bare: true,
+      kind: "plain small",
+      act: () => (this.state === "sending" ? this.abort() : removed(this)),
+    });
+    this.row = element(
+      "li",
+      { class: "file-row" },
+      icon("file"),
+      element("span", { class: "clip", title: file.name }, file.name),
+      element("span", { class: "dim figures" }, bytes(file.size)),
+      this.discard,
+      this.progress,
+      this.status,
+    );
+    this.setStatus("Waiting …");
+  }
+
+  setStatus(text, level = "") {
+    setText(this.status, text);
+    this.row.dataset.level = level;
+  }
+
+  refuse(error) {
+    this.state = "refused";
+    this.setStatus(error.message, error.name === "AbortError" ? "warn" : "bad");
+    if (!files.dialog.open && error.name !== "AbortError") notice(error.message, "bad");
+  }
+
+  /** Upload the file; what it becomes is decided when all are there. */
+  async send() {
+    this.state = "sending";
+    this.progress.hidden = false;
+    this.setStatus("Uploading …");
+    const sending = sendFile(this.file, {
+      what: "any",
+      progress: (share) => {
+        this.progress.value = share;
+        this.setStatus(share < 1 ? `${Math.round(100 * share)} %` : "Uploaded; reading …");
+      },
+    });
+    this.abort = sending.abort;
+    try {
+      this.id = await sending.finished;
+      this.state = "sent";
+      this.setStatus("Uploaded.");
+    } catch (error) {
+      this.refuse(error);
+    }
+    this.progress.hidden = true;
+  }
+
+  /** Show what became of the file. @param {any} answer reply to `open_files` */
+  settle({ opened, refused, waiting }) {
+    const error = refused.find(({ file }) => file === this.id)?.error;
+    const made = opened.find(({ file }) => file === this.id);
+    if (error && !waiting.includes(this.id)) this.refuse(new Error(error));
+    else if (made) {
+      this.state = "opened";
+      this.setStatus(`Opened as ${labelOf(made.kind)}.`, "ok");
+    } else this.state = waiting.includes(this.id) ? "kept" : "opened"; // as part of another file
+  }
+}
+
+/**
+ * The files of the served folder; scans can be ticked and opened together.
+ * @param {(paths: string[]) => Promise<boolean>} openScans
+ */
+const servedList = (openScans) => {
+  const list = element("ul", { class: "served-list" });
+  const title = element("h3", {});
+  const ticked = new Set();
+  const together = button({ label: "Open together", kind: "small edits", act: () => openScans([...ticked]).then(show) });
+  const again = button({ label: "Refresh", kind: "small", act: () => request("list_served") });
+  const section = element(
+    "section",
+    { class: "served" },
+    element("div", { class: "row" }, title, element("span", { class: "row" }, together, again)),
+    list,
+  );
+  const tick = (path) =>
+    element("input", {
+      type: "checkbox",
+      checked: ticked.has(path),
+      "aria-label": `Choose ${path}`,
+      on: {
+        change: ({ target }) => {
+          target.checked ? ticked.add(path) : ticked.delete(path);
+          showTogether();
+        },
+      },
+    });
+  const showTogether = () => {
+    together.hidden = ticked.size < 2;
+    setText(together.querySelector("span"), `Open ${ticked.size} scans together`);
+  };
+  const row = (several) => ({ path, size, kind }) => {
+    const open = async () => {
+      opener.disabled = true;
+      const opened = kind === "scan"
+        ? await openScans([path])
+        : await request("open_served", { path, what: kind, photo: NEEDS_PHOTO.has(kind) ? store.shown() : undefined });
+      opener.disabled = false;
+      if (opened) setText(opener.querySelector("span"), "Open again");
+      if (opened && store.get("scan") && store.photo()) files.close();
+    };
+    const usable = OPENABLE.has(kind);
+    const opener = button({
+      label: usable ? `Open as ${labelOf(kind)}` : "Cannot be opened",
+      kind: "small",
+      disabled: !usable,
+      act: open,
+    });
+    return element(
+      "li",
+      { class: "file-row" },
+      several && kind === "scan" ? tick(path) : icon("file"),
+      element("span", { class: "clip", title: path }, path),
+      element("span", { class: "dim figures" }, bytes(size)),
+      opener,
+    );
+  };
+  const show = () => {
+    const served = store.get("served");
+    section.hidden = !served;
+    if (!served) return;
+    setText(title, `Served folder ${served.label ?? ""}`);
+    const scans = served.files.filter(({ kind }) => kind === "scan").map(({ path }) => path);
+    for (const path of ticked) if (!scans.includes(path)) ticked.delete(path);
+    const nothing = element("li", { class: "dim" }, "It contains no file that can be opened.");
+    setChildren(list, ...(served.files.length ? served.files.map(row(scans.length > 1)) : [nothing]));
+    showTogether();
+  };
+  section.untick = () => {
+    ticked.clear();
+    show();
+  };
+  store.watch(["served", "shown"], show);
+  show();
+  return section;
+};
+
+const build = () => {
+  const waiting = [];
+  const list = element("ul", { class: "file-list", "aria-label": "Files to open" });
+  const input = element(
+    "input",
+    { type: "file", multiple: true, class: "visually-hidden", tabIndex: -1, "aria-hidden": "true" },
+  );
+  const hint = element("p", { class: "dim", id: newId("hint") });
+  const choose = button({
+    label: "Choose files…",
+    kind: "primary",
+    autofocus: true,
+    act: () => input.click(),
+    "aria-describedby": hint.id,
+  });
+  const zone = element(
+    "div",
+    { class: "drop-zone" },
+    icon("download"),
+    element("p", { class: "drop-title" }, "Drop a scan and its photographs here"),
+    hint,
+    choose,
+    input,
+  );
+  const confirm = confirmation("Begin another project?", "Begin it all the same");
+  const { question, ask } = scanQuestion();
+
+  /** Begin a project with files; the page follows it, unless that has to be confirmed. */
+  const beginProject = async (ids, fields = {}) => {
+    const answer = await request("new_project", { files: ids, ...fields });
+    if (answer?.asks) confirm.ask(answer.asks, () => beginProject(ids, { sure: true }));
+  };
+
+  /** What becomes of scans without being asked: the dialog was opened for that. */
+  const intended = () => (files.expected === "frames" && store.get("scan") ? { scan: "frames" } : {});
+
+  /** Open uploaded files; those that lack something stay in the list of waiting ones. */
+  const openTogether = async (ids, choice = {}) => {
+    for (const one of waiting) if (ids.includes(one.id)) one.setStatus("Reading …");
+    const answer = await request("open_files", { files: ids, ...choice });
+    if (!answer) {
+      for (const one of waiting) if (ids.includes(one.id)) one.setStatus("Uploaded.");
+      return;
+    }
+    if (answer.asks) {
+      for (const one of waiting) if (answer.waiting.includes(one.id)) one.state = "kept";
+      ask(answer, (chosen) => {
+        if (chosen === "new") return beginProject(answer.waiting);
+        return chosen && openTogether(answer.waiting, { ...choice, scan: chosen });
+      });
+    } else {
+      for (const one of waiting) if (ids.includes(one.id) && one.state !== "opened") one.settle(answer);
+      for (const { name, error, file } of answer.refused) {
+        if (!waiting.some(({ id }) => id === file)) notice(error.startsWith(name) ? error : `${name}: ${error}`, "bad");
+      }
+    }
+    changed();
+    if (waiting.some(isLeft) || answer.waiting.length || answer.refused.length) {
+      if (answer.waiting.length) files.open();
+      return;
+    }
+    waiting.length = 0;
+    changed();
+    const offers = answer.opened.some(({ kind }) => kind === "scan") && offeredPictures().length > 0;
+    if (answer.opened.length && !offers) files.close();
+  };
+
+  /** Open scans of the served folder. @returns {Promise<boolean>} whether they were opened */
+  const openServed = async (paths, choice = intended()) => {
+    const answer = await request("open_served", { paths, what: "scan", ...choice });
+    if (!answer?.asks) {
+      if (answer) served.untick();
+      return Boolean(answer);
+    }
+    return new Promise((done) => {
+      ask(answer, (chosen) => {
+        const opened = chosen ? openServed(paths, { scan: chosen }) : false;
+        done(opened);
+        return opened;
+      }, false);
+    });
+  };
+  const addFrames = () => {
+    files.expect("frames");
+    input.click();
+  };
+  const served = servedList(openServed);
+
+  files = makeDialog(
+    "Open files",
+    { kind: "files-dialog" },
+    zone,
+    question,
+    confirm.box,
+    list,
+    waitingList(openTogether),
+    scanClouds(addFrames),
+    embeddedList(),
+    served,
+  );
+
+  const changed = () => setChildren(list, ...waiting.filter(({ state }) => state !== "kept").map(({ row }) => row));
+  const removed = (one) => {
+    waiting.splice(waiting.indexOf(one), 1);
+    changed();
+  };
+  let sending = false;
+  /** Send the due files in sequence, including those added meanwhile, and open them when all are there. */
+  const sendAll = async () => {
+    changed();
+    if (sending) return;
+    sending = true;
+    for (let next; (next = waiting.find(({ state }) => state === "due")); ) await next.send();
+    sending = false;
+    const ids = waiting.filter(({ state }) => state === "sent").map(({ id }) => id);
+    if (ids.length) await openTogether(ids, intended());
+  };
+  files.add = (added) => {
+    for (const old of waiting.filter((one) => !isLeft(one))) removed(old);
+    waiting.push(...[...added].map((file) => new FileEntry(file, removed)));
+    sendAll();
+  };
+  files.expect = (what) => {
+    files.expected = what;
+    const limit = store.get("limits")?.upload_bytes;
+    const most = limit ? ` Up to ${bytes(limit)} each.` : "";
+    setText(zone.querySelector(".drop-title"), TITLES[what] ?? "Drop a scan and its photographs here");
+    setText(hint, `${what === "frames" ? `Frames: ${ABOUT_FRAMES}` : readable()}${most}`);
+    input.accept = accepted();
+  };
+  input.addEventListener("change", () => {
+    files.add(input.files);
+    input.value = "";
+  });
+  return files;
+};
+
+/**
+ * Open the dialog.
+ * @param {"scan" | "photo" | "frames" | null} [what] type of file to ask for; frames: further clouds of the open scan
+ */
+export const openFiles = (what = null) => {
+  if (store.readOnly) return;
+  files ??= build();
+  files.expect(what);
+  if (store.get("served")) request("list_served");
+  files.open();
+};
+
+/** Open files that were dropped on the page. @param {Iterable<File>} dropped */
+export const addFiles = (dropped) => {
+  if (store.readOnly) {
+    notice("This page is read-only: files can only be opened with the link that permits editing.", "warn");
+    return;
+  }
+  if (!files?.dialog.open) openFiles();
+  files.add(dropped);
+};

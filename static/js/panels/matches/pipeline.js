@@ -1,0 +1,173 @@
+/** The steps of the thesis in order, each with its state, its settings and a button to run it. */
+
+import { requestForPhoto } from "../../net/requests.js";
+import { store } from "../../net/store.js";
+import { GENERAL, isRunning, PIPELINE, settingsOf, stepState } from "../../state/pipeline.js";
+import { button } from "../../ui/controls.js";
+import { element, setAttribute, setChildren, setText } from "../../ui/dom.js";
+import { icon } from "../../ui/icons.js";
+import { settingsForm } from "./settings_form.js";
+
+/** Icon, level and word of each state. */
+const LOOKS = {
+  none: ["dot", "dim", "not run"],
+  running: ["running", "accent", "running"],
+  paused: ["pause", "warn", "paused"],
+  done: ["tick", "ok", "done"],
+  solved: ["target", "accent", "done, not accepted"],
+  failed: ["bad", "bad", "failed"],
+  stopped: ["stop", "warn", "stopped"],
+  stale: ["warn", "warn", "out of date"],
+  unclear: ["warn", "warn", "undecidable"],
+};
+
+/** The newest finished job of each kind and photograph; slice `job` contains only the last one of all. */
+const finished = new Map();
+store.on("job", (job) => {
+  if (job && !isRunning(job)) finished.set(`${job.photo} ${job.kind}`, job);
+});
+
+/**
+ * @param {"match" | "solve" | "all"} the steps to show
+ * @param {string} title
+ * @returns {HTMLElement}
+ */
+export const mountPipeline = (which, title) => {
+  const steps = PIPELINE.filter((step) => which === "all" || step.in === which);
+  let chosen = steps[0];
+  let drawn = "";
+  let form = null;
+  const list = element("ol", { class: "pipeline", "aria-label": title });
+  const pane = element("div", { class: "pipeline-settings" });
+  const failure = element("p", { class: "bad pipeline-failure", role: "status" });
+  const rows = new Map();
+
+  const run = (step) => {
+    choose(step);
+    requestForPhoto("run", { job: step.job });
+  };
+  const choose = (step) => {
+    chosen = step;
+    show();
+  };
+  for (const step of [...steps, GENERAL]) {
+    const sign = element("span", { class: "sign" });
+    const status = element("span", { class: "clip dim pipeline-status" });
+    const word = element("span", { class: "visually-hidden" });
+    const open = element(
+      "button",
+      { type: "button", class: "pipeline-open", title: step.description, on: { click: () => choose(step) } },
+      sign,
+      element("span", { class: "pipeline-name" }, step.label),
+      word,
+      status,
+    );
+    const go = step.job ? button({
+      label: `Run: ${step.label}`,
+      icon: "play",
+      bare: true,
+      kind: "small edits",
+      act: () => run(step),
+    }) : null;
+    const row = element("li", { class: "pipeline-step" }, open, go);
+    list.append(row);
+    rows.set(step, { row, open, sign, status, word, go });
+  }
+  const chain = button({
+    label: "Thesis chain",
+    kind: "small plain edits",
+    title: "Run all steps of the thesis in sequence, on matches that it finds itself",
+    act: () => requestForPhoto("run", { job: "thesis" }),
+  });
+  const solve = button({
+    label: "Solve from matches",
+    kind: "small primary-quiet edits",
+    icon: "play",
+    title: "Solve robustly from the enabled matches, and verify the pose against the images",
+    act: () => requestForPhoto("run", { job: "solve" }),
+  });
+  const auto = button({
+    label: "Automatic",
+    kind: "small edits",
+    icon: "wand",
+    title: "Register automatically, from the images alone",
+    act: () => requestForPhoto("run", { job: "auto" }),
+  });
+  const all = [solve, auto, chain];
+  const group = element(
+    "div",
+    { class: "pipeline-group", title: "Each step of the thesis by itself, in its order" },
+    element("h3", {}, "Thesis"),
+    chain,
+  );
+  const part = element(
+    "section",
+    { class: "dock-part pipeline-part", "aria-label": title },
+    element("div", { class: "part-head" }, element("h2", {}, title), element("div", { class: "end" }, solve, auto)),
+    element(
+      "div",
+      { class: "pipeline-body" },
+      element("div", { class: "pipeline-side" }, group, list),
+      pane,
+    ),
+  );
+
+  const show = () => {
+    const photo = store.shown();
+    const job = store.get("job");
+    const busy = isRunning(job);
+    const context = {
+      job: job?.photo === photo ? job : null,
+      stages: store.posesOf()?.stages ?? [],
+      shown: store.stageOf(),
+      corners: store.get(`corners:${photo}`),
+      picks: store.picksOf(),
+    };
+    const missing = !store.get("scan") || !store.photo()?.camera;
+    for (const [step, { row, open, sign, status, word, go }] of rows) {
+      const { state, text } = step.job ? stepState(
+        step,
+        { ...context, last: finished.get(`${photo} ${step.job}`) ?? null },
+      ) : { state: "none", text: "" };
+      const [shape, level, said] = LOOKS[state];
+      if (row.dataset.state !== state) setChildren(sign, icon(step.job ? shape : "more"));
+      row.dataset.state = state;
+      sign.className = `sign ${level}`;
+      setText(status, text);
+      status.title = text;
+      setText(word, step.job ? `, ${said}` : "");
+      row.classList.toggle("chosen", step === chosen);
+      setAttribute(open, "aria-current", step === chosen ? "true" : null);
+      if (go) {
+        go.disabled = busy || missing;
+        go.title = missing
+          ? "Needs a scan, and a photograph with a known focal length"
+          : busy
+          ? `${job.label} is running`
+          : `Run: ${step.label}`;
+      }
+    }
+    for (const control of all) control.disabled = busy || missing;
+    solve.disabled ||= !context.picks.some(({ on }) => on);
+    const { row: chosenRow, status: chosenStatus } = rows.get(chosen);
+    const wrong = ["failed", "unclear"].includes(chosenRow.dataset.state);
+    setText(failure, wrong ? chosenStatus.textContent : "");
+    failure.classList.toggle("bad", chosenRow.dataset.state === "failed");
+    failure.classList.toggle("warn", chosenRow.dataset.state === "unclear");
+    const entries = settingsOf(store.get("settings"), chosen);
+    const shape = JSON.stringify([chosen.label, entries.map(([name, entry]) => [name, { ...entry, value: null }])]);
+    if (shape !== drawn) {
+      drawn = shape;
+      form = settingsForm(entries);
+      setChildren(
+        pane,
+        element("p", { class: "dim pipeline-about" }, chosen.description),
+        failure,
+        entries.length ? form.form : element("p", { class: "dim" }, "This step has no settings of its own."),
+      );
+    } else form?.show();
+  };
+  store.watch(["job", "settings", "poses:*", "corners:*", "picks:*", "shown", "scan", "photos"], show);
+  show();
+  return part;
+};

@@ -1,0 +1,192 @@
+/** What of the model is loaded and drawn: coarse first, then as fine as wanted; the old texture stays until the new one is. */
+
+import { store } from "../../net/store.js";
+import { isRunning } from "../../state/pipeline.js";
+import { whenFirstPicturesArrived } from "../../ui/first_pictures.js";
+import { blockAddress, layerAddress, meshAddress, ModelParts, textureAddress } from "./model_parts.js";
+import { ModelSurface } from "./model_surface.js";
+import { blocksAt } from "./model_view.js";
+
+const LOOK_MS = 250;
+const RETRY_MS = 3000;
+const COARSEST = "coarse";
+const LEAST_CELLS = 1e6; // of a scan whose surface the dense mesh shows only coarsely
+const MOVING = ["simplex", "reject_outliers", "thesis"];
+
+/** @returns {string} the kind of texture that can be shown: the chosen one, or the intensity */
+export const usableTexture = (model) =>
+  (model.choices.find(({ value }) => value === model.texture)?.usable ? model.texture : "intensity");
+
+/** @typedef {{state: "empty" | "loading" | "drawn", got: number, total: number, error: string, legend: any}} ModelState */
+
+export class ModelLoader {
+  #parts = new ModelParts();
+  #surface;
+  #software;
+  #listeners = new Set();
+  #running = null;
+  #scan = null;
+  #retryAt = 0;
+  #viewpoint = "";
+  #looked = "";
+  #closer = null;
+  #drawn = null;
+  #meter = new Map();
+  /** @type {ModelState} */
+  #state = { state: "empty", got: 0, total: 0, error: "", legend: null };
+
+  /**
+   * @param {HTMLIFrameElement} frame
+   * @param {() => boolean} software whether the browser renders without a graphics card
+   */
+  constructor(frame, software) {
+    this.#surface = new ModelSurface(frame);
+    this.#software = software;
+    store.watch(["scan", "shown", "model", "job"], () => this.#look());
+    setInterval(() => this.#look(), LOOK_MS);
+    this.#look();
+  }
+
+  /** Call `listen(state)` at each change. @param {(state: ModelState) => void} listen */
+  onChange(listen) {
+    this.#listeners.add(listen);
+    listen(this.#state);
+  }
+
+  /** Count what another part of the 3-D view has loaded. */
+  count(name, got, total) {
+    this.#meter.set(name, [got, total]);
+    this.#tell({});
+  }
+
+  #tell(change) {
+    let [got, total] = [0, 0];
+    for (const [some, all] of this.#meter.values()) [got, total] = [got + some, total + all];
+    this.#state = { ...this.#state, got, total, ...change };
+    for (const listen of this.#listeners) listen(this.#state);
+  }
+
+  /** Begin to load if what is drawn is not what is wanted. */
+  #look() {
+    this.#surface.fadeMarks();
+    const scan = store.get("scan")?.id ?? null;
+    if (scan !== this.#scan) this.#reset(scan);
+    const model = store.get("model");
+    if (!scan || !model || store.get("scan").error) return;
+    const stages = this.#stages(scan, model);
+    const goal = stages.at(-1);
+    if (this.#running) {
+      if (same(this.#running.goal, goal)) return;
+      this.#running.abort.abort();
+      this.#running = null;
+    }
+    if (same(this.#drawn, goal) && this.#surface.intact) {
+      this.#lookCloser(scan, model);
+      return;
+    }
+    if (performance.now() < this.#retryAt && this.#state.error) return;
+    this.#load(stages, goal);
+  }
+
+  /** Once the camera rests, draw finer what it looks at; not below the photograph's own pixels. */
+  async #lookCloser(scan, model) {
+    const { viewpoint } = this.#surface;
+    const rests = viewpoint === this.#viewpoint;
+    this.#viewpoint = viewpoint;
+    if (!rests || viewpoint === this.#looked || model.detail === COARSEST || this.#surface.hasLayer) return;
+    this.#looked = viewpoint;
+    const seen = this.#surface.inView();
+    if (!seen || seen.shape[0] * seen.shape[1] < LEAST_CELLS) return;
+    const names = blocksAt(seen.cells, seen.shape, seen.vertices, Boolean(store.get("scan")?.strip));
+    this.#closer?.abort();
+    const abort = new AbortController();
+    this.#closer = abort;
+    try {
+      const options = { signal: abort.signal, progress: () => {} };
+      const blocks = await Promise.all(
+        names.map(async (name) => ({ name, arrays: await this.#parts.block(blockAddress(scan, name), options) })),
+      );
+      if (abort.signal.aborted || !same(this.#drawn, this.#stages(scan, model).at(-1)) || this.#surface.hasLayer) return;
+      this.#surface.setBlocks(blocks.filter(({ arrays }) => arrays));
+    } catch {
+      // the whole surface stays; the next movement tries again
+    }
+  }
+
+  #reset(scan) {
+    this.#running?.abort.abort();
+    this.#closer?.abort();
+    this.#looked = "";
+    this.#running = this.#drawn = null;
+    this.#scan = scan;
+    this.#parts.clear();
+    this.#surface.clear();
+    this.#tell({ state: scan ? "loading" : "empty", error: "", legend: null });
+  }
+
+  /** @returns {{mesh: string, texture: string}[]} what to draw, one after the other */
+  #stages(scan, model) {
+    const kind = usableTexture(model);
+    const job = store.get("job");
+    const moves = job && MOVING.includes(job.kind) && isRunning(job) && this.#software();
+    const at = (meshDetail, textureDetail) => ({
+      mesh: meshAddress(scan, meshDetail),
+      texture: textureAddress(store.shown(), kind, model, textureDetail),
+    });
+    const fine = at(moves ? "coarse" : model.detail, model.detail);
+    const stages = this.#drawn || model.detail === "coarse" ? [fine] : [at("coarse", "coarse"), fine];
+    const photo = store.shown();
+    if (kind !== "colour" || !photo || !model.accepted || !model.z_buffer || moves || model.detail === "coarse") {
+      return stages;
+    }
+    return [...stages, { ...fine, layer: layerAddress(photo, model, model.detail) }];
+  }
+
+  async #load(stages, goal) {
+    const abort = new AbortController();
+    const run = { goal, abort };
+    this.#running = run;
+    const still = () => this.#running === run;
+    try {
+      await whenFirstPicturesArrived();
+      for (const { mesh, texture, layer } of stages) {
+        const options = (name) => ({
+          signal: abort.signal,
+          progress: (got, total) => still() && this.count(name, got, total),
+        });
+        const [arrays, { blob, legend }] = await Promise.all([
+          this.#parts.mesh(mesh, options("mesh")),
+          this.#parts.texture(texture, options("texture")),
+        ]);
+        await this.#untilReady(still);
+        if (layer) {
+          const progress = (name) => options(name).progress;
+          const found = await this.#parts.layer(layer, { signal: abort.signal, progress });
+          if (!still() || !(await this.#surface.drawLayer(found, still))) return;
+          this.#drawn = { mesh, texture, layer };
+          this.#meter.clear();
+          this.#tell({});
+          continue;
+        }
+        if (!still() || !(await this.#surface.draw(arrays, blob, still))) return;
+        this.#looked = "";
+        this.#drawn = { mesh, texture };
+        this.#meter.clear();
+        this.#tell({ state: "drawn", error: "", legend });
+      }
+    } catch (error) {
+      if (!still()) return;
+      this.#retryAt = performance.now() + RETRY_MS;
+      this.#meter.clear();
+      this.#tell({ error: error.message });
+    } finally {
+      if (still()) this.#running = null;
+    }
+  }
+
+  async #untilReady(still) {
+    while (still() && !this.#surface.ready) await new Promise((resolve) => setTimeout(resolve, 50));
+  }
+}
+
+const same = (a, b) => a !== null && b !== null && a.mesh === b.mesh && a.texture === b.texture && a.layer?.mesh === b.layer?.mesh;

@@ -1,0 +1,176 @@
+/** The projects: recent ones, a new one, one of a folder, the sample. It is the first page where none is named. */
+
+import { ask as command } from "../../net/connection.js";
+import { store } from "../../net/store.js";
+import { button } from "../../ui/controls.js";
+import { makeDialog } from "../../ui/dialog.js";
+import { element, newId, setChildren, setText } from "../../ui/dom.js";
+import { icon } from "../../ui/icons.js";
+import { confirmation } from "../files/confirmation.js";
+
+const MOST_LETTERS = 80;
+const DATE = new Intl.DateTimeFormat(undefined, { dateStyle: "medium", timeStyle: "short" });
+
+let page = null;
+
+const dated = (edited) => (edited ? DATE.format(new Date(edited)) : "");
+
+/** A form of one field and its button. */
+const fieldForm = ({ label, placeholder, submit, act, ...rest }) => {
+  const id = newId("field");
+  const input = element("input", { id, placeholder, autocomplete: "off", spellcheck: false, ...rest });
+  const form = element(
+    "form",
+    { class: "start-form" },
+    element("label", { for: id }, label),
+    element("div", { class: "row" }, input, element("button", { type: "submit", class: "button" }, submit)),
+  );
+  form.addEventListener("submit", (event) => {
+    event.preventDefault();
+    act(input.value.trim());
+  });
+  return form;
+};
+
+const card = (project, { open, change }) => {
+  const { id, name, folder, state, edited, missing, current, picture } = project;
+  const opener = element(
+    "button",
+    {
+      type: "button",
+      class: "project-card-open",
+      disabled: missing,
+      on: { click: () => (current ? page.close() : open("open_project", { wanted: id })) },
+    },
+    picture
+      ? element("img", { src: `picture/project/${id}?rev=${encodeURIComponent(edited)}`, alt: "", loading: "lazy" })
+      : element("span", { class: "project-card-blank" }, icon(missing ? "bad" : "file")),
+    element("span", { class: "project-card-name clip", title: name }, name, current ? " · open" : ""),
+    element("span", { class: missing ? "bad" : "dim" }, missing ? "Folder missing" : state),
+    element("span", { class: "dim figures" }, dated(edited)),
+  );
+  opener.title = missing ? `${folder}: ${state}` : folder;
+  return element(
+    "li",
+    { class: `project-card ${missing ? "missing" : ""}`.trim() },
+    opener,
+    element(
+      "div",
+      { class: "row project-card-acts" },
+      missing ? null : button({ label: `Duplicate ${name}`, text: "Duplicate", kind: "small plain", act: () => change("duplicate_project", id, `${name} was duplicated.`) }),
+      button({
+        label: `Remove ${name} from this list`,
+        title: "Remove from this list; the folder stays",
+        text: "Remove",
+        kind: "small plain",
+        act: () => change("forget_project", id, `${name} was removed from the list; its folder stays.`),
+      }),
+    ),
+  );
+};
+
+const build = (chooseFiles) => {
+  const cards = element("ul", { class: "project-cards", "aria-label": "Recent projects" });
+  const none = element("p", { class: "dim" }, "No projects yet: drop a scan and its photographs anywhere on this page.");
+  const { box, ask } = confirmation("Open another project?", "Open it all the same");
+  const status = element("p", { class: "dim", role: "status" });
+  const isStart = () => store.get("project")?.start === true;
+
+  const say = (text, level = "") => {
+    setText(status, text);
+    status.className = level || "dim";
+  };
+  /** Send a command; a refusal is shown in the page, since notices lie behind it. */
+  const tried = async (name, fields) => {
+    page.body.inert = true;
+    try {
+      return await command(name, fields);
+    } catch (error) {
+      say(error.message, "form-wrong");
+      return null;
+    } finally {
+      page.body.inert = false;
+    }
+  };
+  const open = async (name, fields = {}) => {
+    say("Opening …");
+    const answer = await tried(name, fields);
+    if (!answer) return;
+    say("");
+    if (answer.asks) ask(answer.asks, () => open(name, { ...fields, sure: true }));
+    else if (answer.opened === store.get("project")?.id) page.close();
+  };
+  const change = async (name, wanted, done) => {
+    if (!(await tried(name, { wanted }))) return;
+    say(done);
+    refresh();
+  };
+  const refresh = async () => {
+    const answer = await tried("list_projects", {});
+    if (!answer) return;
+    setChildren(cards, ...answer.projects.map((project) => card(project, { open, change })));
+    none.hidden = answer.projects.length > 0;
+    folder.hidden = !answer.anywhere;
+  };
+  const folder = fieldForm({
+    label: "Open a project's folder on the machine of the workbench",
+    placeholder: "/data/office-7",
+    submit: "Open",
+    act: (path) => open("open_project", { folder: path }),
+  });
+  const create = fieldForm({
+    label: "New project",
+    placeholder: "Name",
+    submit: "Begin",
+    maxLength: MOST_LETTERS,
+    act: (name) => open("new_project", { name }),
+  });
+  const choose = button({ label: "Choose files…", kind: "primary", autofocus: true, act: chooseFiles });
+  page = makeDialog(
+    "Projects",
+    { kind: "start-page" },
+    element(
+      "p",
+      { class: "start-brand" },
+      element("img", { src: "logo.svg", alt: "", width: 34, height: 34 }),
+      element("span", {}, element("b", {}, "ladarreg"), " registers a laser scan with photographs."),
+    ),
+    element(
+      "div",
+      { class: "start-acts" },
+      element(
+        "div",
+        { class: "drop-zone start-drop" },
+        element("p", { class: "drop-title" }, "Drop a scan and its photographs"),
+        element("div", { class: "row" }, choose, button({ label: "Open the sample", act: () => open("open_sample") })),
+      ),
+      create,
+      folder,
+    ),
+    box,
+    status,
+    element("h3", {}, "Recent"),
+    none,
+    cards,
+  );
+  page.dialog.addEventListener("cancel", (event) => isStart() && event.preventDefault());
+  page.dialog.addEventListener("close", () => isStart() && page.open()); // a second Escape cannot be prevented
+  const closer = page.dialog.querySelector(".dialog-head button");
+  const show = () => {
+    closer.hidden = isStart();
+    page.dialog.classList.toggle("first", isStart());
+    if (page.dialog.open && page.isFirst && !isStart()) page.close();
+    page.isFirst = isStart();
+  };
+  store.watch(["project"], show);
+  show();
+  page.refresh = refresh;
+  return page;
+};
+
+/** Show the projects. @param {() => void} chooseFiles opens the dialog for files */
+export const openProjects = (chooseFiles) => {
+  page ??= build(chooseFiles);
+  page.open();
+  page.refresh();
+};
