@@ -8,7 +8,7 @@ WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2) + 1)
 # Which of the tests that take minutes run: none, all, or share:TEXT, a fifth of them that the text chooses.
 LONG ?= none
 
-.PHONY: demo check test test-all docs browser clean
+.PHONY: demo check test test-all docs browser release clean
 
 demo: $(VENV)/.installed
 	@$(BIN)/ladarreg demo
@@ -64,6 +64,10 @@ browser: $(VENV)/.installed-dev
 	fi; \
 	$(BIN)/python -m testing.workbench.browser >/dev/null 2>&1 || $(BIN)/python -m playwright install chromium || true; \
 	$(BIN)/python -m testing.workbench.browser || true
+
+# Cuts a release and tries it on every supported Python that is installed; commits and uploads nothing.
+release: $(VENV)/.installed-dev
+	@$(BIN)/python -m testing.release $(VERSION)
 
 clean:
 	rm -rf build dist artifacts .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks

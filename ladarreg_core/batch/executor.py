@@ -1,9 +1,10 @@
-"""An executor of processes in which a process that dies costs one task: it is named, and the others go on.
+"""An executor of processes in which a process that dies costs nothing but time: its task is done again by another.
 
 `concurrent.futures.ProcessPoolExecutor` gives up all tasks when a process is killed, and does not say which it was.
-Here every process has a pipe of its own and one task at a time, so that whose task was lost is known, and another
-process takes its place. Processes are spawned, never forked: the same on all systems, and safe beside threads. Each
-imports once and works with one thread. Anything that takes a `concurrent.futures.Executor` can use it.
+Here every process has a pipe of its own and one task at a time, so that whose task was lost is known. Another process
+takes its place and does the task again; a task that has lost three processes fails, and the others go on. Processes are
+spawned, never forked: the same on all systems, and safe beside threads. Each imports once and works with one thread.
+Anything that takes a `concurrent.futures.Executor` can use it.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 _MAX_PROCESSES = 256
+_MAX_ATTEMPTS = 3
 _JOIN_S = 10.0
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -39,7 +41,7 @@ log = logging.getLogger(__name__)
 
 
 class WorkerLostError(LadarregError):
-    """A process ended before it had finished its task."""
+    """Each process that was given a task ended before it had finished it."""
 
 
 class WorkerProcesses(Executor):
@@ -72,7 +74,7 @@ class WorkerProcesses(Executor):
             kwargs: keyword arguments.
 
         Returns:
-            Its future, which raises what the function raised, or `WorkerLostError` if its process was killed.
+            Its future, which raises what the function raised, or `WorkerLostError` if it has lost three processes.
 
         Raises:
             RuntimeError: after `shutdown`.
@@ -135,8 +137,8 @@ class WorkerProcesses(Executor):
                         with self._lock:
                             self._woken.recv_bytes()
                             self._is_woken = False
-                    elif not busy[ready].finish():  # type: ignore[index]
-                        workers.remove(busy[ready])  # type: ignore[index]
+                    elif not (worker := busy[ready]).finish():  # type: ignore[index]
+                        self._replace(worker, workers)
         except Exception as error:  # as if no process can be started
             log.debug("the worker processes ended: %s", traceback.format_exc())
             with self._lock:
@@ -159,8 +161,19 @@ class WorkerProcesses(Executor):
                 workers.append(free)
             with self._lock:
                 task = self._tasks.popleft()
-            if task.future.set_running_or_notify_cancel() and not free.begin(task):
-                workers.remove(free)
+            if (task.attempts or task.future.set_running_or_notify_cancel()) and not free.begin(task):
+                self._replace(free, workers)
+
+    def _replace(self, worker: _Worker, workers: list[_Worker]) -> None:
+        """Give up a process that has ended, and put its task first in the queue unless it has lost too many."""
+        workers.remove(worker)
+        task, why = worker.lost()
+        if task.attempts < _MAX_ATTEMPTS and not self._killed:
+            log.warning("a task is tried again: %s", why)
+            with self._lock:
+                self._tasks.appendleft(task)
+        else:
+            task.future.set_exception(WorkerLostError(why))
 
 
 def usable_cores() -> int:
@@ -170,12 +183,14 @@ def usable_cores() -> int:
     return os.cpu_count() or 1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class _Task:
     future: Future[Any]
     function: Callable[..., Any]
     args: tuple[Any, ...]
     kwargs: dict[str, Any]
+    attempts: int = 0
+    """How often a process was given it."""
 
 
 class _Worker:
@@ -194,8 +209,9 @@ class _Worker:
         theirs.close()
 
     def begin(self, task: _Task) -> bool:
-        """Send a task; False: its process has ended, and the task is lost."""
+        """Send a task; False: the process has ended."""
         self.task = task
+        task.attempts += 1
         try:
             message = pickle.dumps((task.function, task.args, task.kwargs))
         except Exception as error:  # whatever cannot be pickled; the process is as good as before
@@ -205,7 +221,7 @@ class _Worker:
         try:
             self.connection.send_bytes(message)
         except OSError:
-            return self._lost()
+            return False
         return True
 
     def finish(self) -> bool:
@@ -213,7 +229,7 @@ class _Worker:
         try:
             message = self.connection.recv_bytes()
         except (EOFError, OSError):
-            return self._lost()
+            return False
         assert self.task is not None
         future, self.task = self.task.future, None
         try:
@@ -234,22 +250,26 @@ class _Worker:
         if self.task is not None:
             self.task.future.set_exception(WorkerLostError("the work was cancelled"))
 
-    def _lost(self) -> bool:
+    def lost(self) -> tuple[_Task, str]:
+        """Return the task of a process that has ended, and why it did."""
         self._process.join(_JOIN_S)
         code = self._process.exitcode
         self.connection.close()
         assert self.task is not None
-        self.task.future.set_exception(WorkerLostError(_why_it_ended(code)))
-        return False
+        return self.task, _why_it_ended(code, self.task.attempts)
 
 
-def _why_it_ended(code: int | None) -> str:
+def _why_it_ended(code: int | None, attempts: int) -> str:
+    times = "" if attempts == 1 else f" {attempts} times"
     if code is not None and code < 0:
         name = signal.strsignal(-code) or f"signal {-code}"
         if -code == getattr(signal, "SIGKILL", None):
-            return f"its process was killed ({name}), perhaps because memory ran out; run again, with fewer `processes`"
-        return f"its process crashed ({name}); run again, and report it if that repeats"
-    return f"its process ended with code {code} before it had finished; run again, and report it if that repeats"
+            return (
+                f"its process was killed{times} ({name}), perhaps because memory ran out; run again, with fewer "
+                "`processes`"
+            )
+        return f"its process crashed{times} ({name}); run again, and report it if that repeats"
+    return f"its process ended{times} with code {code} before it had finished; run again, and report it if that repeats"
 
 
 def _block_interrupts() -> None:

@@ -85,6 +85,7 @@ def _manual(folder: Path, chromium: Browser, target: Path) -> None:
         page.goto(f"{server.address}?token={server.token}")
         page.get_by_role("button", name="connected", exact=True).wait_for()
         newcomer(Hands(page, Socket(server)), folder / "shots")
+        _keep_panes(page, target / "lines-to-model.png")
         context.close()
     for name, kept in _MANUAL.items():
         _write((folder / "shots" / f"{name}.png").read_bytes(), target / f"{kept}.png")
@@ -100,6 +101,23 @@ def _page(project: Path, chromium: Browser) -> Iterator[Page]:
         page.get_by_role("button", name="connected", exact=True).wait_for()
         yield page
         context.close()
+
+
+def _keep_panes(page: Page, path: Path) -> None:
+    """Keep the three panes alone: the lines in both pictures, and the model that they led to."""
+    page.mouse.move(WINDOW["width"] / 2, WINDOW["height"] - 2)  # so that the magnifier is not seen
+    page.wait_for_timeout(3000)
+    boxes = [page.locator(pane).bounding_box() for pane in ("#scan-pane", "#model-pane")]
+    assert boxes[0] is not None, "the scan pane is seen"
+    assert boxes[1] is not None, "the model pane is seen"
+    first, last = boxes[0], boxes[1]
+    clip = {
+        "x": first["x"],
+        "y": first["y"],
+        "width": last["x"] + last["width"] - first["x"],
+        "height": first["height"],
+    }
+    _write(page.screenshot(clip=clip), path)  # type: ignore[arg-type]
 
 
 def _keep(page: Page, path: Path) -> None:

@@ -1,14 +1,16 @@
-"""Worker processes: a lost one costs one task, Ctrl-C leaves nothing, and each works with one thread."""
+"""Worker processes: the task of a lost one is done again, Ctrl-C leaves nothing, and each works with one thread."""
 
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
 import operator
 import os
 import signal
 import sys
 import time
 from concurrent.futures import Future
+from pathlib import Path
 
 import pytest
 
@@ -38,7 +40,7 @@ def settings() -> tuple[str | None, int, bool]:
     return os.environ.get("OMP_NUM_THREADS"), cv2.getNumThreads(), ignored
 
 
-def test_results_and_errors_come_back_and_a_lost_process_costs_its_task_alone() -> None:
+def test_results_and_errors_come_back_and_a_task_that_ends_its_processes_fails_alone() -> None:
     with WorkerProcesses(1) as workers:
         before = workers.submit(operator.mul, 6, 7)
         lost = workers.submit(os._exit, 3)
@@ -46,7 +48,7 @@ def test_results_and_errors_come_back_and_a_lost_process_costs_its_task_alone() 
         unsendable = workers.submit(operator.not_, lambda: None)
         after = workers.submit(settings)
     assert before.result() == 42
-    with pytest.raises(WorkerLostError, match="code 3"):
+    with pytest.raises(WorkerLostError, match="3 times with code 3"):
         lost.result()
     with pytest.raises(FormatError, match="no scan"):
         refused.result()
@@ -56,17 +58,47 @@ def test_results_and_errors_come_back_and_a_lost_process_costs_its_task_alone() 
     assert after.result() == ("1", 1, True)
 
 
+def sleeps_at_first(seen: str) -> int:
+    """Return the process that did it: the third one to be given it; the first two sleep."""
+    with open(seen, "ab") as stream:
+        stream.write(b".")
+    if os.path.getsize(seen) < 3:
+        time.sleep(60)
+    return os.getpid()
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-def test_a_killed_process_says_so() -> None:
+def test_the_task_of_a_killed_process_is_done_by_another(tmp_path: Path) -> None:
+    seen = tmp_path / "seen"
     with WorkerProcesses(1) as workers:
-        pid = workers.submit(os.getpid).result()
-        working = workers.submit(time.sleep, 60)
-        while not working.running():
-            time.sleep(0.01)
-        os.kill(pid, signal.SIGKILL)
-        with pytest.raises(WorkerLostError, match=r"was killed \(Killed\).*`processes`"):
-            working.result(30)
-        assert workers.submit(os.getpid).result() != pid
+        killed: list[int] = []
+        task = workers.submit(sleeps_at_first, str(seen))
+        for count in (1, 2):
+            while not seen.exists() or seen.stat().st_size < count:
+                time.sleep(0.01)
+            killed.append(only_worker())
+            os.kill(killed[-1], signal.SIGKILL)
+        assert task.result(60) not in killed
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_a_task_whose_processes_are_killed_says_so() -> None:
+    with (
+        WorkerProcesses(1) as workers,
+        pytest.raises(WorkerLostError, match=r"was killed 3 times \(Killed\).*`processes`"),
+    ):
+        workers.submit(end_by_kill).result(60)
+
+
+def end_by_kill() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def only_worker() -> int:
+    """Return the worker process that runs now."""
+    (child,) = [process.pid for process in multiprocessing.active_children() if process.name == "ladarreg worker"]
+    assert child is not None
+    return child
 
 
 def interrupted_while_working(workers: WorkerProcesses) -> tuple[int, Future[None], Future[None]]:
