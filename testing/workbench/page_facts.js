@@ -1,4 +1,4 @@
-/** What the page says, by part: every text with a figure or a word of a verdict, and the parts that state facts. */
+/** What the page says, by part: every text with a figure or a word of a verdict (choices say nothing), and the parts that state facts. */
 () => {
   const clean = (text) => text.replace(/\s+/g, " ").trim();
   const one = (selector, root = document) => root?.querySelector(selector) ?? null;
@@ -38,7 +38,7 @@
   while (walker.nextNode()) {
     const parent = walker.currentNode.parentElement;
     const said = clean(walker.currentNode.textContent);
-    if (!said || !telling.test(said) || parent.closest("script, style, template, noscript") || isHidden(parent)) continue;
+    if (!said || !telling.test(said) || parent.closest("script, style, template, noscript, option") || isHidden(parent)) continue;
     if (owned.some((part) => part?.contains(parent))) continue;
     const part = parent.closest(".notice, [popover], dialog, section[aria-label], .pane, header, footer, [id]");
     const name = part?.classList.contains("notice") ? "notice" : part?.getAttribute("aria-label") || part?.id || part?.localName || "";
