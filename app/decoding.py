@@ -27,7 +27,7 @@ def decoded(kind: type[Kind], fields: Mapping[str, Any], *, arguments: bool = Fa
     try:
         return msgspec.convert(fields, kind)
     except msgspec.ValidationError as error:
-        raise OptionError(_fault(kind, fields, str(error), arguments)) from None
+        raise OptionError(_fault(kind, fields, str(error), arguments), field=_field_of(str(error))) from None
     except (UnicodeEncodeError, OverflowError, RecursionError):
         raise OptionError("a field contains no text or number that can be read; enter it again") from None
 
@@ -66,16 +66,21 @@ def is_union(kind: Any) -> bool:
 
 def _fault(kind: type[msgspec.Struct], fields: Mapping[str, Any], error: str, arguments: bool) -> str:
     """Return what was found and what is needed, in place of the decoder's words."""
-    place = _PLACE.search(error) or _MISSING.search(error)
-    if place is None:
+    name = _field_of(error)
+    if not name:
         return "the command is not an object with fields; reload the page"
-    name = place[1]
     bare, meta = without_meta(types_of(kind)[name])
     if meta is not None and meta.title:
         return meta.title
     needed = (meta.description if meta is not None else None) or _needed(bare)
     called = f"`{name}`" if arguments else name
     return f"{called} is {quoted(fields.get(name))}; it must be {needed}"
+
+
+def _field_of(error: str) -> str:
+    """Return the name of the field that the decoder refuses; empty if it is none."""
+    place = _PLACE.search(error) or _MISSING.search(error)
+    return place[1] if place else ""
 
 
 def _needed(kind: Any) -> str:

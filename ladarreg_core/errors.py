@@ -6,7 +6,16 @@ their users know it as.
 
 
 class LadarregError(Exception):
-    """Base of all errors caused by the input and not by the program; the text is one line for an operator."""
+    """Base of all errors caused by the input and not by the program; the text is one line for an operator.
+
+    Args:
+        *args: the text.
+        field: name of the argument or option that is wrong, where it is one: front ends show the error beside it.
+    """
+
+    def __init__(self, *args: object, field: str = "") -> None:
+        super().__init__(*args)
+        self.field = field
 
 
 class ShapeError(LadarregError):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from ladarreg_core.errors import ExportError, OptionError
+from ladarreg_core.errors import ExportError, LadarregError, OptionError
 from ladarreg_core.project.edits import require_photo
 from ladarreg_core.project.station_edits import scans_of
 from ladarreg_core.storage.atomic_write import write_bytes
@@ -222,9 +222,13 @@ class ExportJobs:
         from ladarreg_core.export.targets.folder import check_folder
 
         if not folder.is_absolute():
-            raise OptionError(f"{folder} is not an absolute path; give one")
+            raise OptionError(f"{folder} is not an absolute path; give one", field="folder")
         project = self._workspace.session.folder
-        check_folder(folder, force=force, inputs=self._files_of(document), apart_from=[project.path])
+        try:
+            check_folder(folder, force=force, inputs=self._files_of(document), apart_from=[project.path])
+        except LadarregError as error:
+            error.field = "folder"
+            raise
 
     def _chosen(self, document: Document, wanted: Wanted, targets: Sequence[Target]) -> Chosen:
         loader = self._workspace.loader

@@ -130,9 +130,10 @@ def _folder_path(text: str) -> Path:
     """
     name = text.strip()
     if not name:
-        raise OptionError("give the folder to export to")
+        raise OptionError("give the folder to export to", field="folder")
     if not name.isprintable():
-        raise OptionError("the folder's path contains control characters; enter it again")
+        raise OptionError("the folder's path contains control characters; enter it again", field="folder")
     if len(name.encode()) > _MAX_PATH or any(len(part.encode()) > _MAX_PATH_PART for part in Path(name).parts):
-        raise OptionError(f"the folder's path is too long; the limit is {_MAX_PATH} bytes, {_MAX_PATH_PART} per name")
+        limit = f"{_MAX_PATH} bytes, {_MAX_PATH_PART} per name"
+        raise OptionError(f"the folder's path is too long; the limit is {limit}", field="folder")
     return Path(name)

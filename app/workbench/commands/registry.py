@@ -74,7 +74,8 @@ def reply_to(message: Mapping[str, Any], execute: Callable[[], Reply]) -> Reply:
     try:
         return {"reply": number, "ok": True, **execute()}
     except LadarregError as error:
-        return {"reply": number, "ok": False, "error": _sentence(str(error))}
+        field = {"field": error.field} if error.field else {}
+        return {"reply": number, "ok": False, "error": _sentence(str(error)), **field}
     except OSError as error:
         log.warning("%s: %s", do, error)
         reason = f"system error: {(error.strerror or type(error).__name__).lower()}"

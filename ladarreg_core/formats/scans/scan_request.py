@@ -42,15 +42,15 @@ class FileOptions(msgspec.Struct, frozen=True, kw_only=True):
             except TypeError:
                 origin = ()
             if len(origin) != 3 or not all(is_number(value) and abs(value) < 1e12 for value in origin):
-                raise OptionError(f"origin is {self.origin!r:.80}; it must be {_ORIGIN}")
+                raise OptionError(f"origin is {self.origin!r:.80}; it must be {_ORIGIN}", field="origin")
             msgspec.structs.force_setattr(self, "origin", tuple(float(value) for value in origin))
         if isinstance(self.columns, str) or not all(isinstance(name, str) for name in self.columns):
-            raise OptionError(f"columns is {self.columns!r:.80}; it must be a sequence of names")
+            raise OptionError(f"columns is {self.columns!r:.80}; it must be a sequence of names", field="columns")
         msgspec.structs.force_setattr(self, "columns", tuple(self.columns))
         if self.topic is not None and not isinstance(self.topic, str):
-            raise OptionError(f"topic is {self.topic!r:.80}; it must be a name")
+            raise OptionError(f"topic is {self.topic!r:.80}; it must be a name", field="topic")
         if self.seconds is not None and not (is_number(self.seconds) and self.seconds > 0):
-            raise OptionError(f"seconds is {self.seconds!r:.80}; it must be a positive duration")
+            raise OptionError(f"seconds is {self.seconds!r:.80}; it must be a positive duration", field="seconds")
 
 
 class ScanOptions(FileOptions, frozen=True, kw_only=True):
@@ -91,7 +91,9 @@ class ScanRequest(ScanOptions, frozen=True, kw_only=True):
                 usable = f"; it takes {', '.join(f'`{each}`' for each in taken)}" if taken else ""
                 alone = ": the file contains one scan" if name == "scan_index" else ""
                 raise OptionError(
-                    f"`{name}` is {value!r:.80}, which a {format_name} file has no use for{alone}; leave it out{usable}"
+                    f"`{name}` is {value!r:.80}, which a {format_name} file has no use for{alone}; leave it out"
+                    f"{usable}",
+                    field=name,
                 )
 
 

@@ -69,7 +69,8 @@ export const socketAddress = (page = location.href) => {
  * @template {keyof Commands} Name
  * @param {Name} command
  * @param {Commands[Name]} [args]
- * @returns {Promise<any>} the answer; rejects with an Error whose message is one sentence
+ * @returns {Promise<any>} the answer; rejects with an Error whose message is one sentence, and whose `field` names the
+ *   argument that is wrong, if it is one
  */
 export const ask = (command, args) => {
   if (state !== "connected") return Promise.reject(new Error(OFFLINE));
@@ -85,7 +86,10 @@ const settle = (message) => {
   if (!waiting) return;
   unanswered.delete(message.reply);
   if (message.ok) waiting.resolve(message);
-  else waiting.reject(new Error(message.error ?? "The workbench refused without a reason: try again."));
+  else {
+    const error = new Error(message.error ?? "The workbench refused without a reason: try again.");
+    waiting.reject(Object.assign(error, { field: message.field ?? "" }));
+  }
 };
 
 const receive = (text) => {

@@ -146,6 +146,26 @@ def test_a_refused_command_returns_a_sentence_and_changes_nothing(
     assert bench.workbench.session.document is before
 
 
+@pytest.mark.parametrize(
+    ("do", "fields", "field"),
+    [
+        ("export", {"targets": ["results"], "photos": ["p1"], "folder": "here"}, "folder"),
+        ("export", {"targets": ["results"], "photos": ["p1"], "folder": "/"}, "folder"),
+        ("export", {"targets": ["results"], "frame": "moon"}, "frame"),
+        ("set_camera", {"photo": "p1", "focal_px": -1}, "focal_px"),
+        ("open_files", {"files": [], "reading": {"seconds": 0}}, "seconds"),
+        ("open_files", {"files": [], "reading": {"origin": [1, 2]}}, "origin"),
+        ("use_stage", {"photo": "p1", "stage": "simplex"}, None),
+    ],
+)
+def test_a_refusal_names_the_field_that_is_wrong(
+    bench: WorkbenchDriver, do: str, fields: dict[str, Any], field: str | None
+) -> None:
+    reply = bench.ask(do, **fields)
+    assert not reply["ok"]
+    assert reply.get("field") == field, reply
+
+
 @pytest.mark.slow
 def test_invalid_fields_are_never_an_internal_error(bench: WorkbenchDriver) -> None:
     for do in sorted(COMMANDS):

@@ -225,9 +225,11 @@ export const mountExport = () => {
   });
   const files = mountFiles(() => frame.value, () => !store.stageOf()?.stale || last.checked);
 
-  const complain = (text) => {
+  const complain = (text, field = "") => {
     wrong.hidden = !text;
     setText(wrong, text);
+    setAttribute(folder, "aria-invalid", field === "folder");
+    if (field === "folder") folder.focus();
   };
 
   /** Export into a folder; as a zip if there is none. */
@@ -243,7 +245,7 @@ export const mountExport = () => {
       started = (await ask("export", { ...wanted(), ...(into ? { folder: into, force: force.checked } : {}) })).job;
     } catch (error) {
       saves = "";
-      complain(error.message);
+      complain(error.message, error.field);
       return;
     }
     if (into) notice(`Writing to ${into}.`);
@@ -270,7 +272,7 @@ export const mountExport = () => {
     event.preventDefault();
     const name = folder.value.trim();
     if (!name) {
-      complain("Enter the folder for the export.");
+      complain("Enter the folder for the export.", "folder");
       return;
     }
     keep(FOLDER_KEY, name);

@@ -116,7 +116,7 @@ export const mountCameraForm = (opener) => {
       await ask("set_camera", { photo: store.shown(), ...camera });
       done();
     } catch (error) {
-      fail(sentences([error.message]));
+      fail(sentences([error.message]), fields[error.field]);
     }
   };
   form.addEventListener("submit", (event) => {
