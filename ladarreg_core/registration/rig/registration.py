@@ -13,7 +13,6 @@ from dataclasses import asdict
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.foundations.validation import require_type
@@ -72,7 +71,7 @@ def _check(pairs: Sequence[RigPair], initial: object) -> None:
     if initial is not None:
         require_type(initial, Rigid, "'initial'")
     for pair in pairs:
-        if not isinstance(pair.photo.camera, Camera) or pair.photo.temperature_k is not None:
+        if pair.photo.camera.as_pinhole is None or pair.photo.temperature_k is not None:
             raise OptionError(
                 f"the photo of {pair.name} is {'thermal' if pair.photo.temperature_k is not None else 'no pinhole'}; "
                 "a rig takes pinhole photos: register such pairs one by one"
