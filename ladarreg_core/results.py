@@ -65,12 +65,16 @@ VERDICTS: dict[str, str] = {
     "none": "Accepted without evidence.",
 }
 """The verdict on a pose that is shown, by its evidence."""
+_NOT_COMPARED = "Accepted on matches only: not compared with the images."
+"""The verdict on a pose that rests on its matches, where nobody asked the images."""
 
 
 def verdict_words(accepted: bool, evidence: str, diagnostics: Mapping[str, Any], *, coarse: bool = False) -> str:
     """Return whether a pose is accepted, and on what evidence, as a sentence; the arguments are a result's."""
     if accepted or evidence == "given":
         words = VERDICTS.get(evidence, VERDICTS["none"])
+        if evidence == "statistics" and not (diagnostics.get("verification") or {}).get("outcome"):
+            words = _NOT_COMPARED  # a single step of a chain, or a solver by itself
         return words.replace("Accepted", "Accepted, coarse", 1) if coarse else words
     if (diagnostics.get("lengths") or {}).get("refusal"):
         return "Not accepted: lengths of the matches disagree with the scan."

@@ -160,6 +160,7 @@ class SimplexJobs:
 def frame_event(frame: Frame) -> dict[str, Any]:
     """Return the protocol event of an iteration."""
     from ladarreg_core.frames import ThesisParameters
+    from ladarreg_core.matches import count_picks
 
     step = frame.step
     pose = step.camera_from_scanner
@@ -168,17 +169,19 @@ def frame_event(frame: Frame) -> dict[str, Any]:
     uv = frame.inputs.photo.camera.project(pose @ frame.matches.points).tolist()
     for name, at in zip(frame.matches.pick_ids, uv, strict=True):
         ends.setdefault(name, []).append(at)
+    inliers, matches = count_picks(frame.matches, step.inliers)
     return {
         "event": "simplex",
         "photo": frame.photo,
         "iteration": step.simplex.iteration,
         "move": step.simplex.move,
         "parameters": [p.Tx, p.Ty, p.Tz, p.alpha, p.beta, p.gamma],
+        "camera_from_scanner": pose.matrix[:3].tolist(),
         "cost": step.simplex.cost,
-        "inliers": int(step.inliers.sum()),
-        "matches": len(frame.matches),
+        "inliers": inliers,
+        "matches": matches,
         "residual": step.residual,
         "round": step.round,
-        "predicted": ends,
+        "predicted": {name: [of_line[0], of_line[-1]][: len(of_line)] for name, of_line in ends.items()},
         "last": frame.last,
     }

@@ -18,7 +18,7 @@ from ladarreg_core.quality.assessment import Assessment
 from ladarreg_core.results import PoseResult, StageId, verdict_words
 
 Light = Literal["verified", "matches_only", "given", "not_accepted", "out_of_date"]
-Action = Literal["", "solve", "register", "use_stage", "frames", "export"]
+Action = Literal["", "solve", "verify", "register", "use_stage", "frames", "export"]
 
 LIGHT_WORDS: dict[Light, str] = {
     "verified": "verified",
@@ -42,7 +42,8 @@ class NextStep:
     sentence: str
     """In words."""
     action: Action = ""
-    """What does it: `solve` or `register` again, `use_stage`, add `frames`, `export`; empty: no single press does."""
+    """What does it: `solve` or `register` again, `verify` against the images, `use_stage`, add `frames`, `export`;
+    empty: no single press does."""
     stage: StageId | None = None
     """The stage to use."""
 
@@ -132,6 +133,8 @@ def _next_step(
         return NextStep("Register again.", "register") if stage in FROM_IMAGES else NextStep("Solve again.", "solve")
     if light == "verified":
         return NextStep("Check the model, then export.", "export")
+    if light == "matches_only" and not _is_compared(result):
+        return NextStep("Compare it with the images.", "verify")
     if light == "matches_only":
         return NextStep("Check the overlay of photograph and scan before you rely on it.")
     if light == "given":
@@ -156,6 +159,10 @@ def _other_choice(result: PoseResult, stage: StageId, light: Light, stages: Sequ
     if stage == "robust" and "refined" in stages and not _is_contradicted(result):
         return NextStep("Use the pose refined against the image", "use_stage", "refined")
     return None
+
+
+def _is_compared(result: PoseResult) -> bool:
+    return bool((result.diagnostics.get("verification") or {}).get("outcome"))
 
 
 def _is_contradicted(result: PoseResult) -> bool:

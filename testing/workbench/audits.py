@@ -1,4 +1,4 @@
-"""Audits of the whole page: contrast, and use without a mouse."""
+"""Audits of the whole page: contrast, use without a mouse, layout, and the rules of axe-core."""
 
 from __future__ import annotations
 
@@ -48,6 +48,20 @@ def lost_without_a_mouse(page: Page) -> tuple[set[str], list[str]]:
         if at["picture"]:
             page.keyboard.press("Escape")  # after which Tab leaves the pictures
     return unseen, page.evaluate(_MISSED)
+
+
+def serious_findings(page: Page) -> list[str]:
+    """Return what axe-core calls serious or critical, with the rule and the element."""
+    from axe_playwright_python.sync_playwright import Axe
+
+    # the 3-D view is viser's own page, and empty in tests; axe would wait for it
+    found = Axe().run(page, context={"exclude": [["iframe"]]})
+    return [
+        f"{rule['id']}: {' '.join(map(str, node['target']))}: {node['html'][:160]}"
+        for rule in found.response["violations"]
+        if rule["impact"] in ("serious", "critical")
+        for node in rule["nodes"]
+    ]
 
 
 def layout_faults(page: Page) -> list[str]:

@@ -293,3 +293,38 @@ def test_a_finer_photograph_is_drawn_with_its_own_pixels(
 
     visit.until(card_is_seen, "the test card where the photograph's pixels belong")
     visit.context.close()
+
+
+SLIDING = """() => {
+  const { nodeRefFromName } = window.__viserMutable;
+  let found = null;
+  nodeRefFromName["/model"].traverse((o) => { if (o.name === "sliding photograph") found = o; });
+  return found && [...found.geometry.attributes.uv.array.slice(0, 2000)];
+}"""
+
+
+def test_the_photograph_slides_over_the_model_and_is_replayed(browser: Browser, workbench: SharedWorkbench) -> None:
+    workbench.open("solved")
+    visit = Visit(browser, workbench.server)
+    page, frame = visit.page, visit.drawn()
+    assert frame.evaluate(SLIDING) is None
+    socket = Socket(workbench.server)
+    assert socket.ask("set_settings", start_from="scanner")["ok"]
+    assert socket.ask("run", photo="p1", job="simplex")["ok"]
+    frame.wait_for_function(f"({SLIDING})() !== null")
+    socket.until(lambda slices: (slices.get("job") or {}).get("state") == "done")
+    frame.wait_for_function(f"({SLIDING})() === null")
+    page.get_by_role("tab", name="Solve", exact=True).click()
+    slider = page.get_by_role("slider", name="Iteration")
+    slider.fill("2")
+    frame.wait_for_function(f"({SLIDING})() !== null")
+    early = frame.evaluate(SLIDING)
+    page.get_by_role("combobox", name="Speed of the replay").select_option("240")
+    page.get_by_role("button", name="Replay", exact=True).click()
+    visit.until(lambda _: slider.input_value() == slider.get_attribute("max"), "it is replayed to its end")
+    visit.until(lambda _: frame.evaluate(SLIDING) != early, "the photograph has moved")
+    page.get_by_role("button", name="End the replay").click()
+    frame.wait_for_function(f"({SLIDING})() === null")
+    socket.socket.close()
+    assert not visit.errors
+    visit.context.close()

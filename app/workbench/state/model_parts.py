@@ -184,7 +184,7 @@ class ModelParts:
             texture = model_texture(scan, "colour", photo=seen_by[0][1], result=seen_by[0][2], registered=registered)
             return seen_by, _picture_of(texture, longest_px, lossless=False)
 
-        return self._loader.cached("model", ("colours of all", longest_px, key), make)[1]
+        return self._loader.cached("model", ("colors of all", longest_px, key), make)[1]
 
     def _photo_part(
         self, document: Document, scan: Scan, name: str, query: Mapping[str, str], level: Detail

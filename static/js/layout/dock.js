@@ -44,6 +44,7 @@ export const mountDock = (dock) => {
     export: exporting,
     files,
   };
+  files.querySelector(".part-body")?.setAttribute("tabindex", "0"); // scrolled by keys: nothing in it takes the focus
   const row = element("div", { class: "dock-row" }, ...Object.values(parts));
   dock.append(row);
   dock.setAttribute("role", "tabpanel");

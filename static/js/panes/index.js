@@ -1,5 +1,6 @@
 /** The two image panes: scan and photograph side by side, with the matches drawn in them. */
 
+import { followSimplex } from "../state/simplex_run.js";
 import { throttled } from "../ui/throttle.js";
 import { Colleagues } from "./colleagues.js";
 import { mountSwipe } from "./compare.js";
@@ -27,7 +28,8 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
   const controller = new Controller({ store, view, ask });
   const tools = new Tools(controller);
   const space = { held: false, used: false };
-  const preview = new SimplexPreview(store, (began) => {
+  followSimplex(store);
+  const preview = new SimplexPreview((began) => {
     controller.panes.photo?.invalidate("live");
     if (began) controller.panes.photo?.invalidate("matches");
   });

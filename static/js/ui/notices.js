@@ -14,7 +14,7 @@ const polite = element("div", { class: "notice-list", role: "status", "aria-live
 const urgent = element("div", { class: "notice-list", role: "alert", "aria-live": "assertive" });
 
 /** @returns {HTMLElement} the area in which notices appear */
-export const noticeArea = () => element("div", { class: "notices", "aria-label": "Notices" }, urgent, polite);
+export const noticeArea = () => element("div", { class: "notices", role: "region", "aria-label": "Notices" }, urgent, polite);
 
 /** What the shown notices speak of, by their elements. */
 const subjects = new Map();

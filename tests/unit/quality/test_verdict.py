@@ -47,6 +47,15 @@ def test_matches_alone_are_never_called_verified() -> None:
     assert found.light != "verified"
 
 
+def test_a_pose_that_was_not_compared_with_the_images_is_not_called_beyond_their_judgement() -> None:
+    alone = summary(accepted=True, evidence="statistics")
+    assert "not compared with the images" in alone.line
+    assert alone.next_step.action == "verify"
+    judged = summary(accepted=True, evidence="statistics", diagnostics={"verification": {"outcome": "undecidable"}})
+    assert "could not judge" in judged.line
+    assert judged.next_step.action == ""
+
+
 def test_the_position_is_the_sigma_that_the_result_states_and_matches_are_counted_as_such() -> None:
     result = a_result()
     found = verdict_of(result, stage="robust")

@@ -2,9 +2,11 @@
 
 import { store } from "../../net/store.js";
 import { isRunning } from "../../state/pipeline.js";
+import { simplexRun } from "../../state/simplex_run.js";
 import { whenFirstPicturesArrived } from "../../ui/first_pictures.js";
 import { blockAddress, layerAddress, meshAddress, ModelParts, textureAddress } from "./model_parts.js";
 import { ModelSurface } from "./model_surface.js";
+import { thrownOnto } from "./photo_slide.js";
 import { blocksAt } from "./model_view.js";
 
 const LOOK_MS = 250;
@@ -31,6 +33,8 @@ export class ModelLoader {
   #looked = "";
   #closer = null;
   #drawn = null;
+  /** @type {{address: string, bitmap: ImageBitmap | null} | null} the photograph that slides over the surface */
+  #sliding = null;
   #meter = new Map();
   /** @type {ModelState} */
   #state = { state: "empty", got: 0, total: 0, error: "", legend: null };
@@ -44,7 +48,36 @@ export class ModelLoader {
     this.#software = software;
     store.watch(["scan", "shown", "model", "job"], () => this.#look());
     setInterval(() => this.#look(), LOOK_MS);
+    simplexRun.onChange(() => this.#slide());
     this.#look();
+  }
+
+  /** While the simplex runs or is replayed, the photograph lies where its pose throws it. */
+  #slide() {
+    const frame = simplexRun.current;
+    const photo = store.photo(frame?.photo);
+    if (!frame?.camera_from_scanner || !photo?.camera || photo.camera.model === "equirectangular") {
+      this.#surface.endSlide();
+      return;
+    }
+    const picture = this.#slidingPicture(photo);
+    if (picture) this.#surface.slide(picture, (surface) => thrownOnto(surface, photo.camera, frame.camera_from_scanner));
+  }
+
+  /** @returns {ImageBitmap | null} null while it is being loaded; it is shown as soon as it is there */
+  #slidingPicture({ id, rev }) {
+    const address = `picture/photo/${encodeURIComponent(id)}?rev=${encodeURIComponent(rev ?? id)}&form=quick`;
+    if (this.#sliding?.address === address) return this.#sliding.bitmap;
+    const sliding = { address, bitmap: null };
+    this.#sliding = sliding;
+    this.#surface.bitmapOf(address).then(
+      (bitmap) => {
+        sliding.bitmap = bitmap;
+        if (this.#sliding === sliding) this.#slide();
+      },
+      () => this.#sliding === sliding && (this.#sliding = null), // the next frame tries again
+    );
+    return null;
   }
 
   /** Call `listen(state)` at each change. @param {(state: ModelState) => void} listen */

@@ -10,6 +10,8 @@ import { largestTexture } from "./software_drawing.js";
 const NODE = "/model";
 const LAYER = "photo layer";
 const BLOCK = "block";
+const SLIDE = "sliding photograph";
+const BELOW_SLIDE = 0.3; // brightness
 const [REPEAT, TRILINEAR] = [1000, 1008]; // of three.js: RepeatWrapping, LinearMipmapLinearFilter
 const MARKS = ["/matches/points", "/highlight/halo", "/highlight/point"];
 
@@ -57,6 +59,7 @@ export class ModelSurface {
   #mesh = null;
   #own = null;
   #layer = null;
+  #slide = null;
   #blocks = [];
 
   /** @param {HTMLIFrameElement} frame */
@@ -173,8 +176,66 @@ export class ModelSurface {
     this.#viewer.requestRender();
   }
 
+  /** @param {string} address of a picture @returns {Promise<ImageBitmap>} for `slide` */
+  async bitmapOf(address) {
+    const inner = this.#frame.contentWindow;
+    return decoded(inner, await (await fetch(address)).blob());
+  }
+
+  /**
+   * Throw a photograph onto the surface from a camera that moves, over whatever is drawn there.
+   * @param {ImageBitmap} bitmap of this window; the same one as long as it is the same photograph
+   * @param {(surface: import("./model_parts.js").MeshArrays) => {uv: Float32Array, faces: Uint32Array}} thrown
+   */
+  slide(bitmap, thrown) {
+    if (!this.intact || !this.#own) return;
+    const inner = this.#frame.contentWindow;
+    const mesh = this.#mesh;
+    const { arrays } = this.#own;
+    const { uv, faces } = thrown(arrays);
+    if (this.#slide && (this.#slide.bitmap !== bitmap || this.#slide.arrays !== arrays)) this.endSlide();
+    if (!this.#slide) {
+      const material = mesh.material.clone();
+      material.map = mesh.material.map.clone();
+      material.map.source = new mesh.material.map.source.constructor(bitmap);
+      material.map.needsUpdate = true;
+      material.color.setScalar(1);
+      material.polygonOffset = true;
+      material.polygonOffsetFactor = -2;
+      material.polygonOffsetUnits = -8;
+      const node = new mesh.constructor(geometryOf(mesh.geometry, { ...arrays, uv, faces }, inner), material);
+      node.name = SLIDE;
+      node.raycast = () => {};
+      mesh.add(node);
+      this.#slide = { node, bitmap, arrays };
+    }
+    const { geometry } = this.#slide.node;
+    geometry.attributes.uv.array.set(uv);
+    geometry.attributes.uv.needsUpdate = true;
+    geometry.setIndex(new geometry.index.constructor(new inner.Uint32Array(faces), 1));
+    // the photograph is where the solver has it: what is below steps back
+    if (this.#layer) this.#layer.visible = false;
+    mesh.material.color.setScalar(BELOW_SLIDE);
+    this.#viewer.requestRender();
+  }
+
+  /** Remove the photograph that slides. */
+  endSlide() {
+    if (!this.#slide) return;
+    const { node } = this.#slide;
+    node.parent?.material.color.setScalar(1);
+    node.removeFromParent();
+    node.geometry.dispose();
+    node.material.map.dispose();
+    node.material.dispose();
+    this.#slide = null;
+    if (this.#layer) this.#layer.visible = true;
+    this.#viewer?.requestRender();
+  }
+
   /** Show nothing. */
   clear() {
+    this.endSlide();
     this.#dropLayer();
     this.#dropBlocks();
     const mesh = this.#find();

@@ -80,6 +80,7 @@ export const mountSoftwareHint = (body) => {
   const show = () => {
     const useful = !hidden && Boolean(store.get("scan")) && (store.get("model")?.detail ?? "coarse") !== "coarse";
     hint.hidden = !(useful && drawsInSoftware());
+    if (!hint.hidden) dismiss(); // at the next visit it is known
   };
   body.append(hint);
   store.watch(["scan", "model"], show);

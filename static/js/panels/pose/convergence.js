@@ -2,8 +2,11 @@
 
 import { stemColour, store } from "../../net/store.js";
 import { isRunning } from "../../state/pipeline.js";
+import { simplexRun } from "../../state/simplex_run.js";
 import { makeCanvas } from "../../ui/canvas.js";
+import { button } from "../../ui/controls.js";
 import { element, setChildren, setText } from "../../ui/dom.js";
+import { icon } from "../../ui/icons.js";
 import { fixed, short } from "../../ui/numbers.js";
 import { decimalsOf, marks } from "./depth_scale.js";
 import { jobControls } from "./job_controls.js";
@@ -11,39 +14,9 @@ import { jobControls } from "./job_controls.js";
 const DASHES = [[], [], [], [5, 3], [5, 3], [5, 3]];
 const DEGREES = 180 / Math.PI;
 
-const MOST_STEPS = 1200;
 const NAMES = ["Tx", "Ty", "Tz", "α", "β", "γ"];
-
-/** The steps of one run; every second one is dropped when they become too many. */
-class SimplexRun {
-  steps = [];
-  #every = 1;
-  #seen = 0;
-  #last = null;
-
-  /** @param {{iteration: number, parameters: number[], cost: number}} event */
-  add({ iteration, parameters, cost }) {
-    if (this.#last && iteration < this.#last.iteration) this.clear();
-    this.#last = { iteration, parameters, cost };
-    if (this.#seen++ % this.#every === 0) this.steps.push(this.#last);
-    if (this.steps.length > MOST_STEPS) {
-      this.steps = this.steps.filter((_, index) => index % 2 === 0);
-      this.#every *= 2;
-    }
-  }
-
-  clear() {
-    this.steps = [];
-    this.#every = 1;
-    this.#seen = 0;
-    this.#last = null;
-  }
-
-  /** @returns {{iteration: number, parameters: number[], cost: number}[]} always ending with the newest */
-  get shown() {
-    return this.#last && this.steps.at(-1) !== this.#last ? [...this.steps, this.#last] : this.steps;
-  }
-}
+const MOVING = ["simplex", "reject_outliers", "thesis"];
+const SPEEDS = [5, 20, 60, 240];
 
 /**
  * Scale six curves to a common axis: each is relative to its last value; lengths and angles have one scale each.
@@ -77,15 +50,13 @@ const curve = (context, values, x, y) => {
 
 /** @returns {HTMLElement} */
 export const mountConvergence = () => {
-  const run = new SimplexRun();
-  let photo = null;
   const xOf = (steps, left, right) => {
     const [first, last] = [steps[0]?.iteration ?? 0, steps.at(-1)?.iteration ?? 1];
     return (index) => left + ((steps[index].iteration - first) / Math.max(1, last - first)) * (right - left);
   };
 
   const paintSix = (context, width, height, ink, em) => {
-    const steps = run.shown;
+    const steps = simplexRun.frames;
     const { curves, reach } = scaledCurves(steps);
     const [left, right, top, bottom] = [em * 0.5, width - em * 1.8, em * 1.4, height - em * 0.4];
     const y = (value) => (top + bottom) / 2 - (value * (bottom - top)) / 2;
@@ -108,9 +79,21 @@ export const mountConvergence = () => {
       curve(context, values, x, y);
     });
     context.setLineDash([]);
+    paintCursor(context, steps, x, top, bottom, ink);
+  };
+  /** Where the replay is. */
+  const paintCursor = (context, steps, x, top, bottom, ink) => {
+    const at = steps.indexOf(simplexRun.current);
+    if (at < 0) return;
+    context.strokeStyle = ink("--lr-accent");
+    context.lineWidth = 1;
+    context.beginPath();
+    context.moveTo(x(at), top);
+    context.lineTo(x(at), bottom);
+    context.stroke();
   };
   const paintCost = (context, width, height, ink, em) => {
-    const steps = run.shown;
+    const steps = simplexRun.frames;
     const values = logCosts(steps);
     if (values.length < 2) return;
     const [least, most] = [Math.min(...values), Math.max(...values)];
@@ -129,6 +112,7 @@ export const mountConvergence = () => {
     context.strokeStyle = ink("--lr-ink");
     context.lineWidth = 1.4;
     curve(context, values, xOf(steps, left, right), y);
+    paintCursor(context, steps, xOf(steps, left, right), top, bottom, ink);
   };
 
   const six = makeCanvas(
@@ -154,9 +138,37 @@ export const mountConvergence = () => {
     { class: "empty" },
     "While the simplex runs, its six parameters and the logarithm of its cost are plotted here.",
   );
+  const isBusy = () => isRunning(store.get("job")) && MOVING.includes(store.get("job").kind);
+  const play = button({
+    label: "Replay",
+    icon: "play",
+    kind: "small",
+    title: "Watch the photograph slide over the model and the pictures once more",
+    act: () => (simplexRun.playing ? simplexRun.hold() : simplexRun.play()),
+  });
+  const slider = element("input", {
+    type: "range", min: "0", max: "1", value: "0", "aria-label": "Iteration", title: "Show one iteration",
+    on: { input: () => simplexRun.seek(Number(slider.value)) },
+  });
+  const speed = element(
+    "select",
+    { class: "select small", "aria-label": "Speed of the replay", on: { change: () => simplexRun.pace(Number(speed.value)) } },
+    ...SPEEDS.map((each) => element("option", { value: each }, `${each} per second`)),
+  );
+  speed.value = String(simplexRun.speed);
+  const leave = button({
+    label: "End the replay",
+    icon: "close",
+    bare: true,
+    kind: "plain small",
+    title: "Show the pose that was found again",
+    act: () => simplexRun.leave(),
+  });
+  const replay = element("div", { class: "curve-replay", role: "group", "aria-label": "Replay" }, play, slider, speed, leave);
   const body = element(
     "div",
     { class: "convergence-body", hidden: true },
+    replay,
     six.canvas,
     legend,
     element("p", { class: "dim curve-title" }, "log₁₀ cost"),
@@ -177,26 +189,42 @@ export const mountConvergence = () => {
   );
 
   const draw = () => (six.draw(), cost.draw());
-  store.onEvent("simplex", (event) => {
-    if (event.photo !== photo) run.clear();
-    photo = event.photo;
-    run.add(event);
-    body.hidden = false;
-    empty.hidden = true;
-    event.parameters.forEach(
+  const showFrame = () => {
+    const { frames, newest } = simplexRun;
+    const frame = simplexRun.current ?? newest;
+    body.hidden = !frame;
+    empty.hidden = Boolean(frame);
+    if (!frame) {
+      setText(state, "");
+      return;
+    }
+    frame.parameters.forEach(
       (value, index) => setText(values[index], index < 3 ? `${fixed(value, 3)} m` : `${fixed(value * DEGREES, 2)}°`),
     );
     setText(
       state,
-      `${event.iteration} · ${event.inliers} of ${event.matches}${event.round ? ` · round ${event.round + 1}` : ""}`,
+      [
+        `iteration ${frame.iteration}`,
+        `${frame.inliers} of ${frame.matches} matches agree`,
+        frame.round ? `outlier removal ${frame.round}` : "",
+      ].filter(Boolean).join(" · "),
     );
+    const { playing } = simplexRun;
+    if (play.dataset.playing !== String(playing)) setChildren(play, icon(playing ? "pause" : "play"), element("span", {}, playing ? "Pause" : "Replay"));
+    play.dataset.playing = String(playing);
+    const at = frames.indexOf(frame);
+    slider.max = String(Math.max(1, frames.length - 1));
+    slider.value = String(at < 0 ? frames.length - 1 : at);
+    slider.setAttribute("aria-valuetext", `iteration ${frame.iteration}`);
+    replay.hidden = frames.length < 2 || isBusy();
     draw();
-  });
+  };
+  simplexRun.onChange(showFrame);
   const show = () => {
     const job = store.get("job");
-    const active = job && ["simplex", "reject_outliers", "thesis"].includes(job.kind) && isRunning(job);
+    const active = isBusy();
     state.classList.toggle("accent", Boolean(active && job.state === "running"));
-    if (!run.shown.length) setChildren(state);
+    showFrame();
   };
   store.watch(["job"], show);
   show();

@@ -41,6 +41,17 @@ const registerButton = (enabled) =>
     act: () => requestForPhoto("run", { job: "auto" }),
   });
 
+/** Asking the images, where a pose rests on its matches alone. */
+const verifyButton = (enabled) =>
+  button({
+    label: "Verify",
+    kind: "small edits",
+    icon: "play",
+    title: "Verify the shown pose against the images",
+    disabled: !enabled,
+    act: () => requestForPhoto("run", { job: "verify" }),
+  });
+
 /** Where the reasons advise to accumulate longer. */
 const framesButton = () =>
   button({
@@ -60,6 +71,7 @@ const stageButton = (label, stage, kind) =>
 /** The button of a next step. */
 const ACTIONS = {
   solve: (_, enabled) => solveButton(enabled),
+  verify: (_, enabled) => verifyButton(enabled),
   register: (_, enabled) => registerButton(enabled),
   frames: () => framesButton(),
   export: () => exportButton(),
