@@ -43,10 +43,13 @@ class RigArguments(CameraArguments):
     """Most pairs that are chosen of a recording, at different places (8)."""
     deskewed: bool = False
     """The clouds of a recording are corrected for the motion of the scanner."""
+    estimate_time_offset: bool = False
+    """Estimate by how much the pictures of a recording are stamped later than its clouds, where the rig moves."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
     """Output folder; an existing one is refused, but see --force."""
     initial: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """A rough pose of the camera relative to the scanner, to begin with: a pose JSON."""
+    """A rough pose of the camera relative to the scanner, to begin with: a pose JSON; of several cameras an earlier
+    rig.json."""
     seed: int = 0
     """Random seed; equal seeds give equal results."""
     force: bool = False
@@ -63,7 +66,7 @@ def run_rig(arguments: RigArguments) -> ExitCode:
     """Read the pairs, register them together, write the results, and print the verdict."""
     from ladarreg_core.export.targets.folder import check_folder
     from ladarreg_core.formats.documents.own_results import edited_note
-    from ladarreg_core.formats.documents.pose_file import read_initial
+    from ladarreg_core.formats.documents.pose_file import read_initial_of_rig
     from ladarreg_core.outputs.rig_folder import is_recording, read_rig, rig_files_of, write_rig
     from ladarreg_core.registration.rig.options import RigOptions
     from ladarreg_core.registration.rig.registration import register_rig
@@ -74,16 +77,20 @@ def run_rig(arguments: RigArguments) -> ExitCode:
     first, *others = rig_files_of(arguments.rig)
     inputs = list(dict.fromkeys([first, *common, *others]))
     check_folder(arguments.out, force=arguments.force, inputs=inputs)
-    initial = None if arguments.initial is None else read_initial(arguments.initial, None)
+    initial = None if arguments.initial is None else read_initial_of_rig(arguments.initial)
     said = "" if arguments.initial is None else edited_note(arguments.initial)
     with progress_bar(quiet=arguments.quiet or arguments.json) as bar:
         pairs = read_rig(
             arguments.rig, cloud=arguments.cloud, images=arguments.image, frames=arguments.frames,
-            deskewed=arguments.deskewed, scan_options=arguments.scan_options, photo_options=arguments.photo_options,
+            deskewed=arguments.deskewed, neighbors=arguments.estimate_time_offset,
+            scan_options=arguments.scan_options, photo_options=arguments.photo_options,
             report=bar.progress,
         )  # fmt: skip
-        result = register_rig(pairs, initial=initial, options=RigOptions(seed=arguments.seed), report=bar.step)
-        fields = write_rig(arguments.out, result, inputs=inputs, force=arguments.force, report=bar.progress)
+        options = RigOptions(seed=arguments.seed, estimate_time_offset=arguments.estimate_time_offset)
+        result = register_rig(pairs, initial=initial, options=options, report=bar.step)
+        fields = write_rig(
+            arguments.out, result, pairs=pairs, inputs=inputs, force=arguments.force, report=bar.progress
+        )  # fmt: skip
     files, edited = visible_files(arguments.out), [said] if said else []
     if arguments.json:
         from .json_output import print_json
@@ -105,11 +112,20 @@ def run_rig(arguments: RigArguments) -> ExitCode:
 
 
 def _verdict(result: RigResult) -> str:
+    if result.by_camera:
+        refused = [name for name, one in result.by_camera.items() if not one.accepted]
+        cameras = f"{len(result.by_camera) - len(refused)} of {len(result.by_camera)} cameras accepted"
+        return f"{cameras}; not {', '.join(refused)}." if refused else f"Accepted: {cameras}, each by pairs held out."
     return "Accepted: verified by pairs that were held out." if result.accepted else "Not accepted."
 
 
 def _lines(result: RigResult) -> list[str]:
     lines = [_verdict(result)]
+    for name, one in result.by_camera.items():
+        first, *others = _lines(one)
+        lines += ["", f"{name}: {first[:1].lower()}{first[1:]}", *others]
+    if result.by_camera:
+        return lines
     pose, sigma = result.camera_from_scanner, result.sigmas
     if result.accepted and pose is not None:
         from ladarreg_core.frames import ThesisParameters

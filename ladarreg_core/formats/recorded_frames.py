@@ -187,13 +187,14 @@ class _FrameReader:
                 f"{_extent(cloud_times)} against {_extent(image_times)}; choose topics that were recorded together"
             )
         considered = _spread(pairs, _CONSIDERED * most)
-        chosen = self._at_different_places(topic, considered, len(image_times), most=most, deskewed=deskewed)
+        moving = deskewed or neighbors  # of a rig that stands no time offset can be told
+        chosen = self._at_different_places(topic, considered, len(image_times), most=most, moving=moving)
         begin = float(cloud_times[0])
         said = (
             f"{len(pairs)} clouds of {shown(self._cloud_topic)} and pictures of {shown(topic)} are pairs by {by}; "
             f"{len(chosen)} of them at different places are used",
             *([note] if note else []),
-            *([] if deskewed else [_NOT_DESKEWED + (_CALM if len(considered) > most else "")]),
+            *([] if deskewed else [_NOT_DESKEWED + (_CALM if len(considered) > most and not moving else "")]),
         )
         reach = NEIGHBORS if neighbors else 0
         wanted = sorted({
@@ -226,7 +227,7 @@ class _FrameReader:
         return np.array(every, dtype=np.int64).reshape(-1, 2)
 
     def _at_different_places(
-        self, topic: str, pairs: Sequence[_Pair], count: int, *, most: int, deskewed: bool
+        self, topic: str, pairs: Sequence[_Pair], count: int, *, most: int, moving: bool
     ) -> list[_Pair]:
         """Return the pairs that show places as different as possible, in the order of time."""
         if len(pairs) <= most:
@@ -238,7 +239,7 @@ class _FrameReader:
             if index in after or index in after.values()
         }
         kept = list(pairs)
-        if not deskewed:
+        if not moving:
             moved = np.array([1 - float(thumbs[pair.image] @ thumbs[after[pair.image]]) for pair in pairs])
             least = max(float(np.median(moved)), float(np.sort(moved)[most - 1]))
             kept = [pair for pair, each in zip(pairs, moved, strict=True) if each <= least + _STILL]

@@ -14,7 +14,7 @@ from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.cameras.camera_file import camera_from_fields, describe_camera
 from ladarreg_core.formats.documents.own_results import TRUST_OPTION, checksum_words, edited_fault, was_edited
 from ladarreg_core.formats.documents.panorama_info import panorama_lines
-from ladarreg_core.formats.documents.pose_file import GUESS_FIELD, POSE_FIELD, WORLD_FIELD, read_pose
+from ladarreg_core.formats.documents.pose_file import CAMERAS_FIELD, GUESS_FIELD, POSE_FIELD, WORLD_FIELD, read_pose
 from ladarreg_core.formats.documents.registration_file import as_given
 from ladarreg_core.formats.documents.stations_info import station_lines
 from ladarreg_core.formats.file_info import FileInfo
@@ -163,6 +163,12 @@ def _stations(path: Path, fields: Fields) -> FileInfo:
 def _rig(path: Path, fields: Fields) -> FileInfo:
     where = POSE_FIELD if fields["accepted"] else GUESS_FIELD
     lines = [f"{one_line(one['name'], 60)}: {one_line(one['outcome'], 20)}" for one in fields["pairs"]]
+    cameras = fields.get(CAMERAS_FIELD)
+    if isinstance(cameras, dict):
+        lines = [
+            f"{one_line(name, 60)}: {'accepted' if one['accepted'] else 'not accepted'}"
+            for name, one in cameras.items()
+        ] + lines
     return FileInfo(
         **_about(path, fields, "rig"),
         verdict="Accepted: verified by pairs that were held out." if fields["accepted"] else "Not accepted.",

@@ -39,6 +39,7 @@ STEP_LABELS: Mapping[str, str] = {
     "rig candidates": "Try on all pairs",
     "rig finish": "Refine on all pairs",
     "rig held out": "Hold out each pair",
+    "rig time offset": "Time offset",
     "rig covariance": "Uncertainty of the rig",
 }
 """Label of each step name."""

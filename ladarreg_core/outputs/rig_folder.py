@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,9 +14,12 @@ from ladarreg_core.formats.parsing.untrusted import reading
 from ladarreg_core.progress import Progress, Report
 
 if TYPE_CHECKING:
+    from ladarreg_core.export.overlay_video import OverlayFrame
     from ladarreg_core.registration.rig.results import RigPair, RigResult
+    from ladarreg_core.scan import Scan
 
 _VERSION = 1
+_OF_ONE_CAMERA = ("rejected_guess", "covariance", "covariance_is", "sigma_deg", "sigma_mm", "cameras")
 _FRAMES = 8
 _HEAD_BYTES = 4096
 _POSE_IS = (
@@ -126,22 +130,44 @@ def _read_table(
     from ladarreg_core.registration.rig.results import RigPair
 
     rows = read_rig_table(path)
+    several = len({row.camera_name for row in rows}) > 1
     found = []
+    scans: dict[tuple[Path, ...], Scan] = {}
     for done, row in enumerate(rows):
         if report is not None:
             report(Progress(done, len(rows), f"reading {row.name}"))
-        scan = read_scan(row.scan, **{**scan_options, "more": row.more})
+        files = (row.scan, *row.more)
+        if files not in scans:
+            scans[files] = read_scan(row.scan, **{**scan_options, "more": row.more})
         own: dict[str, Any] = dict(photo_options)
         if row.camera is not None:
             own = {"camera": row.camera, "camera_name": own.get("camera_name")}
-        found.append(RigPair(row.name, scan, read_photo(row.photo, **own)))
+        if (
+            own.get("camera") is not None
+            and own.get("camera_name") is None
+            and _is_named(own["camera"], row.camera_name)
+        ):
+            own["camera_name"] = row.camera_name
+        photo = read_photo(row.photo, **own)
+        found.append(RigPair(row.name, scans[files], photo, row.camera_name if several else ""))
     return found
+
+
+def _is_named(camera_file: str | Path, name: str) -> bool:
+    """Return whether a camera file has several cameras, one of which has a name."""
+    from ladarreg_core.formats.cameras.camera_file import read_cameras
+
+    if not name:
+        return False
+    cameras = read_cameras(camera_file)
+    return len(cameras) > 1 and any(each.name.casefold() == name.casefold() for each in cameras)
 
 
 def write_rig(
     folder: str | Path,
     result: RigResult,
     *,
+    pairs: Sequence[RigPair] = (),
     inputs: Sequence[str | Path] = (),
     force: bool = False,
     report: Report | None = None,
@@ -151,6 +177,7 @@ def write_rig(
     Args:
         folder: output folder.
         result: the result.
+        pairs: what it was registered from, for the overlay video; empty: none is written.
         inputs: the table and the files that it names.
         force: replace an earlier folder of a rig and nothing else.
         report: receives the progress.
@@ -162,25 +189,39 @@ def write_rig(
         ExportError: if the folder exists and must not be replaced, or cannot be written.
     """
     from ladarreg_core.export.json import write_result
+    from ladarreg_core.export.overlay_video import write_overlay_video
     from ladarreg_core.export.photo_files import text_writer
     from ladarreg_core.export.targets.folder import FileJob, write_folder
     from ladarreg_core.export.targets.kalibr import lidar_chain
     from ladarreg_core.export.targets.ros import rig_files
+    from ladarreg_core.formats.documents.pose_file import write_pose
     from ladarreg_core.storage.replacement import RIG_FILE
 
     fields = rig_document(result, inputs=inputs)
     jobs: list[FileJob] = [(RIG_FILE, lambda path: write_result(path, fields))]
-    pose = result.camera_from_scanner
-    if result.accepted and pose is not None:
-        words = [
-            result.reasons[0],
-            f"Standard deviations: {_list(fields['sigma_deg'])} deg about the axes of the camera, "
-            f"{_list(fields['sigma_mm'])} mm of its centre in the scanner's frame.",
-        ]
-        jobs += [(name, text_writer(text)) for name, text in rig_files(pose, words).items()]
-        chain = lidar_chain(pose, result.cameras[0], words)
+    known = {
+        name: (one.camera_from_scanner, one.cameras[0], _words(one))
+        for name, one in (result.by_camera or {"camera": result}).items()
+        if one.accepted and one.camera_from_scanner is not None
+    }
+    if known:
+        texts = rig_files({name: (pose, words) for name, (pose, _, words) in known.items()})
+        jobs += [(name, text_writer(text)) for name, text in texts.items()]
+        chain = lidar_chain(known)
         if chain is not None:
             jobs.append(("camchain-lidar.yaml", text_writer(chain)))
+        if result.by_camera:
+            jobs += [
+                (f"{name}.pose.json", partial(write_pose, camera_from_scanner=one[0])) for name, one in known.items()
+            ]
+        for name in known:
+            own = result.by_camera.get(name, result)
+            shown = _overlay_frames(own, [pair for pair in pairs if not result.by_camera or pair.camera_name == name])
+            if shown:
+                prefix = f"{name}." if result.by_camera else ""
+                draw = partial(write_overlay_video, frames=shown, camera_from_scanner=known[name][0])
+                jobs.append((f"{prefix}overlay.webp", draw))
+    fields["files"] = [name for name, _ in jobs] if known else []
     write_folder(folder, lambda: jobs, inputs=inputs, force=force, report=report)
     return fields
 
@@ -188,16 +229,31 @@ def write_rig(
 def rig_document(result: RigResult, *, inputs: Sequence[str | Path] = ()) -> dict[str, Any]:
     """Return the contents of `rig.json`, JSON-ready."""
     from ladarreg_core.export.json import input_documents, plain, software_document
-    from ladarreg_core.frames import ThesisParameters
     from ladarreg_core.storage.replacement import RIG_FILES
+
+    own = _verdict_fields(result)
+    fields: dict[str, Any] = {"version": _VERSION, "kind": "rig", "software": software_document(), **own}
+    if result.by_camera:
+        fields = {name: value for name, value in fields.items() if name not in _OF_ONE_CAMERA}
+        fields["by_camera"] = {name: _verdict_fields(one) for name, one in result.by_camera.items()}
+    fields |= {
+        "steps": [{"name": step.name, "seconds": round(step.seconds, 4), **step.detail} for step in result.steps],
+        "options": dict(result.options),
+        "seed": result.seed,
+        "files": list(RIG_FILES) if result.accepted and not result.by_camera else [],
+        "inputs": input_documents(list(inputs)),
+    }
+    return dict(plain(fields))
+
+
+def _verdict_fields(result: RigResult) -> dict[str, Any]:
+    """Return the pose, its uncertainty, the verdict and the evidence of a rig, or of one of its cameras."""
+    from ladarreg_core.frames import ThesisParameters
 
     pose, known = result.camera_from_scanner, bool(np.isfinite(result.covariance).all())
     sigma = np.sqrt(np.diag(result.covariance)) if known else np.full(6, np.nan)
     matrix = None if pose is None else pose.matrix.tolist()
     fields: dict[str, Any] = {
-        "version": _VERSION,
-        "kind": "rig",
-        "software": software_document(),
         "camera_from_scanner": matrix if result.accepted else None,
         "camera_from_scanner_is": _POSE_IS,
     }
@@ -221,13 +277,35 @@ def rig_document(result: RigResult, *, inputs: Sequence[str | Path] = ()) -> dic
         "used": list(result.used),
         "refused": list(result.refused),
         "cameras": [camera.as_fields() for camera in result.cameras],
-        "steps": [{"name": step.name, "seconds": round(step.seconds, 4), **step.detail} for step in result.steps],
-        "options": dict(result.options),
-        "seed": result.seed,
-        "files": list(RIG_FILES) if result.accepted else [],
-        "inputs": input_documents(list(inputs)),
     }
-    return dict(plain(fields))
+    if result.time_offset is not None:
+        fields["time_offset"] = result.time_offset.as_dict()
+    return fields
+
+
+def _overlay_frames(result: RigResult, pairs: Sequence[RigPair]) -> list[OverlayFrame]:
+    """Return what the overlay video of a camera shows of each pair."""
+    from ladarreg_core.export.overlay_video import OverlayFrame
+    from ladarreg_core.registration.rig.time_offset import paired_at
+
+    offset, evidence = result.time_offset, {one.name: one for one in result.pairs}
+    found = []
+    for pair in pairs:
+        photo = paired_at(pair, offset.seconds).photo if offset is not None and offset.known else pair.photo
+        one = evidence[pair.name]
+        said = f"{one.fraction:.0%} of the regions agree" if one.outcome == "agrees" else f"{one.outcome}, not used"
+        found.append(OverlayFrame(pair.scan, photo, f"{pair.name}: {said}"))
+    return found
+
+
+def _words(result: RigResult) -> list[str]:
+    """Return what the files of a camera say of its pose."""
+    sigma = np.sqrt(np.diag(result.covariance))
+    return [
+        result.reasons[0],
+        f"Standard deviations: {_list(np.degrees(sigma[:3]).tolist())} deg about the axes of the camera, "
+        f"{_list((1e3 * sigma[3:]).tolist())} mm of its centre in the scanner's frame.",
+    ]
 
 
 def _list(numbers: Sequence[float | None]) -> str:

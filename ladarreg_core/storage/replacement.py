@@ -50,8 +50,11 @@ STATIONS_FILE = "stations.json"
 """File that describes stations, beside their scans."""
 RIG_FILE = "rig.json"
 """File that describes a rig."""
-RIG_FILES = (RIG_FILE, "camera.transform.yaml", "static_transforms.launch.py", "camchain-lidar.yaml")
-"""Files of a rig; all but the first are only written if it is accepted."""
+RIG_FILES = (RIG_FILE, "camera.transform.yaml", "static_transforms.launch.py", "camchain-lidar.yaml",
+             "overlay.webp")  # fmt: skip
+"""Files of a rig of one camera; all but the first are only written if it is accepted."""
+RIG_CAMERA_FILES = (".transform.yaml", ".pose.json", ".overlay.webp")
+"""How the names of the files of each camera end, where a rig has several, behind the camera's name."""
 _SIMULATION_FILES = ("scan.npz", "photo.png", "camera.json", "truth.json")
 _STAGE_PICTURE = re.compile(r"(registered|not_accepted)_[a-z0-9_]+\.png")
 _FILE_MANAGER_FILES = frozenset({".DS_Store", "Thumbs.db", "desktop.ini", ".directory"})
@@ -365,7 +368,11 @@ def _files_of_stations(fields: Mapping[str, Any]) -> Collection[str] | None:
 
 
 def _files_of_rig(fields: Mapping[str, Any]) -> Collection[str] | None:
-    return RIG_FILES if fields.get("kind") == "rig" and isinstance(fields.get("software"), dict) else None
+    if fields.get("kind") != "rig" or not isinstance(fields.get("software"), dict):
+        return None
+    cameras = fields.get("by_camera")
+    named = [f"{name}{end}" for name in (cameras if isinstance(cameras, dict) else ()) for end in RIG_CAMERA_FILES]
+    return (*RIG_FILES, *(name for name in named if is_file_name(name)))
 
 
 def is_file_name(name: str) -> bool:

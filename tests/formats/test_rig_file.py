@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import ladarreg_core as lr
 from ladarreg_core.errors import FormatError, LadarregError
 from ladarreg_core.formats.documents.rig_file import read_rig_table
+from testing.files.small_scans import make_scan, pcd_bytes
 
 
 @pytest.fixture
@@ -42,6 +46,30 @@ def test_semicolons_and_equal_names_are_taken(folder: Path) -> None:
     assert [row.name for row in rows] == ["x", "x (2)"]
 
 
+def test_cameras_are_told_apart_by_their_names_and_found_in_one_file(folder: Path) -> None:
+    """Two cameras take a photograph each beside two clouds; their intrinsics stand in one camchain."""
+    for number, name in enumerate("ab"):
+        points = make_scan().points.reshape(-1, 3) * (1 + number)
+        (folder / f"{name}.pcd").write_bytes(pcd_bytes(points[np.isfinite(points).all(axis=1)], None))
+        (folder / f"{name}.png").write_bytes(cv2.imencode(".png", np.full((48, 64, 3), 9 * number, np.uint8))[1])
+    cameras = [
+        f"cam{k}:\n  camera_model: pinhole\n  distortion_model: {model}\n  distortion_coeffs: [0.1, 0.0, 0.0, 0.0]\n"
+        f"  intrinsics: [{60 + k}, 60.0, 31.5, 23.5]\n  resolution: [64, 48]\n"
+        for k, model in enumerate(("radtan", "equidistant"))
+    ]
+    (folder / "chain.yaml").write_text("".join(cameras))
+    rows = "a.pcd,a.png,cam0\nb.pcd,b.png,cam0\na.pcd,b.png,cam1\nb.pcd,a.png,cam1\n"
+    pairs = lr.read_rig(
+        table(folder, f"scan,photo,camera_name\n{rows}"), photo_options={"camera": folder / "chain.yaml"}
+    )
+    assert [pair.camera_name for pair in pairs] == ["cam0", "cam0", "cam1", "cam1"]
+    assert [pair.photo.camera.model for pair in pairs] == ["pinhole", "pinhole", "fisheye", "fisheye"]
+    assert pairs[0].scan is pairs[2].scan, "read once"
+    alone = table(folder, "scan,photo,camera_name\na.pcd,a.png,cam1\nb.pcd,b.png,cam1\n")
+    pairs = lr.read_rig(alone, photo_options={"camera": folder / "chain.yaml"})
+    assert {(pair.camera_name, pair.photo.camera.model) for pair in pairs} == {("", "fisheye")}
+
+
 @pytest.mark.parametrize(
     ("text", "why"),
     [
@@ -58,6 +86,7 @@ def test_semicolons_and_equal_names_are_taken(folder: Path) -> None:
         ("scan,photo\na.pcd,a.png\na.pcd,a.png\n", "pair 2 repeats a"),
         ("scan,photo\n" + "a.pcd,a.png\n" * 201, "201 pairs"),
         (b"scan,photo\n\xff\xfe,a.png\n", "UTF-8"),
+        ("scan,photo,camera_name\na.pcd,a.png,left\nb.pcd,b.png,\n", "of some pairs and not of b"),
         (b"scan,photo\na\0.pcd,a.png\n", "no text"),
         ("scan,photo\n" + "x" * 1_100_000, "larger than 1 MB"),
     ],

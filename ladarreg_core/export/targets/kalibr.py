@@ -10,7 +10,7 @@ Source: Kalibr's wiki, "YAML formats" and "Supported models".
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.export.photo_files import on_one_line, text_writer, words_of
@@ -78,28 +78,35 @@ def _camchain(handed: RegisteredScan, photos: Sequence[RegisteredPhoto]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def lidar_chain(camera_from_scanner: Rigid, camera: CameraModel, words: Sequence[str]) -> str | None:
-    """Return the camchain of a camera that is mounted on a scanner; None if Kalibr has no model for the camera.
+def lidar_chain(cameras: Mapping[str, tuple[Rigid, CameraModel, Sequence[str]]]) -> str | None:
+    """Return the camchain of cameras that are mounted on a scanner; None if Kalibr has no model for any of them.
 
     `T_cam_lidar` is written as Kalibr writes `T_cam_imu`: it maps points of the scanner into the camera's frame.
+    Cameras that Kalibr has no model for are left out.
 
     Args:
-        camera_from_scanner: the pose.
-        camera: the camera.
-        words: comments.
+        cameras: by name, the pose `camera_from_scanner`, the camera, and comments.
     """
-    if _distortion(camera) is None:
+    known = {name: one for name, one in cameras.items() if _distortion(one[1]) is not None}
+    if not known:
         return None
-    lines = [
-        *(f"# {on_one_line(line)}" for line in words),
+    lines = [f"# {on_one_line(line)}" for _, _, words in known.values() for line in words]
+    lines += [
         "# Pixels: (0, 0) is the centre of the first one. Camera: x right, y down, z forward; scanner: x forward, y",
         "# left, z up; metres. T_cam_lidar maps points of the scanner into the camera's frame.",
-        "cam0:",
-        "  cam_overlaps: []",
-        "  T_cam_lidar:",
-        *(f"  - {_list(row)}" for row in camera_from_scanner.matrix.tolist()),
-        *_intrinsics(camera, "camera"),
     ]
+    before: Rigid | None = None
+    for index, (name, (pose, camera, _)) in enumerate(known.items()):
+        lines += [
+            f"cam{index}:",
+            "  cam_overlaps: []",
+            "  T_cam_lidar:",
+            *(f"  - {_list(row)}" for row in pose.matrix.tolist()),
+            *_intrinsics(camera, name),
+        ]
+        if before is not None:
+            lines += ["  T_cn_cnm1:", *(f"  - {_list(row)}" for row in (pose @ before.inverse).matrix.tolist())]
+        before = pose
     return "\n".join(lines) + "\n"
 
 

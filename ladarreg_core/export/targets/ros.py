@@ -7,7 +7,7 @@ as REP 103 defines it, and as ladarreg's cameras have it). Pixels count from the
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import escape
@@ -83,26 +83,31 @@ def ros_files(handed: RegisteredScan, options: ExportOptions, report: Report | N
     return jobs
 
 
-def rig_files(camera_from_scanner: Rigid, words: Sequence[str]) -> dict[str, str]:
-    """Return the static transform of a camera that is mounted on a scanner: a launch file and a YAML, by their names.
+def rig_files(cameras: Mapping[str, tuple[Rigid, Sequence[str]]]) -> dict[str, str]:
+    """Return the static transforms of cameras that are mounted on a scanner: a YAML for each, and one launch file.
 
     Args:
-        camera_from_scanner: the pose.
-        words: comments.
+        cameras: by name, the pose `camera_from_scanner` of each, and comments.
+
+    Returns:
+        the contents of the files by their names.
     """
-    transform = StaticTransform(
-        parent=SCANNER, child="camera_optical_frame", parent_from_child=camera_from_scanner.inverse
-    )
-    lines = [
-        *map(on_one_line, words),
-        f"Parent: {SCANNER} (x forward, y left, z up; metres). Child: {transform.child}, the camera's optical frame (x "
-        "right, y down, z forward).",
-        f"The transform is the pose of the camera in the frame {SCANNER}: it maps points of the child to the parent.",
-    ]
-    return {
-        "camera.transform.yaml": _transform_file(transform, lines),
-        "static_transforms.launch.py": _launch_file([transform], lines),
-    }
+    found, transforms, every = {}, [], []
+    for name, (camera_from_scanner, words) in cameras.items():
+        transform = StaticTransform(
+            parent=SCANNER, child=f"{name}_optical_frame", parent_from_child=camera_from_scanner.inverse
+        )
+        lines = [
+            *map(on_one_line, words),
+            f"Parent: {SCANNER} (x forward, y left, z up; metres). Child: {transform.child}, the camera's optical "
+            "frame (x right, y down, z forward).",
+            f"The transform is the pose of the camera in the frame {SCANNER}: it maps points of the child to the "
+            "parent.",
+        ]
+        found[f"{name}.transform.yaml"] = _transform_file(transform, lines)
+        transforms.append(transform)
+        every += lines
+    return {**found, "static_transforms.launch.py": _launch_file(transforms, every)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,6 +14,9 @@ from ladarreg_core.frames import Rigid
 POSE_FIELD = "camera_from_scanner"
 WORLD_FIELD = "camera_from_world"
 GUESS_FIELD = "rejected_guess"
+CAMERAS_FIELD = "by_camera"
+"""Field of a rig of several cameras with the result of each by its name."""
+_OTHER_POSE = "register again, or give another pose"
 _SAME_PLACE_M = 1e-4
 _SAME_PLACE_RAD = 1e-5
 
@@ -33,20 +36,51 @@ def read_pose(path: PathLike, *, field: str = POSE_FIELD) -> Rigid:
         rows = fields.get(field)
         if rows is None:
             raise FormatError(_missing(fields, field))
-        if not (isinstance(rows, list) and len(rows) == 4 and all(isinstance(r, list) and len(r) == 4 for r in rows)):
-            raise FormatError(f"{field!r} is {one_line(repr(rows), 60)}; it must be 4 rows of 4 numbers")
-        matrix = [[number({field: value}, field) for value in row] for row in rows]
-        try:
-            return Rigid.from_matrix(matrix)
-        except (DegenerateGeometryError, ShapeError) as error:
-            raise FormatError(f"{field!r} is not a rigid transform: {error}") from error
+        return _rigid(rows, field)
+
+
+def _rigid(rows: Any, field: str) -> Rigid:
+    """Return the transform of 4 rows of 4 numbers."""
+    if not (isinstance(rows, list) and len(rows) == 4 and all(isinstance(r, list) and len(r) == 4 for r in rows)):
+        raise FormatError(f"{field!r} is {one_line(repr(rows), 60)}; it must be 4 rows of 4 numbers")
+    matrix = [[number({field: value}, field) for value in row] for row in rows]
+    try:
+        return Rigid.from_matrix(matrix)
+    except (DegenerateGeometryError, ShapeError) as error:
+        raise FormatError(f"{field!r} is not a rigid transform: {error}") from error
+
+
+def read_initial_of_rig(path: PathLike) -> Rigid | dict[str, Rigid]:
+    """Read the rough pose of a rig's camera, or of each of its cameras by name from the `rig.json` of several.
+
+    Raises:
+        FormatError: as `read_pose`; also if it has the poses of several cameras, none of which was accepted.
+    """
+    with reading(path) as file, parsed_once():
+        fields = read_json_object(file, "a pose file")
+        cameras = fields.get(CAMERAS_FIELD)
+        if not isinstance(cameras, Mapping):
+            return read_initial(path, None)
+        found = {}
+        for name, own in cameras.items():
+            if isinstance(own, Mapping) and own.get(POSE_FIELD) is not None:
+                found[str(name)] = _rigid(own[POSE_FIELD], POSE_FIELD)
+        if not found:
+            raise FormatError(f"it has no pose: every camera of its rig was refused; {_OTHER_POSE}")
+        return found
 
 
 def _missing(fields: Mapping[str, Any], field: str) -> str:
+    if field == POSE_FIELD and isinstance(fields.get(CAMERAS_FIELD), Mapping):
+        names = ", ".join(one_line(name, 40) for name in fields[CAMERAS_FIELD])
+        return (
+            f"it has the poses of several cameras ({names}); give the file of one of them, NAME.pose.json, which lies "
+            "beside it"
+        )
     if field == POSE_FIELD and GUESS_FIELD in fields:
         return (
             f"it has no pose: the registration was refused ({POSE_FIELD!r} is null), and its best guess "
-            f"({GUESS_FIELD!r}) must not be taken for one; register again, or give another pose"
+            f"({GUESS_FIELD!r}) must not be taken for one; {_OTHER_POSE}"
         )
     return f"the field {field!r} is missing; a pose file contains it as 4 rows of 4 numbers"
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.parsing.untrusted import PathLike, one_line, reading
 
-_NEEDED, _OPTIONAL = ("scan", "photo"), ("camera", "more", "name")
+_NEEDED, _OPTIONAL = ("scan", "photo"), ("camera", "camera_name", "more", "name")
 _MAX_BYTES = 1 << 20
 _MAX_ROWS = 200
 
@@ -26,6 +26,8 @@ class RigRow:
     """The camera of this photograph; None: as for all."""
     more: tuple[Path, ...] = ()
     """Further scans of the same standpoint, to be accumulated."""
+    camera_name: str = ""
+    """Of the camera of the rig that took the photograph, where it has several."""
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -38,7 +40,8 @@ def read_rig_table(path: PathLike) -> list[RigRow]:
 
     Args:
         path: a CSV whose header names the columns `scan` and `photo` and perhaps `camera` (a camera file of the row),
-            `more` (further scans of the same standpoint, separated by `|`) and `name`. Paths start at its folder.
+            `camera_name` (which camera of the rig took it), `more` (further scans of the same standpoint, separated by
+            `|`) and `name`. Paths start at its folder.
 
     Raises:
         FormatError: if a column is missing or unknown, a row is incomplete, repeated or names a file that is not there.
@@ -76,13 +79,19 @@ def read_rig_table(path: PathLike) -> list[RigRow]:
             one = _row(dict(zip(header, row, strict=False)), number, file.parent, len(row) > len(header))
             names[one.name] = names.get(one.name, 0) + 1
             if names[one.name] > 1:
-                one = RigRow(f"{one.name} ({number})", one.scan, one.photo, one.camera, one.more)
+                one = replace(one, name=f"{one.name} ({number})")
             same = next(
                 (other.name for other in found_rows if (other.scan, other.photo) == (one.scan, one.photo)), None
             )
             if same is not None:
                 raise FormatError(f"its pair {number} repeats {same}; a pair counts once: leave it out")
             found_rows.append(one)
+        unnamed = [one.name for one in found_rows if not one.camera_name]
+        if unnamed and len(unnamed) < len(found_rows):
+            raise FormatError(
+                f"it names the camera of some pairs and not of {one_line(unnamed[0], 60)}; fill in camera_name in each "
+                "row, or leave the column out if the rig has one camera"
+            )
         return found_rows
 
 
@@ -101,4 +110,7 @@ def _row(cells: dict[str, str], number: int, folder: Path, too_long: bool) -> Ri
             )
     camera = folder / cells["camera"] if cells.get("camera") else None
     name = one_line(cells.get("name") or Path(cells["photo"]).stem, 60)
-    return RigRow(name, folder / cells["scan"], folder / cells["photo"], camera, tuple(folder / one for one in more))
+    return RigRow(
+        name, folder / cells["scan"], folder / cells["photo"], camera, tuple(folder / one for one in more),
+        one_line(cells.get("camera_name", ""), 60),
+    )  # fmt: skip

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import Rigid, rotation_about
+from ladarreg_core.matching.features.channels import FEW_HARMONICS
 from ladarreg_core.matching.images.pyramid import PhotoLevels, photo_levels
 from ladarreg_core.photo import Photo
 from ladarreg_core.surface.remap import look_up
@@ -78,7 +79,7 @@ class FaceSet:
 
     def __init__(self, photo: Photo) -> None:
         self.photo = photo
-        self._levels: dict[tuple[int, Camera, bool], PhotoLevels] = {}
+        self._levels: dict[tuple[int, Camera, bool, int], PhotoLevels] = {}
 
     @cached_property
     def camera(self) -> Camera:
@@ -95,18 +96,19 @@ class FaceSet:
         turns = [Rigid(_upright(axis), np.zeros(3)) for axis in axes]
         return tuple(self._cut(k, turn, axes) for k, turn in enumerate(turns))
 
-    def levels(self, face: Face, working: Camera, *, own: bool) -> PhotoLevels:
+    def levels(self, face: Face, working: Camera, *, own: bool, harmonics: int = FEW_HARMONICS) -> PhotoLevels:
         """Return the levels of a face.
 
         Args:
             face: the face.
             working: the ideal camera of level 0.
             own: use only the pixels that belong to this face, instead of all inside the photograph.
+            harmonics: of the channels.
         """
-        key = face.number, working, own
+        key = face.number, working, own, harmonics
         if key not in self._levels:
-            other = self._levels.get((face.number, working, not own))
-            levels = other or photo_levels(face.photo, working)
+            other = self._levels.get((face.number, working, not own, harmonics))
+            levels = other or photo_levels(face.photo, working, harmonics=harmonics)
             masks = tuple(_reduced(face.own if own else face.seen, face.seen, camera) for camera in levels.cameras)
             made = replace(levels, usable=masks)
             if other is not None:  # the channels do not depend on the mask

@@ -55,6 +55,15 @@ class Occluder:
         visible[inside] = shown
         return visible
 
+    def in_front(self, points_camera: FloatArray, buffer: FloatArray) -> BoolArray:
+        """Return a mask (N,) of the points (N, 3), camera frame, that lie clearly before the nearest surface."""
+        x, y, z = np.ascontiguousarray(points_camera.T)
+        cell, inside = self._cells(x, y, z)
+        nearest = buffer[cell]
+        found = np.zeros(len(points_camera), np.bool_)
+        found[inside] = np.isfinite(nearest) & (z[inside] < nearest * (1 - _TOLERANCE_FRACTION) - _TOLERANCE_M)
+        return found
+
     def _cells(self, x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[NDArray[np.intp], BoolArray]:
         """Return the coarse pixels (M,) of the points inside the image, and a mask (N,) of these points."""
         camera = self._camera

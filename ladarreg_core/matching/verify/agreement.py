@@ -178,11 +178,30 @@ def joined(parts: Sequence[Agreement]) -> Agreement:
 
 
 def agreement(
-    points: ViewPoints, target: Target, occluder: Occluder, pose: Rigid, *, level: int, radius: int
+    points: ViewPoints,
+    target: Target,
+    occluder: Occluder,
+    pose: Rigid,
+    *,
+    level: int,
+    radius: int,
+    only: BoolArray | None = None,
 ) -> Agreement:
-    """Return the agreement at a pose: every block correlated at every shift within `radius` level pixels."""
+    """Return the agreement at a pose: every block correlated at every shift within `radius` level pixels.
+
+    Args:
+        points: the scan's points in their view.
+        target: the photo's level.
+        occluder: of the scan.
+        pose: `camera_from_scanner`.
+        level: the pyramid level.
+        radius: largest shift, level pixels.
+        only: (N,) mask of the points that count; None: all that are visible.
+    """
     buffer = occluder.depth_buffer(pose)
     _, uv, visible = project_visible(points, target, occluder, buffer, pose, border=radius + 1)
+    if only is not None:
+        visible &= only
     of = points.blocks.of_point
     count = points.blocks.sum(visible.astype(np.int64))
     blocks = np.flatnonzero(count >= _MIN_POINTS)

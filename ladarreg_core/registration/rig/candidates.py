@@ -76,7 +76,7 @@ def tried_on_all(
     fit = [index for index in range(len(views)) if index not in unfit]
     if not fit:
         return []
-    known = KnownPoses(views[fit[0]].pair.scan, views[fit[0]].pair.photo.pinhole)
+    known = KnownPoses(views[fit[0]].pair.scan, views[fit[0]].pair.photo.camera)
     kept: list[tuple[float, Rigid, JointPairs]] = []
     for pose in poses:
         if any(not known.differ(pose, other) for _, other, _ in kept):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +19,7 @@ ADVICE = "Add pairs of other places with near objects, accumulate longer, or giv
 """What to do about a rig that is not accepted."""
 _MIN_EXCHANGED = 3  # photographs of other places, mirror images included: fewer have no scatter
 _MIN_BLOCKS = 8  # of a mean; refinement needs as many
+_MIN_MOVED = 4  # blocks of things that moved: a person 6 m away
 
 
 class Jury:
@@ -113,6 +115,55 @@ class Jury:
             name, outcome, coarse.windows, agreeing, fine_share, alarm, exchanged, swapped, alone, sentence
         )
 
+    def judged_by_moved(self, index: int, pose: Rigid) -> PairEvidence:
+        """Return what a pair says of a pose where all others show the same place: by the things that moved alone.
+
+        A false agreement of the place would be found in all of its pictures; but what stands somewhere else in each of
+        them was fitted in none of the others.
+
+        Args:
+            index: the pair.
+            pose: that of the other pairs.
+        """
+        o, name, whole = self._options, self._pairs[index].name, self.judged(index, pose, on_others=False)
+        others = sorted(self.same_place(index))
+        if whole.outcome != "undecided" or whole.windows < o.least_windows or not others:
+            return whole
+        masks = self._joint.moved(pose, index, others)
+
+        def maps(level: int, photo: int, *, mirrored: bool = False) -> Agreement | None:
+            return self._joint.agreement_of(pose, index, level, masks[level], photo=photo, mirrored=mirrored)
+
+        coarse, fine = maps(1, index), maps(0, index)
+        count = 0 if coarse is None else len(coarse.block_maps)
+        if coarse is None or fine is None or count < _MIN_MOVED:
+            return replace(whole, sentence=f"{whole.sentence}, and too little moved between them")
+        exchanged = [maps(1, k) for k in others] + [maps(1, k, mirrored=True) for k in (index, *others)]
+        shares = [_block_share(each) for each in exchanged]
+        share, agreeing = _block_share(coarse), coarse.agreeing_blocks(NEAR_PX)
+        swapped = max(shares[: len(others)])
+        alarm = coarse.false_alarm(NEAR_PX, least_chance=max(o.least_chance, float(np.mean(shares))))
+        gains, variances = np.array([_gain(each, _MIN_MOVED) for each in exchanged]).T
+        known = np.isfinite(gains)
+        exchange_alarm = 1.0
+        if known.sum() >= _MIN_EXCHANGED:
+            exchange_alarm = chance_of_gain(
+                _gain(coarse, _MIN_MOVED)[0], gains[known], least_variance=float(variances[known].mean())
+            )  # fmt: skip
+        least = max(o.agrees_fraction, o.of_swapped * swapped)
+        sentence = (
+            f"{agreeing} of {count} regions of what moved in {name} agree at the pose of the other pairs ({share:.0%})"
+        )
+        outcome: PairOutcome = "agrees"
+        if share < least or (agreeing < o.few and min(alarm, exchange_alarm) > o.few_false_alarm):
+            outcome = "undecided"
+            sentence += ", which may be chance"
+        fine_blocks = max(len(fine.block_maps), 1)
+        return PairEvidence(
+            name, outcome, count, agreeing, fine.agreeing_blocks(FINE_NEAR_PX) / fine_blocks, alarm, exchange_alarm,
+            swapped, self._alone[index], sentence,
+        )  # fmt: skip
+
     def _exchange_alarm(self, index: int, others: Sequence[int], own: Agreement) -> float:
         """Return the probability that a photograph of another place correlates as well with a scan as its own does.
 
@@ -154,13 +205,17 @@ def _shares(maps: Agreement | None) -> tuple[float, float]:
     """Return the shares of regions and of single blocks that agree; 0 without any."""
     if maps is None or not maps.windows:
         return 0.0, 0.0
-    blocks = maps.agreeing_blocks(NEAR_PX) / max(len(maps.block_maps), 1)
-    return float(maps.agreeing(NEAR_PX).mean()), float(blocks)
+    return float(maps.agreeing(NEAR_PX).mean()), _block_share(maps)
 
 
-def _gain(maps: Agreement | None) -> tuple[float, float]:
+def _block_share(maps: Agreement | None) -> float:
+    """Return the share of single blocks that agree; 0 without any."""
+    return 0.0 if maps is None else maps.agreeing_blocks(NEAR_PX) / max(len(maps.block_maps), 1)
+
+
+def _gain(maps: Agreement | None, least: int = _MIN_BLOCKS) -> tuple[float, float]:
     """Return the mean gain of the blocks, and its variance; NaN for few."""
-    if maps is None or len(maps.block_maps) < _MIN_BLOCKS:
+    if maps is None or len(maps.block_maps) < least:
         return np.nan, np.nan
     gains = maps.gains()
     return float(gains.mean()), float(gains.var(ddof=1) / len(gains))
@@ -181,11 +236,13 @@ def held_out(
     evidence, without = [], []
     for index in range(count):
         others = [member for member in members if member != index and member not in jury.same_place(index)]
-        where = pose
+        where, elsewhere = pose, bool(others)
+        if not others:
+            others = [member for member in members if member != index]
         if index in members and others:
             where = joint.finish(joint.refine(pose, others, (1,)) or pose, others)
             without.append(where)
-        evidence.append(jury.judged(index, where, on_others=bool(others)))
+        evidence.append(jury.judged(index, where, on_others=True) if elsewhere else jury.judged_by_moved(index, where))
     return evidence, without
 
 

@@ -18,6 +18,9 @@ class RigOptions:
 
     seed: int = 0
     """Random seed; equal seeds give equal results."""
+    estimate_time_offset: bool = False
+    """Also estimate by how much the photographs are stamped later than the scans, and pair them accordingly; needs the
+    photographs before and after each pair (`RigPair.taken`)."""
     candidates_per_pair: int = 4
     """Number of poses that each pair proposes."""
     refined: int = 5

@@ -7,13 +7,13 @@ that is not right for its images agrees there with no more regions than chance, 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.foundations.validation import require_type
@@ -26,57 +26,118 @@ from ladarreg_core.registration.rig.evidence import ADVICE, Jury, held_out, join
 from ladarreg_core.registration.rig.joint import JointPairs, PairViews
 from ladarreg_core.registration.rig.options import MIN_PAIRS, RigOptions
 from ladarreg_core.registration.rig.results import PairEvidence, RigPair, RigResult
+from ladarreg_core.registration.rig.time_offset import estimate_time_offset, paired_at
 
 # Variance factors of the covariance from regions, for pairs with intensity and for those whose shape alone is compared;
 # to it that of leaving out pairs is added. From simulated rigs of other seeds than those of the benchmark.
 _LINES_VARIANCE, _OUTLINES_VARIANCE = 3.0, 4.5
 _ROUNDS = 2
+_NAME = re.compile(r"[A-Za-z0-9_-]{1,60}")
 _UNKNOWN = np.full((6, 6), np.nan)
 
 
 def register_rig(
     pairs: Sequence[RigPair],
     *,
-    initial: Rigid | None = None,
+    initial: Rigid | Mapping[str, Rigid] | None = None,
     options: RigOptions | None = None,
     report: StepReport | None = None,
 ) -> RigResult:
-    """Estimate the one pose of a camera relative to a scanner from pairs that they took at several places.
+    """Estimate the one pose of each camera relative to a scanner from pairs that they took at several places.
 
     Args:
-        pairs: two or more; their cameras are taken as calibrated.
-        initial: a rough pose, `camera_from_scanner`.
+        pairs: two or more of each camera, told apart by `RigPair.camera_name`; the intrinsics are taken as calibrated.
+        initial: a rough pose, `camera_from_scanner`; of several cameras, by their names.
         options: seed and thresholds.
         report: receives every finished `Step`; may raise `Cancelled`.
 
     Returns:
         The result. It is accepted if pairs that were held out verify the pose of the others; pairs that disagree are
-        named and left out.
+        named and left out. Of several cameras, each has a result of its own, from its own pairs.
 
     Raises:
-        OptionError: if there are fewer than two pairs, an argument is of a wrong type, or a photograph is thermal, of a
-            fisheye or a panorama.
+        OptionError: if there are fewer than two pairs of a camera, an argument is of a wrong type, or a photograph is
+            thermal.
     """
     o = RigOptions() if options is None else require_type(options, RigOptions, "'options'")
-    _check(pairs, initial)
-    steps = StepLog(report)
+    by_camera = _by_camera(pairs)
+    initials = _initials(initial, list(by_camera))
     with threadpool_limits(limits=1, user_api="blas"):
-        return _registered(pairs, initial, steps, o)
+        results = {name: _of_camera(own, initials[name], StepLog(report), o) for name, own in by_camera.items()}
+    return next(iter(results.values())) if len(results) == 1 else _of_all(results)
 
 
-def _check(pairs: Sequence[RigPair], initial: object) -> None:
+def _by_camera(pairs: Sequence[RigPair]) -> dict[str, list[RigPair]]:
+    """Return the pairs of each camera by its name, after checking them."""
     if not isinstance(pairs, Sequence) or not all(isinstance(pair, RigPair) for pair in pairs):
         raise OptionError("'pairs' must be a list of RigPair")
-    if len(pairs) < MIN_PAIRS:
-        raise OptionError(f"the rig has {len(pairs)} pairs; it needs at least {MIN_PAIRS}, better five or more")
-    if initial is not None:
-        require_type(initial, Rigid, "'initial'")
+    found: dict[str, list[RigPair]] = {}
     for pair in pairs:
-        if not isinstance(pair.photo.camera, Camera) or pair.photo.temperature_k is not None:
+        found.setdefault(pair.camera_name, []).append(pair)
+    for name, own in found.items() or [("", [])]:
+        if len(own) < MIN_PAIRS:
+            what = f"the camera {name}" if len(found) > 1 else "the rig"
+            raise OptionError(f"{what} has {len(own)} pairs; it needs at least {MIN_PAIRS}, better five or more")
+        if len(found) > 1 and not _NAME.fullmatch(name):
             raise OptionError(
-                f"the photo of {pair.name} is {'thermal' if pair.photo.temperature_k is not None else 'no pinhole'}; "
-                "a rig takes pinhole photos: register such pairs one by one"
+                f"a camera is called {name[:40]!r}; of several in a rig, each has a name of letters, digits, _ and -"
             )
+    for pair in pairs:
+        if pair.photo.temperature_k is not None:
+            raise OptionError(f"the photo of {pair.name} is thermal; register such pairs one by one")
+
+    return found
+
+
+def _initials(initial: Rigid | Mapping[str, Rigid] | None, names: Sequence[str]) -> dict[str, Rigid | None]:
+    """Return the rough pose of each camera."""
+    if initial is None or isinstance(initial, Rigid):
+        if initial is not None and len(names) > 1:
+            raise OptionError(
+                f"one initial pose is given, but the rig has the cameras {', '.join(names)}; give one for each name"
+            )
+        return dict.fromkeys(names, initial)
+    if not isinstance(initial, Mapping) or not all(isinstance(pose, Rigid) for pose in initial.values()):
+        raise OptionError("'initial' must be a Rigid, or a mapping of names of cameras to Rigid")
+    strangers = [str(name) for name in initial if name not in names]
+    if strangers:
+        has = f"the cameras {', '.join(names)}" if names != [""] else "one camera without a name"
+        raise OptionError(f"there is an initial pose of {', '.join(strangers)}, but the rig has {has}")
+    return {name: initial.get(name) for name in names}
+
+
+def _of_all(results: Mapping[str, RigResult]) -> RigResult:
+    """Return the results of several cameras as that of their rig."""
+    first, every = next(iter(results.values())), results.values()
+    return RigResult(
+        None,
+        _UNKNOWN,
+        all(one.accepted for one in every),
+        tuple(f"{name}: {one.reasons[0]}" for name, one in results.items()),
+        tuple(pair for one in every for pair in one.pairs),
+        max(one.false_alarm for one in every),
+        tuple(camera for one in every for camera in one.cameras),
+        tuple(step for one in every for step in one.steps),
+        first.options,
+        first.seed,
+        by_camera=dict(results),
+    )
+
+
+def _of_camera(pairs: Sequence[RigPair], initial: Rigid | None, steps: StepLog, o: RigOptions) -> RigResult:
+    """Return the result of one camera, with the photographs of the same moment if a time offset is asked for."""
+    result = _registered(pairs, initial, steps, o)
+    if not o.estimate_time_offset:
+        return result
+    starts = [pose for pose in (result.camera_from_scanner, initial) if pose is not None]
+    with steps.step("rig time offset") as note:
+        offset = estimate_time_offset(pairs, starts, seed=o.seed)
+        note.update(seconds=round(offset.seconds, 4), known=offset.known)
+    moved = [paired_at(pair, offset.seconds) if offset.known else pair for pair in pairs]
+    if any(new.photo is not old.photo for new, old in zip(moved, pairs, strict=True)):
+        result = _registered(moved, initial or result.camera_from_scanner, steps, o)
+    return replace(result, reasons=(*result.reasons, f"{offset.sentence[0].upper()}{offset.sentence[1:]}."),
+                   time_offset=offset)  # fmt: skip
 
 
 def _registered(pairs: Sequence[RigPair], initial: Rigid | None, steps: StepLog, o: RigOptions) -> RigResult:
@@ -120,7 +181,7 @@ def _registered(pairs: Sequence[RigPair], initial: Rigid | None, steps: StepLog,
         steps.pose = pose
     with steps.step("rig covariance"):
         covariance = _covariance(joint, views, pose, used, without)
-    known = KnownPoses(pairs[used[0]].scan, pairs[used[0]].photo.pinhole)
+    known = KnownPoses(pairs[used[0]].scan, pairs[used[0]].photo.camera)
     has_rival = any(
         known.differ(pose, one.camera_from_scanner) and one.evidence >= o.rival_evidence * tried[0].evidence
         for one in tried[1:]

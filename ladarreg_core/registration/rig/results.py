@@ -27,7 +27,7 @@ class RigPair:
     scan: Scan
     photo: Photo
     camera_name: str = ""
-    """Of the camera, where the rig has several."""
+    """Of the camera, where the rig has several: letters, digits, _ and -."""
     taken: tuple[TimedPhoto, ...] = ()
     """Photographs of the same camera before, at and after the time of the scan; needed for a time offset only."""
 
@@ -80,6 +80,28 @@ class PairEvidence:
         }
 
 
+@dataclass(frozen=True, slots=True)
+class TimeOffset:
+    """The time by which photographs are stamped later than scans of the same moment."""
+
+    seconds: float
+    """Add it to the time of a scan for the time stamp of its photograph, s; 0 if it cannot be told."""
+    sigma_s: float
+    """Its standard deviation, s; inf if it cannot be told."""
+    sentence: str
+    """The finding in words."""
+
+    @property
+    def known(self) -> bool:
+        """Whether it could be told."""
+        return bool(np.isfinite(self.sigma_s))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the finding, JSON-ready."""
+        sigma = self.sigma_s if self.known else None
+        return {"seconds": self.seconds, "sigma_s": sigma, "known": self.known, "sentence": self.sentence}
+
+
 class RigSigmas(NamedTuple):
     """The largest standard deviations of a rig's pose."""
 
@@ -94,17 +116,18 @@ class RigResult:
     """The one pose of a rig, with its verdict; a refused pose is only the best guess."""
 
     camera_from_scanner: Rigid | None
-    """The pose; None: nothing was found."""
+    """The pose; None: nothing was found, or the rig has several cameras, see `by_camera`."""
     covariance: FloatArray
     """(6, 6) of (w, c) as `PoseResult.covariance`; NaN without a pose."""
     accepted: bool
-    """Whether pairs that were held out verified it."""
+    """Whether pairs that were held out verified it; of several cameras, each of them."""
     reasons: tuple[str, ...]
     """The verdict in sentences."""
     pairs: tuple[PairEvidence, ...]
     """The evidence of each pair at the pose of the others, in the order given."""
     false_alarm: float
-    """Bound on the probability of the held-out agreement by chance, without the pair that agrees best."""
+    """Bound on the probability of the held-out agreement by chance, without the pair that agrees best; of several
+    cameras, the highest."""
     cameras: tuple[CameraModel, ...]
     """The camera of each pair."""
     steps: tuple[Step, ...] = ()
@@ -113,6 +136,10 @@ class RigResult:
     """The options, JSON-ready."""
     seed: int = 0
     """The random seed."""
+    time_offset: TimeOffset | None = None
+    """That of the camera's clock, if it was asked for."""
+    by_camera: Mapping[str, RigResult] = field(default_factory=dict)
+    """The result of each camera by its name, where the rig has several; each has a verdict of its own."""
 
     @property
     def sigmas(self) -> RigSigmas:

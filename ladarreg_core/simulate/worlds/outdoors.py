@@ -5,7 +5,7 @@ The scanner stands at the origin, `EYE_M` above the ground; x points along the s
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
@@ -27,18 +27,21 @@ _LEAVES = 240  # of a tree
 _FACES_SUN = 0.6  # `take_photograph`: a light has its full strength at this share of the focus
 
 
-def build_outdoors(scene: str, *, layout: np.random.Generator) -> World:
+def build_outdoors(scene: str, *, layout: np.random.Generator, people: Sequence[Placement] = ()) -> World:
     """Return the world of a place; in half of the places laser albedo and visible colour are unrelated.
 
     Args:
         scene: a name in `OUTDOORS`.
         layout: random generator of the whole place.
+        people: where further people stand; the rest of the place does not depend on them.
     """
     inks = InkMixer(layout, independent=bool(layout.random() < 0.5))
     shop = Workshop(WorldBuilder(), Printer(layout, inks))
     _sky(shop)
     OUTDOORS[scene](shop)
     bearing, height = _u(layout, -2.6, 2.6), _u(layout, 0.45, 1.1)
+    for at in people:
+        make.person(shop, at, height_m=1.75)
     sun = np.array([np.cos(bearing) * np.cos(height), np.sin(bearing) * np.cos(height), np.sin(height)])
     return shop.builder.finish(focus_m=_SUN_M / _FACES_SUN, lights=[_SUN_M * sun])
 
