@@ -268,8 +268,8 @@ def _against_sight(evidence: PairEvidence, o: PairOptions) -> list[str]:
         )
     if not evidence.contradicted <= o.most_contradicted:
         against.append(
-            f"{evidence.contradicted:.1%} of what one station shows stands where the other one saw through; "
-            f"{o.most_contradicted:.1%} is the limit. The scans show different places, or much was moved."
+            f"{evidence.contradicted:.1%} of what one station shows stands where the other one saw through: "
+            "the scans show different places, or much was moved."
         )
     return against
 
@@ -283,7 +283,7 @@ def _verdict(
     elif not evidence.held_out_ratio <= o.most_held_out_ratio:
         against.append(
             f"On surfaces that were kept from the alignment the scans are {evidence.held_out_ratio:.1f} times as far "
-            f"apart as their noise; {o.most_held_out_ratio:.1f} is the limit."
+            "apart as their noise, which is too much for a fit: something was moved, or a scan is distorted."
         )
     if np.isfinite(printed.by_chance) and not printed.correlation >= printed.by_chance + o.print_margin:
         against.append(
