@@ -124,8 +124,8 @@ def camera_estimate(photo: str, result: Registration, orientation: int) -> Camer
         result: its registration, whose camera was estimated with the pose.
         orientation: EXIF's, by which its pixels were turned upright.
     """
-    joint, camera = result.camera_uncertainty, result.camera
-    if not result.accepted or joint is None or joint.names != INTRINSICS or not isinstance(camera, Camera):
+    joint, camera = result.camera_uncertainty, result.camera.as_pinhole
+    if not result.accepted or joint is None or joint.names != INTRINSICS or camera is None:
         return None
     turn = _turn(orientation).T  # orthogonal: back to the pixels as stored
     middle = np.array([0, 0, (camera.width - 1) / 2, (camera.height - 1) / 2])
@@ -174,8 +174,8 @@ def with_pooled_camera(result: Registration, pooled: PooledCamera, orientation: 
         pooled: the camera.
         orientation: EXIF's, by which the photograph's pixels were turned upright.
     """
-    camera = result.camera
-    assert isinstance(camera, Camera), "only cameras of this model are pooled"
+    camera = result.camera.as_pinhole
+    assert camera is not None, "only pinholes are pooled"
     of_camera = pooled.covariance_of(orientation)
     sigmas = dict(zip(INTRINSICS, np.sqrt(np.diag(of_camera)).tolist(), strict=True))
     by_camera = _pose_by_camera(result, camera)

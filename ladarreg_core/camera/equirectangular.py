@@ -79,6 +79,29 @@ class EquirectangularCamera:
         left, _, right, _ = self._window_rad
         return bool(right - left > 2 * np.pi - np.radians(_TOLERANCE_DEG))
 
+    @property
+    def as_panorama(self) -> EquirectangularCamera:
+        """The camera itself."""
+        return self
+
+    @property
+    def turn_px(self) -> float:
+        """The width of a full turn, px; 0: the window is less than that."""
+        return float(self.width) if self.is_full_turn else 0.0
+
+    @property
+    def as_pinhole(self) -> None:
+        """None: no plane holds its image."""
+
+    @property
+    def as_focal(self) -> None:
+        """None: it has no focal length."""
+
+    def depth_of(self, points_camera: FloatArray) -> FloatArray:
+        """Return the distance (...) of points (..., 3) from the camera's center, m."""
+        x, y, z = np.moveaxis(points_camera, -1, 0)
+        return np.asarray(np.sqrt(np.square(x) + np.square(y) + np.square(z)))
+
     def as_fields(self) -> dict[str, Any]:
         """Return the fields of the camera JSON."""
         fields: dict[str, Any] = {"model": self.model, "width": self.width, "height": self.height}

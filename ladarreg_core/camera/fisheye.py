@@ -35,6 +35,15 @@ class FisheyeCamera(FocalCamera):
         """The largest angle from the optical axis that the polynomial maps to one pixel only; pi if it never folds."""
         return self._table[0]
 
+    @property
+    def as_pinhole(self) -> None:
+        """None: no plane holds its image."""
+
+    def depth_of(self, points_camera: FloatArray) -> FloatArray:
+        """Return the distance (...) of points (..., 3) from the camera's center, m."""
+        x, y, z = np.moveaxis(points_camera, -1, 0)
+        return np.asarray(np.sqrt(np.square(x) + np.square(y) + np.square(z)))
+
     def project(self, points_camera: ArrayLike) -> FloatArray:
         """Project points (..., 3), camera frame, m; float32 stays float32.
 

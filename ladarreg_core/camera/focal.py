@@ -93,6 +93,20 @@ class FocalCamera:
             cy=(self.cy + 0.5) * sy - 0.5,
         )
 
+    @property
+    def as_focal(self) -> Self:
+        """The camera itself."""
+        return self
+
+    @property
+    def as_panorama(self) -> None:
+        """None: its pixels are not longitude and latitude."""
+
+    @property
+    def turn_px(self) -> float:
+        """0: the image does not wrap."""
+        return 0.0
+
     def contains(self, uv: ArrayLike, *, border: float = 0.0) -> NDArray[np.bool_]:
         """Return which pixels (..., 2) lie within the image, `border` pixels inside its outermost pixel centres."""
         p = np.asarray(uv)

@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from ladarreg_core.foundations.arrays import FloatArray
 
 if TYPE_CHECKING:
+    from ladarreg_core.camera.equirectangular import EquirectangularCamera
+    from ladarreg_core.camera.fisheye import FisheyeCamera
     from ladarreg_core.camera.pinhole import Camera
 
 
@@ -40,6 +42,25 @@ class CameraModel(Protocol):
     @property
     def focal_px(self) -> float:
         """Pixels per radian at the centre of the image."""
+
+    @property
+    def as_pinhole(self) -> Camera | None:
+        """The camera itself if straight edges are straight in its image but for a lens; None: it is wider."""
+
+    @property
+    def as_focal(self) -> Camera | FisheyeCamera | None:
+        """The camera itself if it has a focal length, a principal point and terms of a lens; None: it has not."""
+
+    @property
+    def as_panorama(self) -> EquirectangularCamera | None:
+        """The camera itself if its pixels are longitude and latitude; None: they are not."""
+
+    @property
+    def turn_px(self) -> float:
+        """Width of a full turn, px: its left and right borders are one meridian; 0: they are not."""
+
+    def depth_of(self, points_camera: FloatArray) -> FloatArray:
+        """Return the depth (...) of points (..., 3), camera frame, m: z of a pinhole, else the distance."""
 
     def project(self, points_camera: ArrayLike) -> FloatArray:
         """Project points (..., 3), camera frame, m; float32 stays float32.
@@ -133,20 +154,20 @@ def require_pinhole(camera: CameraModel, what: str) -> Camera:
     Raises:
         CameraError: if it is of another model.
     """
-    from ladarreg_core.camera.pinhole import Camera
     from ladarreg_core.errors import CameraError
 
-    if not isinstance(camera, Camera):
+    pinhole = camera.as_pinhole
+    if pinhole is None:
         raise CameraError(
             f"{what} needs a perspective photograph, and the camera of this one is {camera.model}; register it "
             "automatically or by drawn matches, or cut a perspective view out of it"
         )
-    return camera
+    return pinhole
 
 
 def describe_in_short(camera: CameraModel) -> str:
     """Return a camera in a phrase, e.g. 'fisheye, f 350.0 px'."""
-    if camera.model == "equirectangular":
+    if camera.as_panorama is not None:
         return f"panorama, {np.degrees(1 / camera.focal_px):.3f} degrees a pixel"
     return ("fisheye, " if camera.model == "fisheye" else "") + f"f {camera.focal_px:.1f} px"
 

@@ -32,6 +32,15 @@ class Camera(FocalCamera):
         """K, (3, 3)."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
 
+    @property
+    def as_pinhole(self) -> Camera:
+        """The camera itself."""
+        return self
+
+    def depth_of(self, points_camera: FloatArray) -> FloatArray:
+        """Return z (...) of points (..., 3), camera frame, m."""
+        return points_camera[..., 2]
+
     def without_distortion(self) -> Camera:
         """Return the same camera without distortion."""
         return replace(self, distortion=())

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ladarreg_core.camera import Camera
 from ladarreg_core.errors import ExportError
 from ladarreg_core.foundations.version import VERSION
 from ladarreg_core.frames import ThesisParameters
@@ -415,7 +414,7 @@ def plain(value: Any) -> Any:
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, Sequence | set | frozenset):
         return [plain(item) for item in value]
-    if isinstance(value, Camera):
+    if hasattr(value, "as_fields"):  # a camera
         return value.as_fields()
     return str(value)
 

@@ -93,8 +93,9 @@ class WrittenPhoto:
         if self._file is not None:
             write_bytes(path, self._file.read_bytes())
         elif self.is_undistorted:
-            assert isinstance(self.camera, Camera)
-            write_png_picture(path, undistorted(self.one.photo, self.one.camera, self.camera, report=self._report))
+            pinhole = self.camera.as_pinhole
+            assert pinhole is not None, "only a lens is taken out"
+            write_png_picture(path, undistorted(self.one.photo, self.one.camera, pinhole, report=self._report))
         else:
             write_png_picture(path, self.one.photo.pixels)
 
@@ -192,8 +193,7 @@ def resampled(
         photo_from_target: (3, 3) rotation from its axes.
         report: called for every few rows; may raise `Cancelled`.
     """
-    wide = isinstance(camera, EquirectangularCamera) and camera.is_full_turn
-    seam = min(_SEAM_PX, camera.width) if wide else 0
+    seam = min(_SEAM_PX, camera.width) if camera.turn_px else 0
     if seam:
         pixels = np.concatenate([pixels[:, -seam:], pixels, pixels[:, :seam]], axis=1)
     made = np.empty((target.height, target.width, 3), np.uint8)

@@ -1,4 +1,4 @@
-"""A scan with the photographs that are registered to it: what is handed over to the next program."""
+"""A scan with the photographs that are registered to it: what photographs are exported from."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class RegisteredPhoto:
     """A photograph with a pose that was accepted, or given."""
 
     id: str
-    """Unique among the photographs of a hand-over; ASCII letters, digits, dots, hyphens, underscores."""
+    """Unique among the photographs of an export; ASCII letters, digits, dots, hyphens, underscores."""
     photo: Photo
     """The photograph."""
     registration: Registration

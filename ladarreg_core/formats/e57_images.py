@@ -102,7 +102,7 @@ def _offer(number: int, image: E57ImageInfo, info: E57Info, scan_index: int) -> 
         words.append(f"{image.kind}, which is not registered")
     elif camera is None:
         words.append("no camera is stated")
-    elif isinstance(camera, EquirectangularCamera):
+    elif camera.as_panorama is not None:
         words.append("spherical panorama")
     else:
         words.append(f"f {camera.focal_px:.0f} px as stated")

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.camera import Camera, CameraModel
-from ladarreg_core.camera.focal import FocalCamera
 from ladarreg_core.errors import CameraError, OptionError, UnderspecifiedError
 from ladarreg_core.formats.cameras.camera_file import read_noted_camera
 from ladarreg_core.formats.parsing.begun_read import BegunRead
@@ -163,9 +162,10 @@ def _read(
             others = _as_stored(given, raw_width, raw_height, orientation) if turned else ()
             if others:
                 notes.append(_EITHER_TURN)
-            if isinstance(given, FocalCamera) and given.cx == given.cy == 0:
+            lens = given.as_focal
+            if lens is not None and lens.cx == lens.cy == 0:
                 notes.append(_CORNER)
-                middle = replace(given, cx=(given.width - 1) / 2, cy=(given.height - 1) / 2)
+                middle = replace(lens, cx=(lens.width - 1) / 2, cy=(lens.height - 1) / 2)
                 return _photo(pixels, middle, file.stem, notes, calibrated=False)
             return _photo(pixels, given, file.stem, notes, calibrated=True, alternatives=others)
         pixels = upright(values, orientation)
@@ -227,16 +227,17 @@ def _photo(
 
 def _as_stored(camera: CameraModel, raw_width: int, raw_height: int, orientation: int) -> tuple[CameraModel, ...]:
     """Return the camera as it is if it was calibrated on the pixels as stored, where its size admits that, too."""
-    if orientation == 1 or camera.size != (raw_width, raw_height) or not isinstance(camera, FocalCamera):
+    lens = camera.as_focal
+    if orientation == 1 or camera.size != (raw_width, raw_height) or lens is None:
         return ()
     if orientation >= 5:  # of a square image
-        camera = replace(camera, fx=camera.fy, fy=camera.fx, cx=camera.cy, cy=camera.cx)
+        lens = replace(lens, fx=lens.fy, fy=lens.fx, cx=lens.cy, cy=lens.cx)
     flip_u, flip_v = orientation in (2, 3, 6, 7), orientation in (3, 4, 7, 8)
-    cx = camera.width - 1 - camera.cx if flip_u else camera.cx
-    cy = camera.height - 1 - camera.cy if flip_v else camera.cy
-    turned = replace(camera, cx=cx, cy=cy)
-    apart = math.hypot(turned.cx - camera.cx, turned.cy - camera.cy)
-    return (turned,) if apart > _SAME_CENTRE * camera.width else ()
+    cx = lens.width - 1 - lens.cx if flip_u else lens.cx
+    cy = lens.height - 1 - lens.cy if flip_v else lens.cy
+    turned = replace(lens, cx=cx, cy=cy)
+    apart = math.hypot(turned.cx - lens.cx, turned.cy - lens.cy)
+    return (turned,) if apart > _SAME_CENTRE * lens.width else ()
 
 
 def _thermal_note(kelvin: FloatArray) -> str:

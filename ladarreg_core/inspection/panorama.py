@@ -84,7 +84,7 @@ def photo_outline(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid) -
         camera: the photograph's camera.
         camera_from_scanner: its pose.
     """
-    if camera.model == "equirectangular":
+    if camera.as_panorama is not None:
         return np.empty((0, 3))
     along = np.arange(_PER_SIDE) / _PER_SIDE
     right, bottom = camera.width - 0.5, camera.height - 0.5

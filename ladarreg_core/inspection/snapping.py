@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ladarreg_core.camera import Camera, CameraModel
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.inspection.corners import gray_of_photo, gray_of_view, nearest_corner
 from ladarreg_core.matching.features.edges import EdgeOptions, edge_under
@@ -89,8 +89,8 @@ class PhotoSnapper:
             ends: (2, 2), (u, v).
             px_per_screen: pixels of the photograph per pixel of the screen.
         """
-        camera = self.photo.camera
-        if not isinstance(camera, Camera):
+        camera = self.photo.camera.as_pinhole
+        if camera is None:
             return None  # straight edges are curves in a wide image
         if not camera.distortion:
             return edge_under(self._sample, ends, _options(px_per_screen))

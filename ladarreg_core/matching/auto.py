@@ -117,7 +117,7 @@ def register_auto(
         return AutoResult(initial, None, None, (reason,))
 
     prior = o.calibrated_prior if photo.calibrated else prior
-    prior = prior.covering(photo.pinhole, (other for other in photo.alternatives if isinstance(other, Camera)))
+    prior = prior.covering(photo.pinhole, filter(None, (other.as_pinhole for other in photo.alternatives)))
     result = _searched(pair, photo.pinhole, photo, steps, initial, o, prior, channels)
     if photo.assumed and may_be_beside(result):
         assert result.camera is not None, "it was estimated"

@@ -35,7 +35,7 @@ _MIN_CHECKED = 0.3  # fraction of agreeing regions of the hypothesis's own face,
 
 def is_wide(photo: Photo) -> bool:
     """Return whether a photograph is registered through faces: its camera is not a pinhole."""
-    return not isinstance(photo.camera, Camera)
+    return photo.camera.as_pinhole is None
 
 
 def register_faces(

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ladarreg_core.camera import Camera, CameraModel
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.camera.uncertainty import DEFAULT_CAMERA_PRIOR, CameraPrior
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matches import Matches
@@ -85,7 +85,7 @@ def _register_cameras(
 
 def _with_camera_named(found: AutoResult, cameras: Sequence[CameraModel]) -> AutoResult:
     """Return an accepted result whose reasons say which of the focal lengths that the file admits the images show."""
-    focal = [camera.focal_px for camera in cameras if isinstance(camera, Camera)]
+    focal = [camera.focal_px for camera in cameras if camera.as_pinhole is not None]
     sigma = found.camera_sigmas.get("focal_px")
     if found.camera is None or sigma is None or max(focal) - min(focal) <= _DISTINCT_SIGMA * sigma:
         return found

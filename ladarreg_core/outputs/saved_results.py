@@ -289,7 +289,7 @@ def registered_scan(
     option: str = "`inputs`",
     report: Report | None = None,
 ) -> RegisteredScan:
-    """Return results on the same scan as one hand-over, their inputs read again.
+    """Return results on the same scan, to be exported together, their inputs read again.
 
     Args:
         results: the results, accepted, given or refused; refused ones are listed as such.

@@ -10,7 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.camera import Camera, CameraModel
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.foundations.validation import require_choice, require_int
 from ladarreg_core.frames import Rigid, look_along
@@ -207,12 +207,13 @@ def _directions(ends: FloatArray, uv: FloatArray, camera: CameraModel | None) ->
         camera: with distortion a straight edge is curved; the direction is that of the curve at the point.
     """
     along = ends[:, 1] - ends[:, 0]
-    if isinstance(camera, Camera) and camera.distortion:
-        ideal = camera.without_distortion()
-        ends_there, here = ideal.project(camera.unproject(ends)), ideal.project(camera.unproject(uv))
+    pinhole = None if camera is None else camera.as_pinhole
+    if pinhole is not None and pinhole.distortion:
+        ideal = pinhole.without_distortion()
+        ends_there, here = ideal.project(pinhole.unproject(ends)), ideal.project(pinhole.unproject(uv))
         step = ends_there[:, 1] - ends_there[:, 0]
         step = step / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12)
-        curved = camera.project(ideal.unproject(here + step)) - camera.project(ideal.unproject(here - step))
+        curved = pinhole.project(ideal.unproject(here + step)) - pinhole.project(ideal.unproject(here - step))
         along = np.where(np.isfinite(curved), curved, along)
     length = np.linalg.norm(along, axis=1, keepdims=True)
     return np.asarray(np.divide(along, length, out=np.zeros_like(along), where=length > 0))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladarreg_core.camera import Camera, CameraModel
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import Rigid, principal_extents, rotation_from_rotvec, rotvec_from_rotation
 from ladarreg_core.matches import Matches
@@ -195,12 +195,13 @@ def pose_of_outliers(
     count = int(np.count_nonzero(others))
     if count < least_support(len(others) - count, options):
         return None
-    if not isinstance(camera, Camera):
+    pinhole = camera.as_pinhole
+    if pinhole is None:
         return sample_pose_of_rays(
             matches.points[others], camera.unproject(matches.uv[others]),
             threshold_rad=_RANSAC_SIGMA * sigma_px / camera.focal_px, iterations=_RANSAC_ITERATIONS, seed=seed,
         )  # fmt: skip
-    ideal = camera.without_distortion()
+    ideal = pinhole.without_distortion()
     uv = (measured.xy[:, others] * [[ideal.fx], [ideal.fy]] + [[ideal.cx], [ideal.cy]]).T
     return sample_pose(
         matches.points[others], uv, ideal, threshold_px=_RANSAC_SIGMA * sigma_px, iterations=_RANSAC_ITERATIONS,

@@ -119,10 +119,11 @@ def with_assumed_camera(result: PoseResult, prior: CameraPrior, *, shown: float 
         prior: what is assumed of the camera; intrinsics that were estimated with the pose are no longer assumed.
         shown: share of the effect of a wrong camera that the residuals show.
     """
-    if not isinstance(result.camera, Camera):
+    camera = result.camera.as_pinhole
+    if camera is None:
         return result
     free = tuple(name for name in INTRINSICS if name in result.camera_sigmas)
-    sigmas = {k: v for k, v in prior.sigmas(result.camera).items() if k not in free}
+    sigmas = {k: v for k, v in prior.sigmas(camera).items() if k not in free}
     if not sigmas or result.camera_uncertainty is not None or np.count_nonzero(result.inliers) < _MIN_MATCHES:
         return result
     if not result.is_determined:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.camera import Camera, CameraModel, require_pinhole
+from ladarreg_core.camera import CameraModel, require_pinhole
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray, median
@@ -152,12 +152,12 @@ def _with_assumed_camera(
     The camera is kept as it was where the pose, too, is to be kept, and where the pose would no longer be accepted.
     """
     kept = with_assumed_camera(result, options.camera_prior)
-    if options.intrinsics == "fixed" or solution.kept_initial or not isinstance(stated, Camera):
+    if options.intrinsics == "fixed" or solution.kept_initial or (as_stated := stated.as_pinhole) is None:
         return kept
     given = require_pinhole(solution.camera, "An assumed camera")
     start = solution.intrinsics or (given, solution.fit.state.pose())
     found = fit_assumed_camera(
-        solution.matches, stated, start, options.camera_prior,
+        solution.matches, as_stated, start, options.camera_prior,
         sigma_px=solution.sigma[0], sigma_range_m=solution.sigma[1], gate_chi2=options.gate_chi2,
         noise=_noise_estimator(solution, options),
     )  # fmt: skip
@@ -262,7 +262,7 @@ def _noise_is_open(options: PoseOptions) -> bool:
 
 def _with_intrinsics(solution: _Solution, options: PoseOptions) -> _Solution:
     """Estimate the intrinsics that were requested, or those that held-out matches support."""
-    if options.intrinsics == "fixed" or not isinstance(solution.camera, Camera):
+    if options.intrinsics == "fixed" or (camera := solution.camera.as_pinhole) is None:
         return solution
     stated: dict[str, Any] = {
         "sigma_px": solution.sigma[0], "sigma_range_m": solution.sigma[1], "gate_chi2": options.gate_chi2,
@@ -273,7 +273,7 @@ def _with_intrinsics(solution: _Solution, options: PoseOptions) -> _Solution:
     if options.intrinsics == "auto":
         choice = choose_intrinsics(
             solution.matches,
-            solution.camera,
+            camera,
             pose,
             solution.fit.inliers,
             at=solution.fit.at,
@@ -282,8 +282,8 @@ def _with_intrinsics(solution: _Solution, options: PoseOptions) -> _Solution:
         )
         free, words = choice.fit, choice.describe()
     else:
-        free = estimate_intrinsics(solution.matches, solution.camera, pose, options.intrinsics, **stated)
-        words = describe_intrinsics(free, solution.camera)
+        free = estimate_intrinsics(solution.matches, camera, pose, options.intrinsics, **stated)
+        words = describe_intrinsics(free, camera)
     solution = replace(solution, notes=(*solution.notes, *words))
     if free is None:
         return solution
@@ -313,10 +313,11 @@ def _noise_estimator(solution: _Solution, options: PoseOptions) -> Noise | None:
 
 def _or_initial_pose(solution: _Solution, initial: Rigid, options: PoseOptions) -> _Solution:
     """Return to the initial pose if it predicts held-out matches better than a pose fitted to the others."""
-    if not isinstance(solution.camera, Camera):
+    camera = solution.camera.as_pinhole
+    if camera is None:
         return solution
     worse = worse_when_held_out(
-        solution.matches, solution.camera, initial, solution.fit.state.pose(), solution.fit.inliers,
+        solution.matches, camera, initial, solution.fit.state.pose(), solution.fit.inliers,
         sigma_px=solution.sigma[0], sigma_range_m=solution.sigma[1], gate_chi2=options.gate_chi2, seed=options.seed,
     )  # fmt: skip
     if not worse:
@@ -349,9 +350,10 @@ def _initial_poses(
     """Return the poses found by the two runs of RANSAC, at most one each."""
     if options.ransac_iterations == 0:
         return []
-    if not isinstance(camera, Camera):
+    pinhole = camera.as_pinhole
+    if pinhole is None:
         return _initial_poses_of_rays(matches, camera, options, sigma_px)
-    ideal = camera.without_distortion()
+    ideal = pinhole.without_distortion()
     uv = (measured.xy * [[ideal.fx], [ideal.fy]] + [[ideal.cx], [ideal.cy]]).T
     threshold = options.ransac_sigma * sigma_px
     poses: list[Rigid] = []

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ladarreg_core.camera import Camera, CameraModel, require_camera
+from ladarreg_core.camera import CameraModel, require_camera
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.foundations.validation import require_positive, require_type
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters, principal_extents
@@ -108,9 +108,10 @@ def _relief(matches: Matches) -> str:
 
 def _consensus_pose(matches: Matches, camera: CameraModel, sigma_px: float) -> Rigid | None:
     """Return the pose on which enough matches agree, by RANSAC."""
-    if not isinstance(camera, Camera):
+    pinhole = camera.as_pinhole
+    if pinhole is None:
         return None
-    found = ransac_pose(matches.points, matches.uv, camera, threshold_px=_RANSAC_SIGMA * sigma_px, iterations=1000)
+    found = ransac_pose(matches.points, matches.uv, pinhole, threshold_px=_RANSAC_SIGMA * sigma_px, iterations=1000)
     if found is None:
         return None
     agreeing = np.count_nonzero(found.inliers)

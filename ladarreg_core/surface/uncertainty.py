@@ -171,7 +171,8 @@ def _sigma(
         along: (3, N) additional error of each point, one sigma, m.
         joint: the uncertain intrinsics, if there are any.
     """
-    if not isinstance(camera, Camera):
+    pinhole = camera.as_pinhole
+    if pinhole is None:
         return _wide_sigma(p, camera, factor, measure, along)
     rows = np.empty((2, 6, p.shape[1]), dtype=p.dtype)
     with np.errstate(all="ignore"):
@@ -183,7 +184,7 @@ def _sigma(
         rows[0, 3], rows[0, 4], rows[0, 5] = -inverse_z, 0, x * inverse_z
         rows[1, 3], rows[1, 4], rows[1, 5] = 0, -inverse_z, y * inverse_z
         if joint is not None:
-            rows = np.concatenate([rows, _by_intrinsics(camera, joint, x, y, lens)], axis=1)
+            rows = np.concatenate([rows, _by_intrinsics(pinhole, joint, x, y, lens)], axis=1)
         dx, dy = factor.T @ rows[0], factor.T @ rows[1]
         xx, cross, yy = _dot(dx, dx), _dot(dx, dy), _dot(dy, dy)
         if along is not None:
@@ -195,7 +196,7 @@ def _sigma(
             vv = c * c * xx + 2 * c * d * cross + d * d * yy
             uv = a * c * xx + (a * d + b * c) * cross + b * d * yy
         else:
-            fx, fy = p.dtype.type(camera.fx), p.dtype.type(camera.fy)
+            fx, fy = p.dtype.type(pinhole.fx), p.dtype.type(pinhole.fy)
             uu, uv, vv = fx * fx * xx, fx * fy * cross, fy * fy * yy
         if measure == "total":
             return np.asarray(np.sqrt(uu + vv))
@@ -248,9 +249,10 @@ class _Lens:
     @staticmethod
     def of(camera: CameraModel, count: int) -> _Lens | None:
         """Return the lens, with a net if `count` points justify it; None without distortion, and of a wide camera."""
-        if not isinstance(camera, Camera) or not camera.distortion:
+        pinhole = camera.as_pinhole
+        if pinhole is None or not pinhole.distortion:
             return None
-        whole = _Lens(camera, None, np.zeros(2), np.ones(2))
+        whole = _Lens(pinhole, None, np.zeros(2), np.ones(2))
         if count < 2 * _NET_NODES**2:
             return whole
         edge = np.linspace(0, 1, _NET_NODES)
@@ -267,7 +269,7 @@ class _Lens:
             net = np.stack(whole._exact(*np.meshgrid(x, y)), axis=-1).astype(np.float32)
             if np.isfinite(net).all():
                 break
-        return _Lens(camera, net, low, step)
+        return _Lens(pinhole, net, low, step)
 
     def slopes(self, x: FloatArray, y: FloatArray) -> list[FloatArray]:
         """Return du/dx, du/dy, dv/dx and dv/dy (N,) at tangents (N,); NaN for NaN and beyond the lens."""

@@ -12,7 +12,7 @@ CHECKOUT = Path(__file__).parents[2]
 _JOINT = re.compile(r"\"\s*(?:\+\s*)?f?\"")
 _BUTTONS = {
     "tutorial.md": ("Register automatically", "Judge", "Export", "No overlay", "Edges", "Camera", "Write report",
-                    "Download zip", "Write to folder", "Other programs", "Export as zip"),
+                    "Download zip", "Write to folder"),
     "manual.md": ("Match", "Judge", "Solve from matches", "Refine from here", "Display", "Show", "Depth error"),
     "troubleshooting.md": ("Refine from here", "Display", "Coarse mesh", "NOT SAVED"),
 }  # fmt: skip

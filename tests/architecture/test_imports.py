@@ -190,3 +190,17 @@ def test_benchmarks_and_what_they_share_with_tests_import_no_tests() -> None:
     files = [*(checkout / "benchmarks").rglob("*.py"), *(checkout / "testing").rglob("*.py")]
     assert len(files) > 50
     assert not [str(file) for file in files if statement.search(file.read_text(encoding="utf-8"))]
+
+
+def test_no_module_but_those_of_cameras_asks_for_the_class_of_a_camera() -> None:
+    """What depends on the model is asked of the camera (`as_pinhole`, `depth_of`, `turn_px`...)."""
+    classes = {"Camera", "FocalCamera", "FisheyeCamera", "EquirectangularCamera"}
+    found = []
+    for path in [*core_files(), *modules("app").values()]:
+        if path.is_relative_to(CHECKOUT / "ladarreg_core" / "camera"):
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "isinstance":
+                asked = {name.id for name in ast.walk(node.args[1]) if isinstance(name, ast.Name)}
+                found += [f"{path.relative_to(CHECKOUT)}:{node.lineno}"] if asked & classes else []
+    assert not found

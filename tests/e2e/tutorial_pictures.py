@@ -63,7 +63,7 @@ def _tutorial(folder: Path, chromium: Browser, target: Path) -> None:
         page.wait_for_timeout(4000)
         _keep(page, target / "judged.png")
         page.get_by_role("tab", name=re.compile("Export")).click()
-        page.wait_for_timeout(1500)
+        page.locator(".target-list li").first.wait_for()
         _keep(page, target / "exports.png")
     results = folder / "results"
     scan = lr.read_scan(pair / "scan.npz")

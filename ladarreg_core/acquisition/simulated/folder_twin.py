@@ -245,8 +245,8 @@ def camera_twin(
         picture = Image.fromarray(bench.photograph(at, camera, noise_key=key))
         exif = Image.Exif()
         exif[Base.Make], exif[Base.Model] = "ladarreg", "simulated camera"
-        if isinstance(camera, Camera):
-            exif.get_ifd(IFD.Exif)[Base.FocalLengthIn35mmFilm] = round(_FILM_MM * camera.fx / camera.width)
+        if (pinhole := camera.as_pinhole) is not None:
+            exif.get_ifd(IFD.Exif)[Base.FocalLengthIn35mmFilm] = round(_FILM_MM * pinhole.fx / pinhole.width)
         picture.save(path, exif=exif, quality=95)
 
     return FolderTwin(

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from ladarreg_core.camera import (
     Camera,
     EquirectangularCamera,
-    FisheyeCamera,
     axial_pinhole,
     cube_faces,
 )
@@ -69,18 +68,19 @@ def pictures(one: RegisteredPhoto, report: Callable[[], None]) -> Iterator[Pictu
     """
     camera, name = one.camera, f"{one.photo.name} ({one.caveat})" if one.caveat else one.photo.name
     pinhole = CAMERA_FROM_PINHOLE
-    if isinstance(camera, Camera) and not any(camera.distortion):
-        yield Picture(name, camera, camera.size, pinhole, _original(one))
+    flat, panorama = camera.as_pinhole, camera.as_panorama
+    if flat is not None and not any(flat.distortion):
+        yield Picture(name, flat, flat.size, pinhole, _original(one))
         return
-    if isinstance(camera, EquirectangularCamera):
-        centred, turn = _centred(camera)
+    if panorama is not None:
+        centred, turn = _centred(panorama)
         axes = turn @ CAMERA_FROM_SPHERICAL
         if centred.size == camera.size:
             yield Picture(name, centred, centred.size, axes, _original(one))
             return
         data = _encoded(resampled(one.photo.pixels, camera, centred, turn, report))
         yield Picture(name, centred, centred.size, axes, data)
-    elif isinstance(camera, FisheyeCamera):
+    elif flat is None:
         for face in cube_faces(camera, margin_px=0):
             turn = face.face_from_camera.T
             data = _encoded(resampled(one.photo.pixels, camera, face.camera, turn, report))

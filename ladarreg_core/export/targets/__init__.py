@@ -1,1 +1,1 @@
-"""Exports to other programs: `hand_over` writes them, `registry` lists the targets, one writer a file."""
+"""The one export: `pipeline` writes targets, `registry` lists them, one writer a file."""

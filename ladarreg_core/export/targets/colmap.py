@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, axial_pinhole
+from ladarreg_core.camera import CameraModel, axial_pinhole
 from ladarreg_core.export.photo_files import WrittenPhoto, shown_names
 from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.colmap_files import (
@@ -50,7 +50,7 @@ def colmap_files(handed: RegisteredScan, options: ExportOptions, report: Report 
     written = [WrittenPhoto(one, _colmap_camera(one), report=report) for one in handed.photos]
     jobs: list[FileJob] = [(f"images/{each.name}", each.write) for each in written]
     jobs += model_files("sparse/0", Reconstruction(handed, written, report))
-    wide = [one for one in handed.photos if isinstance(one.camera, EquirectangularCamera)]
+    wide = [one for one in handed.photos if one.camera.as_panorama is not None]
     flat = [WrittenPhoto(one, axial_pinhole(one.camera), report=report) for one in handed.photos if one not in wide]
     if any(each.is_undistorted for each in flat):
         jobs += [(f"undistorted/images/{each.name}", each.write) for each in flat]
@@ -77,6 +77,7 @@ def has_colmap_camera(one: RegisteredPhoto) -> bool:
 def _colmap_camera(one: RegisteredPhoto) -> CameraModel:
     """Return the camera of the written picture: without its lens where COLMAP has none like it."""
     camera = one.camera
-    if colmap_parameters(camera) is None and isinstance(camera, Camera):
-        return camera.without_distortion()
+    pinhole = camera.as_pinhole
+    if colmap_parameters(camera) is None and pinhole is not None:
+        return pinhole.without_distortion()
     return camera

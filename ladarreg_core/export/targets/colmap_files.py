@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, FisheyeCamera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.storage.atomic_write import write_chunks
@@ -60,12 +60,14 @@ class ColmapModel:
 
 def colmap_parameters(camera: CameraModel) -> tuple[str, list[float]] | None:
     """Return COLMAP's model and parameters of a camera; None if it has no model that is the same."""
-    if isinstance(camera, EquirectangularCamera):
-        return None if camera.window else ("EQUIRECTANGULAR", [float(camera.width), float(camera.height)])
-    assert isinstance(camera, Camera | FisheyeCamera)
-    matrix = [camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5]
-    terms = list(camera.distortion)
-    if isinstance(camera, FisheyeCamera):
+    panorama, lens = camera.as_panorama, camera.as_focal
+    if panorama is not None and not panorama.window:
+        return "EQUIRECTANGULAR", [float(panorama.width), float(panorama.height)]
+    if lens is None:
+        return None
+    matrix = [lens.fx, lens.fy, lens.cx + 0.5, lens.cy + 0.5]
+    terms = list(lens.distortion)
+    if camera.as_pinhole is None:
         return "OPENCV_FISHEYE", [*matrix, *(terms or [0.0] * _OPENCV_TERMS)]
     if not terms:
         return "PINHOLE", matrix

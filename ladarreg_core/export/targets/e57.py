@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.camera import Camera
 from ladarreg_core.errors import ExportError, FormatError, LadarregError
 from ladarreg_core.export.e57.colors import (
     COLORS,
@@ -212,14 +211,16 @@ def _add_image(
     camera, (width, height) = picture.camera, picture.size
     numbers: dict[str, float] = {"imageHeight": height, "imageWidth": width}
     kind = "visualReference"
-    if isinstance(camera, Camera):
+    pinhole = None if camera is None else camera.as_pinhole
+    panorama = None if camera is None else camera.as_panorama
+    if pinhole is not None:
         kind, pixel = "pinhole", _SENSOR_WIDTH_M / width
-        focal = camera.fx * pixel
-        numbers |= {"focalLength": focal, "pixelHeight": focal / camera.fy, "pixelWidth": pixel}
+        focal = pinhole.fx * pixel
+        numbers |= {"focalLength": focal, "pixelHeight": focal / pinhole.fy, "pixelWidth": pixel}
         # Counted from the outer corner of the first pixel.
-        numbers |= {"principalPointX": float(camera.cx + 0.5), "principalPointY": float(camera.cy + 0.5)}
-    elif camera is not None:
-        left, top, right, bottom = camera.window or (-180.0, 90.0, 180.0, -90.0)
+        numbers |= {"principalPointX": float(pinhole.cx + 0.5), "principalPointY": float(pinhole.cy + 0.5)}
+    elif panorama is not None:
+        left, top, right, bottom = panorama.window or (-180.0, 90.0, 180.0, -90.0)
         kind = "spherical"
         numbers["pixelHeight"] = float(np.radians(top - bottom) / height)
         numbers["pixelWidth"] = float(np.radians(right - left) / width)

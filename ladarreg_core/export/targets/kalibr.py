@@ -30,14 +30,14 @@ def kalibr_refusal(handed: RegisteredScan, options: ExportOptions) -> str | None
     refused = []
     for one in handed.photos:
         name, camera = on_one_line(one.photo.name)[:60], one.camera
-        if camera.model == "equirectangular":
+        if camera.as_panorama is not None:
             refused.append(f"{name} is equirectangular")
         elif _distortion(camera) is None:
             terms = camera.as_fields()["distortion"]
             refused.append(f"the lens of {name} has {len(terms)} terms, of which more than the first four are not zero")
     if not refused:
         return None
-    panoramas = any(one.camera.model == "equirectangular" for one in handed.photos)
+    panoramas = any(one.camera.as_panorama is not None for one in handed.photos)
     others = "colmap or nerfstudio" if panoramas else "opencv or ros"  # these two refuse panoramas, too
     more = f"; so are {len(refused) - 3} more photographs" if len(refused) > 3 else ""
     return (
@@ -125,7 +125,7 @@ def _intrinsics(camera: CameraModel, topic: str) -> list[str]:
 
 def _distortion(camera: CameraModel) -> list[float] | None:
     """Return the four terms of Kalibr; None if it has no model for the camera."""
-    if camera.model == "equirectangular":
+    if camera.as_panorama is not None:
         return None
     terms = list(camera.as_fields()["distortion"])
     return None if any(terms[_TERMS:]) else [*terms[:_TERMS], *[0.0] * (_TERMS - len(terms))]

@@ -21,7 +21,7 @@ _latest: WeakKeyDictionary[RegisteredScan, tuple[ExportOptions, PhotoModel]] = W
 
 
 def model_of(handed: RegisteredScan, options: ExportOptions, report: Report | None = None) -> PhotoModel:
-    """Return the textured model of a hand-over; the latest is kept, for the targets that share it.
+    """Return the textured model of an export; the latest is kept, for the targets that share it.
 
     Raises:
         ExportError: if it is to be cropped, and no photograph covers any triangle.

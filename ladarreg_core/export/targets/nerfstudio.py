@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.camera.equirectangular import FULL_WINDOW
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.json import write_document
@@ -73,8 +73,9 @@ def nerfstudio_files(handed: RegisteredScan, options: ExportOptions, report: Rep
 
 def _camera(camera: CameraModel) -> CameraModel:
     """Return the camera of the written picture: without its lens where nerfstudio has none like it."""
-    if isinstance(camera, Camera) and any(camera.distortion[_TERMS:]):
-        return camera.without_distortion()
+    pinhole = camera.as_pinhole
+    if pinhole is not None and any(pinhole.distortion[_TERMS:]):
+        return pinhole.without_distortion()
     return camera
 
 
@@ -135,8 +136,9 @@ def _frame(handed: RegisteredScan, written: WrittenPhoto) -> dict[str, Any]:
 
 
 def _intrinsics(camera: CameraModel) -> dict[str, float]:
-    if isinstance(camera, EquirectangularCamera):
-        left, top, right, bottom = camera.window or FULL_WINDOW
+    panorama = camera.as_panorama
+    if panorama is not None:
+        left, top, right, bottom = panorama.window or FULL_WINDOW
         across, down = camera.width / (right - left), camera.height / (top - bottom)  # pixels per degree
         return {"fl_x": 180 * across, "fl_y": 180 * down, "cx": -left * across, "cy": top * down}
     fields = camera.as_fields()

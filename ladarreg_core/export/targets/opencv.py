@@ -14,7 +14,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ladarreg_core.camera import EquirectangularCamera
 from ladarreg_core.export.photo_files import shown_names, text_writer, words_of
 from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.folder import FileJob
@@ -27,7 +26,7 @@ from ladarreg_core.progress import Report
 def opencv_refusal(handed: RegisteredScan, options: ExportOptions) -> str | None:
     """Return a sentence if a camera is equirectangular."""
     del options
-    found = [one for one in handed.photos if isinstance(one.camera, EquirectangularCamera)]
+    found = [one for one in handed.photos if one.camera.as_panorama is not None]
     if not found:
         return None
     return (

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.camera import CameraModel, FisheyeCamera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.export.photo_files import WrittenPhoto
 from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.colmap_files import ColmapImage, ColmapModel
@@ -104,7 +104,8 @@ class Reconstruction:
 def _has_pixel(camera: CameraModel, points_camera: FloatArray) -> NDArray[np.bool_]:
     """Return which points COLMAP's models map to a pixel: a fisheye's only in front of the camera."""
     in_front: NDArray[np.bool_] = points_camera[:, 2] > 0
-    return in_front if isinstance(camera, FisheyeCamera) else np.ones(len(points_camera), np.bool_)
+    is_fisheye = camera.as_focal is not None and camera.as_pinhole is None
+    return in_front if is_fisheye else np.ones(len(points_camera), np.bool_)
 
 
 def _thinned(cells: NDArray[np.int64], uv: FloatArray, most: int) -> NDArray[np.int64]:

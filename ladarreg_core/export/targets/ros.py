@@ -15,7 +15,7 @@ from xml.sax.saxutils import escape
 import cv2
 import numpy as np
 
-from ladarreg_core.camera import Camera, EquirectangularCamera
+from ladarreg_core.camera import Camera
 from ladarreg_core.export.output_frame import OutputFrame
 from ladarreg_core.export.photo_files import on_one_line, text_writer, undistorted
 from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
@@ -48,7 +48,7 @@ _PLUMB_BOB_TERMS, _RATIONAL_TERMS = 5, 8
 def ros_refusal(handed: RegisteredScan, options: ExportOptions) -> str | None:
     """Return a sentence if a camera fits no model of ROS and cannot be undistorted to one."""
     del options
-    found = [on_one_line(one.photo.name) for one in handed.photos if isinstance(one.camera, EquirectangularCamera)]
+    found = [on_one_line(one.photo.name) for one in handed.photos if one.camera.as_panorama is not None]
     if not found:
         return None
     return (
@@ -171,8 +171,9 @@ def _cameras(handed: RegisteredScan) -> list[_RosCamera]:
         else:
             model = "plumb_bob"
             if len(terms) > _RATIONAL_TERMS:
-                assert isinstance(one.camera, Camera), "only a pinhole has so many terms"
-                terms, undistorted = (), one.camera.without_distortion()
+                pinhole = one.camera.as_pinhole
+                assert pinhole is not None, "only a pinhole has so many terms"
+                terms, undistorted = (), pinhole.without_distortion()
             terms = (*terms, *(0.0,) * (_PLUMB_BOB_TERMS - len(terms)))
         name = _ros_name(one.id, taken)
         taken.append(name)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera, camera_from_model_fields, require_pinhole
+from ladarreg_core.camera import Camera, CameraModel, camera_from_model_fields, require_pinhole
 from ladarreg_core.camera.equirectangular import FULL_WINDOW
 from ladarreg_core.errors import FormatError, OptionError, UnderspecifiedError
 from ladarreg_core.formats.cameras.agisoft import read_agisoft, sniff_agisoft
@@ -312,10 +312,11 @@ def _panorama_of(fields: Mapping[str, Any]) -> FileCamera:
 
 def describe_camera(camera: CameraModel) -> dict[str, Any]:
     """Return a camera's parameters, formatted for display."""
-    facts: dict[str, Any] = {} if isinstance(camera, Camera) else {"model": camera.model}
+    facts: dict[str, Any] = {} if camera.as_pinhole is not None else {"model": camera.model}
     facts["size"] = f"{camera.width} x {camera.height} px"
-    if isinstance(camera, EquirectangularCamera):
-        window = camera.window or FULL_WINDOW
+    panorama = camera.as_panorama
+    if panorama is not None:
+        window = panorama.window or FULL_WINDOW
         return {**facts, "window_deg": " ".join(f"{angle:g}" for angle in window)}
     fields = camera.as_fields()
     return {

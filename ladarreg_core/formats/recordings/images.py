@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.camera import CameraModel
-from ladarreg_core.camera.focal import FocalCamera
 from ladarreg_core.errors import CameraError, FormatError
 from ladarreg_core.formats.cameras.calibration import cameras_of_calibration
 from ladarreg_core.formats.parsing.untrusted import one_line
@@ -169,9 +168,10 @@ def camera_of_info(info: Any, *, rectified: bool = False) -> CameraModel:
         "distortion_model": model, "distortion_coefficients": D,
     })[0].camera  # fmt: skip
     roi = info.roi
-    if int(roi.width) and int(roi.height) and isinstance(camera, FocalCamera):
-        cx, cy = camera.cx - int(roi.x_offset), camera.cy - int(roi.y_offset)
-        camera = replace(camera, width=int(roi.width), height=int(roi.height), cx=cx, cy=cy)
+    lens = camera.as_focal
+    if int(roi.width) and int(roi.height) and lens is not None:
+        cx, cy = lens.cx - int(roi.x_offset), lens.cy - int(roi.y_offset)
+        camera = replace(lens, width=int(roi.width), height=int(roi.height), cx=cx, cy=cy)
     across, down = max(1, int(info.binning_x)), max(1, int(info.binning_y))
     return camera if across == down == 1 else camera.resized(camera.width // across, camera.height // down)
 

@@ -21,7 +21,7 @@ from math import sin, sqrt
 
 import numpy as np
 
-from ladarreg_core.camera import Camera, CameraModel
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.frames import Rigid, skew
 from ladarreg_core.matches import Matches
@@ -136,13 +136,14 @@ def _undistorted(uv: FloatArray, camera: CameraModel) -> tuple[FloatArray, Float
     D is 0 outside the field of the lens.
     """
     fronts: FloatArray | None = None
-    if isinstance(camera, Camera) and not camera.distortion:
-        focal = np.array([[camera.fx], [camera.fy]])
+    pinhole = camera.as_pinhole
+    if pinhole is not None and not pinhole.distortion:
+        focal = np.array([[pinhole.fx], [pinhole.fy]])
         D = np.zeros((2, 2, len(uv)))
-        D[0, 0], D[1, 1] = camera.fx, camera.fy
-        return (uv.T - [[camera.cx], [camera.cy]]) / focal, D, None
+        D[0, 0], D[1, 1] = pinhole.fx, pinhole.fy
+        return (uv.T - [[pinhole.cx], [pinhole.cy]]) / focal, D, None
     rays_camera = camera.unproject(uv)
-    if isinstance(camera, Camera):
+    if pinhole is not None:
         ideal = rays_camera / rays_camera[:, 2:]
         _, d_uv = camera.project_with_jacobian(ideal)
     else:

@@ -203,15 +203,16 @@ class _Surface:
             camera, pose, vertices, in_camera, uv, cell_normals(scan, mesh.cells),
             _faces_near(mesh.faces, uv, camera),
             None if known is None else covariance_factor(known),
-            known if isinstance(known, CameraUncertainty) and isinstance(camera, Camera) else None,
+            known if isinstance(known, CameraUncertainty) and camera.as_pinhole is not None else None,
             sigma_range_m, sigma_uv_px,
         )  # fmt: skip
 
     def rendered(self) -> Iterator[tuple[slice, IntArray, FloatArray, FloatArray]]:
         """Yield bands of rows: the triangle of each pixel (-1: none), the pixels' rays (N, 3) and positions (N, 2)."""
         camera = self.camera
-        if isinstance(camera, Camera):
-            ideal = covering_pinhole(camera)
+        pinhole = camera.as_pinhole
+        if pinhole is not None:
+            ideal = covering_pinhole(pinhole)
             views = [(ideal, np.eye(3), _numbers_drawn(self.in_camera, self.faces, ideal))]
         else:
             views = [
@@ -280,7 +281,7 @@ class _Surface:
 
         A lens bends the sides of triangles, so that more is searched than the box around their corners.
         """
-        if not isinstance(self.camera, Camera):
+        if self.camera.as_pinhole is None:
             return np.arange(len(self.faces))
         shape = self.camera.height // _TILE_PX + 2, self.camera.width // _TILE_PX + 2
         column, row = (np.rint(at).astype(np.intp) // _TILE_PX).T + 1

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.foundations.arrays import BoolArray, ByteArray, FloatArray, read_only
@@ -377,7 +377,7 @@ def _pose_uncertain(
     # for both all over the image, as it nearly always is, no cell needs to be checked.
     net = [np.linspace(0, n - 1, _NET_NODES) for n in camera.size]
     rays = camera.unproject(np.stack(np.meshgrid(*net), axis=-1))
-    along = rays[..., 2:] if isinstance(camera, Camera) else np.float64(1)
+    along = camera.depth_of(rays)[..., None]
     depths = projection.depth_m[visible]
     ends = [
         pixel_sigma(rays * (depth / along), camera, rotation, covariance)
@@ -397,7 +397,7 @@ def _sampled(
     """Return the photo's colour at every visible cell, (H, W, 3), from a copy reduced to about the size of the cell."""
     visible = projection.visible
     u, v = (np.where(visible, projection.uv[..., k], _OUTSIDE) for k in range(2))
-    if isinstance(camera, EquirectangularCamera) and camera.is_full_turn:  # colours are continuous across the seam
+    if camera.turn_px:  # colours are continuous across the seam
         pixels = np.concatenate([pixels[:, -_SEAM_PX:], pixels, pixels[:, :_SEAM_PX]], axis=1)
         u = np.where(visible, u + np.float32(min(_SEAM_PX, camera.width)), _OUTSIDE)
     steps = scan.geometry.step_rad

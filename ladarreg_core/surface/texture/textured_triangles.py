@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.camera import CameraModel, EquirectangularCamera
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.surface.mesh.subdivision import (
@@ -50,8 +50,7 @@ class SeenBy:
     @property
     def turn_px(self) -> float:
         """The width of a panorama of a full turn; 0: the picture does not wrap."""
-        full = isinstance(self.camera, EquirectangularCamera) and self.camera.is_full_turn
-        return float(self.camera.width) if full else 0.0
+        return self.camera.turn_px
 
     def project(self, points: FloatArray) -> NDArray[np.float64]:
         """Return the pixels (N, 2) of points of the scanner's frame; NaN where there are none."""
@@ -230,7 +229,7 @@ class TexturedTriangles:
 
     def _may_err_in(self, photo: SeenBy, faces: IntArray, most_px: float) -> BoolArray:
         """Return which triangles (F, 3) may have an edge of `_errs_in` that is not short, by the boxes around them."""
-        if isinstance(photo.camera, EquirectangularCamera):
+        if photo.camera.as_panorama is not None:
             return np.ones(len(faces), np.bool_)
         corners, used = faces.T.astype(np.intp), vertices_of(faces, len(self.vertices))
         points = self.vertices.take(used, axis=0)
@@ -258,7 +257,7 @@ class TexturedTriangles:
         with np.errstate(divide="ignore", invalid="ignore"):
             along = np.linalg.norm(self.vertices[b] - self.vertices[a], axis=1) / np.minimum(near, far)
             short = length * along < most_px
-        if isinstance(photo.camera, EquirectangularCamera):  # bends without bound near its poles
+        if photo.camera.as_panorama is not None:  # bends without bound near its poles
             short[:] = False
         suspect = np.flatnonzero(~errs & ~short)
         middle = (self.vertices[a[suspect]] + self.vertices[b[suspect]]) / np.float32(2)

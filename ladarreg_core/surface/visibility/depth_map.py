@@ -50,12 +50,13 @@ def depth_map(
         (height, width) float32, m: z in the camera's axes for a pinhole, the distance from its centre for a fisheye or
         equirectangular camera; NaN where the scan has no surface.
     """
-    if isinstance(camera, Camera) and not any(camera.distortion):
-        return _of_ideal(scan, camera, camera_from_scanner, only_seen, report)
-    if isinstance(camera, Camera):
-        ideal = covering_pinhole(camera, scale=_FINER)
+    pinhole = camera.as_pinhole
+    if pinhole is not None and not any(pinhole.distortion):
+        return _of_ideal(scan, pinhole, camera_from_scanner, only_seen, report)
+    if pinhole is not None:
+        ideal = covering_pinhole(pinhole, scale=_FINER)
         return _looked_up(
-            camera, _InverseDepth(_of_ideal(scan, ideal, camera_from_scanner, only_seen, report)), ideal, report
+            pinhole, _InverseDepth(_of_ideal(scan, ideal, camera_from_scanner, only_seen, report)), ideal, report
         )
     result = np.full((camera.height, camera.width), np.nan, np.float32)
     for face in cube_faces(camera, scale=_FINER):

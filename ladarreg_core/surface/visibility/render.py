@@ -66,13 +66,14 @@ def render_scan_colors(
     mesh = scan_mesh(scan)
     values = texture[mesh.cells[:, 0], mesh.cells[:, 1]].astype(np.float32) / 255
     points_camera = camera_from_scanner @ mesh.vertices.astype(np.float64)
-    if not isinstance(camera, Camera):
+    pinhole = camera.as_pinhole
+    if pinhole is None:
         return _render_wide(camera, points_camera, mesh.faces, values, background)
-    ideal = covering_pinhole(camera, scale=supersample)
+    ideal = covering_pinhole(pinhole, scale=supersample)
     depth, drawn = rasterise_values(points_camera, mesh.faces, values, ideal)
     covered = np.isfinite(depth).astype(np.float32)
-    if camera.distortion:
-        at = _ideal_positions(camera, ideal, supersample)
+    if pinhole.distortion:
+        at = _ideal_positions(pinhole, ideal, supersample)
         drawn, covered = _resampled(drawn, at), _resampled(covered, at)
     color = cv2.resize(drawn, camera.size, interpolation=cv2.INTER_AREA)
     share = cv2.resize(covered, camera.size, interpolation=cv2.INTER_AREA)
@@ -97,13 +98,14 @@ def render_scan_picture(
     Returns:
         rgb (height, width, 3) uint8, gray where the scan has no surface, and the pixels that it covers, bool.
     """
-    if not isinstance(camera, Camera) or scan.ranges.size > LARGEST_DRAWN_SCAN:
+    pinhole = camera.as_pinhole
+    if pinhole is None or scan.ranges.size > LARGEST_DRAWN_SCAN:
         return render_scan_colors(scan, camera, camera_from_scanner, picture=picture, supersample=1)
     vertices, faces, cells = coarse_mesh(scan)
     size = np.array([max(n - 1, 1) for n in scan.shape], np.float32)
     values = np.zeros((len(vertices), 3), np.float32)
     values[:, :2] = np.stack(np.divmod(cells.astype(np.int32), np.int32(scan.shape[1])), axis=-1) / size
-    ideal = covering_pinhole(camera)
+    ideal = covering_pinhole(pinhole)
     depth, drawn = rasterise_values(camera_from_scanner @ vertices.astype(np.float64), faces, values, ideal)
     row, column = (np.ascontiguousarray(drawn[..., k]) for k in range(2))
     inverse = np.float32(1) / depth
@@ -118,8 +120,8 @@ def render_scan_picture(
     seen[gap] = on_surface[np.rint(row[gap]).astype(np.intp), np.rint(column[gap]).astype(np.intp)]
     color = look_up(_continued(picture, on_surface), column, row)
     paint(color, ~seen, _BACKGROUND)
-    if camera.distortion:
-        at = _ideal_positions(camera, ideal, 1)
+    if pinhole.distortion:
+        at = _ideal_positions(pinhole, ideal, 1)
         u, v = np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])
         color = look_up(color, u, v, outside=_BACKGROUND)
         seen = _resampled(seen.astype(np.float32), at) >= 0.5

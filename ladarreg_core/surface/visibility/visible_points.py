@@ -255,8 +255,9 @@ def _depth_buffers(
     camera: CameraModel, scale: float, surfaces: Iterable[_Surface], camera_from_scanner: Rigid
 ) -> tuple[_DepthBuffer, ...]:
     """Draw the occluding surfaces: once for a pinhole, and for a wide camera into each face of the cube around it."""
-    faces = () if isinstance(camera, Camera) else cube_faces(camera, scale=scale)
-    pictures = [covering_pinhole(camera, scale=scale)] if isinstance(camera, Camera) else [f.camera for f in faces]
+    pinhole = camera.as_pinhole
+    faces = () if pinhole is not None else cube_faces(camera, scale=scale)
+    pictures = [f.camera for f in faces] if pinhole is None else [covering_pinhole(pinhole, scale=scale)]
     depths = [np.full((picture.height, picture.width), np.inf, np.float32) for picture in pictures]
     for surface in surfaces:
         vertices = camera_from_scanner @ surface.vertices
@@ -275,7 +276,7 @@ def _projection(
     """Project a scan; `buffers` are the occluding surface, None: that of the scan itself."""
     surface = _surface(scan)
     points_camera = _transformed(surface.points, camera_from_scanner)
-    depth = points_camera[..., 2] if isinstance(camera, Camera) else length_of(np.moveaxis(points_camera, -1, 0))
+    depth = camera.depth_of(points_camera)
     uv = camera.project(points_camera)
     in_picture = camera.contains(uv)
     shape = scan.shape
@@ -290,11 +291,12 @@ def _projection(
     noise_m = np.float32(_TOLERANCE_SIGMAS * surface.edges.noise_m)
     untested = np.zeros(shape, dtype=np.bool_)
     hidden: BoolArray
-    if isinstance(camera, Camera):
+    pinhole = camera.as_pinhole
+    if pinhole is not None:
         ideal = buffers[0].ideal
-        u, v = _ideal_uv(points_camera, uv, camera, ideal)
+        u, v = _ideal_uv(points_camera, uv, pinhole, ideal)
         hidden = _is_behind(depth, look_up(buffers[0].inverse, u, v), cosine, noise_m)
-        if camera.distortion:
+        if pinhole.distortion:
             untested = in_picture & ~_within(u, v, ideal)
     else:
         hidden = np.zeros(shape, dtype=np.bool_)
@@ -375,7 +377,7 @@ def _sampled_buffer_scale(scan: Scan, camera: CameraModel, camera_from_scanner: 
     seen = camera.contains(camera.project(points))
     if not seen.any():
         return 1.0
-    depth = points[..., 2] if isinstance(camera, Camera) else np.linalg.norm(points, axis=-1)
+    depth = camera.depth_of(points)
     magnification = float(np.median(scan.ranges[part][seen] / depth[seen]))
     return _scale_of(scan, camera, magnification)
 

@@ -18,7 +18,7 @@ from struct import Struct
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ladarreg_core.camera import Camera, CameraModel
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters, look_along
 from ladarreg_core.matches import Matches
@@ -175,8 +175,9 @@ class StereoPairs:
         frame = stereo_frame(matches.rays) if frame_from_scanner is None else np.asarray(frame_from_scanner)
         points = STEREO_AXES_FROM_SCANNER @ frame @ matches.points.T
         with np.errstate(divide="ignore", invalid="ignore"):
-            if isinstance(camera, Camera) and not camera.distortion:
-                color = (matches.uv.T - [[camera.cx], [camera.cy]]) / [[camera.fx], [camera.fy]]
+            pinhole = camera.as_pinhole
+            if pinhole is not None and not pinhole.distortion:
+                color = (matches.uv.T - [[pinhole.cx], [pinhole.cy]]) / [[pinhole.fx], [pinhole.fy]]
             else:
                 sight = camera.unproject(matches.uv).T
                 # wide cameras also see beside and behind them

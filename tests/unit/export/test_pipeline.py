@@ -1,4 +1,4 @@
-"""Exports to other programs: their folder, what replaces what, and that nothing half-made is left."""
+"""Exports: their folder, what replaces what, and that nothing half-made is left."""
 
 from __future__ import annotations
 

@@ -325,7 +325,7 @@ export const mountExport = () => {
   const sentence = () => {
     if (store.readOnly) return "A page that may only look saves what was exported last.";
     if (failed) return failed;
-    if (!table) return store.get("scan") ? "" : "Open a scan and register photographs first.";
+    if (!table) return store.get("scan") ? "Checking what can be exported …" : "Open a scan and register photographs first.";
     const [go, out] = [table.photos, table.left_out];
     const names = go.length > 3 ? `${go.length} photographs` : go.map(({ name }) => name).join(", ");
     const left = out.map(({ name, why }) => `${name}: ${why}`).join("; ");
