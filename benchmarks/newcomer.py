@@ -252,6 +252,7 @@ def newcomer(hands: Hands, shots: Path | None, *, sloppy: bool, seed: int) -> di
     export = page.get_by_role("tab", name=re.compile("Export"))
     hands.count("clicks")
     export.click()
+    page.locator("button:enabled", has_text="Download zip").first.wait_for(timeout=20_000)
     with page.expect_download(timeout=120_000) as download:
         assert hands.click("button", "Download zip")
     download.value.path()

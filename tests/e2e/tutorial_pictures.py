@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 WINDOW = {"width": 1440, "height": 900}
 SCENE = ("simulate", "office", "--seed", "4", "-o")
 _COLORS = 256
+_NO_HINT = "localStorage.setItem('ladarreg-software-drawing', 'dismissed')"
 _MANUAL = {"3-drawn": "drawn", "4-accepted": "solved"}
 
 
@@ -81,10 +82,11 @@ def _tutorial(folder: Path, chromium: Browser, target: Path) -> None:
 def _manual(folder: Path, chromium: Browser, target: Path) -> None:
     with empty_workbench(folder / "second") as server:
         context = chromium.new_context(viewport=WINDOW, bypass_csp=True, color_scheme="dark")  # type: ignore[arg-type]
+        context.add_init_script(_NO_HINT)
         page = context.new_page()
         page.goto(f"{server.address}?token={server.token}")
         page.get_by_role("button", name="connected", exact=True).wait_for()
-        newcomer(Hands(page, Socket(server)), folder / "shots")
+        newcomer(Hands(page, Socket(server)), folder / "shots", sloppy=False, seed=0)
         _keep_panes(page, target / "lines-to-model.png")
         context.close()
     for name, kept in _MANUAL.items():
@@ -95,7 +97,7 @@ def _manual(folder: Path, chromium: Browser, target: Path) -> None:
 def _page(project: Path, chromium: Browser) -> Iterator[Page]:
     with empty_workbench(project) as server:
         context = chromium.new_context(viewport=WINDOW, bypass_csp=True, color_scheme="dark")  # type: ignore[arg-type]
-        context.add_init_script("localStorage.setItem('ladarreg-software-drawing', 'dismissed')")
+        context.add_init_script(_NO_HINT)
         page = context.new_page()
         page.goto(f"{server.address}?token={server.token}")
         page.get_by_role("button", name="connected", exact=True).wait_for()
