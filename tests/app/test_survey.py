@@ -150,7 +150,7 @@ def test_the_workbench_keeps_names_lengths_and_the_world(survey: Path, tmp_path:
     assert stage["accepted"], stage
     assert stage["in_world"].startswith("X 5001")
     assert not any(length["beyond"] for length in lengths_of(bench, 30))
-    assert "must be one of scanner, world" in bench.refused("run", photo="p1", job="export", frame="moon")
+    assert "must be 'scanner' or 'world'" in bench.refused("run", photo="p1", job="export", frame="moon")
     bench.do("run", photo="p1", job="export", frame="world")
     bench.workbench.runner.wait(120)
     path, _ = bench.workbench.export_file("p1") or (Path(), "")

@@ -121,7 +121,7 @@ def test_gridded_scans_are_accumulated_too(tmp_path: Path) -> None:
     assert nearest.max() < 1e-4
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_register_takes_several_scans_and_finds_them_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scan = lr.read_scan(SAMPLE / "scan.npz")
     points, light = scan.points[scan.valid], scan.intensity[scan.valid]

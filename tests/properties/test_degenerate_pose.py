@@ -333,6 +333,6 @@ def right(result: PoseResult, problem: Problem) -> None:
 
 @given(problem=problems())
 @settings(max_examples=1000)
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_thousand_degenerate_problems_end_honestly(problem: Problem) -> None:
     event(verify(problem))

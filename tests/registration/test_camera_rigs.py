@@ -59,7 +59,7 @@ def folder(registered: RigResult, tmp_path_factory: pytest.TempPathFactory) -> P
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_camera_has_its_own_pose_and_verdict(registered: RigResult) -> None:
     assert registered.accepted
     assert registered.camera_from_scanner is None
@@ -70,7 +70,7 @@ def test_every_camera_has_its_own_pose_and_verdict(registered: RigResult) -> Non
     assert len(registered.pairs) == 3 * PLACES
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_files_have_all_cameras(registered: RigResult, folder: Path) -> None:
     fields = json.loads((folder / "rig.json").read_text())
     assert sorted(fields["files"]) == visible_files(folder)
@@ -97,7 +97,7 @@ def test_the_files_have_all_cameras(registered: RigResult, folder: Path) -> None
     assert sorted(fields["files"]) == visible_files(folder)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_camera_that_is_refused_leaves_the_others_accepted(pairs: list[lr.RigPair], tmp_path: Path) -> None:
     ahead = [pair for pair in pairs if pair.camera_name == "ahead"]
     right = [pair for pair in pairs if pair.camera_name == "right"]
@@ -116,7 +116,7 @@ def test_a_camera_that_is_refused_leaves_the_others_accepted(pairs: list[lr.RigP
     assert list(read_initial_of_rig(tmp_path / "out" / "rig.json")) == ["ahead"]  # type: ignore[arg-type]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_panorama_in_a_rig() -> None:
     pytest.importorskip("embreex")
     camera = panorama_camera()

@@ -14,7 +14,7 @@ CAMERAS = three_cameras()
 _QUICK = lr.RigOptions(candidates_per_pair=1, refined=1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_moves_before_a_rig_that_stands_is_evidence() -> None:
     """The place counts as one; the people in it stand elsewhere in every picture."""
     pytest.importorskip("embreex")

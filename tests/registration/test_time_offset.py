@@ -33,7 +33,7 @@ def moving() -> list[lr.RigPair]:
     return moving_rig(CAMERA, MOTIONS, after_s=AFTER, offset_s=OFFSET, seed=5)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_offset_of_a_moving_rig_is_found_and_its_pose_is_that_of_one_moment(moving: list[lr.RigPair]) -> None:
     options = lr.RigOptions(estimate_time_offset=True, candidates_per_pair=1, refined=1)
     result = lr.register_rig(moving, initial=rough(), options=options)
@@ -48,7 +48,7 @@ def test_the_offset_of_a_moving_rig_is_found_and_its_pose_is_that_of_one_moment(
     assert np.degrees(pose.angle_to(CAMERA.camera_from_scanner)) < 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_of_a_rig_that_stands_nothing_is_claimed(moving: list[lr.RigPair]) -> None:
     still = [
         replace(pair, taken=tuple(TimedPhoto(after, pair.photo) for after in AFTER)) for pair in moving
@@ -59,7 +59,7 @@ def test_of_a_rig_that_stands_nothing_is_claimed(moving: list[lr.RigPair]) -> No
     assert "the rig stands" in found.sentence
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_offset_beyond_the_photographs_is_said_so(moving: list[lr.RigPair]) -> None:
     """Of photographs that were all taken too early, the last one agrees best."""
     early = [replace(pair, taken=pair.taken[:4]) for pair in moving]

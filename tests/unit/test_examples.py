@@ -65,7 +65,7 @@ def test_matches_of_ones_own(files: SimpleNamespace, tmp_path: Path) -> None:
     assert result.camera_from_scanner.distance_to(files.case.camera_from_scanner) < 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_las_file_is_colored(files: SimpleNamespace, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     case = files.case
     away = np.array([100.0, 200.0, 10.0])

@@ -276,7 +276,7 @@ def test_simulate_writes_what_info_reads(tmp_path: Path, capsys: pytest.CaptureF
     (out / "truth.json").write_text(json.dumps({"camera_from_scanner": np.eye(4).tolist()}))  # measured, not simulated
     capsys.readouterr()
     assert main(["simulate", "boxes", "-o", str(out), "--force"]) == ExitCode.BAD_INPUT
-    assert "did not write" in complaint(capsys)
+    assert "truth.json, changed since ladarreg wrote it" in complaint(capsys)
 
 
 def test_an_unknown_set_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

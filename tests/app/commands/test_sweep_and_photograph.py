@@ -21,7 +21,7 @@ from ladarreg_core.simulate.ray_cast import RayCaster
 CENTRE = (0.3, 0.4, 0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_photograph_is_registered_with_a_composed_sweep(tmp_path: Path) -> None:
     pans, rays = np.radians(np.arange(-90.0, 90.0, 0.5)), np.radians(np.arange(-60.0, 60.0, 0.25))
     recorded = simulate_sweep("office", 8101, pans_rad=pans, angles_rad=rays)

@@ -98,7 +98,7 @@ def test_surface_and_photograph_together_stay_within_what_a_page_shows(
     freely = layer_vertices()
     assert freely <= MAX_VERTICES - standard
     left = freely // 2
-    monkeypatch.setattr("ladarreg.workbench.model_parts.MAX_VERTICES", standard + left)
+    monkeypatch.setattr("ladarreg.workbench.state.model_parts.MAX_VERTICES", standard + left)
     assert 0 < layer_vertices() <= left, "the photograph is drawn on a coarser surface"
 
 
@@ -142,7 +142,7 @@ def test_the_slice_changes_with_the_pose_and_for_one_person_only(bench: Workbenc
     assert not undone["accepted"]
     bench.do("redo")
     assert bench.slice("model")["rev"] == before["rev"], "the browser's copies are valid again"
-    assert "no viewpoint" in bench.refused("look", viewpoint="moon")
+    assert "must be 'start', 'overview'" in bench.refused("look", viewpoint="moon")
     bench.do("look", viewpoint="overview")
 
 

@@ -45,8 +45,7 @@ def test_a_rough_pose_is_refined_to_the_true_one(bench: WorkbenchDriver) -> None
     ("pose", "said"),
     [
         ([[1, 0, 0, 0]] * 4, "4 rows of a rigid transform"),
-        ("here", "4 rows of a rigid transform"),
-        (None, "4 rows of a rigid transform"),
+        ("here", "must be a list"),
         ([[1, 0, 0, 1e9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], "from the scanner"),
     ],
 )

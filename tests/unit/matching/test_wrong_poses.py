@@ -121,7 +121,7 @@ def test_the_mirror_image_is_that_of_a_mirrored_camera(room: PaintedRoom) -> Non
     np.testing.assert_array_equal(again.planes[1][0], levels.planes[1][0])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_true_pose_of_a_sparse_scan_stands_out(street: OutdoorCase) -> None:
     truth = street.camera_from_scanner
     aligner = aligner_of(street.scan, street.photo, truth)
@@ -225,7 +225,7 @@ def test_the_verdict_states_its_false_alarm(street: OutdoorCase) -> None:
     assert among.false_alarm == pytest.approx(20 * alone.false_alarm)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_given_pose_with_few_regions_is_judged_beside_wrong_poses() -> None:
     pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
     case = outdoors("courtyard", lidar="40 lines", seed=910)

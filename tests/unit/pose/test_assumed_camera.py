@@ -43,7 +43,7 @@ def named(result, name):
     return {finding.name: finding for finding in findings(result)}.get(name)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_stated_uncertainty_is_right_over_cameras_drawn_from_the_prior():
     found = []
     for seed in range(24):

@@ -176,7 +176,7 @@ def test_a_camera_among_the_triangles_sees_past_those_beside_it():
 @pytest.mark.slow
 @pytest.mark.parametrize("lens", LENSES[:2])
 def test_a_large_scan_is_projected_in_tiles_as_in_one_piece(lens, monkeypatch):
-    from ladarreg_core.surface.visibility.visible_points import visible_points as visibility
+    from ladarreg_core.surface.visibility import visible_points as visibility
 
     scan, _ = panel_scan(AzimuthElevation(260, 330, 0.003, 0.003), noise_m=0.001)
     camera = Camera(260, 220, 300.0, 300.0, 130.0, 110.0, lens)
