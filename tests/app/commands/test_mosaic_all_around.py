@@ -46,7 +46,7 @@ def scan(made: SimulatedMosaic, tmp_path_factory: pytest.TempPathFactory) -> Pat
 @pytest.mark.parametrize(
     ("name", "azimuth", "elevation", "rough"),
     [
-        ("nadir", 40, -80, True),
+        pytest.param("nadir", 40, -80, True, marks=pytest.mark.long),
         ("seam", 180, -5, False),
     ],
 )

@@ -147,6 +147,7 @@ def test_what_is_missing_or_was_added_is_done_and_nothing_else(site: Site, again
     assert summary(again) == was, "the same with another number of processes"
 
 
+@pytest.mark.long
 def test_a_zoomed_photograph_with_the_same_exif_is_refused_and_changes_no_other(site: Site, again: Path) -> None:
     with Image.open(site.photos[3]) as image:
         width, height = image.size
@@ -261,6 +262,7 @@ def _die_for(name: str) -> Callable[..., object]:
     return _die if name == "IMG_0001" else register_in_worker
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 def test_a_killed_worker_is_reported_for_its_photograph_and_stops_no_other(
     site: Site, again: Path, monkeypatch: pytest.MonkeyPatch

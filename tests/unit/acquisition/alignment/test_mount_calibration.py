@@ -94,7 +94,7 @@ class MountCalibrationOf:
         self.unit_from_scanner, self.tilt_rad = mount, found.tilt_rad
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_passes_in_both_directions_determine_the_latency() -> None:
     passes = [
         in_motion(
