@@ -164,6 +164,7 @@ def test_a_zoomed_photograph_with_the_same_exif_is_refused_and_changes_no_other(
     assert {name for name in after if after[name] != before.get(name)} == {"zoomed"}
 
 
+@pytest.mark.long
 def test_other_options_are_refused_unless_they_may_replace(site: Site, again: Path) -> None:
     was = summary(again)
     with pytest.raises(ExportError, match=r"other photos, inputs or options.*`force=True`"):
@@ -184,6 +185,7 @@ def test_what_others_wrote_is_never_replaced(site: Site, tmp_path: Path) -> None
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["notes.txt"]
 
 
+@pytest.mark.long
 def test_a_changed_result_is_not_replaced_by_force(site: Site, again: Path) -> None:
     edited = again / "photos" / "IMG_0001" / "registered.png"
     edited.write_bytes(b"my own picture")

@@ -49,7 +49,7 @@ def test_lines_are_lines_and_half_of_the_seeds_space_them_unevenly() -> None:
     assert 4 <= sum(uneven) <= 16  # of 20 fair draws, all but 1 in 400 times; the seeds are fixed
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_photo_shows_what_the_lidar_meets() -> None:
     """The points are where the true pose sees their surfaces: the ground is flat, `EYE_M` below."""
     from_above = case("courtyard", "128 lines").cloud.points
