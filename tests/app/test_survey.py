@@ -89,7 +89,7 @@ def test_targets_in_the_world_give_a_camera_in_the_world(
     assert "X 500123.457, Y 5412345.679, Z 102.346 m" in capsys.readouterr().out
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_targets_ten_per_cent_too_far_are_refused(
     survey: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -174,7 +174,7 @@ def npz(**arrays: object) -> Callable[[Path], Path]:
     return write
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_sample_is_registered_by_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from ladarreg_core.formats.documents.pose_file import read_pose
 

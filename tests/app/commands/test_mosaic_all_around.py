@@ -21,7 +21,7 @@ from ladarreg_core.simulate.photograph import Lighting, take_photograph
 from ladarreg_core.simulate.ray_cast import RayCaster
 from testing.scenes.mosaic_pieces import placed
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 STEP = np.radians(0.3)
 PIECE = AzimuthElevation(128, 183, STEP, STEP)
 CAMERA = Camera(width=480, height=360, fx=390.0, fy=390.0, cx=239.5, cy=179.5)
@@ -46,7 +46,7 @@ def scan(made: SimulatedMosaic, tmp_path_factory: pytest.TempPathFactory) -> Pat
 @pytest.mark.parametrize(
     ("name", "azimuth", "elevation", "rough"),
     [
-        pytest.param("nadir", 40, -80, True, marks=pytest.mark.long),
+        ("nadir", 40, -80, True),
         ("seam", 180, -5, False),
     ],
 )

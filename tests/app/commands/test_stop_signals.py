@@ -41,7 +41,7 @@ def test_sigterm_and_sighup_save_and_exit(tmp_path: Path, sent: signal.Signals) 
         assert name_of(tmp_path / "project") == "kept"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_closed_terminal_ends_the_server(tmp_path: Path) -> None:
     import pty
 

@@ -44,7 +44,7 @@ def texture(bench: WorkbenchDriver, kind: str, **query: str) -> tuple[np.ndarray
     return image, json.loads(unquote(headers["x-legend"]))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_second_photograph_does_not_wipe_the_first(tmp_path: Path) -> None:
     """The colours of all accepted photographs are shown, whichever is looked at, and whether that one is accepted."""
     bench = kept_bench("registered", tmp_path / "project", registered)

@@ -113,7 +113,7 @@ def test_work_goes_on_and_is_saved(tmp_path: Path) -> None:
     try:
         bench.do("rename", name="Desk again")
         assert labels(bench) == [*STEPS[:-1], "Rename to Desk again"]
-        job = bench.job("robust")
+        job = bench.job("linear")
         assert job.state == "done", job.said
         expected, expected_labels = document(bench), labels(bench)
     finally:

@@ -236,6 +236,7 @@ def test_a_run_that_is_cancelled_before_anything_is_done_leaves_nothing(site: Si
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.long
 def test_a_cancelled_run_goes_on_where_it_was(site: Site, tmp_path: Path) -> None:
     said: list[str] = []
 

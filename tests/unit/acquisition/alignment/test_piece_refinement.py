@@ -112,7 +112,7 @@ def test_pieces_without_overlap_stay_where_the_unit_says() -> None:
         assert one.world_from_scanner is piece.world_from_scanner
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_piece_that_was_knocked_is_found_and_said() -> None:
     pieces, truth = mosaic(PANS, TILTS, geometry=FINE, sigma_m=0.002, off_rad=OFF_RAD)
     elsewhere = truth[5] @ Rigid.from_rotvec([0.004, 0, 0], [0.0, 0.006, 0.002])
