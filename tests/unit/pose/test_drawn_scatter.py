@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.picks.measure import matches_from_picks
