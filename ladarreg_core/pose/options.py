@@ -9,7 +9,6 @@ from ladarreg_core.camera.uncertainty import DEFAULT_CAMERA_PRIOR, CameraPrior
 from ladarreg_core.errors import OptionError
 from ladarreg_core.foundations.validation import LARGEST_INT, require_choice, require_int
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, AcceptanceOptions
-from ladarreg_core.pose.estimators.gnc import DEFAULT_GNC, GncOptions
 from ladarreg_core.pose.estimators.intrinsics import Intrinsics
 from ladarreg_core.pose.estimators.ransac import Backend
 from ladarreg_core.thesis.estimators.stereo_simplex import DEFAULT_SIMPLEX, SimplexOptions
@@ -44,14 +43,6 @@ class PoseOptions:
     """Maximum number of samples; 0: no RANSAC, which requires an initial pose."""
     ransac_backend: Backend = "auto"
     """`poselib`, `opencv`, or `auto`: whichever is installed."""
-    wide_below_share: float = 0.25
-    """A wide start is tried as well if RANSAC is disabled or finds a smaller share of inliers than this.
-
-    After RANSAC the narrow start failed in none of 200 runs with up to 80 % outliers; the wide one covers a failed
-    RANSAC.
-    """
-    gnc: GncOptions = DEFAULT_GNC
-    """Schedule of the robust cost."""
     simplex: SimplexOptions = DEFAULT_SIMPLEX
     """Options of the simplex; `method` determines its `residual`."""
     intrinsics: Intrinsics | Literal["auto"] = "auto"

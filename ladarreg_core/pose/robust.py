@@ -37,7 +37,7 @@ from ladarreg_core.pose.estimators.bundle import (
     residuals,
 )
 from ladarreg_core.pose.estimators.covariance import pose_covariance
-from ladarreg_core.pose.estimators.gnc import graduate, narrow_scales, truncated_score, wide_scales
+from ladarreg_core.pose.estimators.gnc import DIVIDE_BY, graduate, narrow_scales, truncated_score, wide_scales
 from ladarreg_core.pose.estimators.intrinsics import IntrinsicsFit, Noise, estimate_intrinsics
 from ladarreg_core.pose.estimators.ransac import sample_pose
 from ladarreg_core.pose.estimators.ray_ransac import sample_pose_of_rays
@@ -49,6 +49,11 @@ from ladarreg_core.results import PoseResult
 
 _GATE_ROUNDS = 5
 _CLEAR_SHARE = 0.5
+_WIDE_BELOW_SHARE = 0.25
+"""A wide start is tried as well if RANSAC is disabled or finds a smaller share of inliers than this.
+
+After RANSAC the narrow start failed in none of 200 runs with up to 80 % outliers; the wide one covers a failed RANSAC.
+"""
 _NOISE_ROUNDS = 3
 _SETTLED_NOISE = 1.1  # a smaller change of the noise changes neither inliers nor pose
 _LITTLE_NOISE = (
@@ -235,10 +240,10 @@ def _with_estimated_noise(solution: _Solution, options: PoseOptions) -> _Solutio
         little = px_change <= _LITTLE_NOISE[0] and range_change <= _LITTLE_NOISE[1]
         start = fit.state
         if not last:
-            scales = narrow_scales(start, options.gate_chi2, options.gnc)
+            scales = narrow_scales(start, options.gate_chi2)
             if little:
-                scales = np.array([options.gate_chi2 * options.gnc.divide_by])
-            start, _ = graduate(measured, start, scales, options.gate_chi2, options.gnc)
+                scales = np.array([options.gate_chi2 * DIVIDE_BY])
+            start, _ = graduate(measured, start, scales, options.gate_chi2)
         before = fit.inliers
         fit = _fit(measured, start, options, tolerance_sigma=_FINAL_SIGMA if last else _PASSING_SIGMA)
         same = not last and little and bool((fit.inliers == before).all())
@@ -338,7 +343,7 @@ def _likelier_of_mirrored(measured: Measurements, fit: Fit, options: PoseOptions
         return fit
     start = States.of([mirrored(fit.state.pose(), points)], measured)
     gate = options.gate_chi2
-    mirror, _ = graduate(measured, start, narrow_scales(start, gate, options.gnc), gate, options.gnc)
+    mirror, _ = graduate(measured, start, narrow_scales(start, gate), gate)
     if likelihood_scores(measured, mirror, gate)[0] >= likelihood_scores(measured, fit.state, gate)[0]:
         return fit
     return _fit(measured, mirror, options)
@@ -415,12 +420,12 @@ def _best_of(measured: Measurements, poses: Sequence[Rigid], options: PoseOption
         if wide:
             keep = np.unique([*keep, len(poses) - 1])  # keep the initial pose even if it scores poorly
         states = states.subset(keep)
-    found, scores = graduate(measured, states, narrow_scales(states, gate, options.gnc), gate, options.gnc)
+    found, scores = graduate(measured, states, narrow_scales(states, gate), gate)
     best = found.subset(np.array([int(np.argmin(scores))]))
     share = np.mean(residuals(measured, best).s <= gate)
-    if share < options.wide_below_share or options.ransac_iterations == 0:
-        scales = wide_scales(measured, states, gate, options.gnc)
-        other, other_scores = graduate(measured, states, scales, gate, options.gnc)
+    if share < _WIDE_BELOW_SHARE or options.ransac_iterations == 0:
+        scales = wide_scales(measured, states, gate)
+        other, other_scores = graduate(measured, states, scales, gate)
         if other_scores.min() < scores.min():
             best = other.subset(np.array([int(np.argmin(other_scores))]))
     return best
