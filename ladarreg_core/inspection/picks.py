@@ -33,6 +33,7 @@ from ladarreg_core.surface.visibility.visible_points import (
 _MAX_CACHED = 4_000  # some kilobytes each
 _REACH_PX = 6
 _REFINED_CELLS = 1.5
+_SD_OF_MEDIAN = 1.4826
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,6 +147,31 @@ def pick_residuals(
             photo,
         )
     return found
+
+
+def suggested_threshold(errors: ArrayLike, agrees: ArrayLike, *, sigmas: float) -> float | None:
+    """Return an error above which matches may be disabled, to two figures; None without a finite error.
+
+    It is a multiple of the robust standard deviation about zero, and never rejects a match that agrees with the robust
+    estimator: under a pose that rests on wrong matches, too, the errors of right ones may be the larger ones.
+
+    Args:
+        errors: (N,) of the enabled matches, in any unit, signed or not; NaN where undefined.
+        agrees: (N,) whether a match is an inlier of the robust estimator, as far as that is known.
+        sigmas: multiple of the standard deviation.
+    """
+    sizes = np.abs(np.asarray(errors, dtype=np.float64))
+    known = np.isfinite(sizes)
+    good = sizes[known & np.asarray(agrees, dtype=np.bool_)]
+    trusted = good if len(good) else sizes[known]
+    if not len(trusted):
+        return None
+    usual = float(f"{sigmas * _SD_OF_MEDIAN * np.median(trusted):.2g}")
+    largest = float(good.max(initial=0.0))
+    rounded_up = float(f"{largest:.2g}")
+    if rounded_up < largest:
+        rounded_up = float(f"{rounded_up + 10 ** (math.floor(math.log10(largest)) - 1):.2g}")
+    return max(usual, rounded_up) or None
 
 
 def sample_line(scan: Scan, ends: ArrayLike, *, samples: int = SAMPLES_PER_LINE) -> SampledLine:

@@ -21,7 +21,8 @@ export const PIPELINE = [
   {
     job: "match",
     label: "Match corners",
-    description: "Matches corners by correlation of gray values and edges, with uniqueness threshold T1 (2.3.2)",
+    description: "Matches corners by correlation of gray values and edges, with uniqueness threshold T1 (2.3.2); where too few of " +
+      "them agree on a pose, near what a rough pose predicts",
     parts: ["match"],
     origin: "corner",
     in: "match",
