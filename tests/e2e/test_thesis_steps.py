@@ -25,7 +25,7 @@ class Newcomer:
     def run(self, label: str) -> dict[str, Any]:
         """Run a step, and return the job once it has ended."""
         self.actions += 1
-        part = self.page.get_by_role("region", name="Solve step by step")
+        part = self.page.get_by_role("region", name="Methods")
         part.get_by_role("button", name=f"Run: {label}", exact=True).click()
         name = {"Match corners": "match", "Simplex": "simplex", "Remove outliers": "reject_outliers"}[label]
         wait_for_store(self.page, f"store.get('job')?.kind === '{name}' && store.get('job').state !== 'running'")

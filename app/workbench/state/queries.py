@@ -84,7 +84,20 @@ class Queries:
         from ladarreg_core.inspection.picks import probe
 
         found = probe(self._scan(), ray)
-        return {"range_m": found.range_m, "intensity": found.intensity, "cell": found.cell}
+        edge = found.edge
+        return {
+            "range_m": found.range_m,
+            "intensity": found.intensity,
+            "cell": found.cell,
+            "edge": None
+            if edge is None
+            else {
+                "near_m": edge.near_m,
+                "far_m": edge.far_m,
+                "near": edge.near_ray.tolist(),
+                "far": edge.far_ray.tolist(),
+            },
+        }
 
     def check_camera(self, entry: PhotoEntry, camera: CameraGiven) -> None:
         """Refuse a camera that does not fit its photograph.

@@ -263,7 +263,7 @@ export const mountDepthPlot = () => {
       canvas.setPointerCapture(event.pointerId);
     } else {
       const stem = stemAt(x);
-      if (stem) view.set({ selected: new Set([stem.id]), end: null, reveal: stem.id });
+      if (stem) view.set({ selected: new Set([stem.id]), end: null, offer: stem.id });
     }
   });
   canvas.addEventListener("pointermove", (event) => {
