@@ -9,6 +9,7 @@ import { element } from "../ui/dom.js";
 
 const EMPTY = { left: 0.325, middle: 0.325, dock: 0.33 };
 const MODEL_SHARE = 0.32; // of the width
+const LEAST_MODEL_PX = 365; // its controls fit beside each other
 const LEAST_PICTURE = 0.2;
 const MOST_DOCK_OF_ITSELF = 0.46;
 const STEP = 0.02;
@@ -29,9 +30,10 @@ const clamp = (value, least, most) => Math.min(most, Math.max(least, value));
  * @returns {{left: number, middle: number, dock: number}}
  */
 export const sharesFor = ({ width, height }, heads, [scan, photo]) => {
+  const pictures = 1 - Math.max(MODEL_SHARE, LEAST_MODEL_PX / width); // share of the width
   const tallest = (1 - EMPTY.dock) * height - heads;
-  const high = Math.min(tallest, ((1 - MODEL_SHARE) * width) / (scan + photo));
-  const share = (aspect) => clamp((aspect * high) / width, LEAST_PICTURE, 1 - MODEL_SHARE - LEAST_PICTURE);
+  const high = Math.min(tallest, (pictures * width) / (scan + photo));
+  const share = (aspect) => clamp((aspect * high) / width, LEAST_PICTURE, pictures - LEAST_PICTURE);
   const [left, middle] = [share(scan), share(photo)];
   return { left, middle, dock: clamp(1 - (high + heads) / height, EMPTY.dock, MOST_DOCK_OF_ITSELF) };
 };
@@ -102,7 +104,7 @@ const divider = (name, area, layoutNow) => {
  * @param {HTMLElement} panes
  */
 export const mountDividers = (workbench, panes) => {
-  const [scan, photo] = panes.querySelectorAll(".pane");
+  const [scan, photo] = [...panes.children].filter((pane) => pane instanceof HTMLElement);
   /** @returns {{left: number, middle: number, dock: number}} of those that nobody has moved */
   const suited = () => {
     const found = store.get("scan")?.views?.[view.get().scan.view] ?? store.get("scan")?.views?.[0];
