@@ -152,5 +152,7 @@ def _clipped(
             kept += [np.stack([ab, b, c], axis=-1), np.stack([ab, c, ac], axis=-1)]
     faces = np.concatenate(kept)
     points = np.concatenate(all_points)
-    used, index = np.unique(faces, return_inverse=True)  # points behind must not enter the projection
-    return points[used], index.reshape(faces.shape), np.concatenate(all_values)[used] if values is not None else None
+    used = np.zeros(len(points), np.bool_)
+    used[faces] = True  # points behind must not enter the projection
+    number = np.cumsum(used) - 1
+    return points[used], number[faces], np.concatenate(all_values)[used] if values is not None else None
