@@ -34,7 +34,7 @@ _SHARES = 5
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the choice of tests that take minutes."""
+    """Add the choice of tests marked long."""
     parser.addoption(
         "--long", default="none", metavar="none|all|share:TEXT",
         help=f"tests marked long: none of them, all, or the share of 1 in {_SHARES} that a text chooses, such as the "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import io
 import os
@@ -59,6 +60,28 @@ def kept(make: Callable[Arguments, Made]) -> Callable[Arguments, Made]:
         return once(tuple(bound.arguments.items()))
 
     return keeping
+
+
+def kept_folder(name: str, fill: Callable[[Path], object]) -> Path:
+    """Return a folder that `fill` has filled, once in a run; nobody may change it, so tests that do work on copies.
+
+    As with `kept`, two processes that begin at once both fill one, and either is right.
+
+    Args:
+        name: of the folder, different for different contents.
+        fill: is given the path of the folder, which does not exist yet.
+    """
+    if _shared is None:
+        share(Path(tempfile.mkdtemp()))
+    assert _shared is not None
+    folder = _shared / name
+    if not folder.is_dir():
+        _shared.mkdir(parents=True, exist_ok=True)
+        made = Path(tempfile.mkdtemp(dir=_shared)) / name
+        fill(made)
+        with contextlib.suppress(OSError):  # another process was faster
+            made.rename(folder)
+    return folder
 
 
 class _Pickler(pickle.Pickler):

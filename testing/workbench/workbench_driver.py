@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -16,6 +17,7 @@ from ladarreg.workbench.state.clients import Client
 from ladarreg.workbench.workbench import Workbench
 
 from ladarreg_core.simulate.sample import sample_folder
+from testing.scenes.kept import kept_folder
 
 
 @dataclass
@@ -87,3 +89,27 @@ def sample_bench(home: Path, **options: Any) -> WorkbenchDriver:
     """Open a workbench on the embedded sample."""
     folder = sample_folder()
     return open_bench(home, folder / "scan.npz", next(folder.glob("photo.*")), camera=folder / "camera.json", **options)
+
+
+def kept_bench(name: str, home: Path, prepare: Callable[[WorkbenchDriver], object], **options: Any) -> WorkbenchDriver:
+    """Open a copy, in `home`, of the sample's project as `prepare` leaves it, which is made once in a run.
+
+    Args:
+        name: of what was prepared, different for different projects.
+        home: the folder of the copy, which does not exist yet.
+        prepare: is given the workbench on the sample.
+        options: as for `open_bench`.
+    """
+
+    def fill(folder: Path) -> None:
+        bench = sample_bench(folder)
+        prepare(bench)
+        bench.workbench.close()
+
+    return open_bench(shutil.copytree(kept_folder(name, fill), home), **options)
+
+
+def registered(bench: WorkbenchDriver) -> None:
+    """Register the photograph automatically."""
+    job = bench.job("auto")
+    assert job.state == "done", job.message

@@ -89,7 +89,7 @@ def test_targets_in_the_world_give_a_camera_in_the_world(
     assert "X 500123.457, Y 5412345.679, Z 102.346 m" in capsys.readouterr().out
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_targets_ten_per_cent_too_far_are_refused(
     survey: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -105,7 +105,7 @@ def test_targets_ten_per_cent_too_far_are_refused(
     assert not (out / "cloud.ply").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_compare_states_the_world_for_every_stage(survey: Path, tmp_path: Path) -> None:
     register(survey, tmp_path / "out", "--matches", str(survey / "world.csv"), "--quiet", command="compare")
     document = json.loads((tmp_path / "out" / "comparison.json").read_text(encoding="utf-8"))
@@ -135,7 +135,7 @@ def lengths_of(bench: WorkbenchDriver, count: int) -> list[dict[str, Any]]:
     return list(bench.slice("judged:p1")["lengths"].values())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_workbench_keeps_names_lengths_and_the_world(survey: Path, tmp_path: Path) -> None:
     home = tmp_path / "project"
     bench = open_bench(home, survey / "scan.npz", PHOTO, camera=CAMERA)

@@ -36,7 +36,7 @@ def _last_place(figure: str) -> float:
     return 10.0 ** -len(figure.partition(".")[2]) if figure.isdecimal() or "." in figure else 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_tutorial_runs_and_prints_what_it_quotes(
     tmp_path: Path, checkout: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -31,7 +31,7 @@ def reader(browser: Browser, workbench: SharedWorkbench, request: pytest.Fixture
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("theme", THEMES)
+@pytest.mark.parametrize("theme", [THEMES[0], pytest.param(THEMES[1], marks=pytest.mark.long)])
 def test_no_part_of_the_page_has_a_serious_finding(reader: Operator, theme: str) -> None:
     page = reader.page
     page.evaluate("theme => { document.documentElement.dataset.theme = theme; }", theme)

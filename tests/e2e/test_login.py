@@ -127,7 +127,7 @@ def test_an_address_with_the_token_leaks_nowhere(run: Running, context: BrowserC
     assert page.url == "about:blank"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_browser_keeps_its_session(run: Running, context: BrowserContext) -> None:
     """The bare address, the link, and the same address from another page lead back to it; each tab is the same."""
     page = context.new_page()

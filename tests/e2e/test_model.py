@@ -215,6 +215,7 @@ def test_two_people_have_their_own_textures_and_views(browser_3d: Browser, serve
         other.context.close()
 
 
+@pytest.mark.long
 def test_the_view_serves_as_a_rough_pose(browser_3d: Browser, workbench: SharedWorkbench) -> None:
     """The registration starts from where the person looks from in the 3-D view."""
     workbench.open("solved")
@@ -237,6 +238,7 @@ def test_the_view_serves_as_a_rough_pose(browser_3d: Browser, workbench: SharedW
     assert not visit.errors
 
 
+@pytest.mark.long
 def test_a_finer_photograph_is_drawn_with_its_own_pixels(
     browser_3d: Browser, workbench: SharedWorkbench, tmp_path: Path
 ) -> None:
@@ -303,6 +305,7 @@ SLIDING = """() => {
 }"""
 
 
+@pytest.mark.long
 def test_the_photograph_slides_over_the_model_and_is_replayed(browser: Browser, workbench: SharedWorkbench) -> None:
     workbench.open("solved")
     visit = Visit(browser, workbench.server)

@@ -97,7 +97,7 @@ def test_solving_is_one_button_with_one_verdict(operator: Operator) -> None:
     operator.shot("contradicted")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_drawn_matches_are_solved_by_themselves(operator: Operator) -> None:
     """The verdict follows an edit without a click, a notice or a step of its own, and undo takes it back."""
     page = operator.page

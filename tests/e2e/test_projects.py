@@ -43,6 +43,7 @@ def started_without_a_project(home: Path) -> Iterator[Served]:
         process.wait(60)
 
 
+@pytest.mark.long
 def test_from_the_start_page_to_a_second_project_and_back(browser: Browser, tmp_path: Path) -> None:
     """Files on the start page begin a project; a colleague's page follows the change; the first project comes back."""
     photo, scan = next(sample_folder().glob("photo.*")).read_bytes(), (sample_folder() / "scan.npz").read_bytes()

@@ -18,6 +18,7 @@ pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`"
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.long
 def test_a_station_is_added_registered_and_shown(browser: Browser, workbench: SharedWorkbench, tmp_path: Path) -> None:
     from testing.scenes.station_scans import write_station_scans
 

@@ -113,7 +113,7 @@ def test_an_intensity_that_is_the_same_everywhere_is_said(tmp_path: Path, wall: 
     assert "the intensity is 5 everywhere: only the scan's shape can be compared with a photo" in read_scan(path).notes
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_registration_from_such_a_file_compares_the_shape(tmp_path: Path) -> None:
     pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
     from ladarreg_core.simulate.outdoor_case import simulate_outdoors

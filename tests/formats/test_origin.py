@@ -187,7 +187,7 @@ def _frame(lidar: str, place: str, seed: int, share: int) -> np.ndarray:
 @pytest.mark.parametrize(
     ("lidar", "place", "seed", "share"),
     [
-        ("narrow", "courtyard", 9, 2),
+        pytest.param("narrow", "courtyard", 9, 2, marks=pytest.mark.long),
         pytest.param("petals", "courtyard", 7, 2, marks=pytest.mark.long),
         ("128 lines", "street", 7, 1),
     ],

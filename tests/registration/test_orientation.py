@@ -17,7 +17,7 @@ _EXIF_ORIENTATION = 274
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("calibrated_on", ["upright", "stored"])
+@pytest.mark.parametrize("calibrated_on", ["stored", pytest.param("upright", marks=pytest.mark.long)])
 def test_a_camera_of_the_stored_or_of_the_upright_pixels_is_told_by_the_images(
     tmp_path: Path, calibrated_on: str
 ) -> None:

@@ -48,6 +48,7 @@ def test_a_panorama_is_registered_in_its_own_pixels(case: PanoramaCase) -> None:
     assert np.abs(blocks.offset_px).max() < 100
 
 
+@pytest.mark.long
 def test_a_panorama_of_another_room_is_refused(case: PanoramaCase) -> None:
     room = all_around("desk", seed=8, options=PanoramaOptions(width=64, step_deg=0.3))
     result = lr.register(room.scan, case.photo)

@@ -56,6 +56,7 @@ def test_kinect_agrees_with_its_factory_calibration(kinect: tuple[lr.Scan, lr.Ph
     assert free.camera_from_scanner.distance_to(truth) <= 0.002
 
 
+@pytest.mark.long
 def test_kinect_with_nothing_but_a_focal_length_states_what_is_not_known(
     kinect: tuple[lr.Scan, lr.Photo], real_data: Path
 ) -> None:
@@ -82,7 +83,7 @@ def pump_pose(scan: lr.Scan, seed: int) -> lr.Rigid:
     return lr.Rigid.from_centre(roll @ look_along(middle - centre), centre)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(1, 5))])
 def test_pump_from_another_position(pump: lr.Scan, seed: int) -> None:
     truth = pump_pose(pump, seed)
     picture, _ = render_scan_colors(pump, PUMP_CAMERA, truth)
@@ -95,7 +96,10 @@ def test_pump_from_another_position(pump: lr.Scan, seed: int) -> None:
 # What is known of these captures is a published calibration, itself 5 to 11 px off where it could be checked.
 @pytest.mark.parametrize(
     ("name", "scan", "photo", "known_px"),
-    [("garage", "scan.npz", "frame9.png", 8.0), ("street", "scan.pcd", "photo.png", 12.0)],
+    [
+        pytest.param("garage", "scan.npz", "frame9.png", 8.0, marks=pytest.mark.long),
+        ("street", "scan.pcd", "photo.png", 12.0),
+    ],
 )
 @pytest.mark.parametrize(
     "start", ["off", *(pytest.param(start, marks=pytest.mark.long) for start in ("none", "truth"))]
@@ -116,6 +120,7 @@ def test_sparse_captures_end_in_a_clear_verdict(
     assert result.reasons
 
 
+@pytest.mark.long
 def test_photographs_of_other_places_are_refused(
     kinect: tuple[lr.Scan, lr.Photo], pump: lr.Scan, real_data: Path
 ) -> None:

@@ -130,7 +130,7 @@ def test_compared_with_solvepnp(files: SimpleNamespace, tmp_path: Path, capsys: 
     assert off["solvePnP"] < 20
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_notebook_runs_and_shows_pictures_verdict_and_progress() -> None:
     book = nbformat.read(FOLDER / "notebook.ipynb", as_version=4)
     assert not any(cell.get("outputs") for cell in book.cells), "outputs are not kept in the repository"

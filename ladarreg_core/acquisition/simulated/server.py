@@ -19,6 +19,7 @@ from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
 from ladarreg_core.acquisition.simulated.twin import Twin
 
 _TICK_S = 0.002
+_MAX_IDLE_TICK_S = 0.016  # below the 25 ms between two turns of a scanner; input wakes a device at once
 _PIECE = 4096
 _MAX_UNSENT = 1 << 20  # bytes; a busy host takes them seconds later, and more is lost, as if nobody listened
 
@@ -102,13 +103,15 @@ class TwinServer:
         self._ends[name].open()
 
     def _serve(self, name: str) -> None:
-        twin, end = self._twins[name], self._ends[name]
+        twin, end, tick_s = self._twins[name], self._ends[name], _TICK_S
         while self._running:
-            data = end.read(_TICK_S)
+            data = end.read(tick_s)
             now = self.now_s()
             if data:
                 twin.feed(data, now)
-            end.write(twin.due(now))
+            due = twin.due(now)
+            end.write(due)
+            tick_s = _TICK_S if data or due else min(2 * tick_s, _MAX_IDLE_TICK_S)
 
 
 class _End:

@@ -174,7 +174,7 @@ def npz(**arrays: object) -> Callable[[Path], Path]:
     return write
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_sample_is_registered_by_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from ladarreg_core.formats.documents.pose_file import read_pose
 
@@ -221,7 +221,10 @@ def drawn(path: Path, *, count: int, seed: int, spread: float = 1.0) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("count", "spread"), [(40, 1.0), (18, 0.45), (8, 1.0)])
+@pytest.mark.parametrize(
+    ("count", "spread"),
+    [(8, 1.0), *(pytest.param(*case, marks=pytest.mark.long) for case in ((40, 1.0), (18, 0.45)))],
+)
 def test_manual_matches_get_a_few_lines_of_advice(
     count: int, spread: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -256,7 +259,7 @@ def test_a_uniform_gray_photo_is_not_accepted(tmp_path: Path, capsys: pytest.Cap
     assert json.loads((out / "registration.json").read_text())["accepted"] is False
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_simulate_writes_what_info_reads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("embreex")
     out = tmp_path / "case"

@@ -168,7 +168,7 @@ def test_table_columns_are_aligned() -> None:
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_sample_is_compared_by_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "results"
     assert main(words("-o", str(out))) == ExitCode.ACCEPTED

@@ -54,7 +54,7 @@ def differing(one: Any, other: Any, where: str = "") -> list[str]:
     return [] if type(one) is type(other) and repr(one) == repr(other) else [where]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_results_are_the_same_in_every_bit(tmp_path: Path, checkout: Path) -> None:
     """In a process of its own: libraries have threads in this one, which is not forked then."""
     write_seeds(tmp_path)

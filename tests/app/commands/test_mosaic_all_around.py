@@ -21,7 +21,7 @@ from ladarreg_core.simulate.photograph import Lighting, take_photograph
 from ladarreg_core.simulate.ray_cast import RayCaster
 from testing.scenes.mosaic_pieces import placed
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 STEP = np.radians(0.3)
 PIECE = AzimuthElevation(128, 183, STEP, STEP)
 CAMERA = Camera(width=480, height=360, fx=390.0, fy=390.0, cx=239.5, cy=179.5)

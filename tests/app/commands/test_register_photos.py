@@ -109,7 +109,7 @@ def workers_of(pid: int) -> list[int]:
     return [int(child) for path in children for child in path.read_text().split()]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGKILL, -signal.SIGKILL), (signal.SIGINT, ExitCode.INTERRUPTED)])
 def test_a_killed_or_interrupted_command_leaves_no_process_and_goes_on_where_it_was(

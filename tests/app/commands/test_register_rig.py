@@ -119,7 +119,7 @@ def test_the_folder_is_described_and_replaced_by_force_only(
     assert "--force" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_recording_gives_the_same_rig(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("rosbags")
     clouds, images, info = [], [], [(0, camera_info(rig.cases[0].true_camera))]
@@ -142,7 +142,7 @@ def test_a_recording_gives_the_same_rig(rig: Rig, capsys: pytest.CaptureFixture[
     assert "there is /front/image_raw" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_swapped_photos_are_refused_and_named(rig: Rig) -> None:
     photos = [case.photo for case in rig.cases]
     photos[0], photos[1] = photos[1], photos[0]
@@ -157,7 +157,7 @@ def test_swapped_photos_are_refused_and_named(rig: Rig) -> None:
     assert "the photo of place 1 agrees with its scan" in result.pairs[0].sentence
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_pairs_of_one_place_count_as_one(rig: Rig) -> None:
     """A false agreement in one place would be found in every picture of it."""
     pairs = [lr.RigPair(name, rig.cases[1].scan, rig.cases[1].photo) for name in ("first", "second")]

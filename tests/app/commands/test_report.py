@@ -13,14 +13,13 @@ from ladarreg.exit_codes import ExitCode
 
 from ladarreg_core.simulate.sample import sample_folder
 from testing.files.rewritten import rewrite, without_hints
-from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
+from testing.workbench.workbench_driver import WorkbenchDriver, kept_bench, registered
 
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WorkbenchDriver]:
     """A workbench whose photograph was registered automatically, its results exported into `results`."""
-    found = sample_bench(tmp_path_factory.mktemp("reported") / "project")
-    assert found.job("auto").state == "done"
+    found = kept_bench("registered", tmp_path_factory.mktemp("reported") / "project", registered)
     yield found
     found.workbench.close()
 
@@ -97,6 +96,7 @@ def test_inputs_that_are_missing_or_changed_are_refused(
     assert not (moved / "report.html").exists()
 
 
+@pytest.mark.long
 def test_a_file_is_replaced_only_if_that_is_wanted(moved: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, inputs = moved / "mine.html", ["--inputs", str(sample_folder())]
     out.write_text("mine")

@@ -31,7 +31,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("sent", [signal.SIGTERM, pytest.param(signal.SIGHUP, marks=pytest.mark.long)])
 def test_sigterm_and_sighup_save_and_exit(tmp_path: Path, sent: signal.Signals) -> None:
     with serving(tmp_path / "project") as server, server.there.socket() as page:
         assert ask(page, "rename", name="kept")["ok"]
@@ -41,7 +41,7 @@ def test_sigterm_and_sighup_save_and_exit(tmp_path: Path, sent: signal.Signals) 
         assert name_of(tmp_path / "project") == "kept"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_closed_terminal_ends_the_server(tmp_path: Path) -> None:
     import pty
 
@@ -72,7 +72,7 @@ def test_a_closed_terminal_ends_the_server(tmp_path: Path) -> None:
     assert name_of(project) == "untitled"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_signals_ignored_by_nohup_stay_ignored(tmp_path: Path) -> None:
     def as_nohup_does() -> None:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)

@@ -86,7 +86,7 @@ def test_below_the_minimum_and_above_the_limit_nothing_is_solved(bench: Workbenc
     assert stages(bench) == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_pose_below_the_minimum_is_out_of_date(bench: WorkbenchDriver) -> None:
     names = draw(bench, 7)
     solved(bench)
@@ -95,7 +95,7 @@ def test_a_pose_below_the_minimum_is_out_of_date(bench: WorkbenchDriver) -> None
     assert {stage["stale"] for stage in stages(bench)} == {"5 matches changed since: solve again"}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_job_goes_first(bench: WorkbenchDriver) -> None:
     draw(bench, 7)
     solved(bench)
@@ -131,7 +131,7 @@ def test_matches_that_determine_no_pose_say_why_and_give_no_verdict(bench: Workb
     assert bench.slice("solving:p1")["sentence"] == ""
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_moves_of_one_end_stay_one_step_though_they_are_solved_in_between(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -60,7 +60,7 @@ def test_other_scans_have_no_pictures(tmp_path: Path) -> None:
     bench.workbench.close()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_registration_and_solving_start_from_the_pose_that_the_scans_file_states(tmp_path: Path) -> None:
     sample = sample_folder()
     truth, camera = read_pose(sample / "truth.json"), read_camera(sample / "camera.json")

@@ -18,14 +18,13 @@ from PIL import Image, ImageOps
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.foundations.palette import VISIBILITY
 from ladarreg_core.simulate.sample import sample_folder
-from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
+from testing.workbench.workbench_driver import WorkbenchDriver, kept_bench, registered
 
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WorkbenchDriver]:
     """The sample, registered."""
-    found = sample_bench(tmp_path_factory.mktemp("model") / "project")
-    assert found.job("auto").state == "done"
+    found = kept_bench("registered", tmp_path_factory.mktemp("model") / "project", registered)
     yield found
     found.workbench.close()
 
@@ -45,11 +44,10 @@ def texture(bench: WorkbenchDriver, kind: str, **query: str) -> tuple[np.ndarray
     return image, json.loads(unquote(headers["x-legend"]))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_second_photograph_does_not_wipe_the_first(tmp_path: Path) -> None:
     """The colours of all accepted photographs are shown, whichever is looked at, and whether that one is accepted."""
-    bench = sample_bench(tmp_path / "project")
-    assert bench.job("auto").state == "done"
+    bench = kept_bench("registered", tmp_path / "project", registered)
     alone, _ = texture(bench, "colour", photo="p1")
     folder = sample_folder()
     with Image.open(next(folder.glob("photo.*"))) as image:

@@ -12,20 +12,23 @@ import pytest
 
 from ladarreg_core.storage.manifest import MANIFEST_FILE
 from testing.scenes.true_matches import true_points
-from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
+from testing.workbench.workbench_driver import WorkbenchDriver, kept_bench, sample_bench
 
 
 @pytest.fixture
 def solved(tmp_path: Path) -> Iterator[WorkbenchDriver]:
     """A workbench whose photograph was solved from 16 right points, with one wrong one."""
-    bench = sample_bench(tmp_path / "project")
-    for point in true_points(16):
-        bench.do("add_pick", photo="p1", **point)
-    wrong = true_points(17)[-1]
-    wrong["photo_uv"] = [[wrong["photo_uv"][0][0] + 60, wrong["photo_uv"][0][1]]]
-    bench.do("add_pick", photo="p1", **wrong)
-    job = bench.job("robust")
-    assert job.state == "done", job.message
+
+    def solve(bench: WorkbenchDriver) -> None:
+        for point in true_points(16):
+            bench.do("add_pick", photo="p1", **point)
+        wrong = true_points(17)[-1]
+        wrong["photo_uv"] = [[wrong["photo_uv"][0][0] + 60, wrong["photo_uv"][0][1]]]
+        bench.do("add_pick", photo="p1", **wrong)
+        job = bench.job("robust")
+        assert job.state == "done", job.message
+
+    bench = kept_bench("solved-with-an-outlier", tmp_path / "project", solve)
     yield bench
     bench.workbench.close()
 
@@ -101,7 +104,7 @@ def exported(bench: WorkbenchDriver) -> dict[str, Any]:
         return {name: json.loads(file.read(f"{name}.json")) for name in ("registration", "matches")}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_stale_pose_is_exported_only_on_request_with_the_matches_it_rests_on(
     solved: WorkbenchDriver, tmp_path: Path
 ) -> None:
@@ -134,7 +137,7 @@ def test_matches_without_a_pose_are_exported(fresh: WorkbenchDriver) -> None:
         assert len(json.loads(file.read("matches.json"))["matches"]) == 2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_comparison_does_not_change_the_chosen_pose(solved: WorkbenchDriver) -> None:
     assert solved.job("linear").state == "done"
     solved.do("use_stage", photo="p1", stage="robust")

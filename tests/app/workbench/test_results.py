@@ -178,7 +178,7 @@ def test_a_zip_holds_the_files_of_the_command_line(registered: WorkbenchDriver) 
     assert {entry["name"] for entry in told["inputs"]} >= {"scan.npz"}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_export_replaces_a_folder_of_results_only_by_force(registered: WorkbenchDriver, tmp_path: Path) -> None:
     folder = tmp_path / "results"
     registered.do("export_folder", photo="p1", folder=str(folder))

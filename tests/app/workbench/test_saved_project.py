@@ -113,7 +113,7 @@ def test_work_goes_on_and_is_saved(tmp_path: Path) -> None:
     try:
         bench.do("rename", name="Desk again")
         assert labels(bench) == [*STEPS[:-1], "Rename to Desk again"]
-        job = bench.job("robust")
+        job = bench.job("linear")
         assert job.state == "done", job.said
         expected, expected_labels = document(bench), labels(bench)
     finally:
@@ -126,6 +126,7 @@ def test_work_goes_on_and_is_saved(tmp_path: Path) -> None:
         again.workbench.close()
 
 
+@pytest.mark.long
 def test_its_registration_is_an_initial_pose(bench: WorkbenchDriver) -> None:
     pose = read_pose(SAVED / "registration.json")
     saved = next(entry for entry in document(bench).photos[0].poses if entry.stage == "auto")

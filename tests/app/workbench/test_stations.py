@@ -19,6 +19,7 @@ from ladarreg_core.errors import FormatError
 from ladarreg_core.formats import read_scan
 from ladarreg_core.frames import Rigid
 from ladarreg_core.project.storage.codec import decode_document, encode
+from testing.scenes.kept import kept_folder
 from testing.scenes.station_scans import POSES, write_station_scans
 
 pytestmark = pytest.mark.slow
@@ -31,18 +32,20 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], Path, P
 
 
 @pytest.fixture(scope="module")
-def registered(files: tuple[list[Path], Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def registered(files: tuple[list[Path], Path, Path]) -> Path:
     """Return a project with two stations and a photograph, all registered; tests work on copies."""
-    scans, photo, camera = files
-    home = tmp_path_factory.mktemp("project") / "home"
-    bench = open_bench(home, scans[0], photo, camera=camera)
-    assert bench.slice("stations") is None
-    add(bench, scans[1])
-    assert [station["state"] for station in bench.slice("stations")["stations"]] == ["waiting", "waiting"]
-    job(bench, "register_stations")
-    assert bench.job("auto").state == "done"
-    bench.workbench.close()
-    return home
+
+    def fill(home: Path) -> None:
+        scans, photo, camera = files
+        bench = open_bench(home, scans[0], photo, camera=camera)
+        assert bench.slice("stations") is None
+        add(bench, scans[1])
+        assert [station["state"] for station in bench.slice("stations")["stations"]] == ["waiting", "waiting"]
+        job(bench, "register_stations")
+        assert bench.job("auto").state == "done"
+        bench.workbench.close()
+
+    return kept_folder("registered-stations", fill)
 
 
 @pytest.fixture
@@ -96,6 +99,7 @@ def test_a_photograph_is_verified_at_the_other_station(bench: WorkbenchDriver) -
     assert bench.slice("stations")["checks"] == []
 
 
+@pytest.mark.long
 def test_work_at_each_station_is_kept_and_carried(bench: WorkbenchDriver) -> None:
     here = bench.workbench.session.document
     bench.do("show_station", station=station(bench)["id"])
@@ -133,6 +137,7 @@ def test_all_stations_are_exported(bench: WorkbenchDriver, tmp_path: Path) -> No
     assert (poses[0].inverse @ poses[1]).distance_to(BETWEEN) < 0.002
 
 
+@pytest.mark.long
 def test_rough_places_and_refusals(bench: WorkbenchDriver, files: tuple[list[Path], Path, Path]) -> None:
     name = station(bench)["id"]
     assert "enter all of them" in bench.refused("place_station", station=name, place={"x": 1})

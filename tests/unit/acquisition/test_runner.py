@@ -264,7 +264,7 @@ def test_a_sweep_whose_unit_slips_does_not_close(
     assert RunFolder.open(tmp_path / "run").closed == closure.closed
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_continuous_sweep_closes_but_for_the_latency(devices: Devices, tmp_path: Path) -> None:
     events: list[RunEvent] = []
     folder = RunWriter.begin(tmp_path / "run", devices.plan(pan=Axis(-10, 10, 0.25), continuous=True, passes=2))

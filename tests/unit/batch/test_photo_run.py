@@ -147,6 +147,7 @@ def test_what_is_missing_or_was_added_is_done_and_nothing_else(site: Site, again
     assert summary(again) == was, "the same with another number of processes"
 
 
+@pytest.mark.long
 def test_a_zoomed_photograph_with_the_same_exif_is_refused_and_changes_no_other(site: Site, again: Path) -> None:
     with Image.open(site.photos[3]) as image:
         width, height = image.size
@@ -163,6 +164,7 @@ def test_a_zoomed_photograph_with_the_same_exif_is_refused_and_changes_no_other(
     assert {name for name in after if after[name] != before.get(name)} == {"zoomed"}
 
 
+@pytest.mark.long
 def test_other_options_are_refused_unless_they_may_replace(site: Site, again: Path) -> None:
     was = summary(again)
     with pytest.raises(ExportError, match=r"other photos, inputs or options.*`force=True`"):
@@ -183,6 +185,7 @@ def test_what_others_wrote_is_never_replaced(site: Site, tmp_path: Path) -> None
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["notes.txt"]
 
 
+@pytest.mark.long
 def test_a_changed_result_is_not_replaced_by_force(site: Site, again: Path) -> None:
     edited = again / "photos" / "IMG_0001" / "registered.png"
     edited.write_bytes(b"my own picture")
@@ -233,6 +236,7 @@ def test_a_run_that_is_cancelled_before_anything_is_done_leaves_nothing(site: Si
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.long
 def test_a_cancelled_run_goes_on_where_it_was(site: Site, tmp_path: Path) -> None:
     said: list[str] = []
 
@@ -261,6 +265,7 @@ def _die_for(name: str) -> Callable[..., object]:
     return _die if name == "IMG_0001" else register_in_worker
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 def test_a_killed_worker_is_reported_for_its_photograph_and_stops_no_other(
     site: Site, again: Path, monkeypatch: pytest.MonkeyPatch

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.export.json import registration_document
 from ladarreg_core.export.targets.folder import registration_files
 from ladarreg_core.formats import read_photo, read_scan
@@ -59,7 +60,7 @@ def documents(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, A
     """The documents of one registration that is accepted and one that is refused, and of a given pose."""
     sample, path = sample_folder(), tmp_path_factory.mktemp("documents") / "registration.json"
     scan, truth = read_scan(sample / "scan.npz"), read_pose(sample / "truth.json")
-    photo = read_photo(sample / "photo.png", focal_px=974.0)
+    photo = read_photo(sample / "photo.png", camera=sample / "camera.json")
     points = scan.points[40::90, 40::90].reshape(-1, 3).astype(float)
     points = points[np.isfinite(points).all(axis=1)]
     uv = photo.camera.project(truth @ points)
@@ -74,7 +75,11 @@ def documents(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, A
     block = ComparedBlocks(
         ids=("b0.0",), uv=[[1, 2]], offset_px=[[0, 0]], information=[np.eye(2)], correlation=[0.5], agrees=[True]
     )  # type: ignore[arg-type]
-    accepted = replace(accepted, blocks=block)
+    # As of a camera that was assumed, which takes three searches to register.
+    joint = np.zeros((7, 7))
+    joint[:6, :6], joint[6, 6] = accepted.covariance, 1.0
+    uncertainty = CameraUncertainty(("focal_px",), joint, {"focal_px": 974.0})
+    accepted = replace(accepted, blocks=block, camera_uncertainty=uncertainty)
     refused = replace(accepted, accepted=False, evidence="none")
     rests_on = {"matches": ["1"], "current": True, "sentence": "The pose rests on 1 match."}
     smoothed = SmoothedScan(scan, 1, "One.")

@@ -11,7 +11,7 @@ LINES = 12
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scene", ["desk", "people"])
+@pytest.mark.parametrize("scene", ["desk", pytest.param("people", marks=pytest.mark.long)])
 def test_drawn_lines_get_nearer_to_the_true_edges(scene: str) -> None:
     pytest.importorskip("embreex", reason="the simulator needs embreex")
     room = drawn_scene(scene, 400, lines=LINES)

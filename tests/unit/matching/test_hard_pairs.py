@@ -11,7 +11,8 @@ from testing.scenes.simulated import simulated
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("seed", [31, *(pytest.param(seed, marks=pytest.mark.long) for seed in (0, 10, 19, 28))])
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [0, 10, 19, 28, 31])
 def test_a_room_with_the_same_bricks_is_refused(seed: int) -> None:
     """Both rooms have a wall of the same bricks; a shift by one brick agrees nearly as well, and nothing else does.
 
@@ -24,7 +25,8 @@ def test_a_room_with_the_same_bricks_is_refused(seed: int) -> None:
     assert result.reasons
 
 
-@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in (0, 2))])
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [0, 1, 2])
 def test_roll_is_detected_although_displacements_differ(seed: int) -> None:
     """Poses are found at two neighbouring rolls, of which chance decides the better."""
     case = simulated("office", set_name="rotated", seed=900)

@@ -271,7 +271,7 @@ def test_lines_far_apart_make_a_pose_less_certain_than_its_regions_say() -> None
     assert few_px > 4 * whole_px
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_petals_without_intensity_are_registered_and_another_place_is_refused() -> None:
     pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
     case = outdoors("courtyard", lidar="petals", seed=102)

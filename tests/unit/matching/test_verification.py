@@ -79,7 +79,7 @@ def test_without_blocks_the_false_alarm_is_one() -> None:
     assert maps_with_peaks(np.zeros((0, 2), np.int64)).false_alarm(1.5, least_chance=0.25) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_coarse_scan_is_accepted_by_few_regions(room: PaintedRoom) -> None:
     result = register(thinned(room.scan, 2), room.photo)
     figures = result.diagnostics["verification"]

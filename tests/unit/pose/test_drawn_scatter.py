@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.picks.measure import matches_from_picks
@@ -49,6 +50,7 @@ def test_sloppy_lines_agree_on_a_noise_as_large_as_theirs() -> None:
     assert 3.0 < np.median([result.sigma_px for result in found]) < 7.0
 
 
+@pytest.mark.long
 def test_the_sigma_is_right_with_a_line_along_the_wrong_edge() -> None:
     cases = [drawn(seed, 2.0, wrong=True) for seed in range(24)]
     found = np.array([sigmas(case, solved(case)) for case in cases])

@@ -137,6 +137,7 @@ def test_a_line_that_the_others_miss_is_named():
     assert 0.05 < off_m < 3 * solved[0.0].sigma_position_m
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("make", "count"), [(room_case, 10), (line_case, 6)], ids=["points", "lines"])
 def test_the_sigma_of_few_matches_of_unknown_noise_holds(make, count):
     """48 poses with 6 parameters each: the mean square has a standard deviation of .08 if the sigmas are right."""

@@ -42,6 +42,7 @@ def error_m(result: lr.Registration) -> float:
     return result.camera_from_scanner.distance_to(scene().case.camera_from_scanner)
 
 
+@pytest.mark.long
 def test_a_hand_with_one_line_along_the_wrong_edge_ends_at_the_pose_of_the_images() -> None:
     found = registered(hand(2.0, wrong=[2]))
     result = found.proposed()

@@ -50,7 +50,7 @@ def test_foliage_and_print_have_detail_at_every_scale(kind: str) -> None:
         assert -2.0 < slope(picture[..., 1].astype(float)) < -0.2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_only_scenes_that_ask_for_it_are_natural() -> None:
     def texels(*, natural: bool) -> str:
         world = build_scene("boxes", layout=np.random.default_rng(5), natural=natural)

@@ -49,7 +49,7 @@ def test_lines_are_lines_and_half_of_the_seeds_space_them_unevenly() -> None:
     assert 4 <= sum(uneven) <= 16  # of 20 fair draws, all but 1 in 400 times; the seeds are fixed
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_photo_shows_what_the_lidar_meets() -> None:
     """The points are where the true pose sees their surfaces: the ground is flat, `EYE_M` below."""
     from_above = case("courtyard", "128 lines").cloud.points
@@ -65,7 +65,7 @@ def test_the_photo_shows_what_the_lidar_meets() -> None:
     assert sky.mean() < 0.02, "hardly any return lies in front of the sky"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ranges_end_and_have_the_stated_noise() -> None:
     far = np.linalg.norm(case("street", "128 lines").cloud.points, axis=1)
     assert 90 < far.max() <= BEAM_NOISE.farthest_m + 0.1
@@ -85,7 +85,7 @@ def test_petals_report_no_intensity_and_lines_do() -> None:
     assert any("128 rings" in note for note in case("street", "128 lines").scan.notes)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_case_is_reproducible_and_another_seed_another_place() -> None:
     first, again = case("courtyard", "128 lines"), simulate_outdoors("courtyard", lidar="128 lines", seed=4)
     assert (first.cloud.points == again.cloud.points).all()

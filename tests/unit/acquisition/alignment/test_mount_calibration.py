@@ -72,7 +72,7 @@ def test_a_level_pan_only_sweep_says_what_would_help() -> None:
     assert "-45 deg" in found.reasons[-1] or not found.accepted
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_furniture_that_was_moved_between_sweeps_does_not_move_the_mount(monkeypatch: pytest.MonkeyPatch) -> None:
     passes = sweeps(-20, 0, 20, seed=5)
     monkeypatch.setattr(box_room, "BOARD", box_room.BOARD + np.array([0, 0, 0.012]))
@@ -94,7 +94,7 @@ class MountCalibrationOf:
         self.unit_from_scanner, self.tilt_rad = mount, found.tilt_rad
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_passes_in_both_directions_determine_the_latency() -> None:
     passes = [
         in_motion(

@@ -46,7 +46,7 @@ def test_the_progress_is_that_of_the_whole(refined: tuple[Refinement, list[Rigid
     assert {"reading the pieces", "finding what pieces share", "aligning the pieces"} <= {one.label for one in TOLD}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_cells_of_rays_in_tables_are_rarely_sought(monkeypatch: pytest.MonkeyPatch) -> None:
     """It takes as long as all the rest; scans in which each cell has a ray of its own were refined for minutes."""
     pieces, truth = mosaic(PANS, TILTS, geometry=FINE, sigma_m=0.002, off_rad=OFF_RAD)
@@ -112,7 +112,7 @@ def test_pieces_without_overlap_stay_where_the_unit_says() -> None:
         assert one.world_from_scanner is piece.world_from_scanner
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_piece_that_was_knocked_is_found_and_said() -> None:
     pieces, truth = mosaic(PANS, TILTS, geometry=FINE, sigma_m=0.002, off_rad=OFF_RAD)
     elsewhere = truth[5] @ Rigid.from_rotvec([0.004, 0, 0], [0.0, 0.006, 0.002])
@@ -142,7 +142,7 @@ def run_of_six(blow: Rigid, first: int, mount: Rigid = MOUNT) -> tuple[Refinemen
     return refine_pieces(pieces, said, mount=mount), truth
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_blow_between_two_pieces_is_found_and_said() -> None:
     found, truth = run_of_six(Rigid.from_rotvec([0.004, 0, 0.003], [0.004, 0.006, 0.002]), 3)
     assert "between pieces 2 and 3 the scanner was moved on its unit" in found.reasons[0]

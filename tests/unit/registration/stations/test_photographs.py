@@ -15,7 +15,7 @@ from ladarreg_core.simulate.stations import scan_stations, station_room, upright
 pytest.importorskip("embreex")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_photograph_of_one_station_is_verified_at_another() -> None:
     room = station_room("office", 3)
     poses = [upright_pose(np.array([-0.8, -0.4, 0.0]), 0.2), upright_pose(np.array([0.7, 0.6, 0.1]), -0.3)]

@@ -69,7 +69,7 @@ def test_two_stations_are_registered_from_nothing(office: list[Scan]) -> None:
     assert np.array_equal(pose, network.stations[1].world_from_scanner.matrix)  # type: ignore[union-attr]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_scans_without_intensity_are_registered_by_their_ranges(office: list[Scan]) -> None:
     dark = [replace(scan, intensity=np.zeros(scan.shape, np.float32)) for scan in office]
     network = lr.register_scans(dark)
@@ -78,7 +78,7 @@ def test_scans_without_intensity_are_registered_by_their_ranges(office: list[Sca
     assert off(network, 1, FIRST.inverse @ SECOND)[0] < 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_another_room_stays_out(office: list[Scan], boxes: Scan) -> None:
     network = lr.register_scans([office[0], boxes])
     assert not network.accepted
@@ -119,7 +119,7 @@ def test_poses_in_the_files_are_refined_and_wrong_ones_are_not_left_by_themselve
     assert network.pairs[0].as_fields()["stated"]["away_mm"] > 5000
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_exact_poses_are_kept_and_what_they_show_is_stated(office: list[Scan], boxes: Scan) -> None:
     world = Rigid.from_rotvec([0, 0, 1.0], [4000.0, -300.0, 20.0])
     exact = world @ FIRST.inverse @ SECOND
