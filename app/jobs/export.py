@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
+
+from msgspec import MsgspecError, Struct, json
 
 from ladarreg_core.errors import ExportError, LadarregError, OptionError
 from ladarreg_core.project.edits import require_photo
@@ -75,6 +76,15 @@ class Export:
     """Sent to all clients once it is written; None: it goes into a folder."""
 
 
+class _Exported(Struct, frozen=True):
+    """What the pose of a photograph was exported to: a record in the project's folder of exports."""
+
+    pose: str
+    """The name of its arrays, which every pose has for itself."""
+    targets: dict[str, Literal["scanner", "world"]]
+    """Targets, and the frame of each."""
+
+
 class ExportJobs:
     """Exports what a project has.
 
@@ -84,7 +94,7 @@ class ExportJobs:
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace = workspace
-        self._exported: dict[str, str] | None = None
+        self._exported: dict[str, _Exported] | None = None
 
     def table(self, wanted: Wanted) -> dict[str, Any]:
         """Return all targets, which cannot be written and why, and the photographs that are exported or left out.
@@ -166,7 +176,7 @@ class ExportJobs:
                     report=context.progress,
                 )
                 said = f"Wrote a zip of {_size_of(path)} with {', '.join(names)}."
-            self._record(chosen.entries)
+            self._record(chosen.entries, wanted)
             return f"{said} Left out: {chosen.reasons}." if chosen.left_out else said
 
         label = f"Export {', '.join(names)}" if folder is None else f"Export into {folder.name}"
@@ -209,9 +219,11 @@ class ExportJobs:
         saved = f"{words[:80] or 'registration'}{'-report.html' if ending == 'html' else '.zip'}"
         return (path, saved) if path.is_file() else None
 
-    def is_exported(self, entry: PhotoEntry) -> bool:
-        """Return whether the shown pose of a photograph was exported."""
-        return entry.pose is not None and self._known_exports().get(entry.id) == entry.pose.arrays.name
+    def exported(self, entry: PhotoEntry) -> dict[str, FrameName]:
+        """Return the targets that the shown pose of a photograph was exported to, and the frame of each."""
+        known = self._known_exports().get(entry.id)
+        is_shown = known is not None and entry.pose is not None and known.pose == entry.pose.arrays.name
+        return dict(known.targets) if known is not None and is_shown else {}
 
     def check_folder(self, folder: Path, document: Document, *, force: bool) -> None:
         """Refuse a folder that must not be written or replaced.
@@ -285,25 +297,28 @@ class ExportJobs:
     def _path(self, name: str, ending: Ending) -> Path:
         return self._workspace.session.folder.exports / f"{name}.{ending}"
 
-    def _record(self, entries: Iterable[PhotoEntry]) -> None:
-        """Record that the shown poses of photographs were exported; it is known after a restart, too."""
-        known = self._known_exports()
-        known |= {entry.id: entry.pose.arrays.name for entry in entries if entry.pose is not None}
-        self._exported = known
+    def _record(self, entries: Iterable[PhotoEntry], wanted: Wanted) -> None:
+        """Record what the shown poses of photographs were exported to; it is known after a restart, too."""
+        written = dict.fromkeys(wanted.targets, wanted.frame)
+        new = {
+            entry.id: _Exported(pose=entry.pose.arrays.name, targets={**self.exported(entry), **written})
+            for entry in entries
+            if entry.pose is not None
+        }
+        self._exported = {**self._known_exports(), **new}
         try:
-            write_bytes(self._record_path, json.dumps(known).encode())
+            write_bytes(self._record_path, json.encode(self._exported))
         except (ExportError, OSError) as error:
             log.warning("exports are not recorded: %s", error)
 
-    def _known_exports(self) -> dict[str, str]:
-        """Return the name of the pose of each photograph that was exported last."""
+    def _known_exports(self) -> dict[str, _Exported]:
+        """Return of each photograph which pose was exported last, and to what."""
         if self._exported is None:
             try:
-                found = json.loads(self._record_path.read_bytes())
-            except (OSError, ValueError):
-                found = {}
-            self._exported = found if isinstance(found, dict) else {}
-        return dict(self._exported)
+                self._exported = json.decode(self._record_path.read_bytes(), type=dict[str, _Exported])
+            except (OSError, MsgspecError):
+                self._exported = {}
+        return self._exported
 
     @property
     def _record_path(self) -> Path:

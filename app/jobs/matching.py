@@ -60,15 +60,21 @@ class MatchingJobs:
         return f"{len(search.search.scan_uv)} corners in the scan, {len(search.search.photo_uv)} in the photograph."
 
     def match(self, inputs: Inputs, context: JobContext) -> str:
-        """Correlate all corners and keep the unambiguous pairs."""
+        """Correlate all corners and keep the unambiguous pairs, or those that a rough pose predicts."""
+        from ladarreg_core.thesis.matching.chain import matched_corners
+
         search = self._search(inputs, context)
-        with _timed_step(context, "unconstrained search") as detail:
-            found = search.search.unconstrained()
-            detail.update(matches=len(found))
+        found = matched_corners(search.search, inputs.photo.pinhole, report=context.step)
         context.check()
         self._commit(inputs, search, found, f"Match {len(found)} corners", context)
+        if found.predicted_uv is None:
+            return (
+                f"{len(found)} matches; their best correlation exceeds the second best by {inputs.settings.t1:g} or "
+                "more."
+            )
         return (
-            f"{len(found)} matches; their best correlation exceeds the second best by {inputs.settings.t1:g} or more."
+            f"{len(found)} matches near what a rough pose predicts: too few correlate by {inputs.settings.t1:g} better "
+            "than the second best."
         )
 
     def cull(self, inputs: Inputs, context: JobContext) -> str:

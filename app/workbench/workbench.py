@@ -293,14 +293,14 @@ class Workbench:
             "embedded": self.embedded.slice(),
             "acquisition": self.acquisition.slice(),
             "stations": self.stations.slice(),
-            "progress": progress_slice(loader, document, None, exported=False),
+            "progress": progress_slice(loader, document, None, exported={}),
             "limits": {"upload_bytes": self.limits.upload_bytes, "photos": MAX_PHOTOS},
         }
         for entry in document.photos:
             found[f"picks:{entry.id}"] = self._pick_entries.get(entry.id, entry.picks)
             found[f"poses:{entry.id}"] = self._poses_slice(document, entry)
             found[f"progress:{entry.id}"] = progress_slice(
-                loader, document, entry, exported=self.jobs.exports.is_exported(entry)
+                loader, document, entry, exported=self.jobs.exports.exported(entry)
             )
             found[f"outline:{entry.id}"] = self._outline_slice(entry)
             found[f"solving:{entry.id}"] = self.jobs.solving(entry.id)
@@ -374,8 +374,10 @@ class Workbench:
                 photo = loader.photo(entry)
             except LadarregError:
                 photo = None
-            key = (id(scan), entry.picks, id(entry.pose), id(photo))
-            found[f"judged:{entry.id}"] = self._slices.get(key, partial(judged_slice, loader, scan, photo, entry))
+            sigmas = document.settings.reject_sigma
+            key = (id(scan), entry.picks, id(entry.pose), id(photo), sigmas)
+            make = partial(judged_slice, loader, scan, photo, entry, sigmas=sigmas)
+            found[f"judged:{entry.id}"] = self._slices.get(key, make)
         return found
 
     def _poses_slice(self, document: Document, entry: PhotoEntry) -> dict[str, Any]:

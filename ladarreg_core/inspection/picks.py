@@ -22,7 +22,7 @@ from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.quality.influence import influence
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.ranges import measured_ranges
+from ladarreg_core.surface.ranges import EDGE_FRACTION, measured_ranges
 from ladarreg_core.surface.visibility.visible_points import (
     LARGEST_WHOLE_SCAN,
     ScanProjection,
@@ -33,6 +33,8 @@ from ladarreg_core.surface.visibility.visible_points import (
 _MAX_CACHED = 4_000  # some kilobytes each
 _REACH_PX = 6
 _REFINED_CELLS = 1.5
+_AROUND = 2
+_SD_OF_MEDIAN = 1.4826
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,6 +150,31 @@ def pick_residuals(
     return found
 
 
+def suggested_threshold(errors: ArrayLike, agrees: ArrayLike, *, sigmas: float) -> float | None:
+    """Return an error above which matches may be disabled, to two figures; None without a finite error.
+
+    It is a multiple of the robust standard deviation about zero, and never rejects a match that agrees with the robust
+    estimator: under a pose that rests on wrong matches, too, the errors of right ones may be the larger ones.
+
+    Args:
+        errors: (N,) of the enabled matches, in any unit, signed or not; NaN where undefined.
+        agrees: (N,) whether a match is an inlier of the robust estimator, as far as that is known.
+        sigmas: multiple of the standard deviation.
+    """
+    sizes = np.abs(np.asarray(errors, dtype=np.float64))
+    known = np.isfinite(sizes)
+    good = sizes[known & np.asarray(agrees, dtype=np.bool_)]
+    trusted = good if len(good) else sizes[known]
+    if not len(trusted):
+        return None
+    usual = float(f"{sigmas * _SD_OF_MEDIAN * np.median(trusted):.2g}")
+    largest = float(good.max(initial=0.0))
+    rounded_up = float(f"{largest:.2g}")
+    if rounded_up < largest:
+        rounded_up = float(f"{rounded_up + 10 ** (math.floor(math.log10(largest)) - 1):.2g}")
+    return max(usual, rounded_up) or None
+
+
 def sample_line(scan: Scan, ends: ArrayLike, *, samples: int = SAMPLES_PER_LINE) -> SampledLine:
     """Return the rays along a line drawn on the scan and which of them have a range.
 
@@ -179,6 +206,20 @@ def pick_points(scan: Scan, picks: Sequence[Pick]) -> tuple[FloatArray, list[str
 
 
 @dataclass(frozen=True, slots=True)
+class DepthEdge:
+    """The two surfaces that meet, as the scanner sees it, beside a ray."""
+
+    near_m: float
+    """Range of the nearer one, m."""
+    far_m: float
+    """Range of the farther one, m."""
+    near_ray: FloatArray
+    """(3,) unit, scanner frame: towards what is seen of the nearer one."""
+    far_ray: FloatArray
+    """(3,) of the farther one."""
+
+
+@dataclass(frozen=True, slots=True)
 class Probe:
     """Measurement of the scan along a ray."""
 
@@ -188,6 +229,8 @@ class Probe:
     """Of the nearest cell, in the sensor's unit; None outside the grid."""
     cell: tuple[float, float] | None
     """Fractional row and column; None outside the grid."""
+    edge: DepthEdge | None = None
+    """The depth edge within two cells; None without one."""
 
 
 def probe(scan: Scan, ray: ArrayLike) -> Probe:
@@ -199,7 +242,31 @@ def probe(scan: Scan, ray: ArrayLike) -> Probe:
         return Probe(None, None, None)
     measured = float(measured_ranges(scan, direction).ranges[0])
     nearest = scan.intensity[min(max(round(row), 0), height - 1), min(max(round(column), 0), width - 1)]
-    return Probe(measured if np.isfinite(measured) else None, float(nearest), (row, column))
+    return Probe(
+        measured if np.isfinite(measured) else None, float(nearest), (row, column), _depth_edge(scan, row, column)
+    )
+
+
+def _depth_edge(scan: Scan, row: float, column: float) -> DepthEdge | None:
+    """Return the depth edge around a fractional cell: where the ranges around it fall into two groups."""
+    i, j = round(row), round(column)
+    rows, columns = slice(max(i - _AROUND, 0), i + _AROUND + 1), slice(max(j - _AROUND, 0), j + _AROUND + 1)
+    around = scan.ranges[rows, columns].astype(np.float64)
+    known = np.sort(around[np.isfinite(around) & (around > 0)])
+    if len(known) < 2:
+        return None
+    gaps = np.diff(known) / known[:-1]
+    widest = int(np.argmax(gaps))
+    if gaps[widest] <= EDGE_FRACTION:
+        return None
+    between = 0.5 * (known[widest] + known[widest + 1])
+    found: list[tuple[float, FloatArray]] = []
+    for side in (around < between, around > between):
+        cells = np.argwhere(side) + np.array([rows.start, columns.start])
+        ray = np.asarray(scan.geometry.ray_at(cells.astype(np.float64))).mean(axis=0)
+        found.append((float(np.median(around[side])), ray / np.linalg.norm(ray)))
+    (near_m, near_ray), (far_m, far_ray) = found
+    return DepthEdge(near_m, far_m, near_ray, far_ray)
 
 
 class PickPredictor:

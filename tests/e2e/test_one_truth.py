@@ -80,7 +80,7 @@ def test_solving_is_one_button_with_one_verdict(operator: Operator) -> None:
         ((u, v),) = pick["photo"]
         operator.socket.ask("set_pick", photo="p1", pick=pick["id"], photo_uv=[[u + 30, v]])
     verdict(page).filter(has_text="Out of date").wait_for()
-    page.get_by_role("region", name="Find matches").get_by_role("button", name="Solve from matches").click()
+    page.get_by_role("region", name="Methods").get_by_role("button", name="Solve from matches").click()
     contradicted = re.compile("Not accepted: contradicted by the images", re.IGNORECASE)
     verdict(page).filter(has_text=contradicted).wait_for(timeout=90_000)
     notices = page.locator(".notice").filter(has_text=contradicted)

@@ -107,8 +107,8 @@ def test_escape_drops_the_open_line_and_a_refusal_keeps_it(panes: Page) -> None:
 def test_under_a_pose_the_predicted_partner_is_taken_by_enter_or_by_its_tick(panes: Page) -> None:
     pose = {"shown": "linear", "stages": [{"stage": "linear", "parameters": []}]}
     panes.evaluate("(poses) => store.take({ slices: { 'poses:p1': poses } })", pose)
-    line, shift = np.array([[60.0, 60.0], [200.0, 150.0]]), np.array([10, -5])
-    for count, accept in ((1, "key"), (2, "tick")):
+    lines, shift = np.array([[[60.0, 60.0], [200.0, 150.0]], [[60.0, 120.0], [200.0, 190.0]]]), np.array([10, -5])
+    for count, accept, line in ((1, "key", lines[0]), (2, "tick", lines[1])):
         drag(panes, "scan", *line)
         panes.wait_for_function("(n) => asked.filter(([what]) => what === 'predict').length === n", arg=count)
         panes.wait_for_function("document.querySelector('#photo-pane .pane-partner').textContent.includes('Enter')")
@@ -157,3 +157,20 @@ def test_a_line_can_be_drawn_without_a_mouse(panes: Page) -> None:
     (pick,) = wait_for_picks(panes, 1)
     for drawn, size in ((pixels(pick["scan"]), VIEW), (np.array(pick["photo"]), PHOTO)):
         np.testing.assert_allclose(drawn - (np.array(size) - 1) / 2, [[2, 30], [-48, 29.5]], atol=1e-6)
+
+
+@pytest.mark.slow
+def test_the_line_tool_drags_an_end_of_the_selected_line_and_draws_a_new_one_elsewhere(panes: Page) -> None:
+    match = {"id": "m1", "number": 1, "kind": "line", "scan": rays(SCAN_LINE).tolist(), "photo": PHOTO_LINE, "on": True}
+    panes.evaluate("(pick) => { store.take({ slices: { 'picks:p1': [pick] } }); view.set({ snap: false }); }", match)
+    drag(panes, "photo", PHOTO_LINE[1], [200.5, 90.25])  # not selected: a new line begins at its end
+    assert asked(panes, "set_pick") == []
+    panes.keyboard.press("Escape")
+    panes.evaluate("view.set({ selected: new Set(['m1']) })")
+    drag(panes, "photo", PHOTO_LINE[1], [200.5, 90.25])
+    panes.wait_for_function("asked.some(([what]) => what === 'set_pick')")
+    np.testing.assert_allclose(panes.evaluate("store.picksOf()[0].photo"), [PHOTO_LINE[0], [200.5, 90.25]], atol=0.01)
+    drag(panes, "photo", [30.5, 150.5], [120.25, 170.75])
+    drag(panes, "scan", [30.5, 200.5], [220.25, 240.75])
+    second = wait_for_picks(panes, 2)[1]
+    np.testing.assert_allclose(second["photo"], [[30.5, 150.5], [120.25, 170.75]], atol=0.01)

@@ -30,7 +30,6 @@ NOT_YET = {
     "static/js/panels/model/model_surface.js",
     "static/js/panels/model/model_view.js",
     "static/js/panels/files/photo_list.js",
-    "static/js/panels/matches/pipeline.js",
     "static/js/panels/files/scan_question.js",
     "static/js/panels/project/start_page.js",
     "static/js/panels/stations/stations.js",

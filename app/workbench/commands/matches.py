@@ -231,10 +231,12 @@ class SampleLine(WorkbenchCommand, frozen=True):
 
 
 class Probe(WorkbenchCommand, frozen=True):
-    """the measurement along a ray; the range is null without a return"""
+    """the measurement along a ray; the range is null without a return; `edge`: the surfaces of a depth edge within two
+    cells, `{near_m, far_m, near: ray, far: ray}`, or null
+    """
 
     looks: ClassVar[bool] = True
-    replies: ClassVar[str] = "range_m, intensity, cell"
+    replies: ClassVar[str] = "range_m, intensity, cell, edge"
     scan: Ray
 
     def execute(self, context: Context, client: Client) -> Reply:

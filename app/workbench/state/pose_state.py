@@ -35,15 +35,21 @@ _MIN_MATCHES = 4
 """The number of matches from which on cautions are computed."""
 
 
-def judged_slice(loader: Loader, scan: Scan, photo: Photo | None, entry: PhotoEntry) -> dict[str, Any]:
-    """Return the slice `judged`: errors of the picks under the shown pose, samples of lines, losses and cautions."""
-    from ladarreg_core.inspection.picks import pick_residuals
+def judged_slice(
+    loader: Loader, scan: Scan, photo: Photo | None, entry: PhotoEntry, *, sigmas: float
+) -> dict[str, Any]:
+    """Return the slice `judged`: errors of the picks under the shown pose, samples of lines, losses and cautions.
+
+    The suggested thresholds are `sigmas` robust standard deviations.
+    """
+    from ladarreg_core.inspection.picks import suggested_threshold
 
     picks = loader.picks(entry)
     lines = {pick.id: sampled_line(loader, scan, pick.scan.tolist()) for pick in picks if pick.kind == "line"}
     found: dict[str, Any] = {
         "stage": entry.shown_stage,
         "by_pick": {},
+        "thresholds": {"depth": None, "px": None},
         "predicted": {},
         "lines": lines,
         "lengths": _lengths(scan, picks),
@@ -55,17 +61,32 @@ def judged_slice(loader: Loader, scan: Scan, photo: Photo | None, entry: PhotoEn
     measured = loader.measured(scan, photo)
     found["losses"] = list(measured.losses(picks))
     found["cautions"] = _cautions(loader, measured.joined([pick for pick in picks if pick.on]), photo, entry)
-    if entry.pose is None or not picks:
-        return found
+    found["by_pick"], found["predicted"] = pick_errors(loader, scan, photo, entry)
+    judged = [found["by_pick"][pick.id] for pick in picks if pick.on and pick.id in found["by_pick"]]
+    agrees = [each["agrees"] is True for each in judged]
+    for unit, name in (("depth", "depth_m"), ("px", "px")):
+        errors = [math.nan if each[name] is None else each[name] for each in judged]
+        found["thresholds"][unit] = suggested_threshold(errors, agrees, sigmas=sigmas)
+    return found
+
+
+def pick_errors(loader: Loader, scan: Scan, photo: Photo, entry: PhotoEntry) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return `by_pick` and `predicted` of the slice `judged`, without what takes time for other reasons."""
+    from ladarreg_core.inspection.picks import pick_residuals
+
+    errors: dict[str, Any] = {}
+    predicted: dict[str, Any] = {}
+    if entry.pose is None or not entry.picks:
+        return errors, predicted
     try:
         registration = loader.registration(entry.pose)
     except LadarregError:  # its matches are missing, which the verdict of its stage states
-        return found
+        return errors, predicted
     changed = changed_since(entry, loader.solved_on(entry.pose))
     agreeing = loader.agreeing(entry.pose)
-    for name, judged in pick_residuals(measured, picks, registration).items():
+    for name, judged in pick_residuals(loader.measured(scan, photo), loader.picks(entry), registration).items():
         known = name not in changed  # what the solver found of a match does not hold for what it has become
-        found["by_pick"][name] = {
+        errors[name] = {
             "px": number(judged.px),
             "mm": number(judged.mm),
             "depth_m": number(judged.depth_m),
@@ -73,8 +94,8 @@ def judged_slice(loader: Loader, scan: Scan, photo: Photo | None, entry: PhotoEn
             "agrees": agreeing.get(name) if known else None,
             "influence": number(judged.influence_px) if known else None,
         }
-        found["predicted"][name] = [None if math.isnan(at[0]) else at for at in judged.photo.tolist()]
-    return found
+        predicted[name] = [None if math.isnan(at[0]) else at for at in judged.photo.tolist()]
+    return errors, predicted
 
 
 def _lengths(scan: Scan, picks: Sequence[Pick]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from ladarreg_core.project.edits import require_photo
 
 from ...session.loader import Loader
 from ...session.session import Session
-from .pose_state import judged_slice, sampled_line
+from .pose_state import pick_errors, sampled_line
 
 if TYPE_CHECKING:
     from ladarreg_core.inspection.picks import PickPredictor
@@ -35,8 +35,7 @@ class Queries:
     def pick_errors(self, photo_id: str) -> dict[str, Any]:
         """Return the errors of a photograph's picks under the shown pose, by pick, as in the slice `judged`."""
         entry = require_photo(self._session.document, photo_id)
-        found: dict[str, Any] = judged_slice(self._loader, self._scan(), self._loader.photo(entry), entry)["by_pick"]
-        return found
+        return pick_errors(self._loader, self._scan(), self._loader.photo(entry), entry)[0]
 
     def partners(self, entry: PhotoEntry) -> PickPredictor:
         """Return the prediction of picks from one image to the other under the shown pose.
@@ -85,7 +84,20 @@ class Queries:
         from ladarreg_core.inspection.picks import probe
 
         found = probe(self._scan(), ray)
-        return {"range_m": found.range_m, "intensity": found.intensity, "cell": found.cell}
+        edge = found.edge
+        return {
+            "range_m": found.range_m,
+            "intensity": found.intensity,
+            "cell": found.cell,
+            "edge": None
+            if edge is None
+            else {
+                "near_m": edge.near_m,
+                "far_m": edge.far_m,
+                "near": edge.near_ray.tolist(),
+                "far": edge.far_ray.tolist(),
+            },
+        }
 
     def check_camera(self, entry: PhotoEntry, camera: CameraGiven) -> None:
         """Refuse a camera that does not fit its photograph.

@@ -12,7 +12,7 @@ from ladarreg_core.errors import LadarregError
 from ...session.debounce import Debouncer
 from ...session.loader import Loader
 from ...session.session import Session
-from .pose_state import judged_slice
+from .pose_state import pick_errors
 
 if TYPE_CHECKING:
     from ladarreg_core.project.document import Document, PhotoEntry
@@ -215,7 +215,7 @@ class SceneSync:
         colors = [MATCHES[(numbers[name] - 1) % len(MATCHES)] for name in ids]
         by_residual = None
         if with_residuals:
-            errors = judged_slice(self._loader, scan, subject.photo, entry)["by_pick"]
+            errors = pick_errors(self._loader, scan, subject.photo, entry)[0]
             px = [errors.get(name, {}).get("px") for name in ids]
             by_residual = residual_colors([float("nan") if value is None else value for value in px])
         return Picks.of(points, colors, on, ids, by_residual=by_residual)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from functools import cache
 from hashlib import blake2b
 from typing import TYPE_CHECKING, Any
@@ -171,14 +172,19 @@ def photo_slice(loader: Loader, document: Document, entry: PhotoEntry) -> dict[s
     return found
 
 
-def progress_slice(loader: Loader, document: Document, entry: PhotoEntry | None, *, exported: bool) -> dict[str, Any]:
-    """Return the slice `progress` of a photograph, or of a project without one."""
+def progress_slice(
+    loader: Loader, document: Document, entry: PhotoEntry | None, *, exported: Mapping[str, str]
+) -> dict[str, Any]:
+    """Return the slice `progress` of a photograph, or of a project without one.
+
+    The shown pose was `exported` to these targets.
+    """
     from dataclasses import asdict
 
     from ladarreg_core.project.work_steps import progress_of
 
     if entry is None:
-        return asdict(progress_of(document, None))
+        return {**asdict(progress_of(document, None)), "exported": {}}
     stale = "" if entry.pose is None else loader.stale(document, entry, entry.pose)
     missing = False
     try:
@@ -187,7 +193,8 @@ def progress_slice(loader: Loader, document: Document, entry: PhotoEntry | None,
         missing = True
     except Exception:  # the slice `photos` states it
         missing = False
-    return asdict(progress_of(document, entry, missing_camera=missing, stale=stale, exported=exported))
+    found = progress_of(document, entry, missing_camera=missing, stale=stale, exported=bool(exported))
+    return {**asdict(found), "exported": dict(exported)}
 
 
 def outline_slice(loader: Loader, document: Document, entry: PhotoEntry) -> dict[str, Any] | None:

@@ -256,7 +256,7 @@ class _Solver:
     def stage(self, name: StageName, matches: Matches, *, method: Method = "linear") -> Stage:
         """Return the result of an estimator that needs no initial pose."""
         with self.steps.step(_STEP_NAMES[name]) as note:
-            stage = self._solved(name, matches, method)
+            stage = self.solved(name, matches, method)
             self._record(stage, note)
         return stage
 
@@ -276,7 +276,7 @@ class _Solver:
             for share in (None, *_LOWER_MARGINS):
                 margin = (share or 1.0) * self.options.matching.t1
                 found = filtered if share is None else search.unconstrained(t1=margin).matches
-                stage = self._solved("linear", found, "robust")
+                stage = self.solved("linear", found, "robust")
                 if stage.result is None or not _beyond_chance(stage.result):
                     continue
                 partners = len(search.filtered(search.constrained(stage.result.camera_from_scanner)))
@@ -300,17 +300,17 @@ class _Solver:
         method: Method = "stereo_simplex" if o.residual == "stereo" else "epipolar_simplex"
         whole = replace(o.pose.simplex, reject_rounds=0)
         with self.steps.step("simplex") as note:
-            first = self._solved("simplex", matches, method, start, replace(o.pose, simplex=whole))
+            first = self.solved("simplex", matches, method, start, replace(o.pose, simplex=whole))
             self._record(first, note)
         if first.result is None:
             return first, Stage(name="simplex_outliers_removed", result=None, note=first.note)
         with self.steps.step("outliers removed") as note:
             again = first.result.camera_from_scanner
-            second = self._solved("simplex_outliers_removed", matches, method, again, o.pose)
+            second = self.solved("simplex_outliers_removed", matches, method, again, o.pose)
             self._record(second, note)
         return first, second
 
-    def _solved(
+    def solved(
         self,
         name: StageName,
         matches: Matches,
@@ -424,3 +424,41 @@ def thesis_search(
         report: receives the preparatory steps; may raise `Cancelled`.
     """
     return _search(scan, photo, StepLog(report), initial, ThesisOptions(matching=options or ThesisMatchOptions()))
+
+
+def matched_corners(
+    search: ThesisSearch, camera: Camera, options: ThesisOptions | None = None, *, report: StepReport | None = None
+) -> FoundMatches:
+    """Return corner matches that a pose can rest on.
+
+    Those of T1 are returned if a robust pose agrees with most of them, and with more than chance would give. Few agree
+    where the laser and the camera see other brightnesses; a rough pose then comes from the best of lower T1, and guided
+    matching and its filter give the matches, with their `predicted_uv`. Without any such pose those of T1 are returned.
+
+    Args:
+        search: the matcher of the pair.
+        camera: the photo's camera, without distortion.
+        options: thresholds; those of matching are the search's own.
+        report: receives the steps; may raise `Cancelled`.
+
+    Source: thesis 2.3.2; the robust first pose is beyond it.
+    """
+    o = replace(options or ThesisOptions(), matching=search.options, first_pose="robust")
+    steps = StepLog(report)
+    solver = _Solver(camera, steps, o)
+    with steps.step("unconstrained search") as note:
+        found = search.unconstrained()
+        note.update(corners=[len(search.scan_uv), len(search.photo_uv)], matches=len(found))
+        steps.matches = found.matches
+    tried = solver.solved("linear", found.matches, "robust").result
+    if tried is not None and _credible(tried) and _beyond_chance(tried):
+        return found
+    filtered = _filtered(search, found, steps)
+    first = solver.first_pose(Stage(name="linear", result=None), filtered.matches, search)
+    if first is None:
+        return found
+    with steps.step("constrained search") as note:
+        guided = search.constrained(first)
+        note.update(matches=len(guided))
+        steps.matches, steps.pose = guided.matches, first
+    return _filtered(search, guided, steps)

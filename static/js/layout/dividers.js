@@ -1,9 +1,17 @@
-/** The dividers between the panes and above the dock: moved by pointer or arrow keys, reset by a double click. */
+/**
+ * The dividers between the panes and above the dock: moved by pointer or arrow keys, reset by a double click. Those that
+ * nobody has moved stand where the two pictures fill their panes.
+ */
 
+import { store } from "../net/store.js";
 import { view } from "../state/view.js";
 import { element } from "../ui/dom.js";
 
-const START = { left: 0.325, middle: 0.325, dock: 0.33 };
+const EMPTY = { left: 0.325, middle: 0.325, dock: 0.33 };
+const MODEL_SHARE = 0.32; // of the width
+const LEAST_MODEL_PX = 365; // its controls fit beside each other
+const LEAST_PICTURE = 0.2;
+const MOST_DOCK_OF_ITSELF = 0.46;
 const STEP = 0.02;
 const LABELS = { left: "Width of the scan pane", middle: "Width of the photograph pane", dock: "Height of the lower panels" };
 const DIRECTIONS = { ArrowLeft: -1, ArrowRight: 1, ArrowUp: 1, ArrowDown: -1 };
@@ -13,6 +21,22 @@ const LEAST_DOCK = 0.08;
 const MOST_DOCK = 0.8;
 
 const clamp = (value, least, most) => Math.min(most, Math.max(least, value));
+
+/**
+ * Compute the shares at which pictures fill their panes without borders, as large as the window permits.
+ * @param {{width: number, height: number}} area of panes and dock, px
+ * @param {number} heads height of what is above a picture in its pane, px
+ * @param {number[]} aspects width by height of the scan's picture and the photograph
+ * @returns {{left: number, middle: number, dock: number}}
+ */
+export const sharesFor = ({ width, height }, heads, [scan, photo]) => {
+  const pictures = 1 - Math.max(MODEL_SHARE, LEAST_MODEL_PX / width); // share of the width
+  const tallest = (1 - EMPTY.dock) * height - heads;
+  const high = Math.min(tallest, (pictures * width) / (scan + photo));
+  const share = (aspect) => clamp((aspect * high) / width, LEAST_PICTURE, pictures - LEAST_PICTURE);
+  const [left, middle] = [share(scan), share(photo)];
+  return { left, middle, dock: clamp(1 - (high + heads) / height, EMPTY.dock, MOST_DOCK_OF_ITSELF) };
+};
 
 /**
  * Compute the shares after moving a divider; every pane keeps a minimum share.
@@ -33,7 +57,7 @@ const moved = (layout, divider, to) => {
 /** @returns {number} position of a divider, as `moved` takes it */
 const positionOf = ({ left, middle, dock }, divider) => ({ left, middle: left + middle, dock })[divider];
 
-const divider = (name, area) => {
+const divider = (name, area, layoutNow) => {
   const level = name === "dock";
   const bar = element("div", {
     class: `divider ${level ? "level" : "upright"}`,
@@ -45,7 +69,10 @@ const divider = (name, area) => {
     "aria-valuemin": 0,
     "aria-valuemax": 100,
   });
-  const set = (to) => view.set({ layout: moved(view.get().layout, name, to) });
+  const set = (to) => {
+    const { left, middle, dock } = moved(layoutNow(), name, to);
+    view.set({ layout: level ? { dock } : { left, middle } });
+  };
   const shareAt = (event) => {
     const box = area.getBoundingClientRect();
     return level ? (box.bottom - event.clientY) / box.height : (event.clientX - box.left) / box.width;
@@ -59,14 +86,14 @@ const divider = (name, area) => {
   });
   bar.addEventListener("pointermove", (event) => bar.hasPointerCapture(event.pointerId) && set(shareAt(event)));
   bar.addEventListener("lostpointercapture", () => document.body.classList.remove("dividing"));
-  bar.addEventListener("dblclick", () => set(positionOf(START, name)));
+  bar.addEventListener("dblclick", () => view.set({ layout: level ? { dock: null } : { left: null, middle: null } }));
   bar.addEventListener("keydown", (event) => {
     const direction = DIRECTIONS[event.key];
     const applies = direction && (event.key === "ArrowUp" || event.key === "ArrowDown") === level;
     if (!applies || event.ctrlKey || event.metaKey || event.altKey) return;
     event.preventDefault();
     event.stopPropagation();
-    set(positionOf(view.get().layout, name) + direction * STEP * (event.shiftKey ? 5 : 1));
+    set(positionOf(layoutNow(), name) + direction * STEP * (event.shiftKey ? 5 : 1));
   });
   return bar;
 };
@@ -77,13 +104,32 @@ const divider = (name, area) => {
  * @param {HTMLElement} panes
  */
 export const mountDividers = (workbench, panes) => {
-  const dividers = { left: divider("left", panes), middle: divider("middle", panes), dock: divider("dock", workbench) };
-  const [scan, photo] = panes.querySelectorAll(".pane");
+  const [scan, photo] = [...panes.children].filter((pane) => pane instanceof HTMLElement);
+  /** @returns {{left: number, middle: number, dock: number}} of those that nobody has moved */
+  const suited = () => {
+    const found = store.get("scan")?.views?.[view.get().scan.view] ?? store.get("scan")?.views?.[0];
+    const shown = store.photo();
+    const aspects = [found, shown].map((each) => (each?.height ? each.width / each.height : null));
+    const [width, height] = [workbench.clientWidth, workbench.clientHeight];
+    const sideBySide = scan.offsetTop === photo.offsetTop && photo.offsetLeft > scan.offsetLeft;
+    if (!aspects.some(Boolean) || !sideBySide || !height) return EMPTY;
+    const heads = Math.max(...[scan, photo].map((pane) => pane.clientHeight - pane.querySelector(".pane-body").clientHeight));
+    return sharesFor({ width, height }, heads, aspects.map((each) => each ?? aspects.find(Boolean)));
+  };
+  const layoutNow = () => {
+    const chosen = Object.entries(view.get().layout).filter(([, share]) => share !== null);
+    return { ...suited(), ...Object.fromEntries(chosen) };
+  };
+  const dividers = {
+    left: divider("left", panes, layoutNow),
+    middle: divider("middle", panes, layoutNow),
+    dock: divider("dock", workbench, layoutNow),
+  };
   scan.after(dividers.left);
   photo.after(dividers.middle);
   panes.after(dividers.dock);
   const show = () => {
-    const { layout } = view.get();
+    const layout = layoutNow();
     for (const [name, share] of Object.entries(layout)) document.documentElement.style.setProperty(
       `--share-${name}`,
       share.toFixed(5),
@@ -94,5 +140,7 @@ export const mountDividers = (workbench, panes) => {
     );
   };
   view.on((_, changed) => changed.has("layout") && show());
+  store.watch(["scan", "photos", "shown"], show);
+  new ResizeObserver(show).observe(workbench);
   show();
 };

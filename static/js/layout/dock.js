@@ -18,8 +18,8 @@ import { element } from "../ui/dom.js";
 const SHOWN = {
   acquire: ["devices", "plan", "run"],
   stations: ["stations", "fit"],
-  match: ["table", "matching", "verdict"],
-  solve: ["table", "pipeline", "convergence"],
+  match: ["table", "methods", "verdict"],
+  solve: ["table", "methods", "convergence"],
   judge: ["depth", "verdict", "stages"],
   export: ["export", "files", "verdict"],
 };
@@ -35,8 +35,7 @@ export const mountDock = (dock) => {
     stations,
     fit,
     table: mountMatchTable(),
-    matching: mountPipeline("match", "Find matches"),
-    pipeline: mountPipeline("all", "Solve step by step"),
+    methods: mountPipeline(),
     convergence: mountConvergence(),
     depth: mountDepthPlot(),
     verdict: mountVerdict(),

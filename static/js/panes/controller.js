@@ -202,7 +202,7 @@ export class Controller {
   /** Update the hint in the status bar. */
   hint() {
     const ready = Boolean(this.sides.scan.extent && this.sides.photo.extent);
-    const hint = ready ? hintOf(this.picking, this.tool, this.store.readOnly) : null;
+    const hint = ready ? hintOf(this.picking, this.tool, { readOnly: this.store.readOnly, chosen: this.chosen !== null }) : null;
     if (hint !== this.view.get().hint) this.view.set({ hint });
   }
 

@@ -116,6 +116,7 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
       if (controller.picking.drawing) controller.picking.abandon();
       controller.handle("nothing");
     }
+    if (changed.has("selected")) controller.hint();
     if (["hovered", "selected", "end", "loupe", "snap"].some((name) => changed.has(name))) controller.redraw("live");
     if (changed.has("corners") || changed.has("marks")) controller.redraw("matches");
   });

@@ -72,6 +72,15 @@ export class LiveLayer {
     return from ? this.#pane.screenOf(from) : null;
   }
 
+  /** @returns {{uv: number[], text: string}[]} the surfaces on both sides of the depth edge under the pointer */
+  #surfaces() {
+    const { readout } = this.#controller.view.get();
+    if (readout?.side !== this.#pane.side || !readout.edge) return [];
+    return [["near", "near_m"], ["far", "far_m"]].map(([ray, range]) => (
+      { uv: this.#side.toPixel(readout.edge[ray]), text: `${readout.edge[range].toFixed(2)} m` }
+    )).filter(({ uv }) => uv);
+  }
+
   /** @param {CanvasRenderingContext2D} context */
   paint(context) {
     const pane = this.#pane;
@@ -89,7 +98,7 @@ export class LiveLayer {
     if (ghost) drawGhost(context, ghost.map((uv) => pane.screenOf(uv)), look);
     this.#controller.colleagues?.paint(context, pane, look);
     const centre = this.#loupeCentre();
-    if (centre) this.#loupe.show(centre, this.#firstEnd(), ["", "corner", "edge"][ghost?.length ?? 0], look.scale);
+    if (centre) this.#loupe.show(centre, this.#firstEnd(), ["", "corner", "edge"][ghost?.length ?? 0], look, this.#surfaces());
     else this.#loupe.hide();
     if (pulses && moves) pane.invalidate("live");
   }

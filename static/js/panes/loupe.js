@@ -1,11 +1,14 @@
 /** The loupe: an enlarged view of the pixels under the pointer, placed so that it covers nothing that matters. */
 
+import { toScreen } from "./viewport.js";
+
 export const RADIUS_PX = 66;
 const TIMES = 5;
 const LEAST_ZOOM = 6;
 const MOST_ZOOM = 320;
 const CLEAR_PX = 22;
 const CAPTION_PX = 24;
+const LABEL_SHARE = 0.58;
 
 /** @returns {number} the loupe's zoom at a zoom of the pane */
 export const loupeZoom = (zoom) => Math.min(MOST_ZOOM, Math.max(LEAST_ZOOM, TIMES * zoom));
@@ -75,9 +78,11 @@ export class Loupe {
    * @param {readonly number[]} uv the pixel in the centre
    * @param {readonly number[] | null} away the other end, CSS pixels of the pane
    * @param {string} note below the loupe
-   * @param {number} scale of symbols
+   * @param {{scale: number, halo: string, font: string}} look
+   * @param {{uv: number[], text: string}[]} surfaces of a depth edge, each with what is written towards it
    */
-  show(uv, away, note, scale) {
+  show(uv, away, note, look, surfaces = []) {
+    const { scale } = look;
     const zoom = loupeZoom(this.#pane.viewport.zoom);
     const radius = RADIUS_PX * scale;
     const side = 2 * radius;
@@ -91,11 +96,29 @@ export class Loupe {
       this.#paint[k](context, viewport, [side, side]);
     });
     this.#cross(this.#contexts[1], radius, scale);
+    for (const surface of surfaces) this.#label(this.#contexts[1], viewport, radius, look, surface);
     const [x, y] = loupePlace(this.#pane.screenOf(uv), this.#pane.size, away, scale);
     this.#box.style.setProperty("transform", `translate(${Math.round(x - radius)}px, ${Math.round(y - radius)}px)`);
     this.#box.style.setProperty("--loupe", `${side}px`);
     this.#caption.textContent = `${uv[0].toFixed(2)}, ${uv[1].toFixed(2)} · ×${zoom.toFixed(zoom < 20 ? 1 : 0)}${note ? ` · ${note}` : ""}`;
     this.#box.hidden = false;
+  }
+
+  /** Write a text halfway to the rim, towards a pixel. */
+  #label(context, viewport, radius, { scale, halo, font }, { uv, text }) {
+    const [x, y] = toScreen(viewport, uv);
+    const length = Math.hypot(x - radius, y - radius);
+    if (length < 1) return;
+    const at = [x, y].map((value) => radius + ((value - radius) / length) * LABEL_SHARE * radius);
+    context.font = font;
+    context.textAlign = "center";
+    context.textBaseline = "middle";
+    context.lineJoin = "round";
+    context.lineWidth = 3.5 * scale;
+    context.strokeStyle = halo;
+    context.strokeText(text, ...at);
+    context.fillStyle = "#ffffff";
+    context.fillText(text, ...at);
   }
 
   /** Draw a thin cross that leaves the centre free. */

@@ -10,15 +10,17 @@ const LOADING_SHOWN_AFTER_MS = 300;
 /**
  * @param {import("./picking.js").Picking} picking
  * @param {string} tool
- * @param {boolean} readOnly the page may only look
+ * @param {{readOnly?: boolean, chosen?: boolean}} state whether the page may only look, and whether a single match is
+ *   selected
  * @returns {string} for the status bar
  */
-export const hintOf = (picking, tool, readOnly = false) => {
+export const hintOf = (picking, tool, { readOnly = false, chosen = false } = {}) => {
   if (readOnly) return "Read only: drag to move the picture, click a match to select it";
   const { drawing, open } = picking;
   if (drawing?.clicked) return "Click the other end of the line · Esc cancels";
   if (drawing) return drawing.kind === "line" ? "Release at the other end of the line · Esc cancels" : "Release to set the point · Esc cancels";
   if (open) return partnerHint(picking);
+  if (tool !== "select" && chosen) return `Drag an end of the selected match to move it, or draw a new ${tool} elsewhere`;
   if (tool === "line") return "Draw a line in either picture: drag, or click both ends";
   if (tool === "point") return "Click a point in either picture";
   return "Click a match to select it, drag an end to move it; arrow keys move it by 0.1 px";

@@ -21,14 +21,15 @@ export const readoutOf = (controller) => {
       const ray = controller.sides.scan.toWorld(uv);
       const apart = Math.hypot(...ray.map((value, k) => value - known.ray[k]));
       // until the next answer the last one is shown, unless the pointer has moved far
-      if (apart < SAME_POINT_RAD) Object.assign(readout, { range_m: known.range_m, intensity: known.intensity });
+      if (apart < SAME_POINT_RAD) Object.assign(readout, { range_m: known.range_m, intensity: known.intensity, edge: known.edge });
     }
     controller.view.set({ readout });
+    pane.invalidate("live");
   });
 
   const probe = throttled(async (ray) => {
-    const { range_m, intensity } = await controller.ask("probe", { scan: ray });
-    known = { ray, range_m, intensity };
+    const { range_m, intensity, edge } = await controller.ask("probe", { scan: ray });
+    known = { ray, range_m, intensity, edge };
     if (at && controller.view.get().readout) show();
   }, INTERVAL_MS);
 

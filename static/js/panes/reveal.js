@@ -1,34 +1,102 @@
-/** Moves both panes to a match or a pixel that another part of the page refers to. */
+/** Shows a match or a pixel that another part of the page refers to, on request, and gives the former view back. */
 
+import { button } from "../ui/controls.js";
+import { element } from "../ui/dom.js";
 import { other } from "./picking.js";
 import { viewShowing } from "./projection.js";
-import { revealing } from "./viewport.js";
+import { filling, fitted, revealing, showSame } from "./viewport.js";
 
 const POINT_ZOOM = 2;
+const SIDES = ["scan", "photo"];
 
 /** @param {import("./controller.js").Controller} controller */
 export const listenToReveals = (controller) => {
   const { view } = controller;
+  /** What both panes showed before the first match was shown; null: the operator has moved them since. */
+  let former = null;
+  let offered = null;
 
-  const show = (side, uvs, least) => {
+  /** @returns {import("./viewport.js").Viewport | null} where a pane moves to show pixels; null: it has no picture */
+  const target = (side, uvs, least) => {
     const pane = controller.panes[side];
     const seen = uvs.filter(Boolean);
-    if (seen.length === 0 || !pane.extent || pane.size[0] === 0) return;
-    pane.glideTo(revealing(pane.viewport, pane.size, seen, least), "page");
+    if (seen.length === 0 || !pane.extent || pane.size[0] === 0) return null;
+    const found = revealing(pane.viewport, pane.size, seen, least);
+    return found === pane.viewport ? found : filling(found, pane.size, pane.extent);
+  };
+  const show = (side, uvs, least) => {
+    const found = target(side, uvs, least);
+    if (found) controller.panes[side].glideTo(found, "page");
+  };
+
+  /** @returns {number} the view of the scan that shows a match best */
+  const viewFor = (pick) => {
+    const { scan, index } = controller.sides.scan;
+    return scan ? viewShowing(scan.views, pick.scan, index) : index;
+  };
+  const pixelsOf = (pick, side) => pick[side].map((world) => controller.sides[side].toPixel(world));
+
+  /** @returns {boolean} whether a pane would have to move to show a match */
+  const moves = (pick, side) => {
+    const { extent } = controller.sides[side];
+    if (!extent || (side === "scan" && viewFor(pick) !== controller.sides.scan.index)) return Boolean(extent);
+    const found = target(side, pixelsOf(pick, side), 1);
+    return found !== null && !showSame(found, controller.panes[side].viewport);
   };
 
   const revealMatch = (id) => {
     const pick = controller.pick(id);
     if (!pick) return;
-    const { scan } = controller.sides.scan;
-    if (scan) {
-      const index = viewShowing(scan.views, pick.scan, controller.sides.scan.index);
-      if (index !== controller.sides.scan.index) view.set({ scan: { view: index } });
+    if (former && !SIDES.some((side) => moves(pick, side))) {
+      giveBack(); // the same key once more
+      return;
     }
-    for (const side of ["scan", "photo"]) {
-      if (controller.sides[side].extent) show(side, pick[side].map((world) => controller.sides[side].toPixel(world)), 1);
+    former ??= { index: controller.sides.scan.index, of: controller.store.shown(), ...viewports() };
+    offered = null;
+    const index = viewFor(pick);
+    if (index !== controller.sides.scan.index) view.set({ scan: { view: index } });
+    for (const side of SIDES) if (controller.sides[side].extent) show(side, pixelsOf(pick, side), 1);
+    showOffers();
+  };
+  const viewports = () => Object.fromEntries(SIDES.map((side) => [side, controller.panes[side].viewport]));
+
+  const giveBack = () => {
+    const back = former;
+    former = null;
+    if (!back) return;
+    if (back.index !== controller.sides.scan.index) view.set({ scan: { view: back.index } });
+    for (const side of SIDES) {
+      const pane = controller.panes[side];
+      if (!pane.extent || pane.size[0] === 0) continue;
+      if (showSame(back[side], fitted(pane.size, pane.extent))) pane.fit("page"); // which stays fitted in another window
+      else pane.glideTo(back[side], "page");
+    }
+    showOffers();
+  };
+
+  const chips = SIDES.map((side) => {
+    const look = button({ label: "Show the match", icon: "target", kind: "pane-button", act: () => offered && view.set({ reveal: offered }) });
+    const back = button({ label: "Back to the former view", text: "Back", icon: "undo", title: "Back to the former view (Enter in the table)", kind: "pane-button", act: giveBack });
+    const box = element("div", { class: "pane-offer", hidden: true }, look, back);
+    controller.panes[side].body.append(box);
+    return { side, look, back, box };
+  });
+  const showOffers = () => {
+    const pick = offered === null ? null : controller.pick(offered);
+    for (const { side, look, back, box } of chips) {
+      look.hidden = !pick || !controller.picking.idle || !moves(pick, side);
+      if (!look.hidden) look.querySelector("span").textContent = `Show match ${pick.number}`;
+      look.title = look.hidden ? "" : `Show match ${pick.number} in both pictures (Enter in the table)`;
+      back.hidden = former === null || !controller.picking.idle;
+      box.hidden = look.hidden && back.hidden;
     }
   };
+  const forget = () => {
+    former = null;
+    showOffers();
+  };
+  for (const side of SIDES) controller.panes[side].onMove((_, by) => (by === "hand" && former ? forget() : undefined));
+  controller.store.watch(["shown", "picks:*"], () => (former && former.of !== controller.store.shown() ? forget() : showOffers()));
 
   const revealPixel = async ({ side, uv }) => {
     show(side, [uv], POINT_ZOOM);
@@ -48,10 +116,17 @@ export const listenToReveals = (controller) => {
   };
 
   view.on((state, changed) => {
-    if (changed.has("reveal") && state.reveal !== null) {
-      revealMatch(state.reveal);
-      view.set({ reveal: null });
+    if (changed.has("selected") && !state.selected.has(offered)) offered = null;
+    if (changed.has("offer") && state.offer !== null) {
+      offered = state.offer;
+      view.set({ offer: null, ...(former ? { reveal: offered } : {}) }); // once a match is shown, the next ones are, too
     }
+    if (changed.has("reveal") && state.reveal !== null) {
+      const { reveal } = state;
+      view.set({ reveal: null });
+      revealMatch(reveal);
+    }
+    if (changed.has("selected") || changed.has("offer")) showOffers();
     if (changed.has("reveal_uv") && state.reveal_uv !== null) {
       const { reveal_uv: target } = state;
       view.set({ reveal_uv: null });

@@ -112,7 +112,7 @@ export class Tools {
       this.#accepting = { xy, event };
       return "stroke";
     }
-    if (this.#tool(event) === "select") return this.#grab(pane, xy, event);
+    if (this.#tool(event) === "select" || this.#overSelectedEnd(pane, xy)) return this.#grab(pane, xy, event);
     if (outsideBy(toPixel(pane.viewport, xy), pane.extent) * pane.viewport.zoom > PICTURE_MARGIN_PX) return "pan";
     this.#draw(pane, xy, event);
     return "stroke";
@@ -124,6 +124,15 @@ export class Tools {
     if (controller.view.get().selected.size > 0) controller.select([]);
     controller.view.set({ hovered: null });
     controller.handle("drawing");
+  }
+
+  /** @returns {boolean} whether any tool moves what is at a position: an end of the selected match, if nothing is begun */
+  #overSelectedEnd(pane, xy) {
+    const controller = this.#controller;
+    if (controller.chosen === null || !controller.picking.idle || controller.store.readOnly) return false;
+    const { selected } = controller.view.get();
+    const hit = hitAt(controller.marks(pane.side), pane.viewport, xy, selected, controller.look.scale);
+    return hit !== null && hit.id === controller.chosen && hit.index !== null;
   }
 
   #grab(pane, xy, event) {
@@ -181,7 +190,8 @@ export class Tools {
     const controller = this.#controller;
     const hit = hitAt(controller.marks(pane.side), pane.viewport, xy, controller.view.get().selected, controller.look.scale);
     if (controller.view.get().hovered !== (hit?.id ?? null)) controller.view.set({ hovered: hit?.id ?? null });
-    pane.body.classList.toggle("grabs", Boolean(hit) && this.#tool(this.pointer.event) === "select");
+    const grabs = Boolean(hit) && (this.#tool(this.pointer.event) === "select" || this.#overSelectedEnd(pane, xy));
+    pane.body.classList.toggle("grabs", grabs);
   }
 
   /** Keys go to the pane under the pointer, unless somebody is typing; the 3-D view and the table give them back. */

@@ -114,6 +114,19 @@ export const revealing = (viewport, pane, uvs, least = 1) => {
   return centredOn([(left + right) / 2, (top + bottom) / 2], zoom, pane);
 };
 
+/** @returns {Viewport} moved so that a picture larger than the pane leaves no border in it; a smaller one is centred */
+export const filling = (viewport, pane, picture) => {
+  const along = (at, room, length) => (length < room ? (room - length) / 2 : Math.min(0, Math.max(at, room - length)));
+  return {
+    zoom: viewport.zoom,
+    x: along(viewport.x, pane[0], picture[0] * viewport.zoom),
+    y: along(viewport.y, pane[1], picture[1] * viewport.zoom),
+  };
+};
+
+/** @returns {boolean} whether two viewports show the same to within half a pixel of the screen */
+export const showSame = (a, b) => Math.abs(a.zoom / b.zoom - 1) < 1e-6 && Math.abs(a.x - b.x) < 0.5 && Math.abs(a.y - b.y) < 0.5;
+
 /** @returns {Viewport} interpolated between two viewports: 0 <= t <= 1 */
 export const between = (from, to, t, pane) => {
   if (t >= 1) return to;

@@ -4,9 +4,9 @@ import { counted, duration, fixed } from "../ui/numbers.js";
 
 /**
  * `parts` are the values of `step_of` in the settings; `stage` is the pose that the step produces, `origin` the origin
- * of its matches.
- * @typedef {{job: string, label: string, description: string, parts: string[], stage?: string, origin?: string, in:
- *   "match" | "solve"}} PipelineStep
+ * of its matches; a `main` step is always offered, the others among all steps.
+ * @typedef {{job: string, label: string, description: string, parts: string[], stage?: string, origin?: string,
+ *   main?: boolean}} PipelineStep
  */
 
 /** @type {PipelineStep[]} */
@@ -16,22 +16,21 @@ export const PIPELINE = [
     label: "Find corners",
     description: "Detects corners in both pictures (2.3.2)",
     parts: ["corners"],
-    in: "match",
   },
   {
     job: "match",
     label: "Match corners",
-    description: "Matches corners by correlation of gray values and edges, with uniqueness threshold T1 (2.3.2)",
+    description: "Matches corners by correlation, with uniqueness threshold T1 (2.3.2); where too few of them agree, near what a " +
+      "rough pose predicts",
     parts: ["match"],
     origin: "corner",
-    in: "match",
+    main: true,
   },
   {
     job: "cull",
     label: "Filter by disparity",
     description: "Removes matches whose disparity differs from their neighbours' (2.3.2, T2)",
     parts: ["cull"],
-    in: "match",
   },
   {
     job: "linear",
@@ -39,7 +38,6 @@ export const PIPELINE = [
     description: "Computes a first pose without a starting pose (2.4.1)",
     parts: ["linear"],
     stage: "linear",
-    in: "solve",
   },
   {
     job: "constrained",
@@ -47,7 +45,6 @@ export const PIPELINE = [
     description: "Matches again near the positions that the linear pose predicts",
     parts: ["constrained"],
     stage: "constrained_linear",
-    in: "solve",
   },
   {
     job: "densify",
@@ -55,7 +52,6 @@ export const PIPELINE = [
     description: "Adds lines between matches on planes",
     parts: ["densify", "lines"],
     origin: "between corners",
-    in: "match",
   },
   {
     job: "simplex",
@@ -63,7 +59,7 @@ export const PIPELINE = [
     description: "Downhill simplex over the six parameters (2.4.2)",
     parts: ["simplex"],
     stage: "simplex",
-    in: "solve",
+    main: true,
   },
   {
     job: "reject_outliers",
@@ -71,7 +67,7 @@ export const PIPELINE = [
     description: "Removes outliers and solves again",
     parts: ["reject", "reject_outliers"],
     stage: "simplex_outliers_removed",
-    in: "solve",
+    main: true,
   },
   {
     job: "robust",
@@ -79,19 +75,18 @@ export const PIPELINE = [
     description: "Robust estimate, each match weighted by its own noise",
     parts: ["robust"],
     stage: "robust",
-    in: "solve",
   },
   {
     job: "verify",
     label: "Verify",
     description: "Verifies the shown pose against the image",
     parts: ["verify"],
-    in: "solve",
+    main: true,
   },
 ];
 
 /** The settings that belong to no single step. */
-export const GENERAL = { job: "", label: "General", description: "Settings of all steps", parts: [], in: "solve" };
+export const GENERAL = { job: "", label: "General", description: "Settings of all steps", parts: [] };
 
 const KNOWN = new Set(PIPELINE.flatMap(({ parts }) => parts));
 

@@ -3,14 +3,14 @@
 import { store } from "../net/store.js";
 
 const LABELS = { match: "Match", solve: "Solve", judge: "Judge", export: "Export" };
-const NOTHING = { steps: [], needed: "", next_action: "" };
+const NOTHING = { steps: [], needed: "", next_action: "", exported: {} };
 
 /**
  * @typedef {{name: "match" | "solve" | "judge" | "export", label: string, done: boolean, missing: string,
  *            status: string}} WorkStep `missing` is what has to be done, empty if nothing
  */
 
-/** @returns {{steps: WorkStep[], needed: string, next_action: string}} of the shown photograph */
+/** @returns {{steps: WorkStep[], needed: string, next_action: string, exported: Record<string, string>}} of the shown photograph */
 export const progressNow = () => store.get(`progress:${store.shown()}`) ?? store.get("progress") ?? NOTHING;
 
 /** @returns {WorkStep[]} the four steps, of the shown photograph */

@@ -24,16 +24,19 @@
  * @property {string[]} filter of the match table: "lines", "points", "found", "off", "rejected"
  * @property {{by: "depth" | "px", above: {depth: number | null, px: number | null}}} threshold of the depth-error plot
  * @property {"acquire" | "stations" | "match" | "solve" | "judge" | "export"} step
+ * @property {string | null} offer id of a match that the panes offer to show; reset to null once it is offered
  * @property {string | null} reveal id of a match to show; reset to null once it is shown
  * @property {{side: "scan" | "photo", uv: number[]} | null} reveal_uv a pixel to show, likewise
  * @property {{side: "scan" | "photo", uv: number[], range_m?: number | null, intensity?: number | null,
- *             zoom?: number} | null} readout values under the cursor
+ *             edge?: {near_m: number, far_m: number, near: number[], far: number[]} | null, zoom?: number} | null} readout
+ *   values under the cursor; `edge`: the surfaces on both sides of a depth edge
  * @property {string | null} hint one sentence on what the current tool expects next
- * @property {{left: number, middle: number, dock: number}} layout shares of the window, 0 to 1
+ * @property {{left: number | null, middle: number | null, dock: number | null}} layout shares of the window, 0 to 1;
+ *   null: as suits the pictures
  */
 
 const KEY = "ladarreg-view";
-const TRANSIENT = new Set(["stretching", "hovered", "reveal", "reveal_uv", "readout", "hint"]);
+const TRANSIENT = new Set(["stretching", "hovered", "offer", "reveal", "reveal_uv", "readout", "hint"]);
 const NESTED = ["scan", "photo", "layout"];
 
 /** @returns {ViewState} */
@@ -55,11 +58,12 @@ const defaults = () => ({
   filter: [],
   threshold: { by: "depth", above: { depth: null, px: null } },
   step: "match",
+  offer: null,
   reveal: null,
   reveal_uv: null,
   readout: null,
   hint: null,
-  layout: { left: 0.325, middle: 0.325, dock: 0.33 },
+  layout: { left: null, middle: null, dock: null },
 });
 
 const stored = () => {

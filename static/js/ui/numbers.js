@@ -55,11 +55,3 @@ export const sentences = (texts) =>
     .filter(Boolean)
     .map((text) => `${text[0].toUpperCase()}${text.slice(1)}${/[.!?]$/.test(text) ? "" : "."}`)
     .join(" ");
-
-/** @returns {number} the median; NaN of an empty list */
-export const median = (values) => {
-  if (values.length === 0) return Number.NaN;
-  const sorted = [...values].sort((a, b) => a - b);
-  const middle = sorted.length >> 1;
-  return sorted.length % 2 ? sorted[middle] : (sorted[middle - 1] + sorted[middle]) / 2;
-};

@@ -229,3 +229,21 @@ def test_an_offer_to_undo_undoes_its_own_step_only(fresh: WorkbenchDriver) -> No
     fresh.do("undo", n=moved["n"])
     fresh.do("undo", n=second["n"])
     assert fresh.slice("picks:p1") == []
+
+
+@pytest.mark.slow
+def test_what_was_written_is_that_of_the_shown_pose(solved: WorkbenchDriver) -> None:
+    def written() -> dict[str, str]:
+        return dict(solved.slice("progress:p1")["exported"])
+
+    before = solved.slice("poses:p1")["shown"]
+    solved.do("export", targets=["ply"])
+    solved.workbench.runner.wait(240)
+    assert written() == {"ply": "scanner"}, "no file of the results was written"
+    solved.do("export", targets=["results"])
+    solved.workbench.runner.wait(240)
+    assert written() == {"ply": "scanner", "results": "scanner"}
+    solved.job("linear")
+    assert written() == {}, "another pose was not exported"
+    solved.do("use_stage", photo="p1", stage=before)
+    assert "results" in written()

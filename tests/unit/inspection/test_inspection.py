@@ -271,6 +271,22 @@ def test_a_probe_reads_the_cell_along_the_ray() -> None:
     assert probe(scan, [-1, 0, 0]).cell is None
 
 
+def test_a_probe_beside_a_depth_edge_tells_both_surfaces() -> None:
+    """A wall behind a board: the board's range is the nearer one, on its side; on the wall alone there is no edge."""
+    scan = the_case().scan
+    ranges = np.full_like(scan.ranges, 4.0)
+    rows, columns = ranges.shape
+    ranges[:, columns // 2 :] = 2.5
+    scan = dataclasses.replace(scan, ranges=ranges)
+    row = rows // 2
+    found = probe(scan, scan.rays[row, columns // 2 - 1]).edge
+    assert found is not None
+    assert (found.near_m, found.far_m) == (2.5, 4.0)
+    column = [scan.geometry.cell_of(ray[None])[0][1] for ray in (found.near_ray, found.far_ray)]
+    assert column[0] > columns // 2 - 1 > column[1] - 1e-6
+    assert probe(scan, scan.rays[row, columns // 4]).edge is None
+
+
 # snapping
 
 

@@ -74,10 +74,11 @@ const targetRow = ({ name, title, purpose }, ticked, changed) => {
   return { name, item, box, show, refused: () => box.disabled };
 };
 
-/** The files of the shown photograph's results; each has a tick once it was exported from the present pose. */
+/** The files of the shown photograph's results; each has a tick once it was written from the present pose. */
 const mountFiles = (frameNow, isCurrent) => {
   const list = element("ul", { class: "export-list" });
-  const row = ([name, description, needsAcceptance], { stage, exported }) => {
+  const row = ([name, description, needsAcceptance], { stage, frame }) => {
+    const exported = frame !== undefined && (name !== OFFSET[0] || frame === "world");
     const known = Boolean(stage) || (name === MATCHES && store.picksOf().length > 0);
     const written = isCurrent() && known && (Boolean(stage?.accepted) || !needsAcceptance);
     return element(
@@ -94,9 +95,9 @@ const mountFiles = (frameNow, isCurrent) => {
   };
   const show = () => {
     const stage = store.stageOf();
-    const exported = Boolean(progressNow().steps.find(({ name }) => name === "export")?.done);
+    const frame = stage?.stale ? undefined : progressNow().exported[RESULTS];
     const files = [...FILES, ...(frameNow() === "world" ? [OFFSET] : [])];
-    setChildren(list, ...files.map((file) => row(file, { stage, exported })));
+    setChildren(list, ...files.map((file) => row(file, { stage, frame })));
   };
   const part = element(
     "section",

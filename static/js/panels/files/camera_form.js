@@ -10,6 +10,9 @@ import { popoverOf } from "../../ui/popover.js";
 
 const EMPTY = "Fill in one of the three: the 35 mm equivalent, or focal length and sensor width, or pixels.";
 
+const FORM_PX = 350;
+const MARGIN_PX = 8;
+
 const field = (label, unit, example) => {
   const id = newId("field");
   const input = element("input", {
@@ -157,7 +160,19 @@ export const mountCameraForm = (opener) => {
     requestAnimationFrame(offerOnce);
   });
   document.addEventListener("close", () => requestAnimationFrame(offerOnce), true); // when the dialog over it closes
-  panel.addEventListener("beforetoggle", (event) => event.newState === "open" && (fail(""), show()));
+  panel.addEventListener("beforetoggle", (event) => {
+    if (event.newState !== "open") return;
+    fail("");
+    show();
+    overPhoto(panel);
+  });
+};
+
+/** Move the form over the picture that it is about, off the controls of the scan, where there is room. */
+const overPhoto = (panel) => {
+  const { left, width } = document.querySelector("#photo-pane .pane-body").getBoundingClientRect();
+  if (width < FORM_PX || panel.style.left === "auto" || Number.parseFloat(panel.style.left) >= left) return;
+  panel.style.setProperty("left", `${left + MARGIN_PX}px`);
 };
 
 /** @returns {number} the number in a text with a decimal point or comma; NaN if there is none */

@@ -178,7 +178,7 @@ export const mountMatchTable = () => {
     else if ((index + 1) * height > scroller.scrollTop + room) scroller.scrollTop = (index + 1) * height - room;
   };
 
-  const select = (ids, reveal = null) => view.set({ selected: new Set(ids), end: null, ...(reveal ? { reveal } : {}) });
+  const select = (ids, offer = null) => view.set({ selected: new Set(ids), end: null, ...(offer ? { offer } : {}) });
   const pickRow = (id, { shift = false, more = false } = {}) => {
     const { selected } = view.get();
     cursor = id;

@@ -1,10 +1,10 @@
-/** The steps of the thesis in order, each with its state, its settings and a button to run it. */
+/** The methods: matching and solving, and all steps of the thesis in order, each with its state and its settings. */
 
 import { requestForPhoto } from "../../net/requests.js";
 import { store } from "../../net/store.js";
 import { GENERAL, isRunning, PIPELINE, settingsOf, stepState } from "../../state/pipeline.js";
 import { button } from "../../ui/controls.js";
-import { element, setAttribute, setChildren, setText } from "../../ui/dom.js";
+import { element, newId, setAttribute, setChildren, setText } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
 import { settingsForm } from "./settings_form.js";
 
@@ -27,17 +27,32 @@ store.on("job", (job) => {
   if (job && !isRunning(job)) finished.set(`${job.photo} ${job.kind}`, job);
 });
 
-/**
- * @param {"match" | "solve" | "all"} the steps to show
- * @param {string} title
- * @returns {HTMLElement}
- */
-export const mountPipeline = (which, title) => {
-  const steps = PIPELINE.filter((step) => which === "all" || step.in === which);
-  let chosen = steps[0];
+const ALL_KEY = "ladarreg-all-steps";
+const MAIN = PIPELINE.filter(({ main }) => main);
+
+const remembered = () => {
+  try {
+    return localStorage.getItem(ALL_KEY) === "shown";
+  } catch {
+    return false; // storage is disabled
+  }
+};
+
+const remember = (all) => {
+  try {
+    localStorage.setItem(ALL_KEY, all ? "shown" : "hidden");
+  } catch {
+    // storage is disabled: the choice holds for this visit
+  }
+};
+
+/** @returns {HTMLElement} */
+export const mountPipeline = () => {
+  let all = remembered();
+  let [chosen] = MAIN;
   let drawn = "";
   let form = null;
-  const list = element("ol", { class: "pipeline", "aria-label": title });
+  const list = element("ol", { class: "pipeline", id: newId("steps"), "aria-label": "Steps" });
   const pane = element("div", { class: "pipeline-settings" });
   const failure = element("p", { class: "bad pipeline-failure", role: "status" });
   const rows = new Map();
@@ -50,7 +65,7 @@ export const mountPipeline = (which, title) => {
     chosen = step;
     show();
   };
-  for (const step of [...steps, GENERAL]) {
+  for (const step of [...PIPELINE, GENERAL]) {
     const sign = element("span", { class: "sign" });
     const status = element("span", { class: "clip dim pipeline-status" });
     const word = element("span", { class: "visually-hidden" });
@@ -86,28 +101,28 @@ export const mountPipeline = (which, title) => {
     title: "Solve robustly from the enabled matches, and verify the pose against the images",
     act: () => requestForPhoto("run", { job: "solve" }),
   });
-  const auto = button({
-    label: "Automatic",
-    kind: "small edits",
-    icon: "wand",
-    title: "Register automatically, from the images alone",
-    act: () => requestForPhoto("run", { job: "auto" }),
+  const more = button({
+    label: "All steps",
+    kind: "small plain",
+    icon: "more",
+    title: "Every step of the thesis by itself, in its order",
+    "aria-controls": list.id,
+    act: () => {
+      all = !all;
+      remember(all);
+      if (!all && !chosen.main) [chosen] = MAIN;
+      show();
+    },
   });
-  const all = [solve, auto, chain];
-  const group = element(
-    "div",
-    { class: "pipeline-group", title: "Each step of the thesis by itself, in its order" },
-    element("h3", {}, "Thesis"),
-    chain,
-  );
+  const group = element("div", { class: "pipeline-group" }, more, chain);
   const part = element(
     "section",
-    { class: "dock-part pipeline-part", "aria-label": title },
-    element("div", { class: "part-head" }, element("h2", {}, title), element("div", { class: "end" }, solve, auto)),
+    { class: "dock-part pipeline-part", "aria-label": "Methods" },
+    element("div", { class: "part-head" }, element("h2", {}, "Methods"), element("div", { class: "end" }, solve)),
     element(
       "div",
       { class: "pipeline-body" },
-      element("div", { class: "pipeline-side" }, group, list),
+      element("div", { class: "pipeline-side" }, list, group),
       pane,
     ),
   );
@@ -136,6 +151,7 @@ export const mountPipeline = (which, title) => {
       setText(status, text);
       status.title = text;
       setText(word, step.job ? `, ${said}` : "");
+      row.hidden = !all && !step.main;
       row.classList.toggle("chosen", step === chosen);
       setAttribute(open, "aria-current", step === chosen ? "true" : null);
       if (go) {
@@ -147,7 +163,9 @@ export const mountPipeline = (which, title) => {
           : `Run: ${step.label}`;
       }
     }
-    for (const control of all) control.disabled = busy || missing;
+    more.setAttribute("aria-expanded", String(all));
+    chain.hidden = !all;
+    for (const control of [solve, chain]) control.disabled = busy || missing;
     solve.disabled ||= !context.picks.some(({ on }) => on);
     const { row: chosenRow, status: chosenStatus } = rows.get(chosen);
     const wrong = ["failed", "unclear"].includes(chosenRow.dataset.state);

@@ -1,7 +1,8 @@
 /** Where in the scan's grid somebody looks in the 3-D view, and which blocks of the surface show that finer. */
 
 /** Rays that are followed from the camera: across and down, -1 to 1 of the picture. */
-const AIMS = [-0.8, -0.4, 0, 0.4, 0.8];
+const AIMS = [0, -0.4, 0.4, -0.8, 0.8];
+const AIMED = AIMS.flatMap((v) => AIMS.map((u) => [u, v])).sort((a, b) => Math.hypot(...a) - Math.hypot(...b));
 const LEAST_HITS = 3;
 const FINEST_LEVEL = 8;
 const BLOCK_VERTICES = 37500; // at most, as app/workbench/state/model_parts.py makes them
@@ -49,24 +50,21 @@ const firstOn = ({ positions: p, faces }, [ox, oy, oz], [dx, dy, dz]) => {
  * @param {MeshArrays} arrays the surface of the whole scan
  * @param {{world: ArrayLike<number>, projectionInverse: ArrayLike<number>, meshInverse: ArrayLike<number>}} view
  *   matrices of three.js
- * @returns {number[][]} row and column of the grid at the places that the middle and the sides of the picture show
+ * @returns {number[][]} row and column of the grid at the places that the middle and the sides of the picture show, the
+ *   one nearest to its middle first
  */
 export const cellsInView = (arrays, { world, projectionInverse, meshInverse }) => {
   const at = (ndc) => applied(meshInverse, applied(world, applied(projectionInverse, ndc)));
   const cells = [];
-  for (const v of AIMS) {
-    for (const u of AIMS) {
-      const from = at([u, v, -1]);
-      const face = firstOn(arrays, from, less(at([u, v, 0.5]), from));
-      if (face < 0) continue;
-      const corner = arrays.faces[3 * face];
-      cells.push([arrays.rows[corner], arrays.columns[corner] % arrays.shape[1]]);
-    }
+  for (const [u, v] of AIMED) {
+    const from = at([u, v, -1]);
+    const face = firstOn(arrays, from, less(at([u, v, 0.5]), from));
+    if (face < 0) continue;
+    const corner = arrays.faces[3 * face];
+    cells.push([arrays.rows[corner], arrays.columns[corner] % arrays.shape[1]]);
   }
   return cells;
 };
-
-const median = (values) => [...values].sort((a, b) => a - b)[values.length >> 1];
 
 /**
  * The finest blocks that cover what is in view: at most two by two.
@@ -78,7 +76,7 @@ const median = (values) => [...values].sort((a, b) => a - b)[values.length >> 1]
  */
 export const blocksAt = (cells, shape, vertices, turns) => {
   if (cells.length < LEAST_HITS) return [];
-  const [row, column] = [median(cells.map(([r]) => r)), median(cells.map(([, c]) => c))];
+  const [row, column] = cells[0];
   const across = cells.map(([, c]) => {
     const away = c - column;
     return turns ? ((away + 1.5 * shape[1]) % shape[1]) - shape[1] / 2 : away;

@@ -16,7 +16,6 @@ import {
   rounded,
   stemsOf,
   stepped,
-  suggestedThreshold,
 } from "./depth_scale.js";
 import { rowsOf } from "../matches/match_rows.js";
 
@@ -34,8 +33,7 @@ export const mountDepthPlot = () => {
   let dragging = false;
 
   const by = () => view.get().threshold.by;
-  const sigmas = () => store.get("settings")?.reject_sigma?.value;
-  const chosen = () => view.get().threshold.above[by()] ?? suggestedThreshold(stems, sigmas());
+  const chosen = () => view.get().threshold.above[by()] ?? store.judgedOf()?.thresholds?.[by()] ?? null;
   /** The threshold, with both signs if errors are signed. */
   const thresholds = () => {
     const above = chosen();
@@ -265,7 +263,7 @@ export const mountDepthPlot = () => {
       canvas.setPointerCapture(event.pointerId);
     } else {
       const stem = stemAt(x);
-      if (stem) view.set({ selected: new Set([stem.id]), end: null, reveal: stem.id });
+      if (stem) view.set({ selected: new Set([stem.id]), end: null, offer: stem.id });
     }
   });
   canvas.addEventListener("pointermove", (event) => {
@@ -299,7 +297,7 @@ export const mountDepthPlot = () => {
     setAbove(next);
   });
 
-  store.watch(["picks:*", "judged:*", "shown", "settings"], read);
+  store.watch(["picks:*", "judged:*", "shown"], read);
   view.on((_, changed) => {
     if (changed.has("threshold")) read();
     else if (changed.has("hovered") || changed.has("selected")) redraw();

@@ -1,9 +1,6 @@
 /** Thresholds, scales and bins of the depth-error plot. No DOM here. */
 
-import { median } from "../../ui/numbers.js";
-
-const SIGMA_OF_MAD = 1.4826;
-const USUAL_SIGMAS = 3;
+const USUAL_THRESHOLDS = 3; // on the axis; larger errors become arrows
 const ROOM = 1.15;
 
 /**
@@ -24,40 +21,8 @@ export const stemsOf = (rows, by) =>
     ))
     .filter(({ value }) => value !== null && Number.isFinite(value));
 
-/**
- * @param {Stem[]} stems
- * @returns {number} robust standard deviation about zero of the enabled matches; 0 if there are none
- */
-export const robustSigma = (stems) => {
-  const sizes = stems.filter(({ on }) => on).map(({ value }) => Math.abs(value));
-  return sizes.length ? SIGMA_OF_MAD * median(sizes) : 0;
-};
-
-/** @returns {number} rounded up to two significant figures */
-const roundedUp = (value) => {
-  if (!(value > 0)) return 0;
-  const unit = 10 ** (Math.floor(Math.log10(value)) - 1);
-  const up = Number((Math.ceil(value / unit) * unit).toPrecision(3));
-  return up >= value ? up : Number((up + unit).toPrecision(3));
-};
-
 /** @returns {number} rounded to two significant figures */
 export const rounded = (value) => (value > 0 ? Number(value.toPrecision(2)) : 0);
-
-/**
- * Suggest an initial threshold. It never rejects a match that agrees with the robust estimator: under a pose that rests
- * on wrong matches, too, the errors of correct ones may be the larger ones.
- * @param {Stem[]} stems
- * @param {number | null} [sigmas] multiple of the standard deviation, from the settings
- * @returns {number | null} null if there are no errors
- */
-export const suggestedThreshold = (stems, sigmas) => {
-  const good = stems.filter(({ on, agrees }) => on && agrees === true);
-  const sigma = robustSigma(good.length ? good : stems);
-  const usual = rounded((sigmas ?? USUAL_SIGMAS) * sigma);
-  const least = roundedUp(Math.max(0, ...good.map(({ value }) => Math.abs(value))));
-  return Math.max(usual, least) || null;
-};
 
 /**
  * Preview of the command `reject`, which disables the matches above the threshold and re-enables those below.
@@ -82,8 +47,7 @@ export const rejection = (stems, above) => {
  */
 export const reach = (stems, above) => {
   const largest = Math.max(0, ...stems.map(({ value }) => Math.abs(value)));
-  const usual = Math.max(8 * robustSigma(stems), 2 * (above ?? 0));
-  const shown = usual > 0 ? Math.min(largest, usual) : largest;
+  const shown = above === null ? largest : Math.min(largest, USUAL_THRESHOLDS * above);
   return ROOM * Math.max(shown, 1.1 * (above ?? 0)) || 1;
 };
 

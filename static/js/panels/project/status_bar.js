@@ -25,10 +25,12 @@ const JUDGES = new Set([...PIPELINE.filter(({ stage }) => stage).map(({ job }) =
 const ENDS = { done: ["info", "dim"], failed: ["bad", "bad"], stopped: ["stop", "warn"] };
 const LONG_S = 2;
 
-const readoutText = ({ uv, range_m: range, intensity, zoom }) =>
+const rangeText = (range) => (range === undefined ? "" : range === null ? "no return" : `${fixed(range, 3)} m`);
+
+const readoutText = ({ uv, range_m: range, intensity, edge, zoom }) =>
   [
     `u ${fixed(uv[0], 2)}  v ${fixed(uv[1], 2)}`,
-    range === undefined ? "" : range === null ? "no return" : `${fixed(range, 3)} m`,
+    edge ? `edge: ${fixed(edge.near_m, 2)} m, behind it ${fixed(edge.far_m, 2)} m` : rangeText(range),
     Number.isFinite(intensity) ? `intensity ${fixed(intensity, 2)}` : "",
     Number.isFinite(zoom) ? `×${fixed(zoom, zoom < 10 ? 2 : 0)}` : "",
   ].filter(Boolean).join(" · ");
