@@ -49,6 +49,8 @@ from ladarreg_core.results import PoseResult
 
 _GATE_ROUNDS = 5
 _CLEAR_SHARE = 0.5
+_RANSAC_SIGMA = 6.0  # threshold of the first RANSAC, in sigma_px
+_RANSAC_AGAIN_SIGMA = 3.0  # of the second, in sigmas of the pixel noise including the propagated range noise
 _WIDE_BELOW_SHARE = 0.25
 """A wide start is tried as well if RANSAC is disabled or finds a smaller share of inliers than this.
 
@@ -360,7 +362,7 @@ def _initial_poses(
         return _initial_poses_of_rays(matches, camera, options, sigma_px)
     ideal = pinhole.without_distortion()
     uv = (measured.xy * [[ideal.fx], [ideal.fy]] + [[ideal.cx], [ideal.cy]]).T
-    threshold = options.ransac_sigma * sigma_px
+    threshold = _RANSAC_SIGMA * sigma_px
     poses: list[Rigid] = []
     uv[matches.across] = np.nan  # sample points only
     for _ in range(2):
@@ -382,7 +384,7 @@ def _initial_poses_of_rays(matches: Matches, camera: CameraModel, options: PoseO
     """Return the pose found from the rays of a wide camera, if any."""
     pose = sample_pose_of_rays(
         matches.points[~matches.across], camera.unproject(matches.uv[~matches.across]),
-        threshold_rad=options.ransac_sigma * sigma_px / camera.focal_px, iterations=options.ransac_iterations,
+        threshold_rad=_RANSAC_SIGMA * sigma_px / camera.focal_px, iterations=options.ransac_iterations,
         seed=options.seed,
     )  # fmt: skip
     return [] if pose is None else [pose]
@@ -408,7 +410,7 @@ def _second_threshold_px(
     a, b = linearise(measured, state, seen).j[0]
     variance = trace[full] / 2 / determinant[full] + ((a * a + b * b) / measured.range_information)[full]
     sigma = sqrt(median(variance)) * camera.focal_px
-    return options.ransac_again_sigma * sigma, float(np.mean(near))
+    return _RANSAC_AGAIN_SIGMA * sigma, float(np.mean(near))
 
 
 def _best_of(measured: Measurements, poses: Sequence[Rigid], options: PoseOptions, *, wide: bool) -> States:
