@@ -3,10 +3,10 @@
     python -m benchmarks.survey [--rooms 8] [--first-seed 100] [--photos 12] [--close-ups 4] [--alone] [--journal FILE]
 
 Each room is scanned from two stations and photographed by two cameras whose stated focal lengths are 1 to 3 % wrong;
-one photograph is of another room, and close-ups show parts at several times the scale. Errors are of the pose in the frame
-of the first scanner: distance of the camera's centre, median displacement of the laser's points in the photograph, and
-the Mahalanobis distance by the stated covariance / sqrt 6, whose root mean square is 1 where that is right. `--alone`
-registers each photograph by itself, too. A journal keeps what was done, so that a run can go on.
+one photograph is of another room, and close-ups show parts at several times the scale. Errors are of the pose in the
+frame of the first scanner: distance of the camera's centre, median displacement of the laser's points in the
+photograph, and the Mahalanobis distance by the stated covariance / sqrt 6, whose root mean square is 1 where that is
+right. `--alone` registers each photograph by itself, too. A journal keeps what was done, so that a run can go on.
 """
 
 from __future__ import annotations

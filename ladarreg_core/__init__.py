@@ -76,6 +76,8 @@ if TYPE_CHECKING:
     from ladarreg_core.surface.texture.registered_texture import texture_scan as texture_scan
     from ladarreg_core.survey.adjust import adjust as adjust
     from ladarreg_core.survey.adjustment import Adjustment as Adjustment
+    from ladarreg_core.survey.audit import Audit as Audit
+    from ladarreg_core.survey.audit import audit as audit
     from ladarreg_core.survey.outputs import write_adjustment as write_adjustment
     from ladarreg_core.survey.survey import Survey as Survey
     from ladarreg_core.survey.survey import SurveyCamera as SurveyCamera
@@ -86,6 +88,7 @@ __version__ = VERSION
 
 _HOMES = {
     "Adjustment": "survey.adjustment",
+    "Audit": "survey.audit",
     "AutoOptions": "matching.auto",
     "Camera": "camera",
     "Cancelled": "errors",
@@ -126,6 +129,7 @@ _HOMES = {
     "ThesisParameters": "frames",
     "View": "surface.perspective",
     "adjust": "survey.adjust",
+    "audit": "survey.audit",
     "camera_from_json": "camera",
     "compare": "registration.comparison",
     "estimate_pose": "pose.estimate",

@@ -274,27 +274,25 @@ class _Run:
     def _adjusted(
         self, placement: Placement, cameras: list[CameraUnknowns], factors: Mapping[tuple[int, int], RelativePose]
     ) -> tuple[Adjusted, Bodies]:
-        """Adjust from the registrations: first those that scans verify, then with what rests on ties alone."""
+        """Adjust from the registrations and the poses that features gave."""
         states = placement.states
-        by_image = {k: one.pose for k, one in enumerate(states) if one.by_image and one.pose is not None}
-        problem, bodies = build_problem(self.survey, placement, cameras, by_image, factors)
-        adjusted = solve(problem)
-        for _ in range(2):
-            self._laser(placement, adjusted, bodies)
-            adjusted = solve(with_ties(adjusted.problem, bodies, placement))
+        poses = {k: one.pose for k, one in enumerate(states) if one.pose is not None}
+        problem, bodies = build_problem(self.survey, placement, cameras, poses, factors)
+        adjusted = solve(_determined(with_ties(problem, bodies, placement)))
+        self._laser(placement, adjusted, bodies)
+        adjusted = solve(with_ties(adjusted.problem, bodies, placement))
         for photo, body in bodies.photos.items():
             states[photo].pose = adjusted.problem.poses[body]
-        self._start_others(placement, adjusted, bodies)
+        self._start_others(placement, adjusted)
         return adjusted, bodies
 
-    def _start_others(self, placement: Placement, adjusted: Adjusted, bodies: Bodies) -> None:
-        """Give photographs that no scan verifies the poses that the adjusted ones imply, with the adjusted cameras."""
+    def _start_others(self, placement: Placement, adjusted: Adjusted) -> None:
+        """Give photographs without a pose the one that the adjusted ones imply, with the adjusted cameras."""
         cameras = self._cameras_now(adjusted)
         for k, state in enumerate(placement.states):
-            if state.by_image:
-                continue
-            state.camera = self._camera_of(state, cameras)
-            state.pose = placement.pose_from_features(k)
+            if state.pose is None:
+                state.camera = self._camera_of(state, cameras)
+                state.pose = placement.pose_from_features(k)
 
     def _registered_again(
         self, placement: Placement, adjusted: Adjusted, bodies: Bodies
@@ -360,7 +358,7 @@ class _Run:
         poses = {photo: at.poses[body] for photo, body in bodies.photos.items()}
         cameras = {photo: at.camera_of(body) for photo, body in bodies.photos.items()}
         placement.laser.clear()
-        which = [(photo, scan) for photo, pose in poses.items() for scan in placement.nearest_scans(pose)[:2]]
+        which = [(photo, scan) for photo, pose in poses.items() for scan in placement.nearest_scans(pose)]
         placement.find_laser_points(which, poses, cameras)
 
     # -- verdicts --------------------------------------------------------------------------------------------------
@@ -403,7 +401,7 @@ class _Run:
         )  # fmt: skip
         surfaces = tuple(
             (placement.scans[k], adjusted.problem.poses[bodies.scans[k]])
-            for k in placement.nearest_scans(pose)[:2] if bodies.scans[k] >= 0
+            for k in placement.nearest_scans(pose) if bodies.scans[k] >= 0
         )  # fmt: skip
         state = placement.states[photo]
         task = PairTask(

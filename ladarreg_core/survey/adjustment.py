@@ -227,6 +227,8 @@ def _scan_fields(one: AdjustedScan, inputs: Any) -> dict[str, Any]:
 
 def _camera_fields(one: AdjustedCamera) -> dict[str, Any]:
     return {
+        "is": f"{one.camera.width} x {one.camera.height} px",
+        "pooled": list(one.photos),
         "camera": one.camera.as_fields(),
         "estimated": list(one.names),
         "sigmas": one.sigmas,

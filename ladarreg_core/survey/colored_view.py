@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.camera import Camera, CameraModel
-from ladarreg_core.foundations.arrays import ByteArray
+from ladarreg_core.foundations.arrays import ByteArray, FloatArray
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
@@ -114,9 +114,9 @@ def _nearest(camera: Camera, camera_from_world: Rigid, surfaces: Sequence[tuple[
 
 
 def _sampled(
-    source: ColorSource, points: NDArray[np.float64], surfaces: Sequence[tuple[Scan, Rigid]],
+    source: ColorSource, points: FloatArray, surfaces: Sequence[tuple[Scan, Rigid]],
     wanted_m: NDArray[np.floating],
-) -> tuple[NDArray[np.float64], NDArray[np.float32]]:  # fmt: skip
+) -> tuple[FloatArray, NDArray[np.float32]]:  # fmt: skip
     """Return the size of a pixel (N,), m, and the luminance (N,) at points (N, 3); NaN where they are not seen."""
     there = source.camera_from_world @ points
     uv = source.camera.project(there)

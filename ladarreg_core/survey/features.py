@@ -50,7 +50,9 @@ def detect(pixels: ByteArray, *, limit: int = MAX_FEATURES) -> Features:
         size = (max(1, round(width * reduction)), max(1, round(height * reduction)))
         gray = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
     by = np.array([width / gray.shape[1], height / gray.shape[0]])
-    points, found = cv2.SIFT_create(nfeatures=limit, contrastThreshold=0.02).detectAndCompute(gray, None)
+    # Without precise upscaling all features lie a quarter of a pixel aside.
+    sift = cv2.SIFT.create(nfeatures=limit, contrastThreshold=0.02, enable_precise_upscale=True)
+    points, found = sift.detectAndCompute(gray, None)
     if found is None or not len(points):
         return Features(np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32), np.zeros(0, np.float32))
     uv = (np.array([point.pt for point in points]) + 0.5) * by - 0.5
@@ -74,7 +76,7 @@ def matches_between(first: Features, second: Features) -> IntArray:
     _, inlier = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, allowed, 0.9999, 20_000)
     if inlier is None or int(inlier.sum()) < _MIN_PAIR:
         return found[:0]
-    return found[inlier.ravel().astype(bool)]
+    return np.asarray(found[inlier.ravel().astype(bool)])
 
 
 def propose_pairs(photos: Sequence[Features], *, partners: int = 8) -> list[tuple[int, int]]:

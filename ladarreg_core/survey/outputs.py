@@ -87,7 +87,8 @@ def write_adjustment(
         LadarregError: as of `adjust`.
         ExportError: if the folder must not be used or cannot be written.
     """
-    sources = [one.source for one in (*survey.scans, *survey.photos) if isinstance(one.source, Path)]
+    every = [*(one.source for one in survey.scans), *(one.source for one in survey.photos)]
+    sources = [source for source in every if isinstance(source, Path)]
     with BatchFolder(folder, inputs=sources, force=force) as opened:
         own = ContentCache(opened.folder / _CACHE_FOLDER) if cache is None else cache
         o = options or RegisterOptions()

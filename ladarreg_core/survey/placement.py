@@ -1,8 +1,8 @@
 """Where each photograph was taken, one by one: registered on the scans, from what registered photographs show of it.
 
 Photographs that nothing is known of are searched for on the scans, which takes seconds each. Features shared with a
-photograph that has been registered give a pose on the laser's surface, from which the next is only refined. A group of
-photographs that share features therefore needs one search, not one for each.
+photograph that has a pose give the next one a pose on the laser's surface, from which it is refined once the cameras
+are known. A group of photographs that share features therefore needs one search, not one for each.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from ladarreg_core.survey.survey import SurveyPhoto
 from ladarreg_core.survey.ties import LaserPoints
 from ladarreg_core.survey.work import PairTask, PhotoFiles, laser_under, registered
 
-_MIN_START = 12  # inliers of a pose from features, from which a photograph is refined on the scans
+_MIN_START = 15  # inliers of a pose from features
 _START_PX = 8.0  # of a photograph 1000 px wide: cameras and poses are rough yet
 _SEEDS_AT_ONCE = 4
-_NEAREST_SCANS = 3
+_NEAREST_SCANS = 2  # that a photograph is compared with: one is evidence, another holds it better
 _ITERATIONS = 5000
 
 
@@ -95,12 +95,12 @@ class Placement:
                     if (pose := self.pose_from_features(k)) is not None:
                         starts[k] = pose
             if starts:
-                self._near(starts)
+                self._start(starts)
                 continue
             self._search(self._seeds(waiting))
         for k in self._without_pose():  # what the last searches made known
             if (pose := self.pose_from_features(k)) is not None:
-                self._near({k: pose})
+                self._start({k: pose})
 
     def pose_from_features(self, photo: int) -> Rigid | None:
         """Return `camera_from_world` from features that registered photographs show on the surface; None: too few."""
@@ -138,8 +138,9 @@ class Placement:
         waiting = {}
         for photo, scan in which:
             world = self.stations.each[scan].world_from_scanner or Rigid.identity()
-            task = laser_under, self.scans[scan], cameras[photo], poses[photo] @ world, self.states[photo].features.uv
-            waiting[self.workers.submit(*task)] = (photo, scan)
+            relative, uv = poses[photo] @ world, self.states[photo].features.uv
+            future = self.workers.submit(laser_under, self.scans[scan], cameras[photo], relative, uv)
+            waiting[future] = (photo, scan)
         for future in as_completed(waiting):
             self.laser[waiting[future]] = future.result()
 
@@ -149,7 +150,7 @@ class Placement:
     def _known_partners(self, photo: int) -> list[int]:
         return [
             other for pair, found in self.matches.items() if photo in pair and len(found)
-            for other in pair if other != photo and self.states[other].by_image
+            for other in pair if other != photo and self.states[other].pose is not None
         ]  # fmt: skip
 
     def _on_surface(self, photo: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -158,8 +159,8 @@ class Placement:
         for other in self._known_partners(photo):
             pair = (min(photo, other), max(photo, other))
             own, theirs = self.matches[pair].T if photo < other else self.matches[pair].T[::-1]
-            for scan in self.states[other].pairs:
-                laser, world = self.laser.get((other, scan)), self.stations.each[scan].world_from_scanner
+            for scan, station in enumerate(self.stations.each):
+                laser, world = self.laser.get((other, scan)), station.world_from_scanner
                 if laser is None or world is None:
                     continue
                 xyz = laser.xyz[theirs].astype(np.float64)
@@ -189,6 +190,14 @@ class Placement:
         for k in photos:
             self.states[k].searched = True
 
+    def _start(self, poses: Mapping[int, Rigid]) -> None:
+        """Take poses (`camera_from_world`) from features as they are, until the cameras are known better."""
+        for k, pose in poses.items():
+            self.states[k].pose = pose
+        nearest = [(k, scan) for k, pose in poses.items() for scan in self.nearest_scans(pose)[:1]]
+        self.find_laser_points(nearest, poses, {k: self.states[k].camera for k in poses})
+        self.tell(f"{len(poses)} photographs from what others show")
+
     def _near(self, poses: Mapping[int, Rigid]) -> None:
         """Refine photographs on the scans near their poses (`camera_from_world`)."""
         tasks = {}
@@ -203,7 +212,7 @@ class Placement:
         self._take(tasks)
         for k in poses:
             if not self.states[k].by_image:
-                self.states[k].pose = poses[k] if self.states[k].given.initial is None else None
+                self.states[k].pose = None
 
     def nearest_scans(self, camera_from_world: Rigid) -> list[int]:
         """Return the scans whose scanners stood nearest to a camera."""

@@ -2,7 +2,8 @@
 
 Scanners and photographs are bodies: each has a pose `body_from_world` with the unknowns (w, c) of this project:
 R_true = exp([w]x) R, c = the shift of its centre in the world, m. A camera has the unknowns of `INTRINSICS` if it is
-estimated. A tie is a point of the world, seen in two photographs or more, and on the laser's surface where there is one.
+estimated. A tie is a point of the world, seen in two photographs or more, and on the laser's surface where
+there is one.
 """
 
 from __future__ import annotations
@@ -11,14 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.camera.uncertainty import INTRINSICS, pose_jacobian
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.frames import Rigid, rotvec_from_rotation, skew
 
-Matrix = NDArray[np.float64]
+Matrix = FloatArray
 WORLD = -1
 """In place of the index of a body: the world."""
 

@@ -4,11 +4,11 @@ The ties' points are eliminated: with H the normal matrix, y the poses and camer
 of each other, the reduced system is S = H_yy - H_yx H_xx^-1 H_xy. Robust weights are graduated: the loss begins nearly
 quadratic and narrows, so that ties which are wrong by much lose their weight before they have bent anything.
 
-The covariance is a sandwich, S^-1 M S^-1: M adds up the scores of the ties region by region, since those of one region
-err alike (the laser's surface, the lens, the light), and the information of what states a covariance of its own.
+The covariance is that of a jackknife over regions of the surface, since ties of one region err alike (the laser's
+surface, the lens, the light), and of what states a covariance of its own.
 
 Source: Triggs et al. 2000, 'Bundle adjustment - a modern synthesis' (Schur complement); Yang et al. 2020, 'Graduated
-non-convexity for robust spatial perception' (Geman-McClure); White 1982 (sandwich), Liang and Zeger 1986 (clusters).
+non-convexity for robust spatial perception' (Geman-McClure); Bell and McCaffrey 2002 (jackknife over clusters, CR3).
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ _MIN_SIGMA_PX, _START_SIGMA_PX = 0.25, 1.0
 _NORMAL_MEDIAN = 1.1774  # of the length of two standard normal deviates
 _MAX_RELATIVE = 30.0  # squared Mahalanobis distance of a relative pose, with 6 degrees of freedom, at the last width
 _REGION_M = 0.5
+_LEFT_OUT = 0.9  # of a region's information: a pose in one region has to stay determined without it
 _DAMPED = 1e-9
 _WORST_LOST = 0.05  # weight below which an observation counts as an outlier
 
@@ -249,10 +250,12 @@ class _System:
         return np.asarray(y), np.einsum("pij,pj->pi", self.inverse, back)
 
     def covariance(self) -> Matrix:
-        """Return the sandwich, where every region counts as one.
+        """Return the scatter of the solutions without one region each, and of what states its own covariance.
 
-        It is never less than what independent ties would give, if all counted less by as much as regions scatter more:
-        a close-up lies in one region or two, whose scores say nothing of their own scatter.
+        To first order, leaving out a region with the score g and the information S_k moves the solution by
+        (S - S_k)^-1 g: the jackknife, whose middle is the sandwich, and which counts that residuals are small where
+        few regions determine a pose. It is never less than what independent ties would give, if all counted less by as
+        much as regions scatter more: a close-up lies in one region or two, which say nothing of their own scatter.
         """
         if not len(self.reduced):
             return np.zeros((0, 0))
@@ -262,20 +265,28 @@ class _System:
         count = int(region.max(initial=-1)) + 1
         if not count:
             return np.asarray(bread)
-        g = np.zeros((len(self.reduced), count))
-        for rows, off, which in (
-            (self.by_ties, self.off, np.repeat(region[ties.point], 2)),
-            (self.by_surfaces, self.off_surfaces, region[ties.on_point]),
-        ):
-            sums = csr_matrix((off, (np.arange(len(off)), which)), shape=(len(off), count))
-            g += (rows.T @ sums).toarray()
-        of_ties = self.reduced - self.of_relative
-        by_region = g @ g.T * (count / max(count - 1, 1))
+        shifts, scores = np.zeros((len(bread), count)), np.zeros((len(bread), count))
+        for k in range(count):
+            own, g = self._of_points(region == k)
+            scores[:, k] = g
+            shifts[:, k] = cho_solve(cho_factor(self.reduced - _LEFT_OUT * own), g)
+        by_region = shifts @ shifts.T * (1 - 1 / count) + bread @ self.of_relative @ bread
         # How much more the scores of whole regions scatter than those of independent ties would.
-        alike = float(np.sum(bread * by_region) / max(np.sum(bread * of_ties), np.finfo(float).tiny))
-        sandwich = bread @ (by_region + self.of_relative) @ bread
-        least = of_ties / max(alike, 1.0) + self.of_relative
-        return _no_less(sandwich, cho_solve(cho_factor(least), np.eye(len(least))))
+        of_ties = self.reduced - self.of_relative
+        alike = np.einsum("ik,ij,jk->", scores, bread, scores) / max(np.sum(bread * of_ties), np.finfo(float).tiny)
+        least = of_ties / max(float(alike), 1.0) + self.of_relative
+        return _no_less(by_region, cho_solve(cho_factor(least), np.eye(len(least))))
+
+    def _of_points(self, chosen: BoolArray) -> tuple[Matrix, Matrix]:
+        """Return the information (Y, Y) of some points (P,) and their ties, and their score (Y,)."""
+        ties = self.problem.ties
+        seen, on = chosen[ties.point], chosen[ties.on_point]
+        rows, rows_s = self.by_ties[np.repeat(seen, 2)], self.by_surfaces[on]
+        at = np.flatnonzero(chosen)
+        mixed = self.mixed[:, (3 * at[:, None] + np.arange(3)).ravel()]
+        own = (rows.T @ rows + rows_s.T @ rows_s - mixed @ _block_diagonal(self.inverse[at]) @ mixed.T).toarray()
+        g = rows.T @ self.off[np.repeat(seen, 2)] + rows_s.T @ self.off_surfaces[on]
+        return np.asarray(own), np.asarray(g)
 
 
 def _of_relative(

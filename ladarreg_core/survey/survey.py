@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
@@ -124,7 +124,7 @@ class Survey:
     reference."""
 
     def __post_init__(self) -> None:
-        faults = [*_faults_of_ids(self), *_faults_of_references(self), *_faults_of_values(self)]
+        faults = faults_of(self)
         if faults:
             raise OptionError(listed_faults("the survey", faults))
 
@@ -185,6 +185,31 @@ class Survey:
         write_survey(path, self)
 
 
+class SurveyParts(Protocol):
+    """What a survey consists of, also before it is one."""
+
+    @property
+    def scans(self) -> Sequence[SurveyScan]:
+        """The scans."""
+
+    @property
+    def cameras(self) -> Sequence[SurveyCamera]:
+        """The cameras."""
+
+    @property
+    def photos(self) -> Sequence[SurveyPhoto]:
+        """The photographs."""
+
+    @property
+    def rigs(self) -> Mapping[str, Mapping[str, Rigid | None]]:
+        """The rigs."""
+
+
+def faults_of(parts: SurveyParts) -> list[str]:
+    """Return what is wrong with the parts of a survey, a clause each."""
+    return [*_faults_of_ids(parts), *_faults_of_references(parts), *_faults_of_values(parts)]
+
+
 def listed_faults(what: str, faults: Sequence[str]) -> str:
     """Return faults as one sentence."""
     shown = "; ".join(faults[:_MAX_LISTED]) + (
@@ -202,7 +227,7 @@ def _ids(names: Sequence[str]) -> list[str]:
     return found
 
 
-def _faults_of_ids(survey: Survey) -> list[str]:
+def _faults_of_ids(survey: SurveyParts) -> list[str]:
     from ladarreg_core.storage.replacement import is_file_name
 
     faults = [f"it has no {what}" for what in ("scans", "photos") if not getattr(survey, what)]
@@ -216,7 +241,7 @@ def _faults_of_ids(survey: Survey) -> list[str]:
     return faults
 
 
-def _faults_of_references(survey: Survey) -> list[str]:
+def _faults_of_references(survey: SurveyParts) -> list[str]:
     cameras = {one.id for one in survey.cameras}
     faults = [f"the photo {one.id} has the camera {one.camera!r:.60}, which is not listed"
               for one in survey.photos if one.camera not in cameras]  # fmt: skip
@@ -235,7 +260,7 @@ def _faults_of_references(survey: Survey) -> list[str]:
     return faults
 
 
-def _faults_of_values(survey: Survey) -> list[str]:
+def _faults_of_values(survey: SurveyParts) -> list[str]:
     faults = []
     for camera in survey.cameras:
         if isinstance(camera.estimate, tuple):

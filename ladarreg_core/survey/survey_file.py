@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,7 +16,7 @@ from ladarreg_core.errors import ExportError, FormatError, LadarregError, Option
 from ladarreg_core.export.registered_scan import photo_id
 from ladarreg_core.formats.cameras.camera_file import camera_from_fields
 from ladarreg_core.formats.parsing.json_file import read_json_object, write_json
-from ladarreg_core.formats.parsing.untrusted import reading
+from ladarreg_core.formats.parsing.untrusted import reading, shown_name
 from ladarreg_core.formats.scans.scan_request import stated_options
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
@@ -27,6 +28,7 @@ from ladarreg_core.survey.survey import (
     SurveyCamera,
     SurveyPhoto,
     SurveyScan,
+    faults_of,
     listed_faults,
 )
 
@@ -39,6 +41,14 @@ _FIELDS = {
 }
 _ESTIMATED = {"focal": "focal_px"}  # what the file calls it
 _PHOTO_OPTIONS = ("focal_px", "focal_mm", "sensor_mm", "camera_model")
+
+
+@dataclass(frozen=True, slots=True)
+class _Parts:
+    scans: list[SurveyScan]
+    cameras: list[SurveyCamera]
+    photos: list[SurveyPhoto]
+    rigs: Mapping[str, Mapping[str, Rigid | None]]
 
 
 class _Faults:
@@ -80,14 +90,13 @@ def read_survey(path: str | Path) -> Survey:
         scans = [_scan(one, folder, faults) for one in parts["scans"]]
         cameras = [_camera(one, folder, faults) for one in parts["cameras"]]
         photos = [_photo(one, folder, faults) for one in parts["photos"]]
-        rigs = faults.taken("rigs", lambda: _rigs(fields.get("rigs", [])), {})
-        try:
-            survey = Survey(scans=tuple(scans), cameras=tuple(cameras), photos=tuple(photos), rigs=rigs)
-        except OptionError as error:
-            faults.found.append(str(error).partition("nothing was done: ")[2])
-        if faults.found:
-            raise FormatError(listed_faults("it", faults.found))
-    return survey
+        none: dict[str, dict[str, Rigid | None]] = {}
+        rigs = faults.taken("rigs", lambda: _rigs(fields.get("rigs", [])), none)
+        parts_read = _Parts(scans, cameras, photos, rigs)
+        faults.found += faults_of(parts_read)
+    if faults.found:  # here, since errors of reading are shortened
+        raise FormatError(f"{shown_name(path)}: {listed_faults('it', faults.found)}")
+    return Survey(scans=tuple(scans), cameras=tuple(cameras), photos=tuple(photos), rigs=rigs)
 
 
 def write_survey(path: str | Path, survey: Survey) -> None:
@@ -204,7 +213,8 @@ def _scan(one: Mapping[str, Any], folder: Path, faults: _Faults) -> SurveyScan:
         faults.add(where, f"its index is {index!r:.20}; it must be a whole number from 0")
     if not isinstance(fixed, bool):
         faults.add(where, "`fixed` must be true or false")
-    options = faults.taken(where, lambda: stated_options(dict(one.get("options") or {})), {})
+    none: dict[str, Any] = {}
+    options = faults.taken(where, lambda: stated_options(dict(one.get("options") or {})), none)
     return SurveyScan(
         id=one["id"], source=_path(one.get("path"), folder, where, faults), index=index if type(index) is int else 0,
         options=options, world_from_scanner=faults.taken(where, lambda: _pose(one.get("world_from_scanner")), None),
@@ -225,7 +235,8 @@ def _camera(one: Mapping[str, Any], folder: Path, faults: _Faults) -> SurveyCame
     if not isinstance(options, dict) or set(options) - set(_PHOTO_OPTIONS):
         faults.add(where, f"its options must be among {', '.join(_PHOTO_OPTIONS)}")
         options = {}
-    estimate = faults.taken(where, lambda: _estimate(one.get("estimate", "auto")), "auto")
+    default: Estimate = "auto"
+    estimate = faults.taken(where, lambda: _estimate(one.get("estimate", "auto")), default)
     return SurveyCamera(id=one["id"], source=source, options=options, estimate=estimate)
 
 
@@ -235,7 +246,7 @@ def _estimate(value: Any) -> Estimate:
     if value == "none":
         return "none"
     if isinstance(value, list) and all(isinstance(name, str) for name in value):
-        return tuple(_ESTIMATED.get(name, name) for name in value)
+        return tuple(str(_ESTIMATED.get(name, name)) for name in value)
     raise OptionError(f"`estimate` is {value!r:.60}; it must be 'auto', 'none' or a list of names")
 
 

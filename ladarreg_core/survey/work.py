@@ -24,7 +24,7 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.registration.register import RegisterOptions, register
 from ladarreg_core.results import Registration
 from ladarreg_core.survey.colored_view import ColorSource, colored_view
-from ladarreg_core.survey.features import Features, detect, matches_between
+from ladarreg_core.survey.features import MAX_FEATURES, Features, detect, matches_between
 from ladarreg_core.survey.ties import LaserPoints, laser_points
 
 _held_features: dict[str, Features] = {}
@@ -71,7 +71,7 @@ class PairTask:
 def photo_features(photo: PhotoFiles, cache: Path, cache_bytes: int) -> Features:
     """Return the features of a photograph, from the cache if they are there."""
     store = ContentCache(cache, most_bytes=cache_bytes)
-    key = store.key(kind="features", photo=photo.key)
+    key = store.key(kind="features", limit=MAX_FEATURES, photo=photo.key)
     if key in _held_features:
         return _held_features[key]
     kept = store.get(key)
@@ -89,7 +89,7 @@ def photo_features(photo: PhotoFiles, cache: Path, cache_bytes: int) -> Features
 def pair_matches(first: PhotoFiles, second: PhotoFiles, cache: Path, cache_bytes: int) -> IntArray:
     """Return the matches (M, 2) of two photographs, from the cache if they are there."""
     store = ContentCache(cache, most_bytes=cache_bytes)
-    key = store.key(kind="matches", photos=[first.key, second.key])
+    key = store.key(kind="matches", limit=MAX_FEATURES, photos=[first.key, second.key])
     kept = store.get(key)
     if isinstance(kept, dict):
         return np.asarray(kept["matches"])

