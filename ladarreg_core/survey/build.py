@@ -18,6 +18,7 @@ from ladarreg_core.survey.survey import Survey, SurveyCamera
 from ladarreg_core.survey.ties import tie_points
 
 _KNOWN = 1e-6  # relative standard deviation of an intrinsic that is not estimated
+_MAX_FROM_STATED = 3.0  # standard deviations of what was stated
 _UNKNOWN_RAD = 1e3  # of a prior that states a position only
 _WORLD_CAMERA = np.zeros(0)
 
@@ -161,10 +162,13 @@ def _unknowns(camera: SurveyCamera, states: Sequence[PhotoState]) -> CameraUnkno
         if (one := camera_estimate(state.given.id, state.alone, state.orientation)) is not None
     ]  # fmt: skip
     pooled = pool(estimates)
-    if pooled is not None:
-        values, covariance = pooled.values, pooled.covariance
-    elif len(estimates) == 1:
-        values, covariance = _of_one(estimates[0])
+    found = (
+        (pooled.values, pooled.covariance) if pooled is not None
+        else _of_one(estimates[0]) if len(estimates) == 1 else None
+    )  # fmt: skip
+    # On coarse scans the images' own estimates can leave what was stated far behind: the ties then decide alone.
+    if found is not None and (np.abs(found[0] - values) <= _MAX_FROM_STATED * prior).all():
+        values, covariance = found
     if isinstance(camera.estimate, tuple):
         kept = np.array([name in camera.estimate for name in INTRINSICS])
         stated = turn.T @ (_values(pinhole) - _middle(pinhole))

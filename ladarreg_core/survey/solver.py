@@ -35,13 +35,23 @@ _GRADUATION = (30.0, 10.0, 4.0, 2.0, 1.0)
 _WIDTH = 3.0  # standard deviations at which the last loss halves a weight's root
 _MAX_STEPS = 12  # of each width
 _CONVERGED = 0.01  # step in standard deviations
-_MIN_SIGMA_PX, _START_SIGMA_PX = 0.25, 1.0
+_MIN_SIGMA_PX, _START_SIGMA_PX = 0.1, 1.0
+_MIN_SURFACE, _MAX_SURFACE = 0.7, 10.0  # noise of the surfaces, relative to what the ties state
 _NORMAL_MEDIAN = 1.1774  # of the length of two standard normal deviates
+_NORMAL_MEDIAN_1D = 0.6745  # of the size of one
 _MAX_RELATIVE = 30.0  # squared Mahalanobis distance of a relative pose, with 6 degrees of freedom, at the last width
 _REGION_M = 0.5
 _LEFT_OUT = 0.9  # of a region's information: a pose in one region has to stay determined without it
 _DAMPED = 1e-9
 _WORST_LOST = 0.05  # weight below which an observation counts as an outlier
+
+
+@dataclass(frozen=True, slots=True)
+class _Noise:
+    px: float
+    """Of the ties in photographs."""
+    surface: float
+    """Of the surfaces, relative to what the ties state."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +123,7 @@ def solve(
     Raises:
         numpy.linalg.LinAlgError: if what is known does not determine the unknowns.
     """
-    noise, converged = sigma_px or _START_SIGMA_PX, False
+    noise, converged = _Noise(sigma_px or _START_SIGMA_PX, 1.0), False
     for width in _GRADUATION if robust else (np.inf,):
         damping = _DAMPED
         system = _System.at(problem, noise, width)
@@ -131,11 +141,12 @@ def solve(
             converged = size < _CONVERGED
             if converged:
                 break
-        noise = sigma_px or _noise_px(system, noise)
+        if sigma_px is None:
+            noise = _estimated_noise(system, noise)
     system = _System.at(problem, noise, 1.0 if robust else np.inf)
     return Adjusted(
         problem, system.covariance(), system.tie_weights, system.surface_weights, system.relative_weights,
-        system.residual, noise, system.chi2_per_dof, converged,
+        system.residual, noise.px, system.chi2_per_dof, converged,
     )  # fmt: skip
 
 
@@ -180,10 +191,11 @@ class _System:
     chi2_per_dof: float
 
     @staticmethod
-    def at(problem: Problem, sigma_px: float, width: float) -> _System:
+    def at(problem: Problem, noise: _Noise, width: float) -> _System:
         """Return the equations for a noise of the ties and a width of the loss relative to the last one."""
         of_body, of_camera, size = problem.columns
-        ties, count = problem.ties, len(problem.ties.points)
+        ties, count, sigma_px = problem.ties, len(problem.ties.points), noise.px
+        sigma_m = noise.surface * ties.sigma_m
         residual, by_pose, by_camera, by_point = tie_residuals(problem)
         r2 = np.einsum("ni,ni->n", residual, residual) / sigma_px**2
         seen = np.isfinite(r2) & np.isfinite(by_pose).all(axis=(1, 2)) & np.isfinite(by_camera).all(axis=(1, 2))
@@ -194,9 +206,9 @@ class _System:
         J = np.where(seen[:, None, None], J, 0.0) * scale[:, None, None]
         Jx = np.where(seen[:, None, None], by_point, 0.0) * scale[:, None, None]
         distance, on_scan, on_point = surface_residuals(problem)
-        d2 = (distance / ties.sigma_m) ** 2
+        d2 = (distance / sigma_m) ** 2
         v = _weight(d2, width * _WIDTH)
-        scale_s = np.sqrt(v) / ties.sigma_m
+        scale_s = np.sqrt(v) / sigma_m
         off_s, Ks, Kx = -distance * scale_s, on_scan * scale_s[:, None], on_point * scale_s[:, None]
 
         H_xx = np.zeros((count, 3, 3))
@@ -345,16 +357,21 @@ def _loss(squared: Matrix, limit: float) -> Matrix:
     return squared if not np.isfinite(limit) else limit**2 * squared / (limit**2 + squared)
 
 
-def _noise_px(system: _System, before: float) -> float:
-    """Return the noise of the ties that were kept, px: by the median, corrected for the points that were fitted."""
+def _estimated_noise(system: _System, before: _Noise) -> _Noise:
+    """Return the noise of the ties that were kept: by the medians, corrected for the points that were fitted."""
     ties = system.problem.ties
-    kept = system.tie_weights > 0.25
+    kept, on = system.tie_weights > 0.25, system.surface_weights > 0.25
     if kept.sum() < 20:
         return before
     length = np.linalg.norm(system.residual[kept], axis=1)
-    fitted = 3 * len(np.unique(ties.point[kept])) - int((system.surface_weights > 0.25).sum())
-    share = max(1 - fitted / (2 * kept.sum()), 0.1)
-    return float(max(np.median(length) / _NORMAL_MEDIAN / np.sqrt(share), _MIN_SIGMA_PX))
+    equations = 2 * int(kept.sum()) + int(on.sum())
+    share = np.sqrt(max(1 - 3 * len(np.unique(ties.point[kept])) / equations, 0.1))
+    px = max(float(np.median(length)) / _NORMAL_MEDIAN / share, _MIN_SIGMA_PX)
+    if on.sum() < 20:
+        return _Noise(px, before.surface)
+    distance = np.abs(surface_residuals(system.problem)[0] / ties.sigma_m)[on]
+    surface = float(np.median(distance)) / _NORMAL_MEDIAN_1D / share
+    return _Noise(px, float(np.clip(surface, _MIN_SURFACE, _MAX_SURFACE)))
 
 
 def _no_less(found: Matrix, least: Matrix) -> Matrix:

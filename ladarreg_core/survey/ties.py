@@ -20,7 +20,7 @@ from ladarreg_core.survey.problem import Matrix, Ties
 
 PairMatches = Mapping[tuple[int, int], IntArray]
 """Matches (M, 2) of features of two photographs, by their indices i < j."""
-_SURFACE_SIGMA_M = 0.004  # of the smoothed surface beside its range noise: texture is not exactly where the laser hit
+_SURFACE_SIGMA_M = 0.0025  # of the smoothed surface beside its range noise: texture is not exactly where the laser hit
 _MIN_PARALLAX_RAD = float(np.radians(2.0))  # of a tie that lies on no surface
 _FAR_PX = 60.0  # of a photograph 1000 px wide: what lies farther from where the poses put it is a wrong match
 _PAIR_LIMIT = 400  # matches of a pair that are used; more of them say nothing new
