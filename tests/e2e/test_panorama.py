@@ -111,6 +111,7 @@ def test_the_strip_turns_the_view_and_a_half_drawn_match_stays(operator: Page) -
     until(page, lambda: not page.evaluate(SLICE, f"picks:{shown}"), "the match is taken back")
 
 
+@pytest.mark.long
 def test_a_pose_turns_the_view_and_the_strip_shows_where_photographs_lie(operator: Page) -> None:
     page, strip = operator, operator.get_by_role("slider", name=STRIP)
     choose_photo(page, "ahead.png")

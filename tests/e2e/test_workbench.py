@@ -322,7 +322,7 @@ def test_everything_is_reached_by_keyboard(onlooker: Operator) -> None:
         assert page.locator(opener).evaluate("(opener) => document.activeElement === opener")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="no kill -9 to send")
 def test_a_killed_server_loses_nothing(browser: Browser, tmp_path: Path) -> None:
     project = tmp_path / "project"

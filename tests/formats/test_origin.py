@@ -187,8 +187,8 @@ def _frame(lidar: str, place: str, seed: int, share: int) -> np.ndarray:
 @pytest.mark.parametrize(
     ("lidar", "place", "seed", "share"),
     [
-        pytest.param("narrow", "courtyard", 9, 2, marks=pytest.mark.long),
-        pytest.param("petals", "courtyard", 7, 2, marks=pytest.mark.long),
+        ("narrow", "courtyard", 9, 2),
+        ("petals", "courtyard", 7, 2),
         ("128 lines", "street", 7, 1),
     ],
 )

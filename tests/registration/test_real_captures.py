@@ -96,14 +96,9 @@ def test_pump_from_another_position(pump: lr.Scan, seed: int) -> None:
 # What is known of these captures is a published calibration, itself 5 to 11 px off where it could be checked.
 @pytest.mark.parametrize(
     ("name", "scan", "photo", "known_px"),
-    [
-        pytest.param("garage", "scan.npz", "frame9.png", 8.0, marks=pytest.mark.long),
-        ("street", "scan.pcd", "photo.png", 12.0),
-    ],
+    [("garage", "scan.npz", "frame9.png", 8.0), ("street", "scan.pcd", "photo.png", 12.0)],
 )
-@pytest.mark.parametrize(
-    "start", ["off", *(pytest.param(start, marks=pytest.mark.long) for start in ("none", "truth"))]
-)
+@pytest.mark.parametrize("start", ["off", "none", "truth"])
 def test_sparse_captures_end_in_a_clear_verdict(
     real_data: Path, name: str, scan: str, photo: str, known_px: float, start: str
 ) -> None:

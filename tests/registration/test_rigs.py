@@ -30,7 +30,7 @@ def alarm_of(cases: Sequence[OutdoorCase], photos: Sequence[Photo], pose: Rigid)
     return joint_alarm([jury.judged(k, pose, on_others=True) for k in range(len(pairs))], options)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_further_place_lowers_the_probability_of_chance(dome: list[OutdoorCase]) -> None:
     pose, photos = dome[0].camera_from_scanner, [case.photo for case in dome]
     alarms = [alarm_of(dome[:count], photos[:count], pose) for count in (3, 4, 5)]
@@ -38,7 +38,7 @@ def test_every_further_place_lowers_the_probability_of_chance(dome: list[Outdoor
     assert alarms[2] < lr.RigOptions().false_alarm
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_photos_of_other_places_are_chance(dome: list[OutdoorCase]) -> None:
     photos = [case.photo for case in dome]
     moved_on = [*photos[1:], photos[0]]

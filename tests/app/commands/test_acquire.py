@@ -43,6 +43,7 @@ def test_plans_are_written_described_and_refused(tmp_path: Path, capsys: pytest.
     assert "the unit's limits are -46.54 to 30.99" in capsys.readouterr().err
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="no Ctrl-C to send")
 def test_a_run_that_is_interrupted_goes_on_to_a_scan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plan, run = shortened(tmp_path / "plan.json"), tmp_path / "run"

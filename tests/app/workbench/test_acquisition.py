@@ -182,6 +182,7 @@ def test_what_an_operator_does(bench: WorkbenchDriver) -> None:
     disconnect(bench)
 
 
+@pytest.mark.long
 def test_runs_are_found_again_and_go_on_by_their_own_plan(tmp_path: Path) -> None:
     first = open_bench(tmp_path / "project")
     plan = plan_of(first, camera={"folder": "twin:camera?seed=11"}, pan_deg=[-20, 20, 20])
