@@ -183,7 +183,7 @@ def _frame(lidar: str, place: str, seed: int, share: int) -> np.ndarray:
     return points[: len(points) // share]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("lidar", "place", "seed", "share"),
     [

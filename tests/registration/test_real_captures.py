@@ -93,6 +93,7 @@ def test_pump_from_another_position(pump: lr.Scan, seed: int) -> None:
     assert result.camera_from_scanner.distance_to(truth) <= 0.008
 
 
+@pytest.mark.long
 # What is known of these captures is a published calibration, itself 5 to 11 px off where it could be checked.
 @pytest.mark.parametrize(
     ("name", "scan", "photo", "known_px"),
