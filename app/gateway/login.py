@@ -116,7 +116,7 @@ class Credentials:
     """The tokens, and the sessions of the browsers that have shown one.
 
     A session is a random browser id, with a path and a signature that are derived from it and the token. A cookie
-    therefore does not reveal the token, browsers can be told apart, and with a kept token they stay logged in across
+    therefore does not reveal the token, browsers can be distinguished, and with a kept token they stay logged in across
     restarts.
 
     Args:

@@ -1,8 +1,8 @@
 """The page as a browser loads it: scripts and styles under a path with a hash of their content, compressed.
 
 There is no build step. Scripts are plain modules that import each other by relative paths, so that one hash in the path
-of the first one versions all of them, and browsers may keep them for ever. A file that is edited while the program runs
-changes the hash, and thus arrives with the next reload.
+of the first one versions all of them, and browsers may keep them indefinitely. A file that is edited while the program
+runs changes the hash, and thus arrives with the next reload.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Limits that those who only look share with those who edit: whatever readers do, editors find room."""
+"""Limits that readers share with editors: readers cannot use up the room of editors."""
 
 from __future__ import annotations
 

@@ -123,7 +123,7 @@ class JobContext:
         Raises:
             OptionError: if the job does not support it, or has ended.
         """
-        with self._changing:  # a job that has just ended would be paused for ever
+        with self._changing:  # a job that has just ended would stay paused
             if not self.job.runs:
                 raise OptionError("no job is running")
             self._control(action, value)

@@ -58,11 +58,11 @@ def add_files(workbench: Workbench, files: Sequence[Path], reading: Reading, che
     Args:
         workbench: the workbench.
         files: the scan and the photographs; empty: nothing is opened.
-        reading: what is said about them.
+        reading: options that are given for them.
         check: called between files; may raise `Cancelled`.
 
     Returns:
-        Sentences on what became of the project's scan, where that is more than was asked for.
+        Sentences on changes of the project's scan beyond those that were asked for.
 
     Raises:
         LadarregError: if a file cannot be opened.

@@ -95,7 +95,7 @@ class Trigger(Protocol):
         """The shot has been taken."""
 
     def close(self) -> None:
-        """Let go of what it uses."""
+        """Release its resources."""
 
 
 def opened_trigger(plan: TriggerPlan, folder: Path, *, timeout_s: float, device: str, clock: Clock) -> Trigger:

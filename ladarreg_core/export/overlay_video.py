@@ -39,7 +39,7 @@ class OverlayFrame:
 
 
 def write_overlay_video(path: Path, frames: Sequence[OverlayFrame], camera_from_scanner: Rigid) -> None:
-    """Write the frames of a rig as an animated WebP that repeats for ever.
+    """Write the frames of a rig as an animated WebP that repeats endlessly.
 
     Args:
         path: the file.

@@ -356,7 +356,7 @@ def read_scan(
         FormatError: if it is not a scan, is damaged, lacks the intensity asked for, or would need more memory than
             it may use.
         ShapeError: if its arrays disagree, there are no returns, or a file of `more` was plainly taken from elsewhere.
-        OptionError: if there is no scan of that index, or the format has no use for an option.
+        OptionError: if there is no scan of that index, or the format does not support an option.
     """
     with begin_scan(
         path, more=more, scan_index=scan_index, origin=origin, intensity=intensity, columns=columns, topic=topic,

@@ -13,7 +13,7 @@ from typing import Any, Generic, TypeVar
 
 import cv2
 
-_THREADS = 2  # NumPy and OpenCV let go of the interpreter for parts of the work only: more threads gain nothing
+_THREADS = 2  # NumPy and OpenCV release the interpreter for parts of the work only: more threads gain nothing
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 _alone: ContextVar[bool] = ContextVar("_alone", default=False)

@@ -344,7 +344,7 @@ def _search_everywhere(
     aligner: Aligner | None
     for number, direction in enumerate(directions):
         given = initial if number == 0 else None
-        aligner = None  # lets go of the channels of the last view before those of the next are made
+        aligner = None  # frees the channels of the last view before those of the next are made
         aligner = search.view(direction, name=number, for_corners=given is None)
         if aligner is None:
             continue

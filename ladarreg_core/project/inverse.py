@@ -64,23 +64,21 @@ def changed_parts(before: Document, after: Document) -> Parts:
     return found
 
 
-def restored(
-    present: Document, before: Document, after: Document, *, whatever_became_of: Collection[Part] = ()
-) -> Document:
+def restored(present: Document, before: Document, after: Document, *, ignore: Collection[Part] = ()) -> Document:
     """Return the present document with what an edit from `before` to `after` touched as it was before.
 
     Args:
         present: the present document.
         before: the document before the edit.
         after: the document after the edit.
-        whatever_became_of: parts that may have changed since.
+        ignore: parts that may have changed since.
 
     Raises:
         ChangedSinceError: if any of it has changed since.
     """
     changes = changed_parts(before, after)
     for part, (_, new) in changes.items():
-        if part not in whatever_became_of and not _same(_value_at(present, part), new):
+        if part not in ignore and not _same(_value_at(present, part), new):
             raise ChangedSinceError(part)
     if ("scan",) in changes:  # rays belong to a scan: none may have been drawn in it since
         for photo in present.photos:

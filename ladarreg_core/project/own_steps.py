@@ -126,7 +126,7 @@ def _inverse(history: History, entry: Entry, author: Author, what: str) -> Docum
     computed: set[Part] = set()
     while True:
         try:
-            return restored(history.document, before, entry.document, whatever_became_of=computed)
+            return restored(history.document, before, entry.document, ignore=computed)
         except ChangedSinceError as error:
             since = _last_change(history, index, error.part)
             if since.automatic and error.part not in computed:

@@ -1,7 +1,7 @@
 """A pose that was written in another convention: inverted, with other camera axes, or with another order of quaternion.
 
-Such a pose is rigid and valid, and only looks elsewhere or stands on its head. It is told from a right one by what the
-camera would see and by which way up it would hold the picture.
+Such a pose is rigid and valid, and only looks elsewhere or is upside down. What the camera would see, and which way up
+it would hold the picture, distinguish it from a correct one.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Fills cells that no beam happened to meet, from the surface around them; holes stay holes."""
+"""Fills cells without a return from the surface around them; holes stay holes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def range_tolerance(ranges: FloatArray) -> FloatArray:
 
 
 def fill_silence(grids: list[FloatArray]) -> int:
-    """Fill cells (grids (H, W): ranges first) that no beam happened to meet; return their number.
+    """Fill cells (grids (H, W): ranges first) without a return; return their number.
 
     Either most of their eight neighbours have a return, all at about one range: a beam there would have met the same
     surface. Or they lie between two lines of a pattern that leaves gaps: the next returns on opposite sides, a few

@@ -36,8 +36,8 @@ _FRONT = 0.01
 class GriddedCloud:
     """A cloud on a grid; of several points in one cell, the nearest to the scanner is kept.
 
-    Where points are strewn (sweeps of a scanner accumulated from one place), cells contain several points of a surface,
-    and their mean.
+    Where points are unordered (sweeps accumulated from one place), cells contain several points of a surface, and their
+    mean.
     """
 
     geometry: TabulatedGrid
@@ -57,9 +57,9 @@ class GriddedCloud:
     rings: int
     """Rings found; 0: none, rows are equal steps."""
     accumulated: bool = False
-    """Whether the points are strewn, so that cells contain the mean of several."""
+    """Whether the points are unordered, so that cells contain the mean of several."""
     filled: int = 0
-    """Cells of an accumulated cloud that no beam met, filled from the surface around them."""
+    """Cells of an accumulated cloud without a return, interpolated from the surface around them."""
 
     @property
     def lost_share(self) -> float:
@@ -74,9 +74,9 @@ class GriddedCloud:
         text = f"the cloud has no grid: points arranged in {height} x {width} cells, {rows}; {share} of them kept"
         if self.accumulated:
             text = (
-                f"the cloud has no grid, and its points are strewn: arranged in {height} x {width} cells with rows and "
-                f"columns of equal angle, of {self.points_in / self.points_kept:.1f} points on average, of which the "
-                "mean is kept"
+                f"the cloud has no grid, and its points are unordered: arranged in {height} x {width} cells with rows "
+                f"and columns of equal angle, of {self.points_in / self.points_kept:.1f} points on average, of which "
+                "the mean is kept"
             )
             if self.filled:
                 text += f"; {self.filled:,} cells between points of one surface were filled"
@@ -238,7 +238,7 @@ class _Plan:
     rings: int = 0
     """Rings found; 0: none."""
     accumulated: bool = False
-    """Whether the points are strewn, as by sweeps added up: cells contain several, whose mean is taken."""
+    """Whether the points are unordered, as in accumulated sweeps: cells contain several, whose mean is taken."""
 
 
 def _arranged(

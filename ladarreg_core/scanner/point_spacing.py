@@ -19,14 +19,14 @@ _WINDOW_POINTS = 6_000
 _STRIP = 0.3
 _REGULAR = 0.5
 _MIN_STREWN = 5_000
-_CLUSTERED = 0.45  # a tenth of strewn points have another one this close, in typical distances; of a raster, none
+_CLUSTERED = 0.45  # a tenth of unordered points have another one this close, in typical distances; of a raster, none
 # One cell in five is empty by chance, and filled; 3 lose detail, 1 smears it: both register worse.
 _POINTS_PER_CELL = 1.5
 _SPARSE = 80
 
 
 def steps_of(longitude: FloatArray, latitude: FloatArray) -> tuple[float, float, bool]:
-    """Return (latitude step, longitude step), rad, from the spacing of the points, and whether these are strewn.
+    """Return (latitude step, longitude step), rad, from the spacing of the points, and whether these are unordered.
 
     The density gives the product of the steps; a regular distance to the next point directly above, or beside, gives
     one of them; otherwise the steps are taken as equal. Strewn points come in clusters and gaps: cells that hold

@@ -199,7 +199,7 @@ def test_accumulated_sweeps_fill_their_cells_and_keep_their_holes() -> None:
     points = in_room(rays[~window], noise_m=0.01)
     cloud = grid_points(points - scanner, brightness(points))
     assert cloud.accumulated
-    assert "strewn" in cloud.describe()
+    assert "unordered" in cloud.describe()
     assert cloud.lost_share < 0.02
     found = cloud.geometry.rays
     towards_window = (np.abs(np.arctan2(found[..., 1], found[..., 0]) - 0.2) < 0.04) & (

@@ -1,4 +1,4 @@
-"""Options for reading a scan: their values are checked, and formats that have no use for one refuse it."""
+"""Options for reading a scan: their values are checked, and formats that do not support one refuse it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a plan that comes from a page may look at: the folders and video devices that the operator of the server named.
+"""What a plan from a page may watch: the folders and video devices that the operator of the server named.
 
 Whether anything else exists is not answered, so that no page can search the computer for folders.
 """

@@ -218,7 +218,7 @@ class Look(WorkbenchCommand, frozen=True):
 
 
 class ReadOnlyLink(WorkbenchCommand, frozen=True):
-    """the token of the link with which others may look"""
+    """the token of the read-only link"""
 
     replies: ClassVar[str] = "token"
 

@@ -172,7 +172,7 @@ class Batches:
         """Return the slice `waiting`.
 
         It is computed without the lock, which a batch holds while its edits are published: whoever publishes at that
-        moment would wait for it for ever.
+        moment would deadlock.
         """
         listed = []
         for file in list(self._waiting.values()):

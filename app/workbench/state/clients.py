@@ -49,7 +49,7 @@ class Client:
     follows: str | None = None
     """Id of the client whose view this person follows."""
     read_only: bool = False
-    """True if this person may look, but not edit."""
+    """True if this client is read-only."""
 
     @property
     def author(self) -> Author:
@@ -78,7 +78,7 @@ class Clients:
         self._known: OrderedDict[str, Client] = OrderedDict()
         self._joined = 0
         self.read_only_token = ""
-        """The token with which others may look; empty if there is none."""
+        """The token of the read-only link; empty if there is none."""
 
     def listen(self, on_change: Callable[[], None]) -> None:
         """Call another function after changes from now on."""

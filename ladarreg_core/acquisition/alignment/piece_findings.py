@@ -10,7 +10,7 @@ import numpy as np
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
 
 WEAK_DEG = 0.01
-"""Standard deviation of an angle beyond which a piece is said to be weak."""
+"""Standard deviation of an angle beyond which a piece is reported as weak."""
 _KNOCKED_MM, _KNOCKED_ROLL_DEG, _KNOCKED_DEG = 1.0, 0.05, 0.5
 _MANY_MADS = 8.0
 _MAD = 1.4826

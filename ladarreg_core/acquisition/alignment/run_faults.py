@@ -18,7 +18,7 @@ from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 
 _MIN_GAIN = 60.0
-"""Chi^2 of six degrees of freedom beyond which a fault is said: what chance and walls that are not flat never reach."""
+"""Chi^2 of six degrees of freedom beyond which a fault is reported: chance and uneven walls never reach it."""
 _MIN_SIZE = (0.001, float(np.radians(0.05)))
 _LARGE = (0.003, float(np.radians(0.1)))
 _CLEARLY_BETTER = 1.3  # times the gain of the next explanation

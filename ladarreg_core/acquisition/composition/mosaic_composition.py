@@ -32,7 +32,7 @@ _MAX_PIECES = 30_000
 
 @dataclass(frozen=True, slots=True)
 class PieceCounts:
-    """What became of the returns of one piece."""
+    """How many returns of one piece were kept, and why others were not."""
 
     returns: int
     """Its returns."""
@@ -46,7 +46,7 @@ class PieceCounts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MosaicComposition:
-    """A scan made of pieces, and what became of them."""
+    """A scan made of pieces, and the counts of each."""
 
     scan: Scan
     """In the unit's world: origin where the axes cross, X ahead at pan 0, Z along the pan axis."""

@@ -24,7 +24,7 @@ _MIN_BESIDE = 0.25  # cells from the centre, for a return to stand in the cell b
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SweepComposition:
-    """A scan made of sweeps, and what became of their returns."""
+    """A scan made of sweeps, and how many of their returns were dropped."""
 
     scan: Scan
     """In the unit's world: origin where the axes cross, X ahead at pan 0, Z along the pan axis."""

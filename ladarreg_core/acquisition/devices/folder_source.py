@@ -161,7 +161,7 @@ class FolderSource:
         return kept
 
     def close(self) -> None:
-        """Let go of the trigger; the folder stays."""
+        """Release the trigger; the folder stays."""
         if self._trigger is not None:
             self._trigger.close()
 

@@ -120,7 +120,7 @@ def read_ply(
             if faces and strength is None and paint is None:
                 raise FormatError(
                     f"it is a mesh of {faces:,} faces whose vertices have {one_line(listed, 60)!r}, neither intensity "
-                    "nor colours, so that it is hardly a scan: export the scan's points"
+                    "nor colours, so it is not a scan: export the scan's points"
                 )
             require_intensity(
                 intensity, has_intensity=strength is not None, has_color=paint is not None, what="its vertices",

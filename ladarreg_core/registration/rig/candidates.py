@@ -32,7 +32,7 @@ class Candidate:
 
 
 def proposed_poses(pair: RigPair, initial: Rigid | None, options: RigOptions) -> tuple[list[tuple[float, Rigid]], bool]:
-    """Return the poses that a pair comes upon when it is registered alone, and whether it is accepted.
+    """Return the poses that a pair finds when it is registered alone, and whether it is accepted.
 
     Args:
         pair: the pair.

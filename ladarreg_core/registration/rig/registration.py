@@ -1,6 +1,6 @@
 """Registers a rig: the pairs of several places are solved together, and each is held out to verify the others.
 
-Each pair is registered alone; what it came upon, accepted or not, is tried on all pairs. The pose that most pairs
+Each pair is registered alone; the poses that it finds, accepted or not, is tried on all pairs. The pose that most pairs
 agree on is refined on these together. Every pair then judges the pose that the others determine without it: a pose
 that is not right for its images agrees there with no more regions than chance, since nothing was fitted to them.
 """
@@ -47,7 +47,7 @@ def register_rig(
     """Estimate the one pose of each camera relative to a scanner from pairs that they took at several places.
 
     Args:
-        pairs: two or more of each camera, told apart by `RigPair.camera_name`; the intrinsics are taken as calibrated.
+        pairs: two or more of each camera, by `RigPair.camera_name`; the intrinsics are taken as calibrated.
         initial: a rough pose, `camera_from_scanner`; of several cameras, by their names.
         options: seed and thresholds.
         report: receives every finished `Step`; may raise `Cancelled`.

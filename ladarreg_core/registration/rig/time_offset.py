@@ -3,8 +3,8 @@
 Where a rig moves, a photograph that was taken earlier or later than a scan shows another view. Each scan is therefore
 paired with the photographs before and after its own, shifted alike for all pairs, and the pose is refined for each
 shift: the correlation of the images has its maximum where both were taken at one moment. A rig that stands shows the
-same at every shift, and nothing can be told. Nor can an offset be told apart from a displacement of the camera where
-all pairs move alike.
+same at every shift, and nothing can be determined. Nor can an offset be distinguished from a displacement of the camera
+where all pairs move alike.
 """
 
 from __future__ import annotations
