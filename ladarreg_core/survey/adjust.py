@@ -464,7 +464,8 @@ class _Run:
         body, ties = bodies.photos[k], count_ties(adjusted, bodies, k)
         scans = tuple(self.survey.scans[scan].id for scan in sorted(state.pairs))
         partners = tuple(names[one] for one in ties.partners)
-        tied = f"{ties.agree} ties with {len(partners)} other photographs agree" if ties.agree else "it shares no ties"
+        others = f"{len(partners)} other photograph{'' if len(partners) == 1 else 's'}"
+        tied = f"{ties.agree} ties with {others} agree" if ties.agree else "it shares no ties"
         said = (
             f"The image of {' and of '.join(scans)} verifies it; {tied}."
             if state.by_image

@@ -63,9 +63,10 @@ class TieCount:
         known = [one for one in self.partners if one in verified]
         if self.agree >= MIN_TIES and self.cells >= MIN_CELLS and len(known) >= MIN_PARTNERS:
             return ""
+        with_photos = f"{len(known)} verified photograph{'' if len(known) == 1 else 's'}"
         return (
             f"No scan's image verifies it, and {self.agree} ties in {self.cells} places of {CELL_PX:.0f} px with "
-            f"{len(known)} verified photographs are too few: {MIN_TIES} in {MIN_CELLS} with {MIN_PARTNERS} are needed."
+            f"{with_photos} are too few: {MIN_TIES} in {MIN_CELLS} with {MIN_PARTNERS} are needed."
         )
 
 
