@@ -46,11 +46,12 @@ from ladarreg_core.survey.adjustment import (
 )
 from ladarreg_core.survey.build import Bodies, build_problem, camera_unknowns, pair_factor, with_ties
 from ladarreg_core.survey.features import propose_pairs
+from ladarreg_core.survey.parts import SurveyCamera, SurveyPhoto, listed_faults
 from ladarreg_core.survey.placement import PhotoState, Placement
 from ladarreg_core.survey.problem import CameraUnknowns, Problem, RelativePose
 from ladarreg_core.survey.solver import Adjusted, solve
 from ladarreg_core.survey.stations import place_stations
-from ladarreg_core.survey.survey import Survey, SurveyCamera, SurveyPhoto, listed_faults
+from ladarreg_core.survey.survey import Survey
 from ladarreg_core.survey.verdicts import (
     Solution,
     TakenOut,
