@@ -154,7 +154,7 @@ def _unknowns(camera: SurveyCamera, states: Sequence[PhotoState]) -> CameraUnkno
         assert base is not None, "a camera without photographs is not part of the problem"
         return CameraUnknowns(base, _WORLD_CAMERA, _WORLD_CAMERA, np.zeros((0, 0)))
     turn = turn_of(first.orientation)
-    values = turn.T @ (_values(pinhole) - _middle(pinhole))
+    values: Matrix = turn.T @ (_values(pinhole) - _middle(pinhole))
     sigmas = (DEFAULT_CAMERA_PRIOR if first.assumed else CALIBRATED_CAMERA_PRIOR).sigmas(pinhole)
     prior = np.array([sigmas.get(name, _KNOWN) for name in INTRINSICS])
     covariance = np.diag(prior**2)

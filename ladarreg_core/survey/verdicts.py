@@ -155,7 +155,8 @@ def largest_shift(before: Adjusted, bodies: Bodies, after: Adjusted, left: Bodie
     for photo, body in left.photos.items():
         off = pose_difference(before.problem.poses[bodies.photos[photo]], after.problem.poses[body])
         covariance = after.covariance_of(body)
-        sigmas = float(np.sqrt(max(off @ np.linalg.pinv(covariance, hermitian=True) @ off, 0.0) / 6))
+        squared = float(off @ np.linalg.pinv(covariance, hermitian=True) @ off)
+        sigmas = float(np.sqrt(max(squared, 0.0) / 6))
         if sigmas > largest:
             largest, which = sigmas, photo
     return largest, which
