@@ -143,10 +143,11 @@ def audits(count: int, first_seed: int) -> list[str]:
     lines = []
     for (degrees, millimetres), outcomes in seen.items():
         wrong, unknown = (sum(one == what for one, _ in outcomes) for what in ("wrong", "undecidable"))
-        promised = float(np.nanmean([power for _, power in outcomes]))
+        promised, of = float(np.nanmean([power for _, power in outcomes])), len(outcomes)
+        within = 2 * np.sqrt(promised * (1 - promised) / of)
         lines.append(
-            f"{degrees:g} deg, {millimetres:g} mm: seen {wrong} of {len(outcomes)} ({wrong / len(outcomes):.2f}; promised "
-            f"{promised:.2f} +- {2 * np.sqrt(promised * (1 - promised) / len(outcomes)):.2f}), undecidable {unknown}"
+            f"{degrees:g} deg, {millimetres:g} mm: seen {wrong} of {of} ({wrong / of:.2f}; promised {promised:.2f} +- "
+            f"{within:.2f}), undecidable {unknown}"
         )
     return lines
 
