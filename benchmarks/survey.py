@@ -1,12 +1,16 @@
 """Surveys: photographs solved together against one by one, with the error, the covariance and the verdict of each.
 
     python -m benchmarks.survey [--rooms 8] [--first-seed 100] [--photos 12] [--close-ups 4] [--alone] [--journal FILE]
+    python -m benchmarks.survey --audit 50 [--first-seed 100]
 
 Each room is scanned from two stations and photographed by two cameras whose stated focal lengths are 1 to 3 % wrong;
 one photograph is of another room, and close-ups show parts at several times the scale. Errors are of the pose in the
 frame of the first scanner: distance of the camera's centre, median displacement of the laser's points in the
 photograph, and the Mahalanobis distance by the stated covariance / sqrt 6, whose root mean square is 1 where that is
 right. `--alone` registers each photograph by itself, too. A journal keeps what was done, so that a run can go on.
+
+`--audit` judges poses that are off by known rotations or displacements in random directions: how often each size is
+called wrong, beside the power that the audit promises for that error; and right poses, of which one in twenty may be.
 """
 
 from __future__ import annotations
@@ -26,6 +30,8 @@ import ladarreg_core as lr
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.survey.adjustment import Adjustment
+from ladarreg_core.survey.audit import power_of
+from ladarreg_core.survey.problem import moved_pose
 from testing.scenes.survey_set import SurveySet, TakenPhoto, simulate_survey, write_survey_set
 
 SCENES = ("office", "boxes", "desk", "people")
@@ -107,6 +113,45 @@ def table(rows: Sequence[dict[str, Any]]) -> list[str]:
     return lines
 
 
+AUDITED = (
+    (0.0, 0.0),
+    (0.02, 0.0),
+    (0.1, 0.0),
+    (0.5, 0.0),
+    (2.0, 0.0),
+    (0.0, 1.0),
+    (0.0, 5.0),
+    (0.0, 20.0),
+    (0.0, 100.0),
+)
+"""Errors that are injected: degrees and millimetres."""
+
+
+def audits(count: int, first_seed: int) -> list[str]:
+    """Return a line for each size of an error: how often it was seen, and how often that was promised."""
+    seen: dict[tuple[float, float], list[tuple[str, float]]] = {size: [] for size in AUDITED}
+    for seed in range(first_seed, first_seed + count):
+        case = lr.simulate_case(SCENES[seed % len(SCENES)], seed=seed)
+        rng = np.random.default_rng([seed, 5])
+        for degrees, millimetres in AUDITED:
+            direction = rng.normal(0, 1, 3)
+            direction /= np.linalg.norm(direction)
+            error = np.concatenate([np.radians(degrees) * direction, millimetres / 1000 * direction])
+            found = lr.audit(case.scan, case.photo, moved_pose(case.camera_from_scanner, error))
+            promised = power_of(found.covariance, error) if found.corrected is not None else float("nan")
+            seen[degrees, millimetres].append((found.outcome, promised))
+    lines = []
+    for (degrees, millimetres), outcomes in seen.items():
+        wrong, unknown = (sum(one == what for one, _ in outcomes) for what in ("wrong", "undecidable"))
+        promised, of = float(np.nanmean([power for _, power in outcomes])), len(outcomes)
+        within = 2 * np.sqrt(promised * (1 - promised) / of)
+        lines.append(
+            f"{degrees:g} deg, {millimetres:g} mm: seen {wrong} of {of} ({wrong / of:.2f}; promised {promised:.2f} +- "
+            f"{within:.2f}), undecidable {unknown}"
+        )
+    return lines
+
+
 def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -118,7 +163,11 @@ def main() -> None:
     parser.add_argument("--step-deg", type=float, default=0.2)
     parser.add_argument("--alone", action="store_true")
     parser.add_argument("--journal", type=Path)
+    parser.add_argument("--audit", type=int, default=0)
     asked = parser.parse_args()
+    if asked.audit:
+        print("\n".join(audits(asked.audit, asked.first_seed)))
+        return
     rows: list[dict[str, Any]] = []
     if asked.journal is not None and asked.journal.exists():
         rows = [json.loads(line) for line in asked.journal.read_text(encoding="utf-8").splitlines()]

@@ -79,10 +79,10 @@ if TYPE_CHECKING:
     from ladarreg_core.survey.audit import Audit as Audit
     from ladarreg_core.survey.audit import audit as audit
     from ladarreg_core.survey.outputs import write_adjustment as write_adjustment
+    from ladarreg_core.survey.parts import SurveyCamera as SurveyCamera
+    from ladarreg_core.survey.parts import SurveyPhoto as SurveyPhoto
+    from ladarreg_core.survey.parts import SurveyScan as SurveyScan
     from ladarreg_core.survey.survey import Survey as Survey
-    from ladarreg_core.survey.survey import SurveyCamera as SurveyCamera
-    from ladarreg_core.survey.survey import SurveyPhoto as SurveyPhoto
-    from ladarreg_core.survey.survey import SurveyScan as SurveyScan
 
 __version__ = VERSION
 
@@ -123,9 +123,9 @@ _HOMES = {
     "StationPair": "registration.stations.results",
     "Step": "progress",
     "Survey": "survey.survey",
-    "SurveyCamera": "survey.survey",
-    "SurveyPhoto": "survey.survey",
-    "SurveyScan": "survey.survey",
+    "SurveyCamera": "survey.parts",
+    "SurveyPhoto": "survey.parts",
+    "SurveyScan": "survey.parts",
     "ThesisParameters": "frames",
     "View": "surface.perspective",
     "adjust": "survey.adjust",

@@ -16,9 +16,8 @@ from ..progress_bar import progress_bar
 
 EXAMPLES = (
     "ladarreg adjust survey.json -o results",
-    "# the scans and photos of a folder; after an interruption, the same command goes on:",
+    "# a folder; after an interruption, the same command goes on:",
     "ladarreg adjust job -o results --processes 4",
-    "ladarreg export results --to colmap -o colmap",
 )
 
 

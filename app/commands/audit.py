@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ladarreg_core.camera import CameraModel
 
 EXAMPLES = (
-    "ladarreg audit scan.e57 photo.jpg --camera camera.json --pose calibration.json",
+    "ladarreg audit scan.e57 photo.jpg --camera camera.json --pose pose.json",
     "# a registration of last month, against the images of today:",
     "ladarreg audit scan.e57 photo.jpg --pose results/registration.json",
 )

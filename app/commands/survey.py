@@ -13,8 +13,8 @@ from ..messages import one_line
 from ..progress_bar import progress_bar
 
 EXAMPLES = (
+    "ladarreg survey job",
     "ladarreg survey job -o job/survey.json",
-    "ladarreg adjust job/survey.json -o results",
 )
 
 

@@ -25,7 +25,6 @@ from ladarreg_core.batch.cache import ContentCache
 from ladarreg_core.batch.executor import WorkerProcesses, usable_cores
 from ladarreg_core.batch.photo_task import ScanFiles
 from ladarreg_core.camera import CameraModel
-from ladarreg_core.camera.uncertainty import INTRINSICS
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
 from ladarreg_core.export.json import input_document, plain
 from ladarreg_core.formats import read_scan
@@ -36,21 +35,16 @@ from ladarreg_core.progress import Progress, Report, part_of
 from ladarreg_core.registration.register import RegisterOptions
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
-from ladarreg_core.survey.adjustment import (
-    AdjustedCamera,
-    AdjustedPhoto,
-    AdjustedScan,
-    Adjustment,
-    TieResidual,
-    scan_covariance,
-)
+from ladarreg_core.survey.adjustment import Adjustment
+from ladarreg_core.survey.assembly import adjustment_of
 from ladarreg_core.survey.build import Bodies, build_problem, camera_unknowns, pair_factor, with_ties
 from ladarreg_core.survey.features import propose_pairs
+from ladarreg_core.survey.parts import SurveyCamera, SurveyPhoto, listed_faults
 from ladarreg_core.survey.placement import PhotoState, Placement
 from ladarreg_core.survey.problem import CameraUnknowns, Problem, RelativePose
 from ladarreg_core.survey.solver import Adjusted, solve
 from ladarreg_core.survey.stations import place_stations
-from ladarreg_core.survey.survey import Survey, SurveyCamera, SurveyPhoto, listed_faults
+from ladarreg_core.survey.survey import Survey
 from ladarreg_core.survey.verdicts import (
     Solution,
     TakenOut,
@@ -62,10 +56,8 @@ from ladarreg_core.survey.verdicts import (
 )
 from ladarreg_core.survey.work import PairTask, PhotoFiles, pair_matches, photo_features, registered, verified_by_colors
 
-_UNKNOWN = np.full((6, 6), np.nan)
 _DIFFERS = 27.9  # squared Mahalanobis distance with 6 degrees of freedom, exceeded once in 10,000
 _ROUGH_RAD, _ROUGH_M = float(np.radians(0.02)), 0.001  # what the colours' own poses may be off
-_MAX_SHOWN = 60
 _STAGES = {"scans": 0.05, "stations": 0.12, "features": 0.2, "matches": 0.3, "photos": 0.65, "adjust": 0.72,
            "refine": 0.9, "verify": 1.0}  # fmt: skip
 """Share of the whole that is done after each stage."""
@@ -120,6 +112,8 @@ def solve_survey(
     o = RegisterOptions() if options is None else require_type(options, RegisterOptions, "'options'")
     if processes is not None and processes < 1:
         raise OptionError(f"the number of `processes` is {processes}; it must be at least 1")
+    used = {photo.camera for photo in survey.photos}
+    survey = replace(survey, cameras=tuple(one for one in survey.cameras if one.id in used))
     with ExitStack() as stack:
         kept = cache or ContentCache(stack.enter_context(tempfile.TemporaryDirectory(prefix="ladarreg-")))
         workers = stack.enter_context(WorkerProcesses(processes or usable_cores()))
@@ -167,7 +161,10 @@ class _Run:
         second, bodies = self._refined(placement, first, bodies, factors)
         self._begin("verify")
         solution, refused = self._judged(placement, second, bodies)
-        return Solved(self._adjustment(placement, solution, refused), tuple(states), tuple(files))
+        adjustment = adjustment_of(
+            self.survey, placement, solution, refused, options=plain(asdict(self.options)), inputs=self.inputs
+        )
+        return Solved(adjustment, tuple(states), tuple(files))
 
     # -- what is given ---------------------------------------------------------------------------------------------
 
@@ -417,77 +414,7 @@ class _Run:
             )
         return _contradicted_by(result, pose, adjusted.covariance_of(body))
 
-    # -- the result ------------------------------------------------------------------------------------------------
-
-    def _adjustment(
-        self, placement: Placement, solution: Solution, refused: Mapping[int, tuple[str, ...]]
-    ) -> Adjustment:
-        adjusted, bodies, states = solution.adjusted, solution.bodies, placement.states
-        names = [one.given.id for one in states]
-        scans = {given.id: self._scan(placement, adjusted, bodies, k) for k, given in enumerate(self.survey.scans)}
-        photos = {names[k]: self._photo(placement, solution, refused, k, names) for k in range(len(states))}
-        placed = [(given.id, bodies.scans[k]) for k, given in enumerate(self.survey.scans) if bodies.scans[k] >= 0]
-        order = [
-            *(("scan", name, body) for name, body in placed),
-            *(("photo", names[k], body) for k, body in sorted(bodies.photos.items())),
-        ]
-        joint = np.block([
-            [adjusted.covariance_between(a, b) for *_, b in order] for *_, a in order
-        ]) if order else np.zeros((0, 0))  # fmt: skip
-        return Adjustment(
-            scans=scans, cameras=self._cameras(adjusted, photos), photos=photos, chi2_per_dof=adjusted.chi2_per_dof,
-            sigma_px=adjusted.sigma_px, joint=joint, joint_ids=tuple((kind, name) for kind, name, _ in order),
-            residuals=_worst_ties(adjusted, bodies, names), options=plain(asdict(self.options)), inputs=self.inputs,
-        )  # fmt: skip
-
-    def _scan(self, placement: Placement, adjusted: Adjusted, bodies: Bodies, scan: int) -> AdjustedScan:
-        station, body = placement.stations.each[scan], bodies.scans[scan]
-        if body < 0:
-            return AdjustedScan(world_from_scanner=None, covariance=_UNKNOWN, fixed=False, reasons=station.reasons)
-        return AdjustedScan(
-            world_from_scanner=adjusted.problem.poses[body].inverse, covariance=scan_covariance(adjusted, body),
-            fixed=station.fixed, reasons=station.reasons,
-        )  # fmt: skip
-
-    def _photo(
-        self, placement: Placement, solution: Solution, refused: Mapping[int, tuple[str, ...]], k: int,
-        names: list[str],
-    ) -> AdjustedPhoto:  # fmt: skip
-        adjusted, bodies, state = solution.adjusted, solution.bodies, placement.states[k]
-        if k not in bodies.photos:
-            taken = solution.taken_out.get(k)
-            reasons = refused.get(k) or ((taken.reason,) if taken else state.reasons) or ("Nothing is known of it.",)
-            return AdjustedPhoto(
-                camera_from_world=None, covariance=_UNKNOWN, camera=state.camera, evidence="none", reasons=reasons,
-                moved_others_sigmas=None if taken is None else taken.moved_others_sigmas,
-            )  # fmt: skip
-        body, ties = bodies.photos[k], count_ties(adjusted, bodies, k)
-        scans = tuple(self.survey.scans[scan].id for scan in sorted(state.pairs))
-        partners = tuple(names[one] for one in ties.partners)
-        tied = f"{ties.agree} ties with {len(partners)} other photographs agree" if ties.agree else "it shares no ties"
-        said = (
-            f"The image of {' and of '.join(scans)} verifies it; {tied}."
-            if state.by_image
-            else f"No scan's image verifies it by itself; {tied}, and the colours of the surface verify it."
-        )
-        return AdjustedPhoto(
-            camera_from_world=adjusted.problem.poses[body], covariance=adjusted.covariance_of(body),
-            camera=adjusted.problem.camera_of(body), evidence="image" if state.by_image else "ties", reasons=(said,),
-            scans=scans, ties=ties.agree, ties_left_out=ties.left_out, partners=partners, median_px=ties.median_px,
-        )  # fmt: skip
-
-    def _cameras(self, adjusted: Adjusted, photos: Mapping[str, AdjustedPhoto]) -> dict[str, AdjustedCamera]:
-        found = {}
-        for k, given in enumerate(self.survey.cameras):
-            own = [one for one in self.survey.photos if one.camera == given.id]
-            taken = tuple(one.id for one in own if photos[one.id].accepted)
-            unknowns = adjusted.problem.cameras[k]
-            shown = photos[taken[0]].camera if taken else unknowns.base
-            found[given.id] = AdjustedCamera(
-                camera=shown, names=INTRINSICS if unknowns.size else (), covariance=adjusted.camera_covariance(k),
-                photos=taken,
-            )  # fmt: skip
-        return found
+    # -- cameras -------------------------------------------------------------------------------------------------
 
     def _cameras_now(self, adjusted: Adjusted) -> dict[str, CameraUnknowns]:
         return dict(zip((one.id for one in self.survey.cameras), adjusted.problem.cameras, strict=True))
@@ -554,28 +481,6 @@ def _contradicted_by(result: Registration, pose: Rigid, covariance: Any) -> str:
         f"The colours of the surface verify another pose, {1000 * np.linalg.norm(off[3:]):.0f} mm and "
         f"{np.degrees(np.linalg.norm(off[:3])):.2f} deg away."
     )
-
-
-def _worst_ties(adjusted: Adjusted, bodies: Bodies, names: list[str]) -> tuple[TieResidual, ...]:
-    """Return the ties with the largest residuals, largest first."""
-    ties, residual = adjusted.problem.ties, adjusted.tie_residuals_px
-    length = np.nan_to_num(np.linalg.norm(residual, axis=1), nan=np.inf)
-    photo_of, found, seen = bodies.photo_of, [], set()
-    for k in np.argsort(-length, kind="stable").tolist():
-        point = int(ties.point[k])
-        if point in seen or not np.isfinite(length[k]):
-            continue
-        seen.add(point)
-        rows = np.flatnonzero(ties.point == point)
-        found.append(
-            TieResidual(
-                photos=tuple(names[photo_of[body]] for body in ties.photo[rows].tolist()), uv=ties.uv[rows],
-                residual_px=residual[rows],
-            )
-        )  # fmt: skip
-        if len(found) == _MAX_SHOWN:
-            break
-    return tuple(found)
 
 
 def _digest(array: Any) -> str:

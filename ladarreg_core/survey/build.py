@@ -12,9 +12,10 @@ from ladarreg_core.camera import CameraModel
 from ladarreg_core.camera.uncertainty import CALIBRATED_CAMERA_PRIOR, DEFAULT_CAMERA_PRIOR, INTRINSICS
 from ladarreg_core.frames import Rigid
 from ladarreg_core.results import Registration
+from ladarreg_core.survey.parts import SurveyCamera
 from ladarreg_core.survey.placement import PhotoState, Placement
 from ladarreg_core.survey.problem import WORLD, CameraUnknowns, Matrix, PhotoView, Problem, RelativePose, Ties
-from ladarreg_core.survey.survey import Survey, SurveyCamera
+from ladarreg_core.survey.survey import Survey
 from ladarreg_core.survey.ties import tie_points
 
 _KNOWN = 1e-6  # relative standard deviation of an intrinsic that is not estimated
@@ -153,7 +154,7 @@ def _unknowns(camera: SurveyCamera, states: Sequence[PhotoState]) -> CameraUnkno
         assert base is not None, "a camera without photographs is not part of the problem"
         return CameraUnknowns(base, _WORLD_CAMERA, _WORLD_CAMERA, np.zeros((0, 0)))
     turn = turn_of(first.orientation)
-    values = turn.T @ (_values(pinhole) - _middle(pinhole))
+    values: Matrix = turn.T @ (_values(pinhole) - _middle(pinhole))
     sigmas = (DEFAULT_CAMERA_PRIOR if first.assumed else CALIBRATED_CAMERA_PRIOR).sigmas(pinhole)
     prior = np.array([sigmas.get(name, _KNOWN) for name in INTRINSICS])
     covariance = np.diag(prior**2)

@@ -23,8 +23,8 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.registration.register import RegisterOptions
 from ladarreg_core.results import Registration
 from ladarreg_core.survey.features import Features
+from ladarreg_core.survey.parts import SurveyPhoto
 from ladarreg_core.survey.stations import Stations
-from ladarreg_core.survey.survey import SurveyPhoto
 from ladarreg_core.survey.ties import LaserPoints
 from ladarreg_core.survey.work import PairTask, PhotoFiles, laser_under, registered
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ladarreg_core.camera import Camera, CameraModel
+from ladarreg_core.camera import CameraModel
 from ladarreg_core.camera.uncertainty import INTRINSICS, pose_jacobian
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.frames import Rigid, rotvec_from_rotation, skew
@@ -223,11 +223,12 @@ def tie_residuals(problem: Problem) -> tuple[Matrix, Matrix, Matrix, Matrix]:
         by_pose[rows], by_point[rows] = J, -J[..., 3:]  # a point moves against the camera's centre
         assert view is not None
         if problem.cameras[view.camera].size:
-            assert isinstance(camera, Camera)
+            pinhole = camera.as_pinhole
+            assert pinhole is not None, "only the intrinsics of pinholes are estimated"
             p = pose @ points
             with np.errstate(invalid="ignore", divide="ignore"):
-                of_upright = camera.intrinsics_jacobian(p[:, :2] / p[:, 2:])
-            of_upright[..., 0] /= camera.focal_px
+                of_upright = pinhole.intrinsics_jacobian(p[:, :2] / p[:, 2:])
+            of_upright[..., 0] /= pinhole.focal_px
             by_camera[rows] = of_upright @ view.turn
     return residual, by_pose, by_camera, by_point
 

@@ -41,7 +41,7 @@ def survey_page(adjustment: Adjustment, survey: Survey, pictures: Mapping[str, s
     body = [
         tag("header", tag("h1", title), tag("p", badge)),
         section("map", "Map", *_map(adjustment)),
-        section("photographs", "Photographs", _photos(adjustment, pictures)),
+        section("photographs", "Photographs", _photos(adjustment, survey, pictures)),
         section("cameras", "Cameras", _cameras(adjustment)),
         section("scans", "Scans", _scans(adjustment)),
         section("residuals", "Ties that disagree most", _residuals(adjustment)),
@@ -134,17 +134,19 @@ def _ellipse(covariance: Matrix) -> tuple[tuple[float, float], float]:
     return (float(half[1]), float(half[0])), float(np.arctan2(vectors[1, 1], vectors[0, 1]))
 
 
-def _photos(adjustment: Adjustment, pictures: Mapping[str, str]) -> Html:
+def _photos(adjustment: Adjustment, survey: Survey, pictures: Mapping[str, str]) -> Html:
     """Return the table of the photographs: those that are not accepted first, then by their standard deviation."""
     rows = sorted(adjustment.photos.items(), key=lambda item: (item[1].accepted, -_size(item[1])))
-    return tag("table", tag("tbody", [_row(name, one, pictures.get(name, "")) for name, one in rows]), class_="photos")
+    cameras = {one.id: one.camera for one in survey.photos}
+    found = [_row(name, one, pictures.get(name, ""), cameras[name]) for name, one in rows]
+    return tag("table", tag("tbody", found), class_="photos")
 
 
 def _size(one: AdjustedPhoto) -> float:
     return one.sigma_position_m if one.accepted else 0.0
 
 
-def _row(name: str, one: AdjustedPhoto, picture: str) -> Html:
+def _row(name: str, one: AdjustedPhoto, picture: str, camera: str) -> Html:
     kind, words = ("ok", one.evidence) if one.accepted else ("bad", "not accepted")
     image: Content = tag("img", src=DataUri(f"data:image/jpeg;base64,{picture}"), alt=name) if picture else ""
     text: list[Content] = [
@@ -160,7 +162,7 @@ def _row(name: str, one: AdjustedPhoto, picture: str) -> Html:
         )
         text.append(tag("p", tag("a", "Results", href=f"photos/{name}/{REPORT_FILE}")))
     text.append(tag("ul", [tag("li", reason) for reason in one.reasons]))
-    return tag("tr", tag("td", image), tag("td", *text))
+    return tag("tr", tag("td", image), tag("td", *text), tag("td", camera, class_="dim"))
 
 
 def _cameras(adjustment: Adjustment) -> Html:

@@ -15,10 +15,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import csr_matrix
 
 from ladarreg_core.foundations.arrays import BoolArray, IntArray
 from ladarreg_core.survey.problem import (
@@ -29,6 +28,9 @@ from ladarreg_core.survey.problem import (
     surface_residuals,
     tie_residuals,
 )
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
 
 _GRADUATION = (30.0, 10.0, 4.0, 2.0, 1.0)
 """Widths of the loss, relative to the last one."""
@@ -256,6 +258,8 @@ class _System:
 
     def step(self, damping: float) -> tuple[Matrix, Matrix]:
         """Return the step of the unknowns (Y,) and of the points (P, 3)."""
+        from scipy.linalg import cho_factor, cho_solve
+
         S = self.reduced + damping * np.diag(np.diag(self.reduced))
         y = cho_solve(cho_factor(S), self.right) if len(S) else np.zeros(0)
         back = self.right_points - (self.mixed.T @ y).reshape(-1, 3)
@@ -269,6 +273,8 @@ class _System:
         few regions determine a pose. It is never less than what independent ties would give, if all counted less by as
         much as regions scatter more: a close-up lies in one region or two, which say nothing of their own scatter.
         """
+        from scipy.linalg import cho_factor, cho_solve
+
         if not len(self.reduced):
             return np.zeros((0, 0))
         bread = cho_solve(cho_factor(self.reduced), np.eye(len(self.reduced)))
@@ -384,6 +390,8 @@ def _no_less(found: Matrix, least: Matrix) -> Matrix:
 
 def _sparse(rows: Matrix, columns: IntArray, size: int) -> csr_matrix:
     """Return rows (N, C) at columns (N, C) of a matrix (N, size); the column `size` is dropped."""
+    from scipy.sparse import csr_matrix
+
     at = np.repeat(np.arange(len(rows)), rows.shape[1])
     whole = csr_matrix((rows.ravel(), (at, columns.ravel())), shape=(len(rows), size + 1))
     return whole[:, :size]
@@ -391,6 +399,8 @@ def _sparse(rows: Matrix, columns: IntArray, size: int) -> csr_matrix:
 
 def _mixed(blocks: Matrix, columns: IntArray, point: IntArray, size: int, count: int) -> csr_matrix:
     """Return blocks (N, C, 3) at rows (N, C) and the columns of points (N,), of (size, 3 count)."""
+    from scipy.sparse import csr_matrix
+
     n, c = columns.shape
     rows = np.repeat(columns.ravel(), 3)
     at = (3 * point[:, None, None] + np.arange(3)).repeat(c, axis=1).ravel()
@@ -398,6 +408,8 @@ def _mixed(blocks: Matrix, columns: IntArray, point: IntArray, size: int, count:
 
 
 def _block_diagonal(blocks: Matrix) -> csr_matrix:
+    from scipy.sparse import csr_matrix
+
     count = len(blocks)
     rows = np.repeat(np.arange(3 * count), 3)
     columns = (3 * np.arange(count)[:, None, None] + np.arange(3)).repeat(3, axis=1).ravel()

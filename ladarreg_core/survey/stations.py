@@ -12,8 +12,8 @@ from ladarreg_core.progress import Report
 from ladarreg_core.registration.stations.registration import register_scans
 from ladarreg_core.registration.stations.results import StationPair
 from ladarreg_core.scan import Scan
+from ladarreg_core.survey.parts import SurveyScan
 from ladarreg_core.survey.problem import Matrix, RelativePose
-from ladarreg_core.survey.survey import SurveyScan
 
 _FLOOR = np.diag([float(np.radians(0.002)) ** 2] * 3 + [2e-4**2] * 3)  # pairs share surfaces, and none is quite flat
 

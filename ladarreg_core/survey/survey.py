@@ -1,108 +1,19 @@
-"""`Survey`: what was measured at a place, and what is known of it beforehand."""
+"""`Survey`: scans, cameras and photographs of one place."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
 
-import numpy as np
-
-from ladarreg_core.camera import CameraModel
-from ladarreg_core.camera.uncertainty import INTRINSICS
 from ladarreg_core.errors import OptionError
-from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.export.registered_scan import photo_id
 from ladarreg_core.frames import Rigid
 from ladarreg_core.photo import Photo
+from ladarreg_core.progress import Report
 from ladarreg_core.scan import Scan
-
-if TYPE_CHECKING:
-    from ladarreg_core.progress import Report
-
-Estimate = Literal["auto", "none"] | tuple[str, ...]
-"""Which intrinsics of a camera are estimated: all where nothing but an assumption is known, none, or those named."""
-_MAX_LISTED = 20
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class SurveyScan:
-    """A scan of a survey."""
-
-    id: str
-    """Unique among the scans."""
-    source: Path | Scan
-    """Its file, or the scan itself."""
-    index: int = 0
-    """Which scan of the file."""
-    options: Mapping[str, Any] = field(default_factory=dict)
-    """Further arguments of `read_scan`."""
-    world_from_scanner: Rigid | None = None
-    """Where it stood, if that is known; None: what the file states, if it does."""
-    fixed: bool = False
-    """Whether it keeps that pose."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class SurveyCamera:
-    """A camera that one photograph or several were taken with."""
-
-    id: str
-    """Unique among the cameras."""
-    source: Path | CameraModel | None = None
-    """Its file, or the camera of upright pixels; None: what the photographs' EXIF states."""
-    options: Mapping[str, Any] = field(default_factory=dict)
-    """Further arguments of `read_photo`, such as `focal_px`."""
-    estimate: Estimate = "auto"
-    """Which intrinsics are estimated."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class PosePrior:
-    """What is known of where a photograph was taken, as by GNSS or a total station."""
-
-    pose: Rigid
-    """`camera_from_world`; of a position alone only its centre counts."""
-    covariance: FloatArray
-    """(6, 6) of (w, c) in the world; of a position alone infinite for w."""
-
-    @property
-    def is_position(self) -> bool:
-        """Whether the direction is unknown."""
-        return not bool(np.isfinite(self.covariance).all())
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RigMember:
-    """That a photograph was taken by a sensor of a rig, together with others of the same frame."""
-
-    id: str
-    """The rig."""
-    frame: str
-    """The moment."""
-    sensor: str
-    """The sensor; all photographs of one have the same pose in the rig."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class SurveyPhoto:
-    """A photograph of a survey."""
-
-    id: str
-    """Unique among the photographs, and name of its folder of results."""
-    source: Path | Photo
-    """Its file, or the photograph itself."""
-    camera: str
-    """Id of its camera."""
-    initial: Rigid | None = None
-    """A rough `camera_from_world`."""
-    prior: PosePrior | None = None
-    """What is known of its pose."""
-    matches: Path | None = None
-    """File of matches with the first scan, from a hand or another program."""
-    rig: RigMember | None = None
-    """Its place in a rig."""
+from ladarreg_core.survey.parts import SurveyCamera, SurveyParts, SurveyPhoto, SurveyScan, faults_of, listed_faults
+from ladarreg_core.survey.survey_file import read_survey_parts, survey_parts_of_folder, write_survey
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -135,9 +46,7 @@ class Survey:
         Raises:
             FormatError: if the file has faults; all are listed, files that are missing among them.
         """
-        from ladarreg_core.survey.survey_file import read_survey
-
-        return Survey.from_folder(path) if Path(path).is_dir() else read_survey(path)
+        return Survey.from_folder(path) if Path(path).is_dir() else _of_parts(read_survey_parts(path))
 
     @staticmethod
     def from_folder(folder: str | Path, *, report: Report | None = None) -> Survey:
@@ -148,9 +57,7 @@ class Survey:
         Raises:
             OptionError: if it has no scan or no photograph, or cannot be listed.
         """
-        from ladarreg_core.survey.survey_file import survey_of_folder
-
-        return survey_of_folder(folder, report=report)
+        return _of_parts(survey_parts_of_folder(folder, report=report))
 
     @staticmethod
     def of(scans: Sequence[Scan], photos: Sequence[Photo], *, cameras: Sequence[int] | None = None) -> Survey:
@@ -180,103 +87,15 @@ class Survey:
         Raises:
             ExportError: if it cannot be written, or a scan or photograph has no file.
         """
-        from ladarreg_core.survey.survey_file import write_survey
-
         write_survey(path, self)
 
 
-class SurveyParts(Protocol):
-    """What a survey consists of, also before it is one."""
-
-    @property
-    def scans(self) -> Sequence[SurveyScan]:
-        """The scans."""
-
-    @property
-    def cameras(self) -> Sequence[SurveyCamera]:
-        """The cameras."""
-
-    @property
-    def photos(self) -> Sequence[SurveyPhoto]:
-        """The photographs."""
-
-    @property
-    def rigs(self) -> Mapping[str, Mapping[str, Rigid | None]]:
-        """The rigs."""
-
-
-def faults_of(parts: SurveyParts) -> list[str]:
-    """Return what is wrong with the parts of a survey, a clause each."""
-    return [*_faults_of_ids(parts), *_faults_of_references(parts), *_faults_of_values(parts)]
-
-
-def listed_faults(what: str, faults: Sequence[str]) -> str:
-    """Return faults as one sentence."""
-    shown = "; ".join(faults[:_MAX_LISTED]) + (
-        f"; and {len(faults) - _MAX_LISTED} more" if len(faults) > _MAX_LISTED else ""
-    )
-    return f"{what} has {len(faults)} fault{'' if len(faults) == 1 else 's'}, and nothing was done: {shown}"
+def _of_parts(parts: SurveyParts) -> Survey:
+    return Survey(scans=tuple(parts.scans), cameras=tuple(parts.cameras), photos=tuple(parts.photos), rigs=parts.rigs)
 
 
 def _ids(names: Sequence[str]) -> list[str]:
-    from ladarreg_core.export.registered_scan import photo_id
-
     found: list[str] = []
     for name in names:
         found.append(photo_id(name, found))
     return found
-
-
-def _faults_of_ids(survey: SurveyParts) -> list[str]:
-    from ladarreg_core.storage.replacement import is_file_name
-
-    faults = [f"it has no {what}" for what in ("scans", "photos") if not getattr(survey, what)]
-    for what in ("scans", "cameras", "photos"):
-        ids = [one.id for one in getattr(survey, what)]
-        faults += [f"{count} {what} have the id {name!r}" for name, count in Counter(ids).items() if count > 1]
-        faults += [
-            f"the id {name!r:.60} of one of the {what} is no name of a file"
-            for name in ids if not is_file_name(name) or "/" in name
-        ]  # fmt: skip
-    return faults
-
-
-def _faults_of_references(survey: SurveyParts) -> list[str]:
-    cameras = {one.id for one in survey.cameras}
-    faults = [f"the photo {one.id} has the camera {one.camera!r:.60}, which is not listed"
-              for one in survey.photos if one.camera not in cameras]  # fmt: skip
-    places: Counter[tuple[str, str, str]] = Counter()
-    for one in survey.photos:
-        if one.rig is None:
-            continue
-        sensors = survey.rigs.get(one.rig.id)
-        if sensors is None:
-            faults.append(f"the photo {one.id} is of the rig {one.rig.id!r:.60}, which is not listed")
-        elif one.rig.sensor not in sensors:
-            faults.append(f"the photo {one.id} is of the sensor {one.rig.sensor!r:.60}, which its rig does not have")
-        places[(one.rig.id, one.rig.frame, one.rig.sensor)] += 1
-    faults += [f"{count} photos are of the rig {rig}, frame {frame}, sensor {sensor}"
-               for (rig, frame, sensor), count in places.items() if count > 1]  # fmt: skip
-    return faults
-
-
-def _faults_of_values(survey: SurveyParts) -> list[str]:
-    faults = []
-    for camera in survey.cameras:
-        if isinstance(camera.estimate, tuple):
-            unknown = [name for name in camera.estimate if name not in INTRINSICS]
-            if unknown:
-                faults.append(
-                    f"the camera {camera.id} is to have {', '.join(map(repr, unknown))} estimated; "
-                    f"these can be: {', '.join(INTRINSICS)}"
-                )
-    for scan in survey.scans:
-        stated = scan.world_from_scanner is not None or (
-            isinstance(scan.source, Scan) and scan.source.world_from_scanner is not None
-        )
-        if scan.fixed and isinstance(scan.source, Scan) and not stated:
-            faults.append(f"the scan {scan.id} is fixed, but its pose is not stated")
-    for photo in survey.photos:
-        if photo.prior is not None and np.shape(photo.prior.covariance) != (6, 6):
-            faults.append(f"the prior of the photo {photo.id} has a covariance that is not 6 x 6")
-    return faults

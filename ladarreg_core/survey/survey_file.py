@@ -20,12 +20,12 @@ from ladarreg_core.formats.parsing.untrusted import reading, shown_name
 from ladarreg_core.formats.scans.scan_request import stated_options
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
-from ladarreg_core.survey.survey import (
+from ladarreg_core.survey.parts import (
     Estimate,
     PosePrior,
     RigMember,
-    Survey,
     SurveyCamera,
+    SurveyParts,
     SurveyPhoto,
     SurveyScan,
     faults_of,
@@ -69,8 +69,8 @@ class _Faults:
             return otherwise
 
 
-def read_survey(path: str | Path) -> Survey:
-    """Return the survey of a file.
+def read_survey_parts(path: str | Path) -> SurveyParts:
+    """Return the parts of the survey of a file.
 
     Raises:
         FormatError: if it is no such file, or has faults: all are listed, missing files among them.
@@ -96,10 +96,10 @@ def read_survey(path: str | Path) -> Survey:
         faults.found += faults_of(parts_read)
     if faults.found:  # here, since errors of reading are shortened
         raise FormatError(f"{shown_name(path)}: {listed_faults('it', faults.found)}")
-    return Survey(scans=tuple(scans), cameras=tuple(cameras), photos=tuple(photos), rigs=rigs)
+    return parts_read
 
 
-def write_survey(path: str | Path, survey: Survey) -> None:
+def write_survey(path: str | Path, survey: SurveyParts) -> None:
     """Write a survey into a file, with paths relative to its folder.
 
     Raises:
@@ -108,7 +108,7 @@ def write_survey(path: str | Path, survey: Survey) -> None:
     write_json(path, survey_fields(survey, path))
 
 
-def survey_fields(survey: Survey, path: str | Path) -> dict[str, Any]:
+def survey_fields(survey: SurveyParts, path: str | Path) -> dict[str, Any]:
     """Return what the file of a survey states, with paths relative to its folder.
 
     Raises:
@@ -152,8 +152,8 @@ def survey_fields(survey: Survey, path: str | Path) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def survey_of_folder(folder: str | Path, *, report: Report | None = None) -> Survey:
-    """Return the survey of the scans and photographs in a folder, see `Survey.from_folder`."""
+def survey_parts_of_folder(folder: str | Path, *, report: Report | None = None) -> SurveyParts:
+    """Return the parts of the survey of a folder, see `Survey.from_folder`."""
     contents = folder_contents(folder)
     if not contents.scans or not contents.photos:
         what = "scan" if not contents.scans else "photo"
@@ -169,13 +169,12 @@ def survey_of_folder(folder: str | Path, *, report: Report | None = None) -> Sur
     ids: list[str] = []
     for path in contents.scans:
         ids.append(photo_id(path.name, ids))
-    return Survey(
-        scans=tuple(SurveyScan(id=name, source=path) for name, path in zip(ids, contents.scans, strict=True)),
-        cameras=tuple(SurveyCamera(id=group.id) for group in groups),
-        photos=tuple(
-            SurveyPhoto(id=entry.id, source=entry.path, camera=camera_of[entry.id]) for entry in entries
-        ),
-    )  # fmt: skip
+    return _Parts(
+        [SurveyScan(id=name, source=path) for name, path in zip(ids, contents.scans, strict=True)],
+        [SurveyCamera(id=group.id) for group in groups],
+        [SurveyPhoto(id=entry.id, source=entry.path, camera=camera_of[entry.id]) for entry in entries],
+        {},
+    )
 
 
 def _listed(fields: Mapping[str, Any], what: str, faults: _Faults) -> list[Mapping[str, Any]]:
@@ -212,7 +211,7 @@ def _scan(one: Mapping[str, Any], folder: Path, faults: _Faults) -> SurveyScan:
     if type(index) is not int or index < 0:
         faults.add(where, f"its index is {index!r:.20}; it must be a whole number from 0")
     if not isinstance(fixed, bool):
-        faults.add(where, "`fixed` must be true or false")
+        faults.add(where, "'fixed' must be true or false")
     none: dict[str, Any] = {}
     options = faults.taken(where, lambda: stated_options(dict(one.get("options") or {})), none)
     return SurveyScan(
@@ -247,7 +246,7 @@ def _estimate(value: Any) -> Estimate:
         return "none"
     if isinstance(value, list) and all(isinstance(name, str) for name in value):
         return tuple(str(_ESTIMATED.get(name, name)) for name in value)
-    raise OptionError(f"`estimate` is {value!r:.60}; it must be 'auto', 'none' or a list of names")
+    raise OptionError(f"its estimate is {value!r:.60}; it must be 'auto', 'none' or a list of names")
 
 
 def _photo(one: Mapping[str, Any], folder: Path, faults: _Faults) -> SurveyPhoto:
@@ -272,7 +271,7 @@ def _prior(value: Any) -> PosePrior | None:
     if "position_m" in value:
         sigma = np.broadcast_to(np.asarray(value["sigma_m"], np.float64), 3)
         if not (np.isfinite(sigma).all() and (sigma > 0).all()):
-            raise OptionError("`sigma_m` of its prior must be positive")
+            raise OptionError("the sigma_m of its prior must be positive")
         covariance = np.diag([np.inf] * 3 + (sigma**2).tolist())
         return PosePrior(pose=Rigid.from_centre(np.eye(3), np.array(value["position_m"], float)), covariance=covariance)
     covariance = np.array(value["covariance"], np.float64)
@@ -286,7 +285,7 @@ def _member(value: Any) -> RigMember | None:
         return None
     names = [value[name] for name in ("id", "frame", "sensor")]
     if not all(isinstance(name, str | int) for name in names):
-        raise OptionError("`rig` must have `id`, `frame` and `sensor`")
+        raise OptionError("its rig must have an id, a frame and a sensor")
     return RigMember(id=str(names[0]), frame=str(names[1]), sensor=str(names[2]))
 
 

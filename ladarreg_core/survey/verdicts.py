@@ -63,9 +63,10 @@ class TieCount:
         known = [one for one in self.partners if one in verified]
         if self.agree >= MIN_TIES and self.cells >= MIN_CELLS and len(known) >= MIN_PARTNERS:
             return ""
+        with_photos = f"{len(known)} verified photograph{'' if len(known) == 1 else 's'}"
         return (
             f"No scan's image verifies it, and {self.agree} ties in {self.cells} places of {CELL_PX:.0f} px with "
-            f"{len(known)} verified photographs are too few: {MIN_TIES} in {MIN_CELLS} with {MIN_PARTNERS} are needed."
+            f"{with_photos} are too few: {MIN_TIES} in {MIN_CELLS} with {MIN_PARTNERS} are needed."
         )
 
 
@@ -154,7 +155,8 @@ def largest_shift(before: Adjusted, bodies: Bodies, after: Adjusted, left: Bodie
     for photo, body in left.photos.items():
         off = pose_difference(before.problem.poses[bodies.photos[photo]], after.problem.poses[body])
         covariance = after.covariance_of(body)
-        sigmas = float(np.sqrt(max(off @ np.linalg.pinv(covariance, hermitian=True) @ off, 0.0) / 6))
+        squared = float(off @ np.linalg.pinv(covariance, hermitian=True) @ off)
+        sigmas = float(np.sqrt(max(squared, 0.0) / 6))
         if sigmas > largest:
             largest, which = sigmas, photo
     return largest, which

@@ -214,7 +214,7 @@ class SceneSync:
         numbers = {pick.id: pick.number for pick in entry.picks}
         colors = [MATCHES[(numbers[name] - 1) % len(MATCHES)] for name in ids]
         by_residual = None
-        if with_residuals:
+        if with_residuals and subject.photo is not None:
             errors = pick_errors(self._loader, scan, subject.photo, entry)[0]
             px = [errors.get(name, {}).get("px") for name in ids]
             by_residual = residual_colors([float("nan") if value is None else value for value in px])

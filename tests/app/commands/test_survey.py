@@ -46,6 +46,7 @@ def _document(out: Path) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_photographs_of_the_room_are_accepted_where_they_were_taken(adjusted: tuple[int, Path]) -> None:
     code, out = adjusted
@@ -72,6 +73,7 @@ def test_photographs_of_the_room_are_accepted_where_they_were_taken(adjusted: tu
         assert abs(camera["camera"]["fx"] / truth.cameras[k].fx - 1) < 0.006  # stated 1 to 3 % wrong
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_what_is_written_can_be_used_by_the_other_commands(
     adjusted: tuple[int, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -95,6 +97,7 @@ def test_what_is_written_can_be_used_by_the_other_commands(
     assert main(["export", str(out), "--to", "colmap", "-o", str(tmp_path / "colmap")]) == 0
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_pose_of_the_survey_is_right_and_a_moved_one_is_wrong(adjusted: tuple[int, Path], tmp_path: Path) -> None:
     _, out = adjusted

@@ -12,7 +12,8 @@ import ladarreg_core as lr
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import ExportError, FormatError, OptionError
 from ladarreg_core.frames import Rigid
-from ladarreg_core.survey.survey import PosePrior, RigMember, Survey, SurveyCamera, SurveyPhoto, SurveyScan
+from ladarreg_core.survey.parts import PosePrior, RigMember, SurveyCamera, SurveyPhoto, SurveyScan
+from ladarreg_core.survey.survey import Survey
 
 
 @pytest.fixture

@@ -1,0 +1,139 @@
+"""Puts together the result of a survey: of its scans, cameras and photographs, with their verdicts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ladarreg_core.camera.uncertainty import INTRINSICS
+from ladarreg_core.survey.adjustment import (
+    AdjustedCamera,
+    AdjustedPhoto,
+    AdjustedScan,
+    Adjustment,
+    TieResidual,
+    scan_covariance,
+)
+from ladarreg_core.survey.build import Bodies
+from ladarreg_core.survey.placement import Placement
+from ladarreg_core.survey.solver import Adjusted
+from ladarreg_core.survey.survey import Survey
+from ladarreg_core.survey.verdicts import Solution, count_ties
+
+_UNKNOWN = np.full((6, 6), np.nan)
+_MAX_SHOWN = 60
+
+
+def adjustment_of(
+    survey: Survey,
+    placement: Placement,
+    solution: Solution,
+    refused: Mapping[int, tuple[str, ...]],
+    *,
+    options: Mapping[str, Any],
+    inputs: Mapping[str, Any],
+) -> Adjustment:
+    """Return the result of a survey.
+
+    Args:
+        survey: the survey.
+        placement: what was found of its scans and photographs.
+        solution: the adjustment of what was kept.
+        refused: why photographs without a scan's evidence were not accepted, by their indices.
+        options: of the registrations, JSON-ready.
+        inputs: name, size and SHA-256 of the files, by kind and id.
+    """
+    adjusted, bodies, states = solution.adjusted, solution.bodies, placement.states
+    names = [one.given.id for one in states]
+    scans = {given.id: _scan(placement, adjusted, bodies, k) for k, given in enumerate(survey.scans)}
+    photos = {names[k]: _photo(survey, placement, solution, refused, k, names) for k in range(len(states))}
+    placed = [(given.id, bodies.scans[k]) for k, given in enumerate(survey.scans) if bodies.scans[k] >= 0]
+    order = [
+        *(("scan", name, body) for name, body in placed),
+        *(("photo", names[k], body) for k, body in sorted(bodies.photos.items())),
+    ]
+    joint = np.block([
+        [adjusted.covariance_between(a, b) for *_, b in order] for *_, a in order
+    ]) if order else np.zeros((0, 0))  # fmt: skip
+    return Adjustment(
+        scans=scans, cameras=_cameras(survey, adjusted, photos), photos=photos, chi2_per_dof=adjusted.chi2_per_dof,
+        sigma_px=adjusted.sigma_px, joint=joint, joint_ids=tuple((kind, name) for kind, name, _ in order),
+        residuals=_worst_ties(adjusted, bodies, names), options=options, inputs=inputs,
+    )  # fmt: skip
+
+
+def _scan(placement: Placement, adjusted: Adjusted, bodies: Bodies, scan: int) -> AdjustedScan:
+    station, body = placement.stations.each[scan], bodies.scans[scan]
+    if body < 0:
+        return AdjustedScan(world_from_scanner=None, covariance=_UNKNOWN, fixed=False, reasons=station.reasons)
+    return AdjustedScan(
+        world_from_scanner=adjusted.problem.poses[body].inverse, covariance=scan_covariance(adjusted, body),
+        fixed=station.fixed, reasons=station.reasons,
+    )  # fmt: skip
+
+
+def _photo(
+    survey: Survey, placement: Placement, solution: Solution, refused: Mapping[int, tuple[str, ...]], k: int,
+    names: list[str],
+) -> AdjustedPhoto:  # fmt: skip
+    adjusted, bodies, state = solution.adjusted, solution.bodies, placement.states[k]
+    if k not in bodies.photos:
+        taken = solution.taken_out.get(k)
+        reasons = refused.get(k) or ((taken.reason,) if taken else state.reasons) or ("Nothing is known of it.",)
+        return AdjustedPhoto(
+            camera_from_world=None, covariance=_UNKNOWN, camera=state.camera, evidence="none", reasons=reasons,
+            moved_others_sigmas=None if taken is None else taken.moved_others_sigmas,
+        )  # fmt: skip
+    body, ties = bodies.photos[k], count_ties(adjusted, bodies, k)
+    scans = tuple(survey.scans[scan].id for scan in sorted(state.pairs))
+    partners = tuple(names[one] for one in ties.partners)
+    others = f"{len(partners)} other photograph{'' if len(partners) == 1 else 's'}"
+    tied = f"{ties.agree} ties with {others} agree" if ties.agree else "it shares no ties"
+    said = (
+        f"The image of {' and of '.join(scans)} verifies it; {tied}."
+        if state.by_image
+        else f"No scan's image verifies it by itself; {tied}, and the colours of the surface verify it."
+    )
+    return AdjustedPhoto(
+        camera_from_world=adjusted.problem.poses[body], covariance=adjusted.covariance_of(body),
+        camera=adjusted.problem.camera_of(body), evidence="image" if state.by_image else "ties", reasons=(said,),
+        scans=scans, ties=ties.agree, ties_left_out=ties.left_out, partners=partners, median_px=ties.median_px,
+    )  # fmt: skip
+
+
+def _cameras(survey: Survey, adjusted: Adjusted, photos: Mapping[str, AdjustedPhoto]) -> dict[str, AdjustedCamera]:
+    found = {}
+    for k, given in enumerate(survey.cameras):
+        own = [one for one in survey.photos if one.camera == given.id]
+        taken = tuple(one.id for one in own if photos[one.id].accepted)
+        unknowns = adjusted.problem.cameras[k]
+        shown = photos[taken[0]].camera if taken else unknowns.base
+        found[given.id] = AdjustedCamera(
+            camera=shown, names=INTRINSICS if unknowns.size else (), covariance=adjusted.camera_covariance(k),
+            photos=taken,
+        )  # fmt: skip
+    return found
+
+
+def _worst_ties(adjusted: Adjusted, bodies: Bodies, names: list[str]) -> tuple[TieResidual, ...]:
+    """Return the ties with the largest residuals, largest first."""
+    ties, residual = adjusted.problem.ties, adjusted.tie_residuals_px
+    length = np.nan_to_num(np.linalg.norm(residual, axis=1), nan=np.inf)
+    photo_of, found, seen = bodies.photo_of, [], set()
+    for k in np.argsort(-length, kind="stable").tolist():
+        point = int(ties.point[k])
+        if point in seen or not np.isfinite(length[k]):
+            continue
+        seen.add(point)
+        rows = np.flatnonzero(ties.point == point)
+        found.append(
+            TieResidual(
+                photos=tuple(names[photo_of[body]] for body in ties.photo[rows].tolist()), uv=ties.uv[rows],
+                residual_px=residual[rows],
+            )
+        )  # fmt: skip
+        if len(found) == _MAX_SHOWN:
+            break
+    return tuple(found)
