@@ -26,7 +26,7 @@ def test_an_option_without_a_use_is_refused(tmp_path: Path) -> None:
     path = sample_folder() / "scan.npz"
     for option in ({"columns": ("x",)}, {"topic": "/points"}, {"seconds": 2.0}):
         for read in (read_scan, describe):
-            with pytest.raises(OptionError, match=f"{next(iter(option))}. is .* NPZ file has no use"):
+            with pytest.raises(OptionError, match=f"{next(iter(option))}. is .* not supported for NPZ files"):
                 read(path, **option)  # type: ignore[arg-type]
 
 

@@ -91,7 +91,7 @@ class ScanRequest(ScanOptions, frozen=True, kw_only=True):
                 usable = f"; it takes {', '.join(f'`{each}`' for each in taken)}" if taken else ""
                 alone = ": the file contains one scan" if name == "scan_index" else ""
                 raise OptionError(
-                    f"`{name}` is {value!r:.80}, which is not supported for a {format_name} file{alone}; leave it out"
+                    f"`{name}` is {value!r:.80}, which is not supported for {format_name} files{alone}; leave it out"
                     f"{usable}",
                     field=name,
                 )
