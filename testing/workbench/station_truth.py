@@ -59,15 +59,7 @@ def server_stations(document: Document, told: dict[str, Any] | None) -> list[str
 
 def page_stations(facts: dict[str, Any], told: dict[str, Any] | None) -> list[str]:
     """Return where the page says something else of the stations than the slice."""
-    slice_ = told or {
-        "stations": [],
-        "pairs": [],
-        "loops": [],
-        "checks": [],
-        "done": False,
-        "status": "",
-        "missing": "",
-    }
+    slice_ = told or {"stations": [], "pairs": [], "loops": [], "checks": [], "done": False}
     tab, step = facts["tabs"]["stations"], facts["stations"]
     compared = [
         ("tick", (tab["done"], tab["ticked"]), (slice_["done"], slice_["done"])),
@@ -99,15 +91,11 @@ def _verdicts(told: dict[str, Any]) -> list[str]:
     found = []
     for pair in told["pairs"]:
         sigma = f"{_sigma(pair)}." if pair["verdict"] == "verified" and _sigma(pair) else ""
-        found += [
-            f"{pair['first']} – {pair['second']}: {pair['verdict']}",
-            " ".join(filter(None, [sigma, *pair["reasons"]])),
-        ]
+        found.append(f"{pair['first']} – {pair['second']}: {pair['verdict']}")
+        found.append(" ".join(filter(None, [sigma, *pair["reasons"]])))
     for loop in told["loops"]:
-        found += [
-            f"Loop {' → '.join(loop['stations'])}",
-            f"closes within {loop['error_mm']:.1f} mm and {loop['error_deg']:.3f}°.",
-        ]
+        found.append(f"Loop {' → '.join(loop['stations'])}")
+        found.append(f"closes within {loop['error_mm']:.1f} mm and {loop['error_deg']:.3f}°.")
     for check in told["checks"]:
         said = "The photograph has another pose by now: check it again." if check["stale"] else check["sentence"]
         found += [f"{check['name']} at {check['station']}: {check['outcome']}", said]
