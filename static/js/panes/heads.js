@@ -135,7 +135,7 @@ export const mountPhotoHead = (head, controller) => {
 
   const show = () => {
     const { photo, linked: isLinked } = view.get();
-    const { posed } = controller;
+    const posed = controller.posed || view.get().placement !== null;
     fill(overlay, OVERLAYS, posed ? photo.overlay : "none");
     overlay.disabled = !posed;
     overlay.title = posed ? "Overlay of the scan on the photograph" : "The scan can be overlaid once there is a pose";
@@ -153,7 +153,7 @@ export const mountPhotoHead = (head, controller) => {
     press(linked, posed && isLinked);
     linked.title = posed ? "Link the two panes: both show the same place (K)" : "The panes can be linked once there is a pose";
   };
-  view.on((_, changed) => (changed.has("photo") || changed.has("linked")) && show());
+  view.on((_, changed) => (changed.has("photo") || changed.has("linked") || changed.has("placement")) && show());
   store.watch(["photos", "shown", "poses:*"], show);
   show();
 };
