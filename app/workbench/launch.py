@@ -321,7 +321,7 @@ def _attach_scene(workbench: Workbench, server: viser.ViserServer) -> None:
         shown = workbench.selection.photo_of(workbench.clients.find(person))
         if shown is not None:
             event = {"event": "placement", "photo": shown.id, "camera_from_scanner": draft.matrix.tolist()}
-            workbench.publish_event(event, to={person})
+            workbench.tell(event, {person})
 
     person_of = partial(client_id_of, server)
     workbench.attach_scene(Scene3D(server, clicked, person_of=person_of, on_draft=dragged))
