@@ -84,6 +84,7 @@ ARGUMENTS: dict[str, Argument] = {
     "sensor_mm": Argument(flag="--sensor-mm", words="the sensor width"),
     "trust_edited": Argument(flag="--trust-edited", words="ladarreg export --trust-edited"),
 }  # fmt: skip
+# In the text, and not by `LadarregError.field` alone: reasons, notes and advice name arguments, too, often several.
 _NAMED = re.compile(r"`(\w+)(?:=([^`]*))?`")
 
 

@@ -19,6 +19,9 @@ from .stop_signals import forget_interrupt, interrupt_on_stop_signals
 
 COMMANDS = {
     "register": "Register a scan with a photo: pose, registered image, model.",
+    "survey": "Write survey.json of a folder with scans and photos.",
+    "adjust": "Solve a survey: scans, photos and cameras together.",
+    "audit": "Judge a calibration in use: right, wrong or undecidable.",
     "apply": "Colour and export with a known pose: given, not verified.",
     "compare": "Compare the thesis's stages with the default method.",
     "panorama": "Compose the pieces of a pan/tilt run as one scan.",
@@ -45,7 +48,7 @@ _NO_MEMORY = (
     "can't start new thread", "bad_alloc", "insufficient memory",  # the last two: OpenCV
 )  # fmt: skip
 _INTERRUPTED = "interrupted; no incomplete files are left"
-_EXIT_CODES = "Exit codes: 0 accepted, or done; 1 failure; 2 bad input; 3 not accepted; 130 interrupted."
+_EXIT_CODES = "Exit codes: 0 accepted, or done; 1 failure; 2 bad input; 3 not accepted; 4 undecidable; 130 interrupted."
 
 
 def main(args: Sequence[str] | None = None) -> int:

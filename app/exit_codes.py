@@ -14,5 +14,7 @@ class ExitCode(IntEnum):
     """Unusable input or arguments."""
     NOT_ACCEPTED = 3
     """It finished and was written, but is not accepted: too little evidence, or pieces that do not fit."""
+    UNDECIDABLE = 4
+    """An audit: the images can tell neither that the pose is right nor that it is wrong."""
     INTERRUPTED = 130
     """Interrupted by the user; no incomplete files are left."""

@@ -74,10 +74,21 @@ if TYPE_CHECKING:
     from ladarreg_core.surface.texture.registered_texture import RegisteredTexture as RegisteredTexture
     from ladarreg_core.surface.texture.registered_texture import intensity_picture as intensity_picture
     from ladarreg_core.surface.texture.registered_texture import texture_scan as texture_scan
+    from ladarreg_core.survey.adjust import adjust as adjust
+    from ladarreg_core.survey.adjustment import Adjustment as Adjustment
+    from ladarreg_core.survey.audit import Audit as Audit
+    from ladarreg_core.survey.audit import audit as audit
+    from ladarreg_core.survey.outputs import write_adjustment as write_adjustment
+    from ladarreg_core.survey.survey import Survey as Survey
+    from ladarreg_core.survey.survey import SurveyCamera as SurveyCamera
+    from ladarreg_core.survey.survey import SurveyPhoto as SurveyPhoto
+    from ladarreg_core.survey.survey import SurveyScan as SurveyScan
 
 __version__ = VERSION
 
 _HOMES = {
+    "Adjustment": "survey.adjustment",
+    "Audit": "survey.audit",
     "AutoOptions": "matching.auto",
     "Camera": "camera",
     "Cancelled": "errors",
@@ -111,8 +122,14 @@ _HOMES = {
     "StationNetwork": "registration.stations.results",
     "StationPair": "registration.stations.results",
     "Step": "progress",
+    "Survey": "survey.survey",
+    "SurveyCamera": "survey.survey",
+    "SurveyPhoto": "survey.survey",
+    "SurveyScan": "survey.survey",
     "ThesisParameters": "frames",
     "View": "surface.perspective",
+    "adjust": "survey.adjust",
+    "audit": "survey.audit",
     "camera_from_json": "camera",
     "compare": "registration.comparison",
     "estimate_pose": "pose.estimate",
@@ -138,6 +155,7 @@ _HOMES = {
     "verify_pose": "registration.given",
     "views": "inspection.notebook.views",
     "with_image_check": "matching.image_check",
+    "write_adjustment": "survey.outputs",
     "xyz_of_photo": "surface.texture.photo_points",
 }
 __all__ = sorted(_HOMES)

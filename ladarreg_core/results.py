@@ -20,7 +20,7 @@ from ladarreg_core.frames import Rigid, ThesisParameters, describe_direction, de
 from ladarreg_core.matches import Matches, count_picks
 from ladarreg_core.progress import Step
 
-Evidence = Literal["image", "statistics", "given", "none"]
+Evidence = Literal["image", "ties", "statistics", "given", "none"]
 ThesisStage = Literal["linear", "constrained_linear", "simplex", "simplex_outliers_removed"]
 """The columns of thesis Tables 3.2-3.5."""
 StageName = Literal[ThesisStage, "default"]
@@ -61,6 +61,7 @@ _USUAL_RANGE_M = 10.0
 VERDICTS: dict[str, str] = {
     "image": "Accepted: verified against the image.",
     "statistics": "Accepted on matches only: the images could not judge it.",
+    "ties": "Accepted: verified by ties with other photographs.",
     "given": "Given, not verified: this pose was applied, not solved.",
     "none": "Accepted without evidence.",
 }
@@ -208,8 +209,8 @@ class PoseResult:
     accepted: bool = False
     """Whether the evidence suffices to present the pose as registered."""
     evidence: Evidence = "none"
-    """`image`: verified against the image; `statistics`: accepted on matches only; `given`: applied, not
-    solved, and never accepted; `none`."""
+    """`image`: verified against the image; `ties`: by what other photographs of a survey show of the surface;
+    `statistics`: accepted on matches only; `given`: applied, not solved, and never accepted; `none`."""
     reasons: tuple[str, ...] = ()
     """Reasons of the verdict, as sentences."""
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
@@ -239,7 +240,7 @@ class PoseResult:
         """Return what a notebook shows: the verdict, the parameters with their sigmas, and the residuals."""
         from ladarreg_core.foundations.card import arrows, card
 
-        good = self.accepted and self.evidence == "image" and not self.is_coarse
+        good = self.accepted and self.evidence in ("image", "ties") and not self.is_coarse
         words = verdict_words(self.accepted, self.evidence, self.diagnostics, coarse=self.is_coarse)
         facts = [("matches", "{} of {} agree".format(*count_picks(self.matches, self.inliers)))]
         if self.is_determined:

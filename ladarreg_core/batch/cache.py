@@ -103,6 +103,14 @@ class ContentCache:
             with contextlib.suppress(OSError):
                 part.unlink()
 
+    def clear(self) -> None:
+        """Remove all entries, and the folder if nothing else is in it."""
+        with contextlib.suppress(OSError):
+            for entry in os.scandir(self.folder):
+                if _NAME.fullmatch(entry.name) or _PARTIAL.fullmatch(entry.name):
+                    os.unlink(entry.path)
+            self.folder.rmdir()
+
     def _path(self, key: str) -> Path:
         return self.folder / f"{key}{_SUFFIX}"
 

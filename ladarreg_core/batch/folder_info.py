@@ -52,6 +52,6 @@ def _of_all(scans: Sequence[Path], photos: int, groups: Sequence[CameraGroup]) -
     if not scans:
         return f"{photos} photos, on a scan that must be given: there is none here"
     if len(scans) > 1:
-        return f"{photos} photos, on the scan that is given: there are {len(scans)}"
+        return f"{photos} photos, on the scan that is given, or with all {len(scans)} scans as a survey"
     cameras = "1 camera" if len(groups) == 1 else f"{len(groups)} cameras"
     return f"{photos} photos on {scans[0].name}, each with its verdict; {cameras}; one summary"

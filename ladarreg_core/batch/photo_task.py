@@ -21,6 +21,7 @@ from ladarreg_core.batch.pooled_camera import (
 )
 from ladarreg_core.camera.model import CameraModel
 from ladarreg_core.camera.uncertainty import CameraPrior
+from ladarreg_core.errors import OptionError
 from ladarreg_core.export.output_frame import FrameName
 from ladarreg_core.export.targets.folder import export_registration
 from ladarreg_core.formats import read_photo, read_scan
@@ -36,6 +37,7 @@ from ladarreg_core.results import Registration, verdict_words
 from ladarreg_core.scan import Scan
 
 _CHANNEL_BYTES = 400_000_000
+_HELD_CELLS = 8_000_000  # of several scans together
 _THUMBNAIL_PX = 240
 _THUMBNAIL_QUALITY = 80
 
@@ -44,7 +46,8 @@ _THUMBNAIL_QUALITY = 80
 class ScanFiles:
     """A scan as worker processes get it: from the cache where it is kept, else from its files."""
 
-    path: Path
+    path: Path | None
+    """None: it has no file, and is in the cache only."""
     options: Mapping[str, Any]
     """Arguments of `read_scan`."""
     key: str
@@ -56,7 +59,7 @@ class ScanFiles:
     @property
     def files(self) -> list[Path]:
         """All its files."""
-        return [self.path, *self.options.get("more", ())]
+        return [] if self.path is None else [self.path, *self.options.get("more", ())]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,13 +111,13 @@ def register_in_worker(task: PhotoTask, output: Output) -> dict[str, Any]:
     Raises:
         LadarregError: if it cannot be read or registered, or the folder cannot be written.
     """
-    scan, photo = _scan(task.scan), read_photo(task.path, **task.options)
+    scan, photo = held_scan(task.scan), read_photo(task.path, **task.options)
     if task.camera is None:
         result = task.found or _register_alone(task)
     else:
         result, photo = _with_camera(task, scan, photo, task.camera)
     camera_file = task.options.get("camera")
-    inputs = [task.scan.path, task.path, *([camera_file] if camera_file else []), *task.scan.files[1:]]
+    inputs = [*task.scan.files[:1], task.path, *([camera_file] if camera_file else []), *task.scan.files[1:]]
     export_registration(
         output.folder, result, scan, photo, assessment=assess(scan, result), inputs=inputs,
         read_with=[task.scan.options, task.options], frame=output.frame, force=output.force,
@@ -156,13 +159,13 @@ def thumbnail(pixels: ByteArray) -> str:
 
 
 def _register_alone(task: PhotoTask) -> Registration:
-    return _registered(task, _scan(task.scan), read_photo(task.path, **task.options), task.registering)
+    return _registered(task, held_scan(task.scan), read_photo(task.path, **task.options), task.registering)
 
 
 def _registered(
     task: PhotoTask, scan: Scan, photo: Photo, options: RegisterOptions, initial: Rigid | None = None
 ) -> Registration:
-    return register(scan, photo, initial=initial, options=options, channels=_channels(), threads=1)
+    return register(scan, photo, initial=initial, options=options, channels=kept_channels(), threads=1)
 
 
 def _with_camera(task: PhotoTask, scan: Scan, photo: Photo, pooled: PooledCamera) -> tuple[Registration, Photo]:
@@ -228,22 +231,29 @@ def _disagreed_sentence(pooled: PooledCamera, *, accepted: bool) -> str:
 
 
 @cache
-def _channels() -> Channels:
-    """Return what this process has made of the scan for the photographs that follow."""
+def kept_channels() -> Channels:
+    """Return what this process has made of scans and photographs for the work that follows."""
     return Channels(most_bytes=_CHANNEL_BYTES)
 
 
 _held: dict[str, Scan] = {}
 
 
-def _scan(files: ScanFiles) -> Scan:
-    """Return the scan, which this process keeps for the photographs that follow."""
+def held_scan(files: ScanFiles) -> Scan:
+    """Return a scan, which this process keeps for the photographs that follow; small ones, also several.
+
+    Raises:
+        LadarregError: if it is not in the cache any more, and cannot be read.
+    """
     if files.key not in _held:
-        _held.clear()
         kept = ContentCache(files.cache, most_bytes=files.cache_bytes).get(files.key)
-        _held[files.key] = (
-            with_source(kept, files.files, files.options)
-            if isinstance(kept, Scan)
-            else read_scan(files.path, **files.options)
-        )
+        if isinstance(kept, Scan):
+            scan = with_source(kept, files.files, files.options) if files.path is not None else kept
+        elif files.path is None:
+            raise OptionError("the scan is not in the cache any more, which is too small; give a larger one")
+        else:
+            scan = read_scan(files.path, **files.options)
+        while _held and sum(one.ranges.size for one in _held.values()) + scan.ranges.size > _HELD_CELLS:
+            del _held[next(iter(_held))]
+        _held[files.key] = scan
     return _held[files.key]

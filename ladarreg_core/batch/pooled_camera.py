@@ -102,18 +102,25 @@ class PooledCamera:
             height: likewise.
             orientation: EXIF's, by which its pixels were turned upright.
         """
-        focal, k1, cx, cy = _turn(orientation) @ self.values
+        focal, k1, cx, cy = turn_of(orientation) @ self.values
         return Camera(width, height, focal, focal, cx + (width - 1) / 2, cy + (height - 1) / 2, (k1, 0.0, 0.0, 0.0))
 
     def covariance_of(self, orientation: int) -> FloatArray:
         """Return the covariance (4, 4) of `INTRINSICS` of upright pixels."""
-        turn = _turn(orientation)
+        turn = turn_of(orientation)
         return np.asarray(turn @ self.covariance @ turn.T)
 
 
 def may_be_turned(orientation: int) -> bool:
     """Return whether a camera can be pooled over photographs of an EXIF orientation: whether it is not mirrored."""
     return orientation in _TURNS
+
+
+def turn_of(orientation: int) -> FloatArray:
+    """Return (4, 4): the intrinsics of upright pixels, from their middle, of those of the stored ones."""
+    turn = np.eye(_COUNT)
+    turn[2:, 2:] = _TURNS[orientation]
+    return turn
 
 
 def camera_estimate(photo: str, result: Registration, orientation: int) -> CameraEstimate | None:
@@ -127,7 +134,7 @@ def camera_estimate(photo: str, result: Registration, orientation: int) -> Camer
     joint, camera = result.camera_uncertainty, result.camera.as_pinhole
     if not result.accepted or joint is None or joint.names != INTRINSICS or camera is None:
         return None
-    turn = _turn(orientation).T  # orthogonal: back to the pixels as stored
+    turn = turn_of(orientation).T  # orthogonal: back to the pixels as stored
     middle = np.array([0, 0, (camera.width - 1) / 2, (camera.height - 1) / 2])
     k1 = camera.distortion[0] if camera.distortion else 0.0
     values = np.array([camera.focal_px, k1, camera.cx, camera.cy]) - middle
@@ -178,7 +185,7 @@ def with_pooled_camera(result: Registration, pooled: PooledCamera, orientation: 
     assert camera is not None, "only pinholes are pooled"
     of_camera = pooled.covariance_of(orientation)
     sigmas = dict(zip(INTRINSICS, np.sqrt(np.diag(of_camera)).tolist(), strict=True))
-    by_camera = _pose_by_camera(result, camera)
+    by_camera = pose_by_camera(result, camera)
     if by_camera is None:
         return replace(result, camera_sigmas=sigmas)
     joint = np.zeros((6 + _COUNT, 6 + _COUNT))
@@ -194,8 +201,8 @@ def with_pooled_camera(result: Registration, pooled: PooledCamera, orientation: 
     )  # fmt: skip
 
 
-def _pose_by_camera(result: Registration, camera: Camera) -> FloatArray | None:
-    """Return the derivative (6, 4) of the pose by the intrinsics; None: the matches do not determine it."""
+def pose_by_camera(result: Registration, camera: Camera) -> FloatArray | None:
+    """Return the derivative (6, 4) of a pose by the intrinsics; None: its matches do not determine it."""
     used = np.asarray(result.inliers)
     if used.sum() < _COUNT:
         return None
@@ -236,13 +243,6 @@ def _chi_squared(one: CameraEstimate, others: Sequence[CameraEstimate]) -> float
     covariance = covariance / np.outer(scale, scale)
     misfit = scale * (one.weighted - one.information @ values)
     return float(misfit @ np.linalg.pinv(H + H @ covariance @ H, hermitian=True) @ misfit)
-
-
-def _turn(orientation: int) -> FloatArray:
-    """Return (4, 4): the intrinsics of upright pixels from those of the stored ones."""
-    turn = np.eye(_COUNT)
-    turn[2:, 2:] = _TURNS[orientation]
-    return turn
 
 
 def _order(orientation: int) -> list[int]:

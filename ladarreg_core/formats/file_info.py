@@ -32,7 +32,7 @@ from ladarreg_core.formats.photos.exif import (
 from ladarreg_core.formats.photos.gpano import WHICH_CAMERA, looks_like_panorama, panorama_of_xmp
 from ladarreg_core.formats.photos.image_file import ImageData, read_image
 from ladarreg_core.formats.photos.radiometric import radiometric_maker
-from ladarreg_core.formats.scans.bag import bag_topics, read_bag
+from ladarreg_core.formats.scans.bag import bag_topics, picture_topics, read_bag
 from ladarreg_core.formats.scans.las import las_facts, read_las
 from ladarreg_core.formats.scans.las_header import read_las_header
 from ladarreg_core.formats.scans.ptx import PtxBlock, ptx_blocks, read_ptx
@@ -174,6 +174,11 @@ def describe_bag(path: Path, asked: ScanRequest) -> FileInfo:
         f"{one_line(each.name, 80)}: {each.messages:,} cloud{'s' * (each.messages != 1)}"
         for each in topics[:_MAX_LISTED]
     )
+    pictures = tuple(
+        f"{one_line(each.name, 80)}: {each.messages:,} picture{'s' * (each.messages != 1)}, "
+        + (f"camera on {one_line(each.camera, 80)}" if each.camera else "without camera_info")
+        for each in picture_topics(path)[:_MAX_LISTED]
+    )
     try:
         scan = read_bag(
             path, topic=asked.topic, seconds=asked.seconds, origin=asked.origin, intensity=asked.intensity,
@@ -182,9 +187,9 @@ def describe_bag(path: Path, asked: ScanRequest) -> FileInfo:
     except (ShapeError, UnderspecifiedError) as error:
         return FileInfo(
             file=shown_name(path), bytes=path.stat().st_size, kind="scan", format="ROS bag", scans=lines,
-            notes=(str(error),),
+            images=pictures, notes=(str(error),),
         )  # fmt: skip
-    return _describe_scan(path, scan, "ROS bag", scans=lines)
+    return _describe_scan(path, scan, "ROS bag", scans=lines, images=pictures)
 
 
 def describe_las(path: Path, asked: ScanRequest) -> FileInfo:

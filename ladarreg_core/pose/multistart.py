@@ -43,7 +43,6 @@ from ladarreg_core.pose.estimators.bundle import (
 )
 from ladarreg_core.pose.estimators.covariance import MIN_EIGENVALUE, guarded_inverse
 from ladarreg_core.pose.estimators.gnc import (
-    DEFAULT_GNC,
     graduate,
     graduate_merging,
     group_by_leader,
@@ -64,7 +63,7 @@ _MIN_STARTS, _MAX_STARTS = 8, 4096
 _SAMPLE, _MAX_SAMPLE = 40, 160  # inliers, and all matches
 _SAME_RAD, _SAME_OF_DISTANCE = np.deg2rad(4.0), 0.1  # bounds of a cluster, however weak the matches
 _MAX_REFINED = 8
-_ON_ALL_MATCHES = replace(DEFAULT_GNC, last_steps=8)
+_LAST_STEPS = 8  # on all matches, after those on a sample
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,7 +318,7 @@ def _refined_on_all(
     if flat:
         poses.append(mirrored(candidates[0], members))
     full = States.of(poses, measured)
-    settled, _ = graduate(measured, full, narrow_scales(full, gate), gate, _ON_ALL_MATCHES)
+    settled, _ = graduate(measured, full, narrow_scales(full, gate), gate, last_steps=_LAST_STEPS)
     if not flat:
         return settled
     valley, _ = adjust_ranges(measured, States.of(poses_towards_mirrored(settled.pose(), members), measured))

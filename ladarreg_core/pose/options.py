@@ -9,7 +9,6 @@ from ladarreg_core.camera.uncertainty import DEFAULT_CAMERA_PRIOR, CameraPrior
 from ladarreg_core.errors import OptionError
 from ladarreg_core.foundations.validation import LARGEST_INT, require_choice, require_int
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, AcceptanceOptions
-from ladarreg_core.pose.estimators.gnc import DEFAULT_GNC, GncOptions
 from ladarreg_core.pose.estimators.intrinsics import Intrinsics
 from ladarreg_core.pose.estimators.ransac import Backend
 from ladarreg_core.thesis.estimators.stereo_simplex import DEFAULT_SIMPLEX, SimplexOptions
@@ -36,22 +35,10 @@ class PoseOptions:
     """Range noise, m; None: .015 m at first, then estimated from the matches."""
     gate_chi2: float = 9.21
     """Largest cost s of an inlier: the 99 % quantile of chi-squared with two degrees of freedom."""
-    ransac_sigma: float = 6.0
-    """Threshold of the first RANSAC, in sigma_px."""
-    ransac_again_sigma: float = 3.0
-    """Threshold of the second RANSAC, in sigmas of the pixel noise including the propagated range noise."""
     ransac_iterations: int = 5000
     """Maximum number of samples; 0: no RANSAC, which requires an initial pose."""
     ransac_backend: Backend = "auto"
     """`poselib`, `opencv`, or `auto`: whichever is installed."""
-    wide_below_share: float = 0.25
-    """A wide start is tried as well if RANSAC is disabled or finds a smaller share of inliers than this.
-
-    After RANSAC the narrow start failed in none of 200 runs with up to 80 % outliers; the wide one covers a failed
-    RANSAC.
-    """
-    gnc: GncOptions = DEFAULT_GNC
-    """Schedule of the robust cost."""
     simplex: SimplexOptions = DEFAULT_SIMPLEX
     """Options of the simplex; `method` determines its `residual`."""
     intrinsics: Intrinsics | Literal["auto"] = "auto"
@@ -75,9 +62,8 @@ class PoseOptions:
                 raise OptionError(
                     f"{name} is {sigma!r}; it must be a positive number of {unit} ({_MIN_SIGMA:g} to {_MAX_SIGMA:g})"
                 )
-        for name in ("gate_chi2", "ransac_sigma", "ransac_again_sigma"):
-            if not _between(getattr(self, name), 1e-3, 1e6):
-                raise OptionError(f"{name} is {getattr(self, name)!r}; it must be a positive number")
+        if not _between(self.gate_chi2, 1e-3, 1e6):
+            raise OptionError(f"gate_chi2 is {self.gate_chi2!r}; it must be a positive number")
         if not isinstance(self.simplex, SimplexOptions):
             raise OptionError(f"simplex is a {type(self.simplex).__name__}; give SimplexOptions")
         if not isinstance(self.acceptance, AcceptanceOptions):

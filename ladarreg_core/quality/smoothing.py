@@ -36,6 +36,12 @@ _UNKNOWN_RANGE_SIGMA_M = 1e6  # so large that the pixel alone determines the ran
 _MAX_FACTOR = 100.0  # larger than any scanner's error; without a baseline, rounding may yield any range
 _UNIT_TOLERANCE = 1e-3
 _MAX_RANGE_M, _MAX_PIXEL = 1e7, 1e7
+_SIGNIFICANCE = 5.0
+"""Standard deviations of the pixel by which the stereo range must fit better than the laser's: of the pixel, since the
+range of a small disparity is far from normally distributed."""
+_ACROSS_SIGMA = 2.58
+"""Largest distance of a pixel from its epipolar line, in standard deviations (99 %); beyond it the match is wrong, not
+the range."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,17 +50,9 @@ class SmoothOptions:
 
     sigma_px: float = 1.0
     """Pixel noise of the matches, px."""
-    significance: float = 5.0
-    """Significance, in standard deviations of the pixel, by which the stereo range must fit better than the laser's.
-
-    It is measured in pixels since the range of a small disparity is far from normally distributed."""
-    across_sigma: float = 2.58
-    """Largest distance of a pixel from its epipolar line, in standard deviations; beyond it the match is wrong, not the
-    range."""
 
     def __post_init__(self) -> None:
-        for name in ("sigma_px", "significance", "across_sigma"):
-            require_positive(getattr(self, name), name)
+        require_positive(self.sigma_px, "sigma_px")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,8 +146,8 @@ def smooth_ranges(
         allowed = 1 + _quadratic(by_pose, pose_covariance)
     stereo = np.where(np.isfinite(sigma), rho, np.nan)
     with np.errstate(invalid="ignore"):
-        on_line = s[0] <= options.across_sigma**2 * allowed[0]
-        significant = s[1] - s[0] > options.significance**2 * allowed[1]
+        on_line = s[0] <= _ACROSS_SIGMA**2 * allowed[0]
+        significant = s[1] - s[0] > _SIGNIFICANCE**2 * allowed[1]
         spike = (np.abs(stereo - matches.ranges) > threshold) & significant
         replaced = spike & on_line & (sigma <= threshold)
     return SmoothedRanges(np.where(replaced, stereo, matches.ranges), replaced, stereo, sigma)

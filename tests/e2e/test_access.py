@@ -30,8 +30,8 @@ def reader(browser: Browser, workbench: SharedWorkbench, request: pytest.Fixture
         yield found
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("theme", [THEMES[0], pytest.param(THEMES[1], marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("theme", THEMES)
 def test_no_part_of_the_page_has_a_serious_finding(reader: Operator, theme: str) -> None:
     page = reader.page
     page.evaluate("theme => { document.documentElement.dataset.theme = theme; }", theme)

@@ -39,7 +39,7 @@ def operator(browser: Browser, workbench: SharedWorkbench, request: pytest.Fixtu
         yield found
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_targets_in_a_zip_are_read_by_other_programs(operator: Operator, tmp_path: Path) -> None:
     page = operator.page
     panel = page.get_by_role("region", name="Export", exact=True)

@@ -35,7 +35,7 @@ def pattern(size_px: int = 40) -> np.ndarray:
     return np.asarray(cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_tiles_are_drawn_where_the_photograph_shows_them(page_3d: Page, tmp_path: Path) -> None:
     pixels = pattern()
     one = photograph(CAMERA, POSES[0], "photo", pixels=pixels)

@@ -52,7 +52,7 @@ def first_steps(walk: Walk) -> list[str]:
 SOLVED = ("match", "solve", "judge")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_short_walk(walk: Walk) -> None:
     """Nothing open, matches, solved, out of date, undone, contradicted, corrected."""
     picks = first_steps(walk)

@@ -275,3 +275,15 @@ def test_clouds_are_accumulated_on_request(tmp_path: Path) -> None:
     one, several = lr.read_rig(file), lr.read_rig(file, scan_options={"seconds": 0.15})
     assert any("2 messages" in note for note in several[0].scan.notes)
     assert not any("messages" in note for note in one[0].scan.notes)
+
+
+def test_a_described_recording_lists_its_pictures_and_their_cameras(tmp_path: Path) -> None:
+    from ladarreg_core.formats import describe
+
+    topics: Topics = {"/points": clouds({0: 1, 100: 2}), "/left/image": pictures({0: 1, 100: 2, 200: 3})}
+    info = describe(write_recording(tmp_path / "run", "mcap", topics))
+    assert info.images == ("/left/image: 3 pictures, without camera_info",)
+    with_camera: Topics = {**topics, "/left/camera_info": (INFO, [(BEGIN, camera_info(CAMERA))])}
+    info = describe(write_recording(tmp_path / "again", "mcap", with_camera))
+    assert info.images == ("/left/image: 3 pictures, camera on /left/camera_info",)
+    assert info.scans == ("/points: 2 clouds",)

@@ -18,6 +18,7 @@ from ladarreg_core.outputs.rig_folder import write_rig
 from ladarreg_core.registration.rig.results import RigResult
 from ladarreg_core.storage.manifest import visible_files
 from testing.scenes.camera_rig import MountedCamera, camera_rig, panorama_camera, three_cameras
+from testing.scenes.small_registration import POSE, sample_photo, sample_scan
 
 pytestmark = pytest.mark.timeout(1200)
 PLACES = 5
@@ -124,9 +125,9 @@ def test_a_panorama_in_a_rig() -> None:
     assert_right(lr.register_rig(pairs, initial=rough(camera.camera_from_scanner), options=_QUICK), camera)
 
 
-def test_names_and_initial_poses_have_to_fit(pairs: list[lr.RigPair]) -> None:
-    two = [pair for pair in pairs if pair.camera_name in ("ahead", "right")]
-    truth = CAMERAS["ahead"].camera_from_scanner
+def test_names_and_initial_poses_have_to_fit() -> None:
+    scan, photo, truth = sample_scan(), sample_photo(), POSE
+    two = [lr.RigPair(f"place {place}", scan, photo, name) for place in (1, 2) for name in ("ahead", "right")]
     with pytest.raises(OptionError, match="one initial pose is given, but the rig has the cameras ahead, right"):
         lr.register_rig(two, initial=truth)
     with pytest.raises(OptionError, match="an initial pose of rear, but the rig has the cameras ahead, right"):

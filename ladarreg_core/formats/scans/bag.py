@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.parsing.budget import ReadBudget
 from ladarreg_core.formats.parsing.untrusted import PathLike, one_line, reading, require_cells
+from ladarreg_core.formats.recordings.images import camera_topic
 from ladarreg_core.formats.recordings.recording import (
     CLOUD_TYPES,
+    IMAGE_TYPES,
     Recording,
     chosen_topic,
     opened_recording,
@@ -32,6 +34,18 @@ _FIXED_FRAMES = ("map", "odom", "world", "earth", "camera_init")
 
 
 @dataclass(frozen=True, slots=True)
+class PictureTopic:
+    """A topic with pictures."""
+
+    name: str
+    """Its name."""
+    messages: int
+    """How many pictures it has."""
+    camera: str | None
+    """Topic with the intrinsics of its camera; None: there is none."""
+
+
+@dataclass(frozen=True, slots=True)
 class BagTopic:
     """A topic with clouds."""
 
@@ -48,6 +62,20 @@ def bag_topics(path: PathLike) -> tuple[BagTopic, ...]:
     """
     with reading(path) as file, opened_recording(storage_of(file)) as recording:
         return tuple(BagTopic(name, count) for name, count in _topics(recording).items())
+
+
+def picture_topics(path: PathLike) -> tuple[PictureTopic, ...]:
+    """Return the topics with pictures of a recording, by name.
+
+    Raises:
+        FormatError: if it cannot be read.
+        DependencyError: if rosbags is not installed.
+    """
+    with reading(path) as file, opened_recording(storage_of(file)) as recording:
+        found = recording.topics(IMAGE_TYPES)
+        return tuple(
+            PictureTopic(name, count, camera_topic(recording, name, list(found))) for name, count in found.items()
+        )
 
 
 def read_bag(

@@ -1,4 +1,4 @@
-"""Channels of scans and photographs, kept by their content for further registrations."""
+"""Channels of scans and photographs, kept for further registrations: the last view, and `Channels` by content."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import hashlib
 import weakref
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from threading import RLock
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -301,9 +301,73 @@ def _view_of(
     return levels
 
 
-def _of_scan(levels: ScanLevels, scan: Scan) -> ScanLevels:
-    """Return the same levels as those of another scan of the same content."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _LastView:
+    """The view that was compared last, for the next photograph of the same camera on the same scan object."""
+
+    scan: weakref.ref[Scan]
+    camera: Camera
+    direction: Rigid
+    levels: ScanLevels
+    """Without the scan, which nothing keeps alive."""
+
+
+_last: list[_LastView] = []  # one at most: a view for a photograph of 1 megapixel takes 80 MB
+
+
+def recall_view(
+    channels: Channels | None,
+    scan: Scan,
+    camera: Camera,
+    direction: Rigid,
+    channel_set: ChannelSet,
+    *,
+    coarse: bool,
+    harmonics: int,
+) -> ScanLevels | None:
+    """Return the levels of a view, from the last one of the process or from channels; None if neither has them.
+
+    A scan is read-only, so that of the last view the same object has the same content; channels compare the content.
+    The arguments are those of `Channels.view`.
+    """
+    wanted = (channel_set, coarse, harmonics)
+    for last in _last[:]:
+        levels = last.levels
+        if (
+            last.scan() is scan
+            and last.camera == camera
+            and (last.direction.rotation == direction.rotation).all()
+            and (levels.channel_set, levels.coarse, levels.harmonics) == wanted
+        ):
+            return _of_scan(levels, scan)
+    if channels is None:
+        return None
+    return channels.view(scan, camera, direction, channel_set, coarse=coarse, harmonics=harmonics)
+
+
+def keep_view(channels: Channels | None, scan: Scan, camera: Camera, direction: Rigid, levels: ScanLevels) -> None:
+    """Keep the levels of a view in place of the last one, and in channels; of a large scan nothing is kept."""
+    if levels.view.scan is not scan or scan.ranges.size > _LARGEST_SCAN:
+        return
+    views = _last
+
+    def dropped(_: object) -> None:
+        # It holds neither the view, which would keep it alive, nor globals, which may be gone at exit.
+        views[:] = [view for view in views if view.scan() is not None]
+
+    _last[:] = [_LastView(weakref.ref(scan, dropped), camera, direction, _of_scan(levels, None))]
+    if channels is not None:
+        channels.keep_view(scan, camera, direction, levels)
+
+
+def forget_last_view() -> None:
+    """Free the view that is kept for the next photograph."""
+    _last.clear()
+
+
+def _of_scan(levels: ScanLevels, scan: Scan | None) -> ScanLevels:
+    """Return the same levels as those of another scan of the same content, or of none to be kept without it."""
     _ = levels.made  # what is made later is shared, too
-    other = replace(levels, view=replace(levels.view, scan=scan))
+    other = replace(levels, view=replace(levels.view, scan=scan))  # type: ignore[arg-type]
     vars(other).update({name: vars(levels)[name] for name in _SHARED if name in vars(levels)})
     return other

@@ -12,7 +12,7 @@ from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.foundations.parallel import Begun, OtherCore, side_by_side
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
-from ladarreg_core.matching.images.kept_channels import Channels
+from ladarreg_core.matching.images.kept_channels import Channels, keep_view, recall_view
 from ladarreg_core.matching.images.pyramid import LEVELS, ChannelSet, PairLevels, ScanLevels
 from ladarreg_core.matching.images.views import direction_towards_overlap, settled_view
 from ladarreg_core.matching.refine.aligner import Aligner, Candidate
@@ -26,7 +26,6 @@ from ladarreg_core.matching.search.hypotheses import (
     hypotheses,
     points_at,
 )
-from ladarreg_core.matching.search.kept_view import keep, recall
 from ladarreg_core.matching.search.roll import Roll, roll_between
 from ladarreg_core.matching.verify.verification import GateOptions
 from ladarreg_core.progress import StepLog
@@ -106,9 +105,7 @@ class ViewSearch:
                 _ = levels.geometry_channels
                 of_intensity.result()
                 _ = levels.channels
-                keep(self._pair.scan, self._pair.working, direction, levels)
-            if self._channels is not None:
-                self._channels.keep_view(self._pair.scan, self._pair.working, direction, levels)
+            keep_view(self._channels, self._pair.scan, self._pair.working, direction, levels)
             aligner = Aligner(levels, self._photo, gate=self._gate, seed=self._seed)
             if self._of_photo is not None:
                 self._of_photo.result()
@@ -275,9 +272,7 @@ def _view_levels(pair: PairLevels, direction: Rigid, channel_set: ChannelSet, ch
     """Return the scan's levels, those kept of another photo if there are any."""
     if not pair.has_view(direction):
         asked = pair.scan, pair.working, direction, channel_set
-        kept = recall(*asked, coarse=pair.coarse, harmonics=pair.harmonics)
-        if kept is None and channels is not None:
-            kept = channels.view(*asked, coarse=pair.coarse, harmonics=pair.harmonics)
+        kept = recall_view(channels, *asked, coarse=pair.coarse, harmonics=pair.harmonics)
         if kept is not None:
             pair.add_view(direction, kept)
     levels = pair.view(direction, channel_set)

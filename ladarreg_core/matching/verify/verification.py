@@ -24,6 +24,9 @@ _SAMPLE = 500
 _NO_NUMBER = 10**6
 _MEANINGFUL = 0.1  # of the longer side: the most uncertainty that is stated as a number
 
+_COARSE_FEW_CONTRAST = 2.8  # `few_contrast` of a coarse scan, which is compared where it shows a shape or paint
+_UNSURE_FRACTION, _UNSURE_CORRELATION = 0.7, 0.6  # `second_*` beside a pose that is not sure
+
 
 @dataclass(frozen=True, slots=True)
 class GateOptions:
@@ -59,8 +62,6 @@ class GateOptions:
     """Minimum contrast with fewer than `few` agreeing regions."""
     fine_fraction: float = 0.35
     """Minimum fraction of regions that agree at level 0, where the tolerance is half as large."""
-    coarse_few_contrast: float = 2.8
-    """`few_contrast` for a coarse scan with intensity, which is compared where it shows a shape or paint."""
     shape_many: int = 20
     """`many` for a coarse scan without intensity, of which outlines alone are compared: few regions, most of which
     agree."""
@@ -101,10 +102,6 @@ class GateOptions:
     """Minimum share of the compared points inside the photo after that shift."""
     sure_fraction: float = 0.6
     """Minimum fraction of agreeing regions of a pose that is sure: given an initial pose, no second one is sought."""
-    unsure_fraction: float = 0.7
-    """`second_fraction` beside a pose that is not sure."""
-    unsure_correlation: float = 0.6
-    """`second_correlation` beside a pose that is not sure."""
 
 
 def small_regions_gate(gate: GateOptions) -> GateOptions:
@@ -116,14 +113,14 @@ def unsure_gate(gate: GateOptions) -> GateOptions:
     """Return the thresholds of a second pose beside one that is not sure: it competes more easily."""
     return replace(
         gate,
-        second_fraction=min(gate.second_fraction, gate.unsure_fraction),
-        second_correlation=min(gate.second_correlation, gate.unsure_correlation),
+        second_fraction=min(gate.second_fraction, _UNSURE_FRACTION),
+        second_correlation=min(gate.second_correlation, _UNSURE_CORRELATION),
     )
 
 
 def coarse_gate(gate: GateOptions) -> GateOptions:
     """Return the thresholds for a coarse scan of which intensity and shape are compared, where they show anything."""
-    return replace(gate, few_contrast=max(gate.few_contrast, gate.coarse_few_contrast))
+    return replace(gate, few_contrast=max(gate.few_contrast, _COARSE_FEW_CONTRAST))
 
 
 def shape_alone_gate(gate: GateOptions) -> GateOptions:

@@ -6,31 +6,15 @@ non-convexity for robust spatial perception (2020).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.pose.estimators.bundle import CostFunction, Descent, Measurements, States, adjust_ranges
 
-
-@dataclass(frozen=True, slots=True)
-class GncOptions:
-    """Schedule of the scale of the robust cost."""
-
-    divide_by: float = 3.0
-    """Factor by which the scale shrinks from one step to the next."""
-    narrow: float = 10.0
-    """Initial scale of a narrow start, relative to the gate."""
-    wide: float = 4.0
-    """Initial scale of a wide start, relative to the median s."""
-    last_steps: int = 12
-    """Maximum number of steps after the scale has reached the gate."""
-    tolerance_sigma: float = 0.1
-    """Iteration stops when no pose moves by more than this many of its standard deviations."""
-
-
-DEFAULT_GNC = GncOptions()
+DIVIDE_BY = 3.0
+"""Factor by which the scale shrinks from one step to the next."""
+_TOLERANCE_SIGMA = 0.1  # iteration stops when no pose moves by more than this many of its standard deviations
+_NARROW, _WIDE = 10.0, 4.0  # initial scales: of a narrow start relative to the gate, of a wide one to the median s
 _WIDEST = 1e9
 _CLOSED = 1.5
 _STEPS, _FIRST_STEPS = 20, 2  # starts are merged after the first steps
@@ -48,19 +32,19 @@ def geman_mcclure(scale: float | FloatArray) -> CostFunction:
     return cost
 
 
-def narrow_scales(states: States, gate: float, options: GncOptions = DEFAULT_GNC) -> FloatArray:
+def narrow_scales(states: States, gate: float) -> FloatArray:
     """Return the scales (B,) of narrow starts, for good starting poses and any share of outliers."""
-    return np.full(len(states.centres), options.narrow * gate)
+    return np.full(len(states.centres), _NARROW * gate)
 
 
-def wide_scales(measured: Measurements, states: States, gate: float, options: GncOptions = DEFAULT_GNC) -> FloatArray:
+def wide_scales(measured: Measurements, states: States, gate: float) -> FloatArray:
     """Return the scales (B,) of wide starts, for poor starting poses and mostly inliers."""
     _, seen = adjust_ranges(measured, states, rounds=1)
-    return np.asarray(np.clip(options.wide * np.median(seen.s, axis=1), gate, _WIDEST))
+    return np.asarray(np.clip(_WIDE * np.median(seen.s, axis=1), gate, _WIDEST))
 
 
 def graduate(
-    measured: Measurements, states: States, scales: FloatArray, gate: float, options: GncOptions = DEFAULT_GNC
+    measured: Measurements, states: States, scales: FloatArray, gate: float, *, last_steps: int = 12
 ) -> tuple[States, FloatArray]:
     """Refine starting poses while the scale of each shrinks to the gate.
 
@@ -69,7 +53,7 @@ def graduate(
         states: B starting poses.
         scales: (B,) initial scales, in units of s.
         gate: final scale: the largest cost s of an inlier.
-        options: schedule of the scale.
+        last_steps: maximum number of steps after the scale has reached the gate.
 
     Returns:
         The refined states, and their truncated scores sum min(s, gate) (B,).
@@ -78,12 +62,12 @@ def graduate(
     mu = np.maximum(np.asarray(scales, dtype=np.float64), gate)[:, None]
     while (mu > gate).any():
         descent.step(geman_mcclure(mu))
-        mu = mu / options.divide_by
+        mu = mu / DIVIDE_BY
         mu = np.where(mu < _CLOSED * gate, gate, mu)  # a scale just above the gate would repeat the last one
     cost = geman_mcclure(mu)
-    for _ in range(options.last_steps):
+    for _ in range(last_steps):
         descent.step(cost)
-        if (descent.step_sigma < options.tolerance_sigma).all():
+        if (descent.step_sigma < _TOLERANCE_SIGMA).all():
             break
     return descent.states, truncated_score(descent.residuals.s, gate)
 
@@ -106,7 +90,7 @@ def graduate_merging(few: Measurements, starts: States, *, gate: float, reach: f
         The final states, and the index of the final state of each start (B,).
     """
     descent = Descent.start(few, starts)
-    mu = np.maximum(_scale(descent.residuals.s), DEFAULT_GNC.narrow * gate)[:, None]
+    mu = np.maximum(_scale(descent.residuals.s), _NARROW * gate)[:, None]
     end_of: IntArray = np.arange(len(mu))
     for k in range(_STEPS):
         descent.step(geman_mcclure(mu))
@@ -119,7 +103,7 @@ def graduate_merging(few: Measurements, starts: States, *, gate: float, reach: f
         if (mu <= gate).all() and (descent.step_sigma < _SETTLED_SIGMA).all():
             break
         # as in `graduate`, but shrink at once where the data already fit better
-        mu = np.minimum(mu / DEFAULT_GNC.divide_by, _scale(descent.residuals.s)[:, None])
+        mu = np.minimum(mu / DIVIDE_BY, _scale(descent.residuals.s)[:, None])
         mu = np.where(mu < _CLOSED * gate, gate, mu)
     return descent.states, end_of
 
@@ -127,7 +111,7 @@ def graduate_merging(few: Measurements, starts: States, *, gate: float, reach: f
 def _scale(s: FloatArray) -> FloatArray:
     """Return the scale (B,) at which most matches count."""
     middle = s.shape[1] // 2
-    return np.asarray(np.minimum(DEFAULT_GNC.wide * np.partition(s, middle, axis=1)[:, middle], _WIDEST))
+    return np.asarray(np.minimum(_WIDE * np.partition(s, middle, axis=1)[:, middle], _WIDEST))
 
 
 def _subset(descent: Descent, starts: IntArray) -> Descent:

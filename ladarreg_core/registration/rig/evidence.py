@@ -19,6 +19,13 @@ ADVICE = "Add pairs of other places with near objects, accumulate longer, or giv
 """What to do about a rig that is not accepted."""
 _MIN_EXCHANGED = 3  # photographs of other places, mirror images included: fewer have no scatter
 _MIN_BLOCKS = 8  # of a mean; refinement needs as many
+_MIN_WINDOWS = 12  # regions of a pair that can be compared, else it is undecided
+_MIN_SHARE = 0.2
+"""Least share of the regions of a held-out pair that agree; of pairs with swapped photographs, .11 at most did."""
+_OF_SWAPPED = 1.5
+"""The same, relative to the largest share with the photographs of other pairs. Photographs that agree better than that
+with the scan of another pair show the same place: these pairs count as one."""
+_FEW_FALSE_ALARM = 0.05  # most probability that fewer than `RigOptions.few` regions agree by chance
 _MIN_MOVED = 4  # blocks of things that moved: a person 6 m away
 
 
@@ -72,7 +79,7 @@ class Jury:
     def fitting(self) -> list[int]:
         """Return the pairs that agree with the pose; the best two if there are fewer."""
         own = np.diag(self._shares)
-        found = [index for index, share in enumerate(own) if share >= self._options.agrees_fraction]
+        found = [index for index, share in enumerate(own) if share >= _MIN_SHARE]
         return found if len(found) >= MIN_PAIRS else sorted(np.argsort(-own, kind="stable")[:MIN_PAIRS].tolist())
 
     def judged(self, index: int, pose: Rigid, *, on_others: bool) -> PairEvidence:
@@ -86,7 +93,7 @@ class Jury:
         o, name, alone = self._options, self._pairs[index].name, self._alone[index]
         coarse = None if index in self._unfit else self._joint.agreement_at(pose, index, 1)
         fine = None if index in self._unfit else self._joint.agreement_at(pose, index, 0)
-        if coarse is None or fine is None or coarse.windows < o.least_windows:
+        if coarse is None or fine is None or coarse.windows < _MIN_WINDOWS:
             compared = 0 if coarse is None else coarse.windows
             why = self._unfit.get(index) or f"only {compared} regions of {name} can be compared with its photo there"
             return PairEvidence(name, "undecided", compared, 0, 0.0, 1.0, 1.0, 0.0, alone, why)
@@ -98,7 +105,7 @@ class Jury:
         alarm = coarse.false_alarm(NEAR_PX, least_chance=max(o.least_chance, chance))
         exchanged = self._exchange_alarm(index, others, coarse)
         fine_share = float(fine.agreeing(FINE_NEAR_PX).mean()) if fine.windows else 0.0
-        least = max(o.agrees_fraction, o.of_swapped * swapped)
+        least = max(_MIN_SHARE, _OF_SWAPPED * swapped)
         sentence = (
             f"{agreeing} of {coarse.windows} regions of {name} agree at the pose of the other pairs ({share:.0%})"
         )
@@ -108,7 +115,7 @@ class Jury:
             sentence += f"; at least {min(least, 1):.0%} must: {self._suspicion(index)}"
         elif not on_others:
             outcome, sentence = "undecided", f"{name} shows the same place as the other pairs, which count as one"
-        elif agreeing < o.few and alarm > o.few_false_alarm:
+        elif agreeing < o.few and alarm > _FEW_FALSE_ALARM:
             outcome = "undecided"
             sentence += f", which may be chance (probability {alarm:.2g})"
         return PairEvidence(
@@ -127,7 +134,7 @@ class Jury:
         """
         o, name, whole = self._options, self._pairs[index].name, self.judged(index, pose, on_others=False)
         others = sorted(self.same_place(index))
-        if whole.outcome != "undecided" or whole.windows < o.least_windows or not others:
+        if whole.outcome != "undecided" or whole.windows < _MIN_WINDOWS or not others:
             return whole
         masks = self._joint.moved(pose, index, others)
 
@@ -150,12 +157,12 @@ class Jury:
             exchange_alarm = chance_of_gain(
                 _gain(coarse, _MIN_MOVED)[0], gains[known], least_variance=float(variances[known].mean())
             )  # fmt: skip
-        least = max(o.agrees_fraction, o.of_swapped * swapped)
+        least = max(_MIN_SHARE, _OF_SWAPPED * swapped)
         sentence = (
             f"{agreeing} of {count} regions of what moved in {name} agree at the pose of the other pairs ({share:.0%})"
         )
         outcome: PairOutcome = "agrees"
-        if share < least or (agreeing < o.few and min(alarm, exchange_alarm) > o.few_false_alarm):
+        if share < least or (agreeing < o.few and min(alarm, exchange_alarm) > _FEW_FALSE_ALARM):
             outcome = "undecided"
             sentence += ", which may be chance"
         fine_blocks = max(len(fine.block_maps), 1)
@@ -179,15 +186,15 @@ class Jury:
         return chance_of_gain(gain, gains, least_variance=float(variances.mean()))
 
     def _is_same(self, scan: int, photo: int) -> bool:
-        share, own, o = self._shares[scan, photo], self._shares[scan, scan], self._options
-        return bool(share >= o.agrees_fraction and share * o.of_swapped >= own >= o.agrees_fraction)
+        share, own = self._shares[scan, photo], self._shares[scan, scan]
+        return bool(share >= _MIN_SHARE and share * _OF_SWAPPED >= own >= _MIN_SHARE)
 
     def _suspicion(self, index: int) -> str:
         """Return why a pair may disagree."""
         shares = self._shares[index].copy()
         shares[index] = 0.0
         best = int(np.argmax(shares))
-        if shares[best] >= self._options.agrees_fraction:
+        if shares[best] >= _MIN_SHARE:
             return f"the photo of {self._pairs[best].name} agrees with its scan, so that photos may be swapped"
         return "its scan and photo do not belong together, or the camera was moved"
 

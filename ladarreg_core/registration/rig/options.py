@@ -25,26 +25,14 @@ class RigOptions:
     """Number of poses that each pair proposes."""
     refined: int = 5
     """Number of candidates that are refined on all pairs."""
-    least_windows: int = 12
-    """Regions of a pair that must be comparable, else it is undecided."""
     least_chance: float = 0.06
     """Least probability assumed for a block of a pair that was held out to agree by chance."""
-    agrees_fraction: float = 0.2
-    """Least share of the regions of a held-out pair that agree; of pairs whose photographs were swapped, .11 at most
-    did."""
-    of_swapped: float = 1.5
-    """The same, relative to the largest share with the photographs of other pairs. Photographs that agree better than
-    that with the scan of another pair show the same place: these pairs count as one."""
     few: int = 12
     """With fewer agreeing regions, agreement by chance must be ruled out, else the pair is undecided."""
-    few_false_alarm: float = 0.05
-    """The most probability of agreement by chance of so few regions."""
     false_alarm: float = 1e-6
     """Most probability of the held-out agreement by chance, without the pair that agrees best."""
     fine_fraction: float = 0.2
     """Least share of the regions of all agreeing pairs that agree at full resolution."""
-    rival_evidence: float = 0.6
-    """Evidence of another pose, relative to that of the best, from which on the rig is ambiguous."""
 
     def __post_init__(self) -> None:
         require_int(self.seed, "the seed", least=0, most=LARGEST_INT)

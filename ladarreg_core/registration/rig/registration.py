@@ -32,6 +32,7 @@ from ladarreg_core.registration.rig.time_offset import estimate_time_offset, pai
 # to it that of leaving out pairs is added. From simulated rigs of other seeds than those of the benchmark.
 _LINES_VARIANCE, _OUTLINES_VARIANCE = 3.0, 4.5
 _ROUNDS = 2
+_RIVAL_EVIDENCE = 0.6  # of another pose, relative to the best, from which on the rig is ambiguous
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,60}")
 _UNKNOWN = np.full((6, 6), np.nan)
 
@@ -183,7 +184,7 @@ def _registered(pairs: Sequence[RigPair], initial: Rigid | None, steps: StepLog,
         covariance = _covariance(joint, views, pose, used, without)
     known = KnownPoses(pairs[used[0]].scan, pairs[used[0]].photo.camera)
     has_rival = any(
-        known.differ(pose, one.camera_from_scanner) and one.evidence >= o.rival_evidence * tried[0].evidence
+        known.differ(pose, one.camera_from_scanner) and one.evidence >= _RIVAL_EVIDENCE * tried[0].evidence
         for one in tried[1:]
     )
     alarm = joint_alarm(evidence, o)

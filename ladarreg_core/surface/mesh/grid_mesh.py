@@ -79,6 +79,8 @@ class GridEdges:
 
 
 _edges_of_scan: WeakKeyDictionary[Scan, GridEdges] = WeakKeyDictionary()
+_mesh_of_scan: WeakKeyDictionary[Scan, Mesh] = WeakKeyDictionary()
+_MAX_CELLS_KEPT = 2_000_000  # whose mesh has some 90 MB
 
 
 def grid_edges(scan: Scan) -> GridEdges:
@@ -181,6 +183,9 @@ def scan_mesh(
         require_int(size, "the mesh's step", least=1, unit="cells")
     if max_vertices is not None:
         require_int(max_vertices, "max_vertices", least=4)
+    whole = steps == (1, 1) and max_vertices is None and not closed and scan.ranges.size <= _MAX_CELLS_KEPT
+    if whole and (kept_mesh := _mesh_of_scan.get(scan)) is not None:
+        return kept_mesh
     rows, columns = _decimate(scan, (int(steps[0]), int(steps[1])), max_vertices)
     if len(rows) == scan.shape[0] and len(columns) == scan.shape[1]:
         edges = grid_edges(scan)
@@ -208,7 +213,10 @@ def scan_mesh(
     vertices, triangles = points.reshape(-1, 3)[kept], index[faces]
     for array in (vertices, triangles, cells):
         array.flags.writeable = False  # handed over, not copied
-    return Mesh(vertices, triangles, cells, scan.shape)
+    mesh = Mesh(vertices, triangles, cells, scan.shape)
+    if whole:
+        _mesh_of_scan[scan] = mesh
+    return mesh
 
 
 def _decimate(scan: Scan, steps: tuple[int, int], max_vertices: int | None) -> tuple[IntArray, IntArray]:

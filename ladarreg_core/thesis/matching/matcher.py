@@ -33,6 +33,7 @@ from ladarreg_core.thesis.matching.search import (
 DepthEdges = Literal["foreground", "left_out"]
 GuidedFilter = Literal["prediction", "disparity"]
 _MANY_CORNERS = CornerOptions(count=1500)
+_MAX_FROM_PREDICTION_PX = 6.0  # of a guided match, from the median displacement from the prediction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,9 +66,7 @@ class ThesisMatchOptions:
     least_score: float = 0.4
     """Lower limit of C2 in guided matching, also for a corner with a single candidate."""
     second_culling: GuidedFilter = "prediction"
-    """Filter of guided matches: by displacement from the `prediction`, or by `disparity` as before."""
-    second_t2_px: float = 6.0
-    """Largest deviation from the median displacement from the prediction."""
+    """Filter of guided matches: by displacement from the `prediction`, or by `disparity` as before (`t2_px`)."""
     densify: DensifyOptions = field(default_factory=DensifyOptions)
     """Lines between matches."""
 
@@ -82,7 +81,6 @@ class ThesisMatchOptions:
                 raise OptionError(f"{name} is {getattr(self, name)!r}; it must be a {expected_type.__name__}")
         check_window(self.window_px)
         check_filter(self.t2_px, self.culling)
-        check_filter(self.second_t2_px, self.culling)
         for name in ("t1", "constrained_t1", "least_score", "search_px", "first_search_px"):
             value, in_pixels = getattr(self, name), name.endswith("_px")
             number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
@@ -193,7 +191,7 @@ class ThesisSearch:
         o = self.options
         if found.predicted_uv is not None and o.second_culling == "prediction":
             shift = found.photo_uv - found.predicted_uv
-            return found.subset(consistent_displacements(shift, most_px=o.second_t2_px))
+            return found.subset(consistent_displacements(shift, most_px=_MAX_FROM_PREDICTION_PX))
         scan, photo = self.scan.cameras[0], self.photo.cameras[0]
         disparity = disparities(found.scan_uv - (scan.cx, scan.cy), found.photo_uv - (photo.cx, photo.cy))
         return found.subset(within_disparity(disparity, t2_px=o.t2_px, side=o.culling))

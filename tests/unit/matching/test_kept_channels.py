@@ -13,10 +13,9 @@ import pytest
 import ladarreg_core as lr
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.matching.images import kept_channels, pyramid
-from ladarreg_core.matching.images.kept_channels import photo_key, view_key
+from ladarreg_core.matching.images.kept_channels import forget_last_view, photo_key, view_key
 from ladarreg_core.matching.images.pyramid import PairLevels
 from ladarreg_core.matching.images.views import viewing_directions
-from ladarreg_core.matching.search import kept_view
 from testing.scenes.painted_room import PaintedRoom, painted_room
 
 
@@ -27,14 +26,14 @@ def room() -> PaintedRoom:
 
 @pytest.fixture(autouse=True)
 def _nothing_kept_elsewhere() -> Iterator[None]:
-    kept_view.forget()
+    forget_last_view()
     yield
-    kept_view.forget()
+    forget_last_view()
 
 
 @pytest.fixture(scope="module")
 def alone(room: PaintedRoom) -> lr.Registration:
-    kept_view.forget()
+    forget_last_view()
     return lr.register(room.scan, room.photo)
 
 
@@ -66,7 +65,7 @@ def make_none(monkeypatch: pytest.MonkeyPatch) -> None:
 def filled(room: PaintedRoom) -> lr.Channels:
     channels = lr.Channels()
     lr.register(room.scan, room.photo, channels=channels)
-    kept_view.forget()
+    forget_last_view()
     return channels
 
 
@@ -81,7 +80,7 @@ def test_a_second_one_is_the_same_and_makes_none(
     assert len(channels) == 2
     make_none(monkeypatch)
     assert_same(lr.register(room.scan, room.photo, channels=channels), alone)
-    kept_view.forget()
+    forget_last_view()
     assert_same(lr.register(*again(room), channels=channels), alone)
     assert len(channels) == 2
 
@@ -113,7 +112,7 @@ def test_a_principal_point_beside_the_middle_survives_plain_arrays(room: Painted
     camera = replace(room.photo.pinhole, cx=room.photo.pinhole.cx + 3, cy=room.photo.pinhole.cy - 5)
     photo = replace(room.photo, camera=camera)
     alone, channels, loaded = lr.register(room.scan, photo), lr.Channels(), lr.Channels()
-    kept_view.forget()
+    forget_last_view()
     lr.register(room.scan, photo, channels=channels)
     for key in channels.keys:
         loaded.add(key, channels.arrays(key))

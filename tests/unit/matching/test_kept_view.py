@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import ladarreg_core as lr
+from ladarreg_core.matching.images.kept_channels import forget_last_view, recall_view
 from ladarreg_core.matching.images.pyramid import PairLevels
 from ladarreg_core.matching.images.views import viewing_directions
-from ladarreg_core.matching.search import kept_view
 from testing.scenes.painted_room import PaintedRoom, painted_room
 
 
@@ -22,11 +22,11 @@ def case() -> PaintedRoom:
 def kept_of(scan: lr.Scan, photo: lr.Photo, *, coarse: bool = False) -> object:
     pair = PairLevels(scan, photo)
     direction = viewing_directions(scan, pair.working)[0]
-    return kept_view.recall(scan, pair.working, direction, "both", coarse=coarse, harmonics=pair.harmonics)
+    return recall_view(None, scan, pair.working, direction, "both", coarse=coarse, harmonics=pair.harmonics)
 
 
 def test_a_second_photo_on_a_scan_gets_the_same_result_from_what_was_kept(case: PaintedRoom) -> None:
-    kept_view.forget()
+    forget_last_view()
     first = lr.register(case.scan, case.photo)
     assert kept_of(case.scan, case.photo) is not None
     second = lr.register(case.scan, case.photo)

@@ -8,8 +8,12 @@ import { button, fill } from "../../ui/controls.js";
 import { element } from "../../ui/dom.js";
 
 const STEPS = { fine: [0.01, 0.2], medium: [0.05, 1], coarse: [0.25, 5] };
+/** @type {[string, string][]} */
 const STEP_LABELS = [["fine", "1 cm, 0.2°"], ["medium", "5 cm, 1°"], ["coarse", "25 cm, 5°"]];
-/** Each with its sign, and how many steps it moves (right, down, forward) and turns (up, right, clockwise). */
+/**
+ * Each with its sign, and how many steps it moves (right, down, forward) and turns (up, right, clockwise).
+ * @type {[string, string, number[], number[]][]}
+ */
 const MOVES = [
   ["Move left", "←", [-1, 0, 0], [0, 0, 0]],
   ["Move right", "→", [1, 0, 0], [0, 0, 0]],
@@ -18,6 +22,7 @@ const MOVES = [
   ["Move forward", "+", [0, 0, 1], [0, 0, 0]],
   ["Move back", "−", [0, 0, -1], [0, 0, 0]],
 ];
+/** @type {[string, string, number[], number[]][]} */
 const TURNS = [
   ["Turn left", "←", [0, 0, 0], [0, -1, 0]],
   ["Turn right", "→", [0, 0, 0], [0, 1, 0]],
@@ -96,6 +101,7 @@ export const roughPose = (sheet) => {
 export const placingBar = () => {
   const step = element("select", { class: "select small", "aria-label": "Step" });
   fill(step, STEP_LABELS, "medium");
+  /** @param {[string, string, number[], number[]]} move */
   const nudge = ([, , shift, turn]) => {
     const { placement } = view.get();
     if (!placement) return;

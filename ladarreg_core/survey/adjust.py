@@ -1,0 +1,584 @@
+"""`adjust`: a survey solved as a whole, with a verdict and a covariance for each photograph.
+
+1. The scanners are placed by their surfaces (`stations`).
+2. Features are matched between photographs (`features`).
+3. Each photograph is registered on the scans, most of them from what registered ones show (`placement`).
+4. Cameras are pooled over their photographs, and everything is adjusted together with the ties (`build`, `solver`).
+5. With the cameras that result, each photograph is registered again on the scans near it, and all is adjusted again.
+6. What contradicts the rest is taken out; photographs without a scan's evidence are verified on the colours of the
+   surface (`verdicts`).
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ladarreg_core.batch.cache import ContentCache
+from ladarreg_core.batch.executor import WorkerProcesses, usable_cores
+from ladarreg_core.batch.photo_task import ScanFiles
+from ladarreg_core.camera import CameraModel
+from ladarreg_core.camera.uncertainty import INTRINSICS
+from ladarreg_core.errors import FormatError, LadarregError, OptionError
+from ladarreg_core.export.json import input_document, plain
+from ladarreg_core.formats import read_scan
+from ladarreg_core.formats.photos.photo_facts import photo_facts
+from ladarreg_core.foundations.validation import require_type
+from ladarreg_core.frames import Rigid
+from ladarreg_core.progress import Progress, Report, part_of
+from ladarreg_core.registration.register import RegisterOptions
+from ladarreg_core.results import Registration
+from ladarreg_core.scan import Scan
+from ladarreg_core.survey.adjustment import (
+    AdjustedCamera,
+    AdjustedPhoto,
+    AdjustedScan,
+    Adjustment,
+    TieResidual,
+    scan_covariance,
+)
+from ladarreg_core.survey.build import Bodies, build_problem, camera_unknowns, pair_factor, with_ties
+from ladarreg_core.survey.features import propose_pairs
+from ladarreg_core.survey.placement import PhotoState, Placement
+from ladarreg_core.survey.problem import CameraUnknowns, Problem, RelativePose
+from ladarreg_core.survey.solver import Adjusted, solve
+from ladarreg_core.survey.stations import place_stations
+from ladarreg_core.survey.survey import Survey, SurveyCamera, SurveyPhoto, listed_faults
+from ladarreg_core.survey.verdicts import (
+    Solution,
+    TakenOut,
+    count_ties,
+    largest_shift,
+    pose_difference,
+    solve_consistent,
+    without_photo,
+)
+from ladarreg_core.survey.work import PairTask, PhotoFiles, pair_matches, photo_features, registered, verified_by_colors
+
+_UNKNOWN = np.full((6, 6), np.nan)
+_DIFFERS = 27.9  # squared Mahalanobis distance with 6 degrees of freedom, exceeded once in 10,000
+_ROUGH_RAD, _ROUGH_M = float(np.radians(0.02)), 0.001  # what the colours' own poses may be off
+_MAX_SHOWN = 60
+_STAGES = {"scans": 0.05, "stations": 0.12, "features": 0.2, "matches": 0.3, "photos": 0.65, "adjust": 0.72,
+           "refine": 0.9, "verify": 1.0}  # fmt: skip
+"""Share of the whole that is done after each stage."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solved:
+    """All that `adjust` leaves, for outputs."""
+
+    adjustment: Adjustment
+    states: tuple[PhotoState, ...]
+    scans: tuple[ScanFiles, ...]
+
+
+def adjust(
+    survey: Survey,
+    *,
+    options: RegisterOptions | None = None,
+    processes: int | None = None,
+    cache: ContentCache | None = None,
+    report: Report | None = None,
+) -> Adjustment:
+    """Solve a survey: all poses and cameras together, from the scans' images, ties between photographs and priors.
+
+    The result is the same whatever the number of processes. On systems that spawn processes, as all do here, a program
+    calls this below `if __name__ == "__main__":`. `write_adjustment` also writes it with all that a pair writes.
+
+    Args:
+        survey: the survey.
+        options: seed, thresholds and priors of the registrations.
+        processes: number of worker processes; None: one for each processor core.
+        cache: keeps scans, features, matches and registrations, so that a survey can be resumed; None: only for this
+            call.
+        report: receives the progress; may raise `Cancelled`.
+
+    Returns:
+        The adjustment. Photographs that are not accepted are part of it, with their reasons.
+
+    Raises:
+        LadarregError: if a file cannot be read.
+        OptionError: if an argument is of a wrong type.
+    """
+    return solve_survey(survey, options=options, processes=processes, cache=cache, report=report).adjustment
+
+
+def solve_survey(
+    survey: Survey, *, options: RegisterOptions | None = None, processes: int | None = None,
+    cache: ContentCache | None = None, report: Report | None = None,
+) -> Solved:  # fmt: skip
+    """Solve a survey and return all that its outputs need; arguments as of `adjust`."""
+    require_type(survey, Survey, "'survey'")
+    o = RegisterOptions() if options is None else require_type(options, RegisterOptions, "'options'")
+    if processes is not None and processes < 1:
+        raise OptionError(f"the number of `processes` is {processes}; it must be at least 1")
+    with ExitStack() as stack:
+        kept = cache or ContentCache(stack.enter_context(tempfile.TemporaryDirectory(prefix="ladarreg-")))
+        workers = stack.enter_context(WorkerProcesses(processes or usable_cores()))
+        return _Run(survey, o, kept, workers, report).run()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Header:
+    """A photograph's file, and what it says of its camera."""
+
+    files: PhotoFiles
+    camera: CameraModel
+    assumed: bool
+    orientation: int
+
+
+@dataclass(slots=True, eq=False)
+class _Run:
+    survey: Survey
+    options: RegisterOptions
+    cache: ContentCache
+    workers: Executor
+    report: Report | None
+    inputs: dict[str, Any] = field(default_factory=dict)
+    stage: tuple[float, float] = (0.0, 0.0)
+
+    def run(self) -> Solved:
+        headers = self._cameras_stated()
+        scans = self._read_scans()
+        stations = place_stations(
+            self.survey.scans, [scan for _, scan in scans], seed=self.options.seed, report=self._part("stations")
+        )
+        files = [one for one, _ in scans]
+        del scans
+        states = self._states(headers)
+        matches = self._matches(states)
+        self._begin("photos")
+        placement = Placement(states, files, stations, matches, self.options, self.workers, self._told(3 * len(states)))
+        placement.run()
+        cameras = camera_unknowns(self.survey, states)
+        self._begin("adjust")
+        first, bodies = self._adjusted(placement, cameras, self._factors(states, cameras))
+        self._begin("refine")
+        factors = self._registered_again(placement, first, bodies)
+        second, bodies = self._refined(placement, first, bodies, factors)
+        self._begin("verify")
+        solution, refused = self._judged(placement, second, bodies)
+        return Solved(self._adjustment(placement, solution, refused), tuple(states), tuple(files))
+
+    # -- what is given ---------------------------------------------------------------------------------------------
+
+    def _read_scans(self) -> list[tuple[ScanFiles, Scan]]:
+        self._begin("scans")
+        found, tell = [], self._told(len(self.survey.scans))
+        for one in self.survey.scans:
+            options = {**one.options, "scan_index": one.index}
+            if isinstance(one.source, Scan):
+                content = [ContentCache.key(ranges=_digest(one.source.ranges), intensity=_digest(one.source.intensity))]
+            else:
+                document = input_document(one.source)
+                self.inputs[f"scan/{one.id}"] = document
+                content = [document["sha256"]]
+            stated = None if one.world_from_scanner is None else one.world_from_scanner.matrix.tolist()
+            key = ContentCache.key(kind="survey scan", content=content, options=plain(options), world=stated)
+            scan = one.source if isinstance(one.source, Scan) else self.cache.get(key)
+            if not isinstance(scan, Scan):
+                assert isinstance(one.source, Path)
+                scan = read_scan(one.source, **options)
+            if one.world_from_scanner is not None:
+                scan = replace(scan, world_from_scanner=one.world_from_scanner)
+            if key not in self.cache:
+                self.cache.put(key, scan)
+            path = None if isinstance(one.source, Scan) else one.source
+            found.append((ScanFiles(path, options, key, self.cache.folder, self.cache.most_bytes), scan))
+            tell(f"reading {one.id}")
+        return found
+
+    def _cameras_stated(self) -> dict[str, _Header]:
+        """Return what each photograph says of its camera; what cannot be read is told at once, all of it."""
+        cameras, found, faults = {one.id: one for one in self.survey.cameras}, {}, []
+        for given in self.survey.photos:
+            try:
+                files = self._photo_files(given, cameras[given.camera])
+                photo = files.read()
+                orientation = 1 if not isinstance(given.source, Path) else photo_facts(given.source).orientation
+                found[given.id] = _Header(files, photo.camera, photo.assumed, orientation)
+            except LadarregError as error:
+                faults.append(str(error))
+        if faults:
+            raise FormatError(listed_faults("the survey", faults))
+        return found
+
+    def _states(self, headers: Mapping[str, _Header]) -> list[PhotoState]:
+        self._begin("features")
+        tell, states = self._told(len(headers)), []
+        waiting = [
+            self.workers.submit(photo_features, one.files, self.cache.folder, self.cache.most_bytes)
+            for one in headers.values()
+        ]
+        for given, one, future in zip(self.survey.photos, headers.values(), waiting, strict=True):
+            states.append(PhotoState(given, one.files, one.orientation, future.result(), one.camera, one.assumed))
+            tell(f"features of {given.id}")
+        return states
+
+    def _photo_files(self, given: SurveyPhoto, camera: SurveyCamera) -> PhotoFiles:
+        options = dict(camera.options)
+        if camera.source is not None:
+            options["camera"] = camera.source
+        if isinstance(given.source, Path):
+            document = input_document(given.source)
+            self.inputs[f"photo/{given.id}"] = document
+            stated: Any = options.get("camera")
+            if isinstance(stated, Path):
+                stated = input_document(stated)["sha256"]
+            elif stated is not None:
+                stated = stated.as_fields()
+            key = ContentCache.key(photo=document["sha256"], options=plain({**options, "camera": stated}))
+            return PhotoFiles(id=given.id, source=given.source, options=options, key=key)
+        photo = given.source
+        if camera.source is not None:
+            if isinstance(camera.source, Path):
+                raise OptionError(f"the photo {given.id} is in memory, and its camera is a file; give both alike")
+            photo = replace(photo, camera=camera.source, calibrated=True, assumed=False, alternatives=())
+        key = ContentCache.key(photo=_digest(photo.pixels), camera=photo.camera.as_fields(), assumed=photo.assumed)
+        return PhotoFiles(id=given.id, source=photo, key=key)
+
+    def _matches(self, states: list[PhotoState]) -> dict[tuple[int, int], Any]:
+        self._begin("matches")
+        pairs = propose_pairs([one.features for one in states])
+        tell = self._told(len(pairs))
+        waiting = {
+            (i, j): self.workers.submit(
+                pair_matches, states[i].files, states[j].files, self.cache.folder, self.cache.most_bytes
+            )
+            for i, j in pairs
+        }
+        found = {}
+        for (i, j), future in waiting.items():
+            found[i, j] = future.result()
+            tell(f"{states[i].given.id} and {states[j].given.id}")
+        return {pair: matches for pair, matches in found.items() if len(matches)}
+
+    # -- the adjustment --------------------------------------------------------------------------------------------
+
+    def _factors(self, states: list[PhotoState], cameras: list[CameraUnknowns]) -> dict[tuple[int, int], RelativePose]:
+        index = {camera.id: k for k, camera in enumerate(self.survey.cameras)}
+        return {
+            (k, scan): pair_factor(result, state, cameras[index[state.given.camera]].size)
+            for k, state in enumerate(states) for scan, result in state.pairs.items()
+        }  # fmt: skip
+
+    def _adjusted(
+        self, placement: Placement, cameras: list[CameraUnknowns], factors: Mapping[tuple[int, int], RelativePose]
+    ) -> tuple[Adjusted, Bodies]:
+        """Adjust from the registrations and the poses that features gave."""
+        states = placement.states
+        poses = {k: one.pose for k, one in enumerate(states) if one.pose is not None}
+        problem, bodies = build_problem(self.survey, placement, cameras, poses, factors)
+        adjusted = solve(_determined(with_ties(problem, bodies, placement)))
+        self._laser(placement, adjusted, bodies)
+        adjusted = solve(with_ties(adjusted.problem, bodies, placement))
+        for photo, body in bodies.photos.items():
+            states[photo].pose = adjusted.problem.poses[body]
+        self._start_others(placement, adjusted)
+        return adjusted, bodies
+
+    def _start_others(self, placement: Placement, adjusted: Adjusted) -> None:
+        """Give photographs without a pose the one that the adjusted ones imply, with the adjusted cameras."""
+        cameras = self._cameras_now(adjusted)
+        for k, state in enumerate(placement.states):
+            if state.pose is None:
+                state.camera = self._camera_of(state, cameras)
+                state.pose = placement.pose_from_features(k)
+
+    def _registered_again(
+        self, placement: Placement, adjusted: Adjusted, bodies: Bodies
+    ) -> dict[tuple[int, int], RelativePose]:
+        """Register every photograph with its adjusted camera on all scans near it."""
+        cameras, tasks = self._cameras_now(adjusted), {}
+        for k, state in enumerate(placement.states):
+            if state.pose is None:
+                continue
+            camera = self._camera_of(state, cameras)
+            for scan in placement.nearest_scans(state.pose):
+                world = placement.stations.each[scan].world_from_scanner or Rigid.identity()
+                if bodies.scans[scan] >= 0:
+                    world = adjusted.problem.poses[bodies.scans[scan]].inverse
+                tasks[k, scan] = PairTask(
+                    photo=state.files, scan=placement.scans[scan], options=self.options, camera=camera,
+                    initial=state.pose @ world, near=True,
+                )  # fmt: skip
+        tell = self._told(len(tasks))
+        waiting = {key: self.workers.submit(registered, task) for key, task in tasks.items()}
+        for state in placement.states:
+            state.pairs = {}
+        for (k, scan), future in waiting.items():
+            try:
+                result = future.result()
+            except LadarregError as error:
+                placement.states[k].reasons = (str(error),)
+            else:
+                if result.accepted:
+                    placement.states[k].pairs[scan] = result
+                elif not placement.states[k].reasons:
+                    placement.states[k].reasons = result.reasons
+            tell(f"{placement.states[k].given.id} on scan {scan + 1}")
+        cameras_list = list(adjusted.problem.cameras)
+        return self._factors(list(placement.states), cameras_list)
+
+    def _refined(
+        self, placement: Placement, first: Adjusted, bodies: Bodies, factors: Mapping[tuple[int, int], RelativePose]
+    ) -> tuple[Adjusted, Bodies]:
+        """Adjust again from the second registrations, with photographs that rest on ties alone."""
+        poses = {k: one.pose for k, one in enumerate(placement.states) if one.pose is not None}
+        stations = placement.stations
+        moved = tuple(
+            replace(one, world_from_scanner=first.problem.poses[body].inverse) if body >= 0 else one
+            for one, body in zip(stations.each, bodies.scans, strict=True)
+        )
+        placement.stations = replace(stations, each=moved)
+        cameras = list(first.problem.cameras)
+        problem, bodies = build_problem(self.survey, placement, cameras, poses, factors)
+        self._laser(placement, None, bodies, problem)
+        problem = _determined(with_ties(problem, bodies, placement))
+        adjusted = solve(problem)
+        self._laser(placement, adjusted, bodies)
+        again = with_ties(adjusted.problem, bodies, placement)
+        return replace(adjusted, problem=again), bodies
+
+    def _laser(
+        self, placement: Placement, adjusted: Adjusted | None, bodies: Bodies, problem: Problem | None = None
+    ) -> None:
+        """Find the places on the surfaces again, at the present poses, on the scans that stood nearest."""
+        at = problem if adjusted is None else adjusted.problem
+        assert at is not None
+        poses = {photo: at.poses[body] for photo, body in bodies.photos.items()}
+        cameras = {photo: at.camera_of(body) for photo, body in bodies.photos.items()}
+        placement.laser.clear()
+        which = [(photo, scan) for photo, pose in poses.items() for scan in placement.nearest_scans(pose)]
+        placement.find_laser_points(which, poses, cameras)
+
+    # -- verdicts --------------------------------------------------------------------------------------------------
+
+    def _judged(
+        self, placement: Placement, adjusted: Adjusted, bodies: Bodies
+    ) -> tuple[Solution, dict[int, tuple[str, ...]]]:
+        """Take out what contradicts the rest, and photographs on ties alone that nothing verifies."""
+        names = {k: one.given.id for k, one in enumerate(placement.states)}
+        solution = solve_consistent(adjusted.problem, bodies, names)
+        refused: dict[int, tuple[str, ...]] = {}
+        while True:
+            verified = {k for k in solution.bodies.photos if placement.states[k].by_image}
+            candidates = [k for k in solution.bodies.photos if k not in verified]
+            against = {k: self._against(placement, solution, k, verified) for k in candidates if k not in refused}
+            wrong = {k: why for k, why in against.items() if why}
+            if not wrong:
+                return solution, refused
+            problem, left = solution.adjusted.problem, solution.bodies
+            for k, why in wrong.items():
+                refused[k] = (why, *placement.states[k].reasons[:1])
+                problem, left = without_photo(problem, left, k)
+            again = solve(problem)
+            moved = {k: largest_shift(solution.adjusted, solution.bodies, again, left)[0] for k in wrong}
+            taken = {**solution.taken_out, **{k: TakenOut(refused[k][0], moved[k]) for k in wrong}}
+            solution = Solution(again, left, taken)
+
+    def _against(self, placement: Placement, solution: Solution, photo: int, verified: set[int]) -> str:
+        """Return why a photograph on ties alone is not accepted, as a sentence; empty: it is."""
+        adjusted, bodies = solution.adjusted, solution.bodies
+        ties = count_ties(adjusted, bodies, photo)
+        reason = ties.reason_against(verified)
+        if reason:
+            return reason
+        body = bodies.photos[photo]
+        pose, camera = adjusted.problem.poses[body], adjusted.problem.camera_of(body)
+        sources = tuple(
+            (placement.states[k].files, adjusted.problem.camera_of(at), adjusted.problem.poses[at])
+            for k in ties.partners if k in verified for at in (bodies.photos[k],)
+        )  # fmt: skip
+        surfaces = tuple(
+            (placement.scans[k], adjusted.problem.poses[bodies.scans[k]])
+            for k in placement.nearest_scans(pose) if bodies.scans[k] >= 0
+        )  # fmt: skip
+        state = placement.states[photo]
+        task = PairTask(
+            photo=state.files, scan=placement.scans[0], options=self.options, camera=camera, initial=pose, near=True
+        )
+        self._told(1)(f"{state.given.id} against the colours of {len(sources)} photographs")
+        result = self.workers.submit(verified_by_colors, task, sources, surfaces).result()
+        if result is None:
+            return "Too little of the surface that it shows is coloured by verified photographs to compare it with."
+        if not result.accepted:
+            return (
+                f"The colours of the surface do not verify it: {result.reasons[0][:1].lower()}{result.reasons[0][1:]}"
+            )
+        return _contradicted_by(result, pose, adjusted.covariance_of(body))
+
+    # -- the result ------------------------------------------------------------------------------------------------
+
+    def _adjustment(
+        self, placement: Placement, solution: Solution, refused: Mapping[int, tuple[str, ...]]
+    ) -> Adjustment:
+        adjusted, bodies, states = solution.adjusted, solution.bodies, placement.states
+        names = [one.given.id for one in states]
+        scans = {given.id: self._scan(placement, adjusted, bodies, k) for k, given in enumerate(self.survey.scans)}
+        photos = {names[k]: self._photo(placement, solution, refused, k, names) for k in range(len(states))}
+        placed = [(given.id, bodies.scans[k]) for k, given in enumerate(self.survey.scans) if bodies.scans[k] >= 0]
+        order = [
+            *(("scan", name, body) for name, body in placed),
+            *(("photo", names[k], body) for k, body in sorted(bodies.photos.items())),
+        ]
+        joint = np.block([
+            [adjusted.covariance_between(a, b) for *_, b in order] for *_, a in order
+        ]) if order else np.zeros((0, 0))  # fmt: skip
+        return Adjustment(
+            scans=scans, cameras=self._cameras(adjusted, photos), photos=photos, chi2_per_dof=adjusted.chi2_per_dof,
+            sigma_px=adjusted.sigma_px, joint=joint, joint_ids=tuple((kind, name) for kind, name, _ in order),
+            residuals=_worst_ties(adjusted, bodies, names), options=plain(asdict(self.options)), inputs=self.inputs,
+        )  # fmt: skip
+
+    def _scan(self, placement: Placement, adjusted: Adjusted, bodies: Bodies, scan: int) -> AdjustedScan:
+        station, body = placement.stations.each[scan], bodies.scans[scan]
+        if body < 0:
+            return AdjustedScan(world_from_scanner=None, covariance=_UNKNOWN, fixed=False, reasons=station.reasons)
+        return AdjustedScan(
+            world_from_scanner=adjusted.problem.poses[body].inverse, covariance=scan_covariance(adjusted, body),
+            fixed=station.fixed, reasons=station.reasons,
+        )  # fmt: skip
+
+    def _photo(
+        self, placement: Placement, solution: Solution, refused: Mapping[int, tuple[str, ...]], k: int,
+        names: list[str],
+    ) -> AdjustedPhoto:  # fmt: skip
+        adjusted, bodies, state = solution.adjusted, solution.bodies, placement.states[k]
+        if k not in bodies.photos:
+            taken = solution.taken_out.get(k)
+            reasons = refused.get(k) or ((taken.reason,) if taken else state.reasons) or ("Nothing is known of it.",)
+            return AdjustedPhoto(
+                camera_from_world=None, covariance=_UNKNOWN, camera=state.camera, evidence="none", reasons=reasons,
+                moved_others_sigmas=None if taken is None else taken.moved_others_sigmas,
+            )  # fmt: skip
+        body, ties = bodies.photos[k], count_ties(adjusted, bodies, k)
+        scans = tuple(self.survey.scans[scan].id for scan in sorted(state.pairs))
+        partners = tuple(names[one] for one in ties.partners)
+        tied = f"{ties.agree} ties with {len(partners)} other photographs agree" if ties.agree else "it shares no ties"
+        said = (
+            f"The image of {' and of '.join(scans)} verifies it; {tied}."
+            if state.by_image
+            else f"No scan's image verifies it by itself; {tied}, and the colours of the surface verify it."
+        )
+        return AdjustedPhoto(
+            camera_from_world=adjusted.problem.poses[body], covariance=adjusted.covariance_of(body),
+            camera=adjusted.problem.camera_of(body), evidence="image" if state.by_image else "ties", reasons=(said,),
+            scans=scans, ties=ties.agree, ties_left_out=ties.left_out, partners=partners, median_px=ties.median_px,
+        )  # fmt: skip
+
+    def _cameras(self, adjusted: Adjusted, photos: Mapping[str, AdjustedPhoto]) -> dict[str, AdjustedCamera]:
+        found = {}
+        for k, given in enumerate(self.survey.cameras):
+            own = [one for one in self.survey.photos if one.camera == given.id]
+            taken = tuple(one.id for one in own if photos[one.id].accepted)
+            unknowns = adjusted.problem.cameras[k]
+            shown = photos[taken[0]].camera if taken else unknowns.base
+            found[given.id] = AdjustedCamera(
+                camera=shown, names=INTRINSICS if unknowns.size else (), covariance=adjusted.camera_covariance(k),
+                photos=taken,
+            )  # fmt: skip
+        return found
+
+    def _cameras_now(self, adjusted: Adjusted) -> dict[str, CameraUnknowns]:
+        return dict(zip((one.id for one in self.survey.cameras), adjusted.problem.cameras, strict=True))
+
+    def _camera_of(self, state: PhotoState, cameras: Mapping[str, CameraUnknowns]) -> Any:
+        from ladarreg_core.survey.build import photo_view
+
+        unknowns = cameras[state.given.camera]
+        return photo_view(state, 0, unknowns).camera_at(unknowns.values)
+
+    # -- progress --------------------------------------------------------------------------------------------------
+
+    def _begin(self, stage: str) -> None:
+        names = list(_STAGES)
+        before = names.index(stage) - 1
+        self.stage = (0.0 if before < 0 else _STAGES[names[before]], _STAGES[stage])
+
+    def _part(self, stage: str) -> Report | None:
+        self._begin(stage)
+        return part_of(self.report, *self.stage)
+
+    def _told(self, total: int) -> Any:
+        part, done = part_of(self.report, *self.stage), 0
+
+        def tell(label: str) -> None:
+            nonlocal done
+            done += 1
+            if part is not None:
+                part(Progress(min(done, total), total, label))
+
+        return tell
+
+
+def _determined(problem: Problem) -> Problem:
+    """Return the problem with what is known so weakly of bodies without any relation that it can be solved.
+
+    A photograph on ties alone may have lost all of them.
+    """
+    from ladarreg_core.survey.problem import WORLD
+
+    weak = np.diag([1.0] * 3 + [1.0] * 3)
+    related = {one.body for one in problem.relative}
+    more = [
+        RelativePose(body, WORLD, pose, weak, name="its start")
+        for body, (pose, view) in enumerate(zip(problem.poses, problem.views, strict=True))
+        if view is not None and body not in related
+    ]  # fmt: skip
+    return replace(problem, relative=(*problem.relative, *more))
+
+
+def _contradicted_by(result: Registration, pose: Rigid, covariance: Any) -> str:
+    """Return a sentence if a registration on the coloured surface is elsewhere than a pose; else an empty text."""
+    view = result.world_from_scanner
+    assert view is not None
+    found = result.camera_from_scanner @ view.inverse
+    turn = np.eye(6)
+    turn[3:, 3:] = view.rotation
+    floor = np.diag([_ROUGH_RAD**2] * 3 + [_ROUGH_M**2] * 3)
+    of_both = covariance + turn @ np.asarray(result.covariance) @ turn.T + floor
+    off = pose_difference(found, pose)
+    if float(off @ np.linalg.solve(of_both, off)) <= _DIFFERS:
+        return ""
+    return (
+        f"The colours of the surface verify another pose, {1000 * np.linalg.norm(off[3:]):.0f} mm and "
+        f"{np.degrees(np.linalg.norm(off[:3])):.2f} deg away."
+    )
+
+
+def _worst_ties(adjusted: Adjusted, bodies: Bodies, names: list[str]) -> tuple[TieResidual, ...]:
+    """Return the ties with the largest residuals, largest first."""
+    ties, residual = adjusted.problem.ties, adjusted.tie_residuals_px
+    length = np.nan_to_num(np.linalg.norm(residual, axis=1), nan=np.inf)
+    photo_of, found, seen = bodies.photo_of, [], set()
+    for k in np.argsort(-length, kind="stable").tolist():
+        point = int(ties.point[k])
+        if point in seen or not np.isfinite(length[k]):
+            continue
+        seen.add(point)
+        rows = np.flatnonzero(ties.point == point)
+        found.append(
+            TieResidual(
+                photos=tuple(names[photo_of[body]] for body in ties.photo[rows].tolist()), uv=ties.uv[rows],
+                residual_px=residual[rows],
+            )
+        )  # fmt: skip
+        if len(found) == _MAX_SHOWN:
+            break
+    return tuple(found)
+
+
+def _digest(array: Any) -> str:
+    from hashlib import sha256
+
+    return sha256(np.ascontiguousarray(array).tobytes()).hexdigest()

@@ -1,0 +1,257 @@
+"""The least-squares problem of a survey: bodies with poses, cameras, ties, and what is known between them.
+
+Scanners and photographs are bodies: each has a pose `body_from_world` with the unknowns (w, c) of this project:
+R_true = exp([w]x) R, c = the shift of its centre in the world, m. A camera has the unknowns of `INTRINSICS` if it is
+estimated. A tie is a point of the world, seen in two photographs or more, and on the laser's surface where
+there is one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ladarreg_core.camera import Camera, CameraModel
+from ladarreg_core.camera.uncertainty import INTRINSICS, pose_jacobian
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
+from ladarreg_core.frames import Rigid, rotvec_from_rotation, skew
+
+Matrix = FloatArray
+WORLD = -1
+"""In place of the index of a body: the world."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraUnknowns:
+    """A camera that photographs share.
+
+    Its values are those of the pixels as stored, the principal point from their middle, so that one camera serves
+    photographs that were turned upright.
+    """
+
+    base: CameraModel
+    """The camera of upright pixels with all that is not estimated, such as further terms of distortion."""
+    values: Matrix
+    """(4,) `INTRINSICS`; (0,) of a camera that is taken as it is."""
+    prior: Matrix
+    """(4,) likewise, before anything is adjusted."""
+    covariance: Matrix
+    """(4, 4) of the prior."""
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return len(self.values)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PhotoView:
+    """How a body that is a photograph sees."""
+
+    camera: int
+    """Index of its camera."""
+    turn: Matrix
+    """(4, 4) from the values of the camera to those of the upright pixels."""
+    middle: Matrix
+    """(4,) what is then added: the middle of the upright pixels, for the principal point."""
+    base: CameraModel
+    """The camera of its pixels, before it is adjusted."""
+
+    def camera_at(self, values: Matrix) -> CameraModel:
+        """Return the camera of the photograph's pixels for values (4,) or (0,)."""
+        pinhole = self.base.as_pinhole
+        if not len(values) or pinhole is None:
+            return self.base
+        focal, k1, cx, cy = self.turn @ values + self.middle
+        ratio = focal / pinhole.focal_px
+        terms = (k1, *(pinhole.distortion[1:] or (0.0, 0.0, 0.0)))
+        return replace(pinhole, fx=pinhole.fx * ratio, fy=pinhole.fy * ratio, cx=cx, cy=cy, distortion=terms)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RelativePose:
+    """What is known of the pose of one body relative to another, given the camera.
+
+    The pose for values K of the camera is `pose`, moved by `by_camera` (K - `camera_values`); `covariance` is that of
+    the pose for a known camera.
+    """
+
+    body: int
+    """Index of the body."""
+    base: int
+    """Index of the other body, or `WORLD`."""
+    pose: Rigid
+    """body from base."""
+    covariance: Matrix
+    """(6, 6) of (w, c): w about the axes of the body, c in the frame of the base."""
+    by_camera: Matrix | None = None
+    """(6, 4)."""
+    camera_values: Matrix | None = None
+    """(4,), as of `CameraUnknowns`."""
+    name: str = ""
+    """What it came from, for users."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ties:
+    """N observations of P points in photographs, and K on the surfaces of scans."""
+
+    points: Matrix
+    """(P, 3) world, m."""
+    point: IntArray
+    """(N,) index of the point of each observation."""
+    photo: IntArray
+    """(N,) index of the body."""
+    uv: Matrix
+    """(N, 2) photo pixels."""
+    on_point: IntArray
+    """(K,) index of the point of each place on a surface."""
+    scan: IntArray
+    """(K,) index of the body."""
+    xyz: Matrix
+    """(K, 3) scanner frame, m."""
+    normal: Matrix
+    """(K, 3) unit normals there."""
+    sigma_m: Matrix
+    """(K,) standard deviation across the surface, m."""
+
+    @staticmethod
+    def none() -> Ties:
+        """Return no ties."""
+        empty, indices = np.zeros((0, 3)), np.zeros(0, np.int64)
+        return Ties(empty, indices, indices, np.zeros((0, 2)), indices, indices, empty, empty, np.zeros(0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """All unknowns with their values, and all that is known."""
+
+    poses: tuple[Rigid, ...]
+    """`body_from_world` of each body."""
+    fixed: BoolArray
+    """(B,) which bodies do not move."""
+    views: tuple[PhotoView | None, ...]
+    """How each body sees; None: it is a scanner."""
+    cameras: tuple[CameraUnknowns, ...]
+    relative: tuple[RelativePose, ...]
+    ties: Ties
+
+    @property
+    def columns(self) -> tuple[IntArray, IntArray, int]:
+        """First column of each body (-1: fixed) and of each camera (-1: not estimated), and their number."""
+        of_body = np.full(len(self.poses), -1, np.int64)
+        of_body[~self.fixed] = 6 * np.arange(int((~self.fixed).sum()))
+        at = 6 * int((~self.fixed).sum())
+        of_camera = np.full(len(self.cameras), -1, np.int64)
+        for k, camera in enumerate(self.cameras):
+            if camera.size:
+                of_camera[k], at = at, at + camera.size
+        return of_body, of_camera, at
+
+    def moved(self, step: Matrix, points: Matrix) -> Problem:
+        """Return the problem at other values: `step` (Y,) of bodies and cameras, `points` (P, 3) of the ties."""
+        of_body, of_camera, _ = self.columns
+        poses = tuple(
+            pose if at < 0 else moved_pose(pose, step[at : at + 6])
+            for pose, at in zip(self.poses, of_body, strict=True)
+        )
+        cameras = tuple(
+            one if at < 0 else replace(one, values=one.values + step[at : at + one.size])
+            for one, at in zip(self.cameras, of_camera, strict=True)
+        )
+        return replace(self, poses=poses, cameras=cameras, ties=replace(self.ties, points=self.ties.points + points))
+
+    def camera_of(self, body: int) -> CameraModel:
+        """Return the camera of a photograph at the present values."""
+        view = self.views[body]
+        assert view is not None, "a scanner has no camera"
+        return view.camera_at(self.cameras[view.camera].values)
+
+
+def moved_pose(pose: Rigid, step: FloatArray) -> Rigid:
+    """Return a pose after a step (6,) of (w, c)."""
+    return Rigid.from_centre(Rigid.from_rotvec(step[:3]).rotation @ pose.rotation, pose.centre + step[3:])
+
+
+def relative_residual(
+    known: RelativePose, poses: Sequence[Rigid], camera_values: Matrix | None
+) -> tuple[Matrix, Matrix, Matrix]:
+    """Return the residual (6,) of a relative pose, present minus known, and its derivatives (6, 6).
+
+    Args:
+        known: the relative pose.
+        poses: of all bodies.
+        camera_values: of the body's camera; None: it has none.
+
+    Returns:
+        residual (w, c), and its derivatives by the body's (w, c) and by the base's.
+    """
+    body = poses[known.body]
+    base = Rigid.identity() if known.base == WORLD else poses[known.base]
+    R = body.rotation @ base.rotation.T
+    centre = base.rotation @ (body.centre - base.centre)
+    turn = rotvec_from_rotation(R @ known.pose.rotation.T)
+    residual = np.concatenate([turn, centre - known.pose.centre])
+    inverse = _left_jacobian_inverse(turn)
+    by_body, by_base = np.zeros((6, 6)), np.zeros((6, 6))
+    by_body[:3, :3], by_base[:3, :3] = inverse, -inverse @ R
+    by_body[3:, 3:], by_base[3:, 3:] = base.rotation, -base.rotation
+    by_base[3:, :3] = -skew(centre)
+    if known.by_camera is not None and known.camera_values is not None and camera_values is not None:
+        residual = residual - known.by_camera @ (camera_values - known.camera_values)
+    return residual, by_body, by_base
+
+
+def tie_residuals(problem: Problem) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+    """Return the residuals of the observations in photographs, observed minus predicted, and the derivatives.
+
+    Returns:
+        residual (N, 2) px; derivatives of the *prediction* by the pose (N, 2, 6), the camera (N, 2, 4) and the point
+        (N, 2, 3). NaN behind a camera.
+    """
+    ties, count = problem.ties, len(problem.ties.photo)
+    residual, by_pose = np.empty((count, 2)), np.empty((count, 2, 6))
+    by_camera, by_point = np.zeros((count, 2, len(INTRINSICS))), np.empty((count, 2, 3))
+    for body in np.unique(ties.photo).tolist():
+        rows = np.flatnonzero(ties.photo == body)
+        camera, view, pose = problem.camera_of(body), problem.views[body], problem.poses[body]
+        points = ties.points[ties.point[rows]]
+        uv, J = pose_jacobian(pose, points, camera)
+        residual[rows] = camera.difference(ties.uv[rows], uv)
+        by_pose[rows], by_point[rows] = J, -J[..., 3:]  # a point moves against the camera's centre
+        assert view is not None
+        if problem.cameras[view.camera].size:
+            assert isinstance(camera, Camera)
+            p = pose @ points
+            with np.errstate(invalid="ignore", divide="ignore"):
+                of_upright = camera.intrinsics_jacobian(p[:, :2] / p[:, 2:])
+            of_upright[..., 0] /= camera.focal_px
+            by_camera[rows] = of_upright @ view.turn
+    return residual, by_pose, by_camera, by_point
+
+
+def surface_residuals(problem: Problem) -> tuple[Matrix, Matrix, Matrix]:
+    """Return how far points lie before the surfaces of scans, and the derivatives.
+
+    Returns:
+        distance (K,) m; derivatives by the scanner's (w, c), (K, 6), and by the point, (K, 3).
+    """
+    ties = problem.ties
+    rotations = np.array([pose.rotation for pose in problem.poses])[ties.scan]
+    centres = np.array([pose.centre for pose in problem.poses])[ties.scan]
+    there = np.einsum("kij,kj->ki", rotations, ties.points[ties.on_point] - centres)
+    distance = np.einsum("ki,ki->k", ties.normal, there - ties.xyz)
+    by_point = np.einsum("ki,kij->kj", ties.normal, rotations)
+    by_turn = np.cross(there, ties.normal)  # n . (w x y) = w . (y x n)
+    return distance, np.concatenate([by_turn, -by_point], axis=1), by_point
+
+
+def _left_jacobian_inverse(turn: Matrix) -> Matrix:
+    angle = float(np.linalg.norm(turn))
+    W = skew(turn)
+    if angle < 1e-6:
+        return np.eye(3) - W / 2
+    factor = 1 / angle**2 - (1 + np.cos(angle)) / (2 * angle * np.sin(angle))
+    return np.asarray(np.eye(3) - W / 2 + factor * W @ W)

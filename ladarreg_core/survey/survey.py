@@ -1,0 +1,282 @@
+"""`Survey`: what was measured at a place, and what is known of it beforehand."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+import numpy as np
+
+from ladarreg_core.camera import CameraModel
+from ladarreg_core.camera.uncertainty import INTRINSICS
+from ladarreg_core.errors import OptionError
+from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.frames import Rigid
+from ladarreg_core.photo import Photo
+from ladarreg_core.scan import Scan
+
+if TYPE_CHECKING:
+    from ladarreg_core.progress import Report
+
+Estimate = Literal["auto", "none"] | tuple[str, ...]
+"""Which intrinsics of a camera are estimated: all where nothing but an assumption is known, none, or those named."""
+_MAX_LISTED = 20
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SurveyScan:
+    """A scan of a survey."""
+
+    id: str
+    """Unique among the scans."""
+    source: Path | Scan
+    """Its file, or the scan itself."""
+    index: int = 0
+    """Which scan of the file."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """Further arguments of `read_scan`."""
+    world_from_scanner: Rigid | None = None
+    """Where it stood, if that is known; None: what the file states, if it does."""
+    fixed: bool = False
+    """Whether it keeps that pose."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SurveyCamera:
+    """A camera that one photograph or several were taken with."""
+
+    id: str
+    """Unique among the cameras."""
+    source: Path | CameraModel | None = None
+    """Its file, or the camera of upright pixels; None: what the photographs' EXIF states."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """Further arguments of `read_photo`, such as `focal_px`."""
+    estimate: Estimate = "auto"
+    """Which intrinsics are estimated."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PosePrior:
+    """What is known of where a photograph was taken, as by GNSS or a total station."""
+
+    pose: Rigid
+    """`camera_from_world`; of a position alone only its centre counts."""
+    covariance: FloatArray
+    """(6, 6) of (w, c) in the world; of a position alone infinite for w."""
+
+    @property
+    def is_position(self) -> bool:
+        """Whether the direction is unknown."""
+        return not bool(np.isfinite(self.covariance).all())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigMember:
+    """That a photograph was taken by a sensor of a rig, together with others of the same frame."""
+
+    id: str
+    """The rig."""
+    frame: str
+    """The moment."""
+    sensor: str
+    """The sensor; all photographs of one have the same pose in the rig."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SurveyPhoto:
+    """A photograph of a survey."""
+
+    id: str
+    """Unique among the photographs, and name of its folder of results."""
+    source: Path | Photo
+    """Its file, or the photograph itself."""
+    camera: str
+    """Id of its camera."""
+    initial: Rigid | None = None
+    """A rough `camera_from_world`."""
+    prior: PosePrior | None = None
+    """What is known of its pose."""
+    matches: Path | None = None
+    """File of matches with the first scan, from a hand or another program."""
+    rig: RigMember | None = None
+    """Its place in a rig."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Survey:
+    """Scans, cameras and photographs of one place.
+
+    Raises:
+        OptionError: if it has faults; all are listed.
+    """
+
+    scans: tuple[SurveyScan, ...]
+    """One or more."""
+    cameras: tuple[SurveyCamera, ...]
+    """Those of the photographs."""
+    photos: tuple[SurveyPhoto, ...]
+    """One or more."""
+    rigs: Mapping[str, Mapping[str, Rigid | None]] = field(default_factory=dict)
+    """For each rig, by the names of its sensors, `sensor_from_reference` if it is known; the first sensor is the
+    reference."""
+
+    def __post_init__(self) -> None:
+        faults = faults_of(self)
+        if faults:
+            raise OptionError(listed_faults("the survey", faults))
+
+    @staticmethod
+    def from_file(path: str | Path) -> Survey:
+        """Return the survey of a `survey.json`, or of a folder as `from_folder` does.
+
+        Raises:
+            FormatError: if the file has faults; all are listed, files that are missing among them.
+        """
+        from ladarreg_core.survey.survey_file import read_survey
+
+        return Survey.from_folder(path) if Path(path).is_dir() else read_survey(path)
+
+    @staticmethod
+    def from_folder(folder: str | Path, *, report: Report | None = None) -> Survey:
+        """Return the survey of the scans and photographs in a folder, recognised by content.
+
+        Photographs of the same body, lens, focal length and size, by EXIF, share a camera.
+
+        Raises:
+            OptionError: if it has no scan or no photograph, or cannot be listed.
+        """
+        from ladarreg_core.survey.survey_file import survey_of_folder
+
+        return survey_of_folder(folder, report=report)
+
+    @staticmethod
+    def of(scans: Sequence[Scan], photos: Sequence[Photo], *, cameras: Sequence[int] | None = None) -> Survey:
+        """Return the survey of scans and photographs in memory.
+
+        Args:
+            scans: one or more; where their `world_from_scanner` is not None, it is where they stood.
+            photos: one or more.
+            cameras: number of the camera that took each photograph, from 0; None: one each.
+        """
+        of_photo = list(range(len(photos))) if cameras is None else list(cameras)
+        if len(of_photo) != len(photos):
+            raise OptionError(f"there are {len(photos)} photographs and cameras for {len(of_photo)}; give one for each")
+        scan_ids, photo_ids = _ids([one.name for one in scans]), _ids([one.name for one in photos])
+        return Survey(
+            scans=tuple(SurveyScan(id=name, source=scan) for name, scan in zip(scan_ids, scans, strict=True)),
+            cameras=tuple(SurveyCamera(id=f"camera-{k + 1}") for k in sorted(set(of_photo))),
+            photos=tuple(
+                SurveyPhoto(id=name, source=photo, camera=f"camera-{k + 1}")
+                for name, photo, k in zip(photo_ids, photos, of_photo, strict=True)
+            ),
+        )  # fmt: skip
+
+    def to_file(self, path: str | Path) -> None:
+        """Write a `survey.json`, whose paths are relative to its folder.
+
+        Raises:
+            ExportError: if it cannot be written, or a scan or photograph has no file.
+        """
+        from ladarreg_core.survey.survey_file import write_survey
+
+        write_survey(path, self)
+
+
+class SurveyParts(Protocol):
+    """What a survey consists of, also before it is one."""
+
+    @property
+    def scans(self) -> Sequence[SurveyScan]:
+        """The scans."""
+
+    @property
+    def cameras(self) -> Sequence[SurveyCamera]:
+        """The cameras."""
+
+    @property
+    def photos(self) -> Sequence[SurveyPhoto]:
+        """The photographs."""
+
+    @property
+    def rigs(self) -> Mapping[str, Mapping[str, Rigid | None]]:
+        """The rigs."""
+
+
+def faults_of(parts: SurveyParts) -> list[str]:
+    """Return what is wrong with the parts of a survey, a clause each."""
+    return [*_faults_of_ids(parts), *_faults_of_references(parts), *_faults_of_values(parts)]
+
+
+def listed_faults(what: str, faults: Sequence[str]) -> str:
+    """Return faults as one sentence."""
+    shown = "; ".join(faults[:_MAX_LISTED]) + (
+        f"; and {len(faults) - _MAX_LISTED} more" if len(faults) > _MAX_LISTED else ""
+    )
+    return f"{what} has {len(faults)} fault{'' if len(faults) == 1 else 's'}, and nothing was done: {shown}"
+
+
+def _ids(names: Sequence[str]) -> list[str]:
+    from ladarreg_core.export.registered_scan import photo_id
+
+    found: list[str] = []
+    for name in names:
+        found.append(photo_id(name, found))
+    return found
+
+
+def _faults_of_ids(survey: SurveyParts) -> list[str]:
+    from ladarreg_core.storage.replacement import is_file_name
+
+    faults = [f"it has no {what}" for what in ("scans", "photos") if not getattr(survey, what)]
+    for what in ("scans", "cameras", "photos"):
+        ids = [one.id for one in getattr(survey, what)]
+        faults += [f"{count} {what} have the id {name!r}" for name, count in Counter(ids).items() if count > 1]
+        faults += [
+            f"the id {name!r:.60} of one of the {what} is no name of a file"
+            for name in ids if not is_file_name(name) or "/" in name
+        ]  # fmt: skip
+    return faults
+
+
+def _faults_of_references(survey: SurveyParts) -> list[str]:
+    cameras = {one.id for one in survey.cameras}
+    faults = [f"the photo {one.id} has the camera {one.camera!r:.60}, which is not listed"
+              for one in survey.photos if one.camera not in cameras]  # fmt: skip
+    places: Counter[tuple[str, str, str]] = Counter()
+    for one in survey.photos:
+        if one.rig is None:
+            continue
+        sensors = survey.rigs.get(one.rig.id)
+        if sensors is None:
+            faults.append(f"the photo {one.id} is of the rig {one.rig.id!r:.60}, which is not listed")
+        elif one.rig.sensor not in sensors:
+            faults.append(f"the photo {one.id} is of the sensor {one.rig.sensor!r:.60}, which its rig does not have")
+        places[(one.rig.id, one.rig.frame, one.rig.sensor)] += 1
+    faults += [f"{count} photos are of the rig {rig}, frame {frame}, sensor {sensor}"
+               for (rig, frame, sensor), count in places.items() if count > 1]  # fmt: skip
+    return faults
+
+
+def _faults_of_values(survey: SurveyParts) -> list[str]:
+    faults = []
+    for camera in survey.cameras:
+        if isinstance(camera.estimate, tuple):
+            unknown = [name for name in camera.estimate if name not in INTRINSICS]
+            if unknown:
+                faults.append(
+                    f"the camera {camera.id} is to have {', '.join(map(repr, unknown))} estimated; "
+                    f"these can be: {', '.join(INTRINSICS)}"
+                )
+    for scan in survey.scans:
+        stated = scan.world_from_scanner is not None or (
+            isinstance(scan.source, Scan) and scan.source.world_from_scanner is not None
+        )
+        if scan.fixed and isinstance(scan.source, Scan) and not stated:
+            faults.append(f"the scan {scan.id} is fixed, but its pose is not stated")
+    for photo in survey.photos:
+        if photo.prior is not None and np.shape(photo.prior.covariance) != (6, 6):
+            faults.append(f"the prior of the photo {photo.id} has a covariance that is not 6 x 6")
+    return faults
