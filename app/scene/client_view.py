@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .cameras_layer import CamerasLayer
+from .draft_layer import DraftLayer
 from .person import Person, ViewpointName
 from .picks_layer import PicksLayer
 from .simplex_layer import SimplexLayer
@@ -49,13 +50,22 @@ class ClientView:
         place: a client of viser, or the server itself for tests.
         person: id of the workbench's client; empty if it is not known.
         looks: viewpoint from which it starts.
+        on_draft: called with the pose of the camera that is placed by hand while it is dragged.
     """
 
-    def __init__(self, place: Place, person: str, *, looks: ViewpointName = "start") -> None:
+    def __init__(
+        self,
+        place: Place,
+        person: str,
+        *,
+        looks: ViewpointName = "start",
+        on_draft: Callable[[Rigid], None] = lambda _: None,
+    ) -> None:
         self.person = person
         self._place = place
         self._cameras, self._matches, self._simplex = CamerasLayer(place), PicksLayer(place), SimplexLayer(place)
         self._stations = StationsLayer(place)
+        self._draft = DraftLayer(place, on_draft)
         self._subject: Subject | None = None
         self._looks: ViewpointName = looks
         self._looked_from: Viewpoint | None = None
@@ -71,6 +81,7 @@ class ClientView:
         self._matches.draw(subject, picks, person.model)
         self._matches.highlight(person.highlighted)
         self._stations.draw(stations, hidden=person.model.hidden_stations)
+        self._draft.draw(subject, person.draft)
         self.draw_simplex(person, simplex)
         self._follow(before, subject)
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
+from ladarreg_core.frames import Rigid
+
 from .model_view import ModelChoice
 
 ANYBODY = ""
@@ -23,3 +25,5 @@ class Person:
     """Its display settings."""
     highlighted: str | None = None
     """Id of a match."""
+    draft: Rigid | None = None
+    """Pose of the camera that it places by hand."""

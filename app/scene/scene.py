@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -66,6 +67,7 @@ class Scene3D:
         server: the server.
         on_pick: called with the id of a client and of the match that it has clicked on.
         person_of: returns the id of the workbench's client behind a client of viser.
+        on_draft: called with the id of a client and the pose of the camera that it drags.
     """
 
     def __init__(
@@ -74,14 +76,16 @@ class Scene3D:
         on_pick: Callable[[str, str], None],
         *,
         person_of: Callable[[viser.ClientHandle], str] = lambda _: ANYBODY,
+        on_draft: Callable[[str, Rigid], None] = lambda _person, _pose: None,
     ) -> None:
-        self._server, self._on_pick, self._person_of = server, on_pick, person_of
+        self._server, self._on_pick, self._person_of, self._on_draft = server, on_pick, person_of, on_draft
         self._lock = threading.RLock()
         self._photos: Mapping[str | None, Shown] = {}
         self._stations: Sequence[StationShown] = ()
         self._cameras: Sequence[CameraShown] = ()
         self._people: Mapping[str, Person] = {}
         self._highlights: dict[str, str | None] = {}
+        self._drafts: dict[str, Rigid] = {}
         self._looks: dict[str, ViewpointName] = {}  # of people whose views have yet to connect
         self._simplex: SimplexShown | None = None
         self._views: dict[int, ClientView] = {}
@@ -131,6 +135,15 @@ class Scene3D:
         """Highlight one match for a client, or none."""
         with self._lock:
             self._highlights[person] = pick_id
+        self._request_views()
+
+    def place_camera(self, person: str, draft: Rigid | None) -> None:
+        """Show a client a camera with a handle, which it places by hand, or remove it."""
+        with self._lock:
+            if draft is None:
+                self._drafts.pop(person, None)
+            else:
+                self._drafts[person] = draft
         self._request_views()
 
     def look(self, person: str, name: ViewpointName) -> None:
@@ -184,7 +197,8 @@ class Scene3D:
     def add_view(self, number: int, place: Place, person: str) -> None:
         """Draw a client's view from now on."""
         with self._lock:
-            self._views[number] = ClientView(place, person, looks=self._looks.pop(person, "start"))
+            looks = self._looks.pop(person, "start")
+            self._views[number] = ClientView(place, person, looks=looks, on_draft=partial(self._dragged, person))
         self._request_views()
 
     def remove_view(self, number: int) -> None:
@@ -193,6 +207,7 @@ class Scene3D:
             view = self._views.pop(number, None)
             if view is not None and not self._views_of(view.person):
                 self._highlights.pop(view.person, None)
+                self._drafts.pop(view.person, None)
 
     def settle(self, timeout_s: float = 30.0) -> bool:
         """Wait until everything is drawn; return False on timeout."""
@@ -212,6 +227,13 @@ class Scene3D:
         if view is not None and pick is not None:
             self.highlight(view.person, pick)
             self._on_pick(view.person, pick)
+
+    def _dragged(self, person: str, draft: Rigid) -> None:
+        with self._lock:
+            if person not in self._drafts:
+                return  # the last message of a handle that has been removed
+            self._drafts[person] = draft
+        self._on_draft(person, draft)
 
     def _views_of(self, person: str) -> list[ClientView]:
         with self._lock:
@@ -266,4 +288,5 @@ class Scene3D:
     def _person(self, view: ClientView) -> Person:
         with self._lock:
             known = self._people.get(view.person) or self._people.get(ANYBODY) or Person()
-            return Person(known.photo, known.model, self._highlights.get(view.person))
+            own = self._highlights.get(view.person), self._drafts.get(view.person)
+            return Person(known.photo, known.model, *own)

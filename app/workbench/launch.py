@@ -31,6 +31,7 @@ from .given_files import Reading, add_files
 if TYPE_CHECKING:
     import viser
 
+    from ladarreg_core.frames import Rigid
     from ladarreg_core.project.storage.folder import ProjectFolder
 
     from ..gateway.options import GatewayOptions
@@ -316,7 +317,14 @@ def _attach_scene(workbench: Workbench, server: viser.ViserServer) -> None:
         photo = shown.id if shown else None
         workbench.publish_event({"event": "hover", "client": person, "photo": photo, "pick": pick_id})
 
-    workbench.attach_scene(Scene3D(server, clicked, person_of=lambda viewer: client_id_of(server, viewer)))
+    def dragged(person: str, draft: Rigid) -> None:
+        shown = workbench.selection.photo_of(workbench.clients.find(person))
+        if shown is not None:
+            event = {"event": "placement", "photo": shown.id, "camera_from_scanner": draft.matrix.tolist()}
+            workbench.tell(event, {person})
+
+    person_of = partial(client_id_of, server)
+    workbench.attach_scene(Scene3D(server, clicked, person_of=person_of, on_draft=dragged))
 
 
 def data_folder() -> Path:

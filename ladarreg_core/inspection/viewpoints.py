@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from ladarreg_core.camera import CameraModel, axial_pinhole
 from ladarreg_core.foundations.arrays import FloatArray, read_only
-from ladarreg_core.frames import Rigid, look_along
+from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
 from ladarreg_core.scan import Scan
 
 _OVERVIEW_FOV_RAD = (float(np.deg2rad(58.0)), float(np.deg2rad(47.0)))
@@ -141,3 +141,18 @@ def _central_points(scan: Scan) -> FloatArray:
     low, high = np.percentile(points, _PERCENTILES, axis=0)
     kept = points[((points >= low) & (points <= high)).all(axis=1)]
     return kept if len(kept) else points
+
+
+def nudged(camera_from_scanner: Rigid, *, shift_m: ArrayLike = (0, 0, 0), turn_rad: ArrayLike = (0, 0, 0)) -> Rigid:
+    """Return the pose of a camera that was moved and turned by hand, as its operator sees it.
+
+    Args:
+        camera_from_scanner: its pose before.
+        shift_m: (3,) m to the right, down and forward.
+        turn_rad: (3,) rotation vector about its own axes: a positive first component looks up, a positive second one to
+            the right, a positive third one tilts it clockwise. It turns about its centre.
+    """
+    axes = camera_from_scanner.rotation
+    centre = camera_from_scanner.centre + axes.T @ np.asarray(shift_m, dtype=np.float64)
+    turn = rotation_from_rotvec(np.asarray(turn_rad, dtype=np.float64))
+    return Rigid.from_centre(turn.T @ axes, centre)

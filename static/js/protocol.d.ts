@@ -35,6 +35,7 @@ export interface Commands {
   open_project: { wanted?: string | null; folder?: string | null; sure?: boolean };
   open_sample: { sure?: boolean };
   open_served: { what: string; path?: string | null; paths?: string[] | null; photo?: string | null; reading?: Record<string, unknown> | null; scan?: "replace" | "frames" | "stations" | null };
+  place_camera: { photo: string; camera_from_scanner?: number[][] | null; start?: "pose" | "scanner" | "view" | null; shift_m?: number[] | null; turn_deg?: number[] | null };
   place_station: { station: string; place?: Record<string, unknown> | null };
   point: { side: "scan" | "photo"; photo?: string | null; view?: number; uv?: number[] | null };
   predict: { photo: string; side: "scan" | "photo"; scan?: number[][] | null; photo_uv?: number[][] | null };

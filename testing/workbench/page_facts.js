@@ -84,8 +84,8 @@
     export: { text: text(".export-part .part-body > [role=status]"), zip: one(".export-part .button.primary")?.disabled ?? null,
       ticks: all(".export-list .sign.ok").length },
     stations: {
-      rows: all(".station", stations).map((row) => [text(".station-name", row), text(".station-state", row)]),
-      verdicts: leaves(one(".station-verdicts")),
+      rows: all(".station", stations).map((row) => [".station-name", ".station-state", ".station-where"].map((part) => text(part, row))),
+      verdicts: leaves(one(".station-verdicts")), whole: text(".station-fit .acquire-said"),
     },
     notices: all(".notice").map((notice) => clean(notice.textContent)),
     rest,

@@ -20,6 +20,7 @@ from ladarreg.session.loader import Loader
 
 from ladarreg_core.project.storage.folder import ProjectFolder
 from ladarreg_core.quality.verdict import LIGHT_WORDS, verdict_of
+from testing.workbench.station_truth import page_stations, server_stations
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -106,6 +107,7 @@ def server_contradictions(folder: Path, slices: dict[str, Any]) -> list[str]:
             same(f"light of {name} in the list", told["light"], summary["light"])
             if pose.accepted:
                 same(f"position of {name} in the list", told["position"], summary["position"])
+        found += server_stations(document, slices.get("stations"))
     return found
 
 
@@ -124,7 +126,8 @@ def page_contradictions(
         lengths, angles = simplex["parameters"][:3], simplex["parameters"][3:]
         figures = [*(f"{_fixed(each, 3)} m" for each in lengths), *(f"{_fixed(degrees(each), 2)}°" for each in angles)]
         constants = [*constants, *figures]
-    return _Comparison(facts, slices).everything(constants)
+    found = _Comparison(facts, slices).everything(constants)
+    return [*found, *page_stations(facts, slices.get("stations"))]
 
 
 class _Comparison:
@@ -156,7 +159,6 @@ class _Comparison:
         self.steps()
         self.job()
         self.export()
-        self.stations()
         self.others(constants)
         return self.found
 
@@ -192,8 +194,6 @@ class _Comparison:
             )
             only = step["name"] in ("solve", "judge") and bool(self.photo) and self.photo.get("light") == "matches_only"
             self.same(f"colour of the tab {step['name']}", tab["only"] and tab["ticked"], only and step["done"])
-        stations = self.slices.get("stations") or {}
-        self.same("tab stations", self.facts["tabs"]["stations"]["done"], bool(stations.get("done")))
 
     def verdict(self) -> None:
         told = self.facts["verdict"]
@@ -384,7 +384,7 @@ class _Comparison:
             parts = [f"{stage['label']}: {stage['summary']['line']}", stage["summary"]["matches"]]
             self.same("status bar", told, " · ".join(filter(None, parts)))
             self.same("colour of the status bar", self.facts["job_level"], _LEVELS[stage["summary"]["light"]])
-        else:
+        elif job["kind"] != "check_at_stations":  # which says what the scans of other stations verify
             self.same("status bar on another job", bool(re.search("verified|accepted", told, re.IGNORECASE)), False)
 
     def export(self) -> None:
@@ -396,18 +396,6 @@ class _Comparison:
         elif "out of date" in told["text"]:
             self.same("export of a pose out of date", bool(self.slices["photos"][1:]), True)
         self.same("ticks of files", told["ticks"] > 0, stage is not None and exported)
-
-    def stations(self) -> None:
-        stations = self.slices.get("stations") or {"stations": []}
-        told = self.facts["stations"]["rows"]
-        self.same("stations", len(told), len(stations["stations"]))
-        for (name, state), station in zip(told, stations["stations"], strict=False):
-            if station["state"] in ("out", "waiting", "stated"):
-                self.same(
-                    f"state of the station {name}",
-                    bool(re.search(r"σ|registered$", state) and "not" not in state),
-                    False,
-                )
 
     def others(self, constants: Sequence[str]) -> None:
         """Everything else with a figure or a word of a verdict is something that the workbench sent."""

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from testing.workbench.operator import Operator, at_work
+from testing.workbench.page_truth import facts_of
 from testing.workbench.shared import SharedWorkbench
+from testing.workbench.walk import Walk
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -40,4 +42,16 @@ def onlooker(browser: Browser, workbench: SharedWorkbench, request: pytest.Fixtu
     workbench.look_at("camera")
     with at_work(browser, workbench.server, request) as found:
         found.open()
+        yield found
+
+
+@pytest.fixture
+def walk(browser: Browser, workbench: SharedWorkbench, request: pytest.FixtureRequest) -> Iterator[Walk]:
+    """A walk that begins with nothing open."""
+    workbench.open_new()
+    with at_work(browser, workbench.server, request, size=(1440, 900)) as operator:
+        found = Walk(operator, workbench)
+        operator.open()
+        operator.page.keyboard.press("Escape")
+        found.constants = [text for _, _, text in facts_of(operator.page)["rest"]]
         yield found

@@ -6,127 +6,18 @@ the disk (testing/workbench/page_truth.py), and with what a person expects of th
 
 from __future__ import annotations
 
-import re
-import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import pytest
 from PIL import Image, ImageOps
 
 from ladarreg_core.simulate.sample import sample_folder
 from testing.scenes.true_matches import true_points
-from testing.workbench.operator import Operator, at_work
-from testing.workbench.page_truth import facts_of, page_contradictions, server_contradictions
-from testing.workbench.pages import ROUND_TRIP, two_frames
 from testing.workbench.served import Page as Socket
-from testing.workbench.shared import SharedWorkbench
-
-if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+from testing.workbench.walk import Walk
 
 MIN_STATES = 40
 FOCAL_PX = 974.0
-LONGEST_S = 30
-"""What a page may take to say of a state what is so, on a busy computer."""
-
-
-class Walk:
-    """A walk: states, each by a name, and what was wrong in them."""
-
-    def __init__(self, operator: Operator, workbench: SharedWorkbench) -> None:
-        self.operator, self.workbench = operator, workbench
-        self.socket, self.page = operator.socket, operator.page
-        self.constants: list[str] = []
-        self.states: list[str] = []
-        self.wrong: list[str] = []
-
-    def reopen(self) -> None:
-        """Close the project, and open it again, as after a restart."""
-        self.page.goto("about:blank")
-        self.socket.socket.close()
-        self.workbench.reopen()
-        self.operator.socket = self.socket = Socket(self.workbench.server)
-        self.operator.open()
-
-    def do(self, do: str, **fields: Any) -> dict[str, Any]:
-        """Send a command that must succeed."""
-        reply = self.socket.ask(do, **fields)
-        assert reply["ok"], reply
-        return reply
-
-    def job(self, name: str, photo: str = "p1", **fields: Any) -> None:
-        """Run a job to its end."""
-        started = self.do("run", photo=photo, job=name, **fields)["job"]
-        self.socket.until(
-            lambda slices: (
-                (slices.get("job") or {}).get("id") == started and slices["job"]["state"] not in ("running", "paused")
-            )
-        )
-
-    def points(self, count: int, *, shift_px: float = 0, photo: str = "p1") -> list[str]:
-        """Draw right points, or ones that are all shifted to the right."""
-        found = []
-        for point in true_points(count):
-            ((u, v),) = point["photo_uv"]
-            found.append(str(self.do("add_pick", photo=photo, **{**point, "photo_uv": [[u + shift_px, v]]})["pick"]))
-        return found
-
-    def state(self, name: str, light: str | None = None, *, ticks: tuple[str, ...] = ()) -> None:
-        """Compare the page with the project; `light` and `ticks` are what a person expects of this state."""
-        self.states.append(name)
-        end = time.monotonic() + LONGEST_S
-        while True:
-            said = self.contradictions(light, ticks)
-            if not said or time.monotonic() > end:
-                break
-            self.page.wait_for_timeout(250)
-        if said:
-            self.operator.keep(re.sub(r"\W+", "-", name))
-        self.operator.shot(re.sub(r"\W+", "-", name))
-        self.wrong += [f"{name}: {each}" for each in said]
-
-    def contradictions(self, light: str | None, ticks: tuple[str, ...]) -> list[str]:
-        self.socket.ask("list_served")
-        shown = self.page.evaluate("import('./js/net/store.js').then(({ store }) => store.shown())")
-        self.page.evaluate(ROUND_TRIP)
-        two_frames(self.page)
-        self.socket.ask("list_served")
-        slices = {**self.socket.slices, "shown": shown}
-        facts = facts_of(self.page)
-        found = server_contradictions(self.workbench.folder, slices)
-        found += page_contradictions(facts, slices, self.constants, simplex=self.socket.events.get("simplex"))
-        photo = next((each for each in slices["photos"] if each["id"] == shown), {})
-        if photo.get("light") != light:
-            found.append(f"a person expects {light}, and it is {photo.get('light')}")
-        done = tuple(name for name in ("match", "solve", "judge", "export") if facts["tabs"][name]["done"])
-        if done != ticks:
-            found.append(f"a person expects ticks at {ticks}, and they are at {done}")
-        return found
-
-    def finish(self, least: int) -> None:
-        assert len(self.states) >= least, self.states
-        assert not self.wrong, f"{len(self.wrong)} contradictions in {len(self.states)} states:\n" + "\n".join(
-            self.wrong
-        )
-
-
-@pytest.fixture
-def walk(browser: Browser, workbench: SharedWorkbench, request: pytest.FixtureRequest) -> Iterator[Walk]:
-    """A walk that begins with nothing open."""
-    workbench.open_new()
-    with at_work(browser, workbench.server, request, size=(1440, 900)) as operator:
-        found = Walk(operator, workbench)
-        operator.open()
-        operator.page.keyboard.press("Escape")
-        found.constants = [text for _, _, text in facts_of(operator.page)["rest"]]
-        yield found
-
-
-def files(walk: Walk, *paths: Path) -> None:
-    reply = walk.do("open_files", files=[walk.workbench.server.upload(path) for path in paths])
-    assert not reply["refused"] + reply["waiting"], reply
 
 
 SCAN = sample_folder() / "scan.npz"
@@ -136,9 +27,9 @@ PHOTO = next(sample_folder().glob("photo.*"))
 def first_steps(walk: Walk) -> list[str]:
     """From nothing to matches that are solved by a button."""
     walk.state("nothing is open")
-    files(walk, PHOTO)
+    walk.files(PHOTO)
     walk.state("a photograph alone")
-    files(walk, SCAN)
+    walk.files(SCAN)
     walk.page.keyboard.press("Escape")
     walk.state("both, the focal length is unknown")
     walk.do("set_settings", solve_automatically=False)
@@ -165,6 +56,8 @@ SOLVED = ("match", "solve", "judge")
 def test_a_short_walk(walk: Walk) -> None:
     """Nothing open, matches, solved, out of date, undone, contradicted, corrected."""
     picks = first_steps(walk)
+    walk.job("simplex")
+    walk.state("a single step, not compared with the images", "matches_only", ticks=SOLVED)
     walk.job("solve")
     walk.state("solved", "verified", ticks=SOLVED)
     walk.do("remove_picks", photo="p1", picks=picks[:1])
@@ -177,7 +70,42 @@ def test_a_short_walk(walk: Walk) -> None:
     walk.state("contradicted by the images", "not_accepted", ticks=("match",))
     walk.do("use_stage", photo="p1", stage="refined")
     walk.state("the images' pose is used", "verified", ticks=SOLVED)
-    walk.finish(14)
+    walk.finish(15)
+
+
+@pytest.mark.slow
+def test_a_walk_where_the_images_cannot_judge(walk: Walk, tmp_path: Path) -> None:
+    """A photograph of fog: matches alone accept, in a colour of their own, everywhere; and never green."""
+    fog = tmp_path / "fog.png"
+    with Image.open(PHOTO) as image:
+        Image.new("RGB", image.size, (128, 130, 132)).save(fog)
+    walk.files(SCAN, fog)
+    walk.page.keyboard.press("Escape")
+    walk.do("set_settings", solve_automatically=False)
+    walk.do("set_camera", photo="p1", focal_px=FOCAL_PX)
+    walk.page.keyboard.press("Escape")
+    picks = walk.points(16)
+    walk.state("matches in fog", ticks=("match",))
+    walk.job("solve")
+    walk.state("accepted on matches only", "matches_only", ticks=SOLVED)
+    walk.job("verify")
+    walk.state("the images cannot judge", "matches_only", ticks=SOLVED)
+    for step in ("Solve", "Judge", "Export"):
+        walk.operator.step(step)
+        walk.state(f"seen in the step {step}", "matches_only", ticks=SOLVED)
+    walk.job("export")
+    walk.state("exported", "matches_only", ticks=(*SOLVED, "export"))
+    walk.do("set_pick", photo="p1", pick=picks[0], on=False)
+    walk.state("a match is disabled", "out_of_date", ticks=("match",))
+    walk.do("undo")
+    walk.state("and enabled", "matches_only", ticks=(*SOLVED, "export"))
+    walk.reopen()
+    walk.state("reopened", "matches_only", ticks=(*SOLVED, "export"))
+    walk.job("auto")
+    walk.state("automatic registration is refused", "not_accepted", ticks=("match",))
+    walk.do("use_stage", photo="p1", stage="robust")
+    walk.state("the drawn pose is used again", "matches_only", ticks=(*SOLVED, "export"))
+    walk.finish(12)
 
 
 @pytest.mark.long
@@ -240,7 +168,7 @@ def test_a_long_walk(walk: Walk, tmp_path: Path) -> None:
     mirrored = tmp_path / "mirrored.png"
     with Image.open(PHOTO) as image:
         ImageOps.mirror(image).save(mirrored)
-    files(walk, mirrored)
+    walk.files(mirrored)
     walk.operator.page.evaluate(
         "import('./js/net/requests.js').then(({ request }) => request('show_photo', { photo: 'p2' }))"
     )

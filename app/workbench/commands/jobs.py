@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
@@ -12,13 +13,24 @@ from ladarreg_core.project import edits
 
 from ...jobs.export import Wanted
 from .command import Context, PhotoId, Reply, WorkbenchCommand
+from .matches import PhotoCommand
 
 if TYPE_CHECKING:
+    from ladarreg_core.frames import Rigid
+
     from ..state.clients import Client
 
 _MAX_ACTION = 80
 _MAX_PATH, _MAX_PATH_PART = 4000, 255
 TargetNames = Annotated[list[str], Meta(max_length=1000, title="the targets are a list of names")]
+_NOTHING = (0.0, 0.0, 0.0)
+_Amount = Annotated[float, Meta(ge=-1e4, le=1e4)]
+_SHIFT, _TURN = (
+    "a shift is three lengths, m: right, down, forward",
+    "a turn is three angles, degrees: up, right, clockwise",
+)
+Shift = Annotated[list[_Amount], Meta(min_length=3, max_length=3, title=_SHIFT)]
+Turn = Annotated[list[_Amount], Meta(min_length=3, max_length=3, title=_TURN)]
 PhotoIds = Annotated[list[str], Meta(max_length=10_000, title="the photographs are a list of names")]
 
 
@@ -45,14 +57,64 @@ class Refine(WorkbenchCommand, frozen=True):
 
     def execute(self, context: Context, client: Client) -> Reply:
         """Start it."""
-        if self.camera_from_scanner is not None:
-            initial = edits.pose(self.camera_from_scanner)
-        else:
-            seen = None if context.scene is None else context.scene.pose_of(client.id)
-            if seen is None:
-                raise OptionError("the 3-D view is not open yet; wait until the model is shown")
-            initial = seen
+        given = self.camera_from_scanner
+        initial = seen_by(context, client) if given is None else edits.pose(given)
         return {"job": context.jobs.run_refine(self.photo, client.author, initial)}
+
+
+class PlaceCamera(PhotoCommand, frozen=True):
+    """places the photograph's camera by hand, for this client: at a pose, the matrix (4 rows), or at the `start`, where
+    the shown pose, the scanner or this client's 3-D view is; then moves it by `shift_m` (right, down, forward) and
+    turns it by `turn_deg` (up, right, clockwise); without a pose and a start it ends placing
+    """
+
+    replies: ClassVar[str] = "camera_from_scanner"
+    camera_from_scanner: list[list[float]] | None = None
+    start: Literal["pose", "scanner", "view"] | None = None
+    shift_m: Shift | None = None
+    turn_deg: Turn | None = None
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Place it."""
+        from ladarreg_core.inspection.viewpoints import nudged
+
+        before = self._before(context, client)
+        placed = None
+        if before is not None:
+            turn_rad = [radians(each) for each in self.turn_deg or _NOTHING]
+            placed = edits.pose(nudged(before, shift_m=self.shift_m or _NOTHING, turn_rad=turn_rad).matrix)
+        if context.scene is not None:
+            context.scene.place_camera(client.id, placed)
+        return {"camera_from_scanner": None if placed is None else placed.matrix.tolist()}
+
+    def _before(self, context: Context, client: Client) -> Rigid | None:
+        from ladarreg_core.inspection.figures import pose_at_scanner
+        from ladarreg_core.project.results import pose_of
+
+        entry = self.entry(context)
+        if self.camera_from_scanner is not None:
+            return edits.pose(self.camera_from_scanner)
+        if self.start is None:
+            return None
+        context.loader.photo(entry)  # without a focal length there is no frustum
+        if self.start == "pose":
+            if entry.pose is None:
+                raise OptionError("no pose is shown; start from the scanner or from the 3-D view")
+            return pose_of(entry.pose)
+        if self.start == "scanner":
+            scan = context.loader.scan(context.session.document)
+            if scan is None:
+                raise OptionError("there is no scan; open one")
+            return pose_at_scanner(scan)
+        return seen_by(context, client)
+
+
+def seen_by(context: Context, client: Client) -> Rigid:
+    """Return the pose of a camera that stands where a client looks from; raises `OptionError` without a 3-D view."""
+    seen = None if context.scene is None else context.scene.pose_of(client.id)
+    if seen is None:
+        raise OptionError("the 3-D view is not open yet; wait until the model is shown")
+    return seen
 
 
 class JobControl(WorkbenchCommand, frozen=True):

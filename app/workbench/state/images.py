@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from ladarreg_core.errors import LadarregError, OptionError
+from ladarreg_core.project import edits
 
 from ...gateway.protocol import Picture
 from ...session.loader import Loader
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from ladarreg_core.frames import Rigid
     from ladarreg_core.inspection.picture_forms import EncodedPicture
     from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
     from ladarreg_core.scan import Scan
@@ -59,10 +61,14 @@ class Images:
         if kind == "photo":
             key: Any = ("photo", entry.source, entry.camera.file)
             return self._sent(key, lambda: self._loader.viewable_photo(entry).pixels, query, natural=True)
+        options = tuple(sorted((k, v) for k, v in query.items() if k not in _OF_NO_PIXEL))
+        if kind == "overlay" and "pose" in query:
+            placed = _placed(query["pose"])
+            key = ("placed", document.clouds, entry.source, entry.camera, options)
+            return self._sent(key, lambda: self._preview(entry, placed, query), query)
         pose = entry.stage(query["stage"]) if query.get("stage") else entry.pose
         if pose is None or kind not in ("overlay", "registered"):
             raise OptionError("there is no pose to overlay; solve first")
-        options = tuple(sorted((k, v) for k, v in query.items() if k not in _OF_NO_PIXEL))
         make = self._overlay if kind == "overlay" else self._registered
         return self._sent((kind, id(pose), options), lambda: make(entry, pose, query), query, keep=pose)
 
@@ -168,6 +174,13 @@ class Images:
         show = query.get("show", "intensity")
         return scan_over_photo(self._scan_or_raise(), result.camera, result.camera_from_scanner, show)
 
+    def _preview(self, entry: PhotoEntry, placed: Rigid, query: Mapping[str, str]) -> NDArray[np.uint8]:
+        """Render what the photograph's camera would see of the scan at a pose."""
+        from ladarreg_core.inspection.pictures import scan_over_photo
+
+        camera = self._loader.photo(entry).camera
+        return scan_over_photo(self._scan_or_raise(), camera, placed, query.get("show", "intensity"))
+
     def _registered(self, entry: PhotoEntry, pose: PoseEntry, query: Mapping[str, str]) -> NDArray[np.uint8]:
         from ladarreg_core.inspection.model_textures import texture_without_z_buffer
         from ladarreg_core.inspection.pictures import photo_over_scan
@@ -195,6 +208,17 @@ class Images:
         if not index.isdecimal() or len(index) > _MAX_DIGITS or int(index) >= len(views):
             raise OptionError(f"there is no view {index[:20]!r}; the scan has {len(views)}")
         return int(index)
+
+
+def _placed(text: str) -> Rigid:
+    """Return a pose from the 12 numbers of its upper three rows, separated by commas."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 12:
+        raise OptionError("a pose has 12 numbers, the upper three rows of camera_from_scanner")
+    return edits.pose([*(numbers[k : k + 4] for k in (0, 4, 8)), [0, 0, 0, 1]])
 
 
 def _number(query: Mapping[str, str], name: str, otherwise: float) -> float:

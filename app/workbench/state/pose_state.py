@@ -70,13 +70,15 @@ def judged_slice(
     return found
 
 
-def pick_errors(loader: Loader, scan: Scan, photo: Photo, entry: PhotoEntry) -> tuple[dict[str, Any], dict[str, Any]]:
+def pick_errors(
+    loader: Loader, scan: Scan, photo: Photo | None, entry: PhotoEntry
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return `by_pick` and `predicted` of the slice `judged`, without what takes time for other reasons."""
     from ladarreg_core.inspection.picks import pick_residuals
 
     errors: dict[str, Any] = {}
     predicted: dict[str, Any] = {}
-    if entry.pose is None or not entry.picks:
+    if photo is None or entry.pose is None or not entry.picks:
         return errors, predicted
     try:
         registration = loader.registration(entry.pose)

@@ -111,7 +111,7 @@ export const mountPhotoHead = (head, controller) => {
   const set = (patch) => view.set({ photo: patch });
   const overlay = choice("Overlay of the scan on the photograph", (name) => set({ overlay: name }));
   const share = element("input", { type: "range", class: "pane-share", min: 0, max: 1, step: 0.01 });
-  share.addEventListener("input", () => set({ [SLIDERS[view.get().photo.overlay][0]]: Number(share.value) }));
+  share.addEventListener("input", () => set({ [(SLIDERS[overlay.value] ?? SLIDERS.blend)[0]]: Number(share.value) }));
   const rows = {
     brightness: slider({ label: "Brightness", least: 0.3, most: 3, step: 0.05, text: times, changed: (brightness) => set({ brightness }) }),
     contrast: slider({ label: "Contrast", least: 0.3, most: 3, step: 0.05, text: times, changed: (contrast) => set({ contrast }) }),
@@ -134,12 +134,14 @@ export const mountPhotoHead = (head, controller) => {
   head.append(overlay, share, opener, sheet, linked, zoom);
 
   const show = () => {
-    const { photo, linked: isLinked } = view.get();
+    const { photo, linked: isLinked, placement } = view.get();
     const { posed } = controller;
-    fill(overlay, OVERLAYS, posed ? photo.overlay : "none");
-    overlay.disabled = !posed;
-    overlay.title = posed ? "Overlay of the scan on the photograph" : "The scan can be overlaid once there is a pose";
-    const active = posed && SLIDERS[photo.overlay];
+    const overlaid = posed || placement !== null;
+    const shown = placement && photo.overlay === "none" ? "blend" : photo.overlay;
+    fill(overlay, OVERLAYS, overlaid ? shown : "none");
+    overlay.disabled = !overlaid;
+    overlay.title = overlaid ? "Overlay of the scan on the photograph" : "The scan can be overlaid once there is a pose";
+    const active = overlaid && SLIDERS[shown];
     share.hidden = !active;
     if (active) {
       share.value = photo[active[0]];
@@ -153,7 +155,7 @@ export const mountPhotoHead = (head, controller) => {
     press(linked, posed && isLinked);
     linked.title = posed ? "Link the two panes: both show the same place (K)" : "The panes can be linked once there is a pose";
   };
-  view.on((_, changed) => (changed.has("photo") || changed.has("linked")) && show());
+  view.on((_, changed) => (changed.has("photo") || changed.has("linked") || changed.has("placement")) && show());
   store.watch(["photos", "shown", "poses:*"], show);
   show();
 };

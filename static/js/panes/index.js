@@ -108,7 +108,7 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
       else loadPicturesSoon();
       shownView = controller.sides.scan.index;
     }
-    if (changed.has("photo")) {
+    if (changed.has("photo") || changed.has("placement")) {
       loadPicturesSoon();
       controller.panes.photo.invalidate("compare");
     }
@@ -118,7 +118,7 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
     }
     if (changed.has("selected")) controller.hint();
     if (["hovered", "selected", "end", "loupe", "snap"].some((name) => changed.has(name))) controller.redraw("live");
-    if (changed.has("corners") || changed.has("marks")) controller.redraw("matches");
+    if (["corners", "marks", "placement"].some((name) => changed.has(name))) controller.redraw("matches");
   });
   applyFilters(view.get());
   showSlices();

@@ -58,7 +58,8 @@ export class Painting {
     const picture = this.#slots.compare?.shown;
     const { extent } = this.#sideOf;
     if (!picture || !extent) return false;
-    const { overlay: mode, blend } = this.#controller.view.get().photo;
+    const { placement, photo: { overlay, blend } } = this.#controller.view.get();
+    const mode = placement && overlay === "none" ? "blend" : overlay;
     drawCompare(context, viewport, size, picture, extent, { overlay: mode, blend, swipe_x }, viewport.zoom < SMOOTH_BELOW);
     return true;
   }
@@ -68,7 +69,9 @@ export class Painting {
     const controller = this.#controller;
     const { look } = this;
     const draggedId = this.#tools.dragged?.id;
-    const shown = this.#sideOf.extent && controller.view.get().marks !== false;
+    const { marks: wanted, placement } = controller.view.get();
+    const covers = this.#side === "photo" && placement !== null; // they belong to another pose than the preview
+    const shown = this.#sideOf.extent && wanted !== false && !covers;
     const marks = shown ? controller.marks(this.#side).filter(({ id }) => id !== draggedId) : [];
     return {
       viewport: { ...viewport }, size, look,

@@ -145,10 +145,16 @@ export class PhotoSide {
     return `picture/photo/${encodeURIComponent(id)}?${query({ rev: rev ?? id })}`;
   }
 
-  /** @returns {string | null} URL of the scan projected into this photograph under the shown pose */
+  /** @returns {string | null} URL of the scan projected into this photograph under the shown pose, or that of
+   *   a camera that is being placed by hand */
   get overlayAddress() {
     const stage = this.#store.stageOf();
-    const { overlay } = this.#view.get().photo;
+    const { placement, photo: { overlay } } = this.#view.get();
+    if (this.photo && placement?.photo === this.photo.id) {
+      const pose = placement.pose.slice(0, 3).flat().map((value) => value.toFixed(7)).join(",");
+      const show = overlay === "edges" ? "edges" : "intensity";
+      return `picture/overlay/${encodeURIComponent(this.photo.id)}?${query({ pose, show, rev: this.#store.get("scan")?.id })}`;
+    }
     if (!this.photo || !stage || overlay === "none") return null;
     // a stage may be solved again with another result
     const rev = [stage.when, stage.cost, stage.focal_px, ...(stage.parameters ?? []).map(({ value }) => value)].join(" ");

@@ -24,6 +24,8 @@
  * @property {string[]} filter of the match table: "lines", "points", "found", "off", "rejected"
  * @property {{by: "depth" | "px", above: {depth: number | null, px: number | null}}} threshold of the depth-error plot
  * @property {"acquire" | "stations" | "match" | "solve" | "judge" | "export"} step
+ * @property {{photo: string, pose: number[][]} | null} placement a camera that is being placed by hand: its photograph and
+ *   camera_from_scanner
  * @property {string | null} offer id of a match that the panes offer to show; reset to null once it is offered
  * @property {string | null} reveal id of a match to show; reset to null once it is shown
  * @property {{side: "scan" | "photo", uv: number[]} | null} reveal_uv a pixel to show, likewise
@@ -36,7 +38,7 @@
  */
 
 const KEY = "ladarreg-view";
-const TRANSIENT = new Set(["stretching", "hovered", "offer", "reveal", "reveal_uv", "readout", "hint"]);
+const TRANSIENT = new Set(["stretching", "hovered", "placement", "offer", "reveal", "reveal_uv", "readout", "hint"]);
 const NESTED = ["scan", "photo", "layout"];
 
 /** @returns {ViewState} */
@@ -58,6 +60,7 @@ const defaults = () => ({
   filter: [],
   threshold: { by: "depth", above: { depth: null, px: null } },
   step: "match",
+  placement: null,
   offer: null,
   reveal: null,
   reveal_uv: null,

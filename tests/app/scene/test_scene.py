@@ -197,6 +197,38 @@ def test_each_person_sees_the_own_photograph_and_highlight(server: viser.ViserSe
     assert not {"/camera", "/matches/points", "/highlight/point"} & eve
 
 
+def test_a_camera_that_is_placed_by_hand_is_drawn_for_its_client_and_tells_where_it_is_dragged(
+    server: viser.ViserServer,
+) -> None:
+    server.scene.reset()
+    moves: list[tuple[str, Rigid]] = []
+    scene = Scene3D(server, lambda _person, _pick: None, on_draft=lambda person, pose: moves.append((person, pose)))
+    scene.add_view(1, server, "ann")
+    scene.set_people({"ann": Person("p1")})
+    scene.show(shown(None))
+    placed = Rigid.from_centre(np.eye(3), [0.3, 0.2, 0.1])
+    scene.place_camera("bob", placed)
+    assert "/draft" not in drawn(scene, server), "another one places his"
+    scene.place_camera("ann", placed)
+    nodes = drawn(scene, server)
+    assert "/draft/camera" in nodes
+    np.testing.assert_allclose(nodes["/draft"].position, [0.3, 0.2, 0.1])
+    further = Rigid.from_centre(np.eye(3), [0.5, 0.2, 0.1])
+    scene.place_camera("ann", further)
+    np.testing.assert_allclose(drawn(scene, server)["/draft"].position, [0.5, 0.2, 0.1])
+    assert moves == [], "what the page itself has moved is not told to it"
+    handle = nodes["/draft"]
+    handle.position = (0.9, 0.0, 0.0)  # as a drag does before the callbacks
+    for callback in handle._impl_aux.update_cb:  # type: ignore[attr-defined]
+        callback(None)
+    ((person, pose),) = moves
+    assert person == "ann"
+    np.testing.assert_allclose(pose.centre, [0.9, 0.0, 0.0], atol=1e-9)
+    scene.place_camera("ann", None)
+    assert not {"/draft", "/draft/camera"} & set(drawn(scene, server))
+    scene.close()
+
+
 def test_settings_are_checked() -> None:
     for wanted in ({"texture": "glitter"}, {"detail": "huge"}, {"smell": True}, {"rays": "yes"}):
         with pytest.raises(OptionError):
