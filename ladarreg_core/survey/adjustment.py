@@ -13,6 +13,7 @@ from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import OptionError
 from ladarreg_core.export.json import software_document
 from ladarreg_core.frames import Rigid
+from ladarreg_core.results import COARSE_SIGMA_PX
 from ladarreg_core.survey.problem import Matrix
 from ladarreg_core.survey.solver import Adjusted
 
@@ -84,6 +85,8 @@ class AdjustedPhoto:
     """Ids of the accepted photographs that it is tied to."""
     median_px: float = float("nan")
     """Median residual of its ties, px."""
+    sigma_px: float = float("nan")
+    """How far what it shows may lie from where the laser's points are drawn: standard deviation, median, px."""
     moved_others_sigmas: float | None = None
     """By how much it would have moved another photograph, if it had not been taken out: the largest, in standard
     deviations; None: it was not taken out."""
@@ -104,11 +107,17 @@ class AdjustedPhoto:
         return float(np.sqrt(np.trace(self.covariance[:3, :3])))
 
     @property
+    def is_coarse(self) -> bool:
+        """Whether it is accepted, and known to more than `COARSE_SIGMA_PX` only."""
+        return self.accepted and self.sigma_px > COARSE_SIGMA_PX * np.sqrt(self.camera.width * self.camera.height / 1e6)
+
+    @property
     def verdict(self) -> str:
         """The verdict as a sentence."""
         if not self.accepted:
             return "Not accepted: taken out." if self.moved_others_sigmas is not None else "Not accepted."
-        return "Accepted: verified against the image." if self.evidence == "image" else "Accepted: verified by ties."
+        words = "Accepted, coarse" if self.is_coarse else "Accepted"
+        return f"{words}: verified {'against the image' if self.evidence == 'image' else 'by ties'}."
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -175,11 +184,14 @@ class Adjustment:
             "covariance": None if pose is None else one.covariance.tolist(),
             "accepted": one.accepted,
             "evidence": one.evidence,
+            "precision": "coarse" if one.is_coarse else None,
             "verdict": one.verdict,
             "reasons": list(one.reasons),
             "sigma": None
             if pose is None
-            else {"angle_rad": one.sigma_angle_rad, "position_m": one.sigma_position_m},
+            else {
+                "angle_rad": one.sigma_angle_rad, "position_m": one.sigma_position_m, "pixel_px": _number(one.sigma_px),
+            },
             "scans": list(one.scans),
             "ties": {
                 "agree": one.ties, "left_out": one.ties_left_out, "median_px": _number(one.median_px),

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.camera.uncertainty import INTRINSICS
+from ladarreg_core.camera.uncertainty import INTRINSICS, pose_jacobian
 from ladarreg_core.survey.adjustment import (
     AdjustedCamera,
     AdjustedPhoto,
@@ -18,6 +18,7 @@ from ladarreg_core.survey.adjustment import (
 )
 from ladarreg_core.survey.build import Bodies
 from ladarreg_core.survey.placement import Placement
+from ladarreg_core.survey.problem import Matrix
 from ladarreg_core.survey.solver import Adjusted
 from ladarreg_core.survey.survey import Survey
 from ladarreg_core.survey.verdicts import Solution, count_ties
@@ -100,7 +101,39 @@ def _photo(
         camera_from_world=adjusted.problem.poses[body], covariance=adjusted.covariance_of(body),
         camera=adjusted.problem.camera_of(body), evidence="image" if state.by_image else "ties", reasons=(said,),
         scans=scans, ties=ties.agree, ties_left_out=ties.left_out, partners=partners, median_px=ties.median_px,
+        sigma_px=_pixel_sigma(adjusted, body, _points_shown(placement, solution, k)),
     )  # fmt: skip
+
+
+def _points_shown(placement: Placement, solution: Solution, photo: int) -> Matrix:
+    """Return points (N, 3) of the world that a photograph shows: those that its scans' images agree on, or its ties."""
+    adjusted, bodies, pairs = solution.adjusted, solution.bodies, placement.states[photo].pairs
+    if not pairs:
+        ties = adjusted.problem.ties
+        own = (ties.photo == bodies.photos[photo]) & adjusted.tie_inliers
+        return ties.points[ties.point[own]]
+    return np.concatenate([
+        adjusted.problem.poses[bodies.scans[scan]].inverse @ result.matches.points[result.inliers]
+        for scan, result in pairs.items() if bodies.scans[scan] >= 0
+    ] or [np.zeros((0, 3))])  # fmt: skip
+
+
+def _pixel_sigma(adjusted: Adjusted, body: int, points: Matrix) -> float:
+    """Return the median standard deviation of where a photograph shows points (N, 3) of the world, px."""
+    problem = adjusted.problem
+    view, camera = problem.views[body], problem.camera_of(body)
+    assert view is not None
+    _, J = pose_jacobian(problem.poses[body], points, camera)
+    pinhole = camera.as_pinhole
+    if problem.cameras[view.camera].size and pinhole is not None:
+        p = problem.poses[body] @ points
+        with np.errstate(invalid="ignore", divide="ignore"):
+            by_camera = pinhole.intrinsics_jacobian(p[:, :2] / p[:, 2:])
+        by_camera[..., 0] /= pinhole.focal_px
+        J = np.concatenate([J, by_camera @ view.turn], axis=2)
+    variance = np.einsum("nia,ab,nib->n", J, adjusted.pose_and_camera_covariance(body), J)
+    known = variance[np.isfinite(variance)]
+    return float(np.sqrt(np.median(known))) if len(known) else float("nan")
 
 
 def _cameras(survey: Survey, adjusted: Adjusted, photos: Mapping[str, AdjustedPhoto]) -> dict[str, AdjustedCamera]:

@@ -147,7 +147,9 @@ def _size(one: AdjustedPhoto) -> float:
 
 
 def _row(name: str, one: AdjustedPhoto, picture: str, camera: str) -> Html:
-    kind, words = ("ok", one.evidence) if one.accepted else ("bad", "not accepted")
+    kind, words = ("bad", "not accepted")
+    if one.accepted:
+        kind, words = ("warn", f"{one.evidence}, coarse") if one.is_coarse else ("ok", one.evidence)
     image: Content = tag("img", src=DataUri(f"data:image/jpeg;base64,{picture}"), alt=name) if picture else ""
     text: list[Content] = [
         tag("p", tag("b", name), " ", tag("span", words, class_=f"badge {kind}")),
@@ -158,7 +160,10 @@ def _row(name: str, one: AdjustedPhoto, picture: str, camera: str) -> Html:
             f"; median residual {one.median_px:.2f} px" if np.isfinite(one.median_px) else ""
         )
         text.append(
-            tag("p", f"Sigma {format_length(one.sigma_position_m)}, {format_angle(one.sigma_angle_rad)}. {tied}.")
+            tag(
+                "p",
+                f"Sigma {format_length(one.sigma_position_m)}, {format_angle(one.sigma_angle_rad)}, {one.sigma_px:.1f} px. {tied}.",
+            )
         )
         text.append(tag("p", tag("a", "Results", href=f"photos/{name}/{REPORT_FILE}")))
     text.append(tag("ul", [tag("li", reason) for reason in one.reasons]))

@@ -39,6 +39,8 @@ def test_one_photograph_on_one_scan_is_registered_as_by_itself(case: SimulatedCa
     assert np.sqrt(off @ np.linalg.solve(one.covariance, off) / 6) < 3
     assert one.camera_from_world.distance_to(truth) < 0.02
     assert one.evidence == "image"
+    assert 0.05 < one.sigma_px < 3
+    assert not one.is_coarse
     assert one.ties == 0
     assert any("features" in label for label in told)
     assert found.document()["photos"][next(iter(found.photos))]["accepted"] is True
