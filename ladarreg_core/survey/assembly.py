@@ -111,7 +111,7 @@ def _points_shown(placement: Placement, solution: Solution, photo: int) -> Matri
     if not pairs:
         ties = adjusted.problem.ties
         own = (ties.photo == bodies.photos[photo]) & adjusted.tie_inliers
-        return ties.points[ties.point[own]]
+        return np.asarray(ties.points[ties.point[own]])
     return np.concatenate([
         adjusted.problem.poses[bodies.scans[scan]].inverse @ result.matches.points[result.inliers]
         for scan, result in pairs.items() if bodies.scans[scan] >= 0

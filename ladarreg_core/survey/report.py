@@ -159,12 +159,8 @@ def _row(name: str, one: AdjustedPhoto, picture: str, camera: str) -> Html:
         tied = f"{one.ties} ties agree, {one.ties_left_out} do not" + (
             f"; median residual {one.median_px:.2f} px" if np.isfinite(one.median_px) else ""
         )
-        text.append(
-            tag(
-                "p",
-                f"Sigma {format_length(one.sigma_position_m)}, {format_angle(one.sigma_angle_rad)}, {one.sigma_px:.1f} px. {tied}.",
-            )
-        )
+        sigma = f"{format_length(one.sigma_position_m)}, {format_angle(one.sigma_angle_rad)}, {one.sigma_px:.1f} px"
+        text.append(tag("p", f"Sigma {sigma}. {tied}."))
         text.append(tag("p", tag("a", "Results", href=f"photos/{name}/{REPORT_FILE}")))
     text.append(tag("ul", [tag("li", reason) for reason in one.reasons]))
     return tag("tr", tag("td", image), tag("td", *text), tag("td", camera, class_="dim"))
