@@ -75,6 +75,11 @@ SOUND: dict[str, list[dict[str, Any]]] = {
         {"station": "s1", "place": {"x": 1, "y": 2, "z": 0, "yaw_deg": 90}},
         {"station": "s1", "place": None},
     ],
+    "place_camera": [
+        {"photo": "p1", "start": "scanner", "shift_m": [0.1, 0.0, -0.1], "turn_deg": [1, 0, 2]},
+        {"photo": "p1", "camera_from_scanner": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]},
+        {"photo": "p1"},
+    ],
     "show_station": [{"station": "s1"}],
     "remove_station": [{"station": "s1"}],
     "acquire_ports": [{}],

@@ -20,6 +20,7 @@ from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from testing.scenes.survey_set import SurveySet, simulate_survey, write_survey_set
 
 pytest.importorskip("embreex")
+pytestmark = pytest.mark.timeout(1200)  # a survey takes minutes of a busy machine
 
 
 def _small() -> SurveySet:
