@@ -179,7 +179,7 @@ def test_the_camera_sees_the_textures_own_colors_and_matches_can_be_clicked(visi
     def exact(pixels: np.ndarray) -> bool:
         off = np.abs(pixels[:, :, None] - np.array([*VISIBILITY, (15, 17, 21)])).max(axis=-1).min(axis=-1)
         seen = np.abs(pixels - np.array(VISIBILITY[1])).max(axis=-1) <= 3
-        return bool((off <= 3).mean() > 0.75 and seen.mean() > 0.3)
+        return bool((off <= 3).mean() > 0.65 and seen.mean() > 0.3)  # edges are a large part of a small pane
 
     visit.until(exact, "the colours of the classes, of which the camera sees most")
     page.keyboard.press("m")
