@@ -189,7 +189,10 @@ export class Pane {
 
   /** Zoom, in screen pixels per image pixel; the point at xy (by default the centre) stays in place. */
   zoomTo(zoom, by, xy = [this.size[0] / 2, this.size[1] / 2]) {
-    if (this.extent) this.place(zoomedAbout(this.viewport, xy, allowed(zoom, this.size, this.extent)), by);
+    if (!this.extent) return;
+    const at = zoomedAbout(this.viewport, xy, allowed(zoom, this.size, this.extent));
+    // One to one, a pixel of the picture is a pixel of the screen, not parts of four.
+    this.place(at.zoom === 1 ? { zoom: 1, x: Math.round(at.x), y: Math.round(at.y) } : at, by);
   }
 
   /** @returns {number} zoom relative to that at which the whole picture fits */
