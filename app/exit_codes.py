@@ -15,6 +15,6 @@ class ExitCode(IntEnum):
     NOT_ACCEPTED = 3
     """It finished and was written, but is not accepted: too little evidence, or pieces that do not fit."""
     UNDECIDABLE = 4
-    """An audit: the images can tell neither that the pose is right nor that it is wrong."""
+    """An audit: the images cannot decide whether the pose is right."""
     INTERRUPTED = 130
     """Interrupted by the user; no incomplete files are left."""

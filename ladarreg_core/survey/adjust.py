@@ -12,7 +12,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
@@ -24,6 +24,7 @@ import numpy as np
 from ladarreg_core.batch.cache import ContentCache
 from ladarreg_core.batch.executor import WorkerProcesses, usable_cores
 from ladarreg_core.batch.photo_task import ScanFiles
+from ladarreg_core.batch.pooled_camera import may_be_turned
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
 from ladarreg_core.export.json import input_document, plain
@@ -37,11 +38,11 @@ from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
 from ladarreg_core.survey.adjustment import Adjustment
 from ladarreg_core.survey.assembly import adjustment_of
-from ladarreg_core.survey.build import Bodies, build_problem, camera_unknowns, pair_factor, with_ties
+from ladarreg_core.survey.build import Bodies, build_problem, camera_unknowns, pair_factor, photo_view, with_ties
 from ladarreg_core.survey.features import propose_pairs
 from ladarreg_core.survey.parts import SurveyCamera, SurveyPhoto, listed_faults
 from ladarreg_core.survey.placement import PhotoState, Placement
-from ladarreg_core.survey.problem import CameraUnknowns, Problem, RelativePose
+from ladarreg_core.survey.problem import WORLD, CameraUnknowns, Problem, RelativePose, pose_difference
 from ladarreg_core.survey.solver import Adjusted, solve
 from ladarreg_core.survey.stations import place_stations
 from ladarreg_core.survey.survey import Survey
@@ -50,7 +51,6 @@ from ladarreg_core.survey.verdicts import (
     TakenOut,
     count_ties,
     largest_shift,
-    pose_difference,
     solve_consistent,
     without_photo,
 )
@@ -58,8 +58,10 @@ from ladarreg_core.survey.work import PairTask, PhotoFiles, pair_matches, photo_
 
 _DIFFERS = 27.9  # squared Mahalanobis distance with 6 degrees of freedom, exceeded once in 10,000
 _ROUGH_RAD, _ROUGH_M = float(np.radians(0.02)), 0.001  # what the colours' own poses may be off
-_STAGES = {"scans": 0.05, "stations": 0.12, "features": 0.2, "matches": 0.3, "photos": 0.65, "adjust": 0.72,
-           "refine": 0.9, "verify": 1.0}  # fmt: skip
+_STAGES = {
+    "headers": 0.02, "scans": 0.06, "stations": 0.12, "features": 0.2, "matches": 0.3, "placement": 0.65,
+    "adjust": 0.72, "refine": 0.9, "verify": 1.0,
+}  # fmt: skip
 """Share of the whole that is done after each stage."""
 
 
@@ -122,7 +124,7 @@ def solve_survey(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Header:
-    """A photograph's file, and what it says of its camera."""
+    """A photograph's file, and its camera before anything is adjusted."""
 
     files: PhotoFiles
     camera: CameraModel
@@ -141,7 +143,7 @@ class _Run:
     stage: tuple[float, float] = (0.0, 0.0)
 
     def run(self) -> Solved:
-        headers = self._cameras_stated()
+        headers = self._headers()
         scans = self._read_scans()
         stations = place_stations(
             self.survey.scans, [scan for _, scan in scans], seed=self.options.seed, report=self._part("stations")
@@ -150,8 +152,10 @@ class _Run:
         del scans
         states = self._states(headers)
         matches = self._matches(states)
-        self._begin("photos")
-        placement = Placement(states, files, stations, matches, self.options, self.workers, self._told(3 * len(states)))
+        self._begin("placement")
+        placement = Placement(
+            states, files, stations, matches, self.options, self.workers, self._reporter(3 * len(states))
+        )
         placement.run()
         cameras = camera_unknowns(self.survey, states)
         self._begin("adjust")
@@ -170,7 +174,7 @@ class _Run:
 
     def _read_scans(self) -> list[tuple[ScanFiles, Scan]]:
         self._begin("scans")
-        found, tell = [], self._told(len(self.survey.scans))
+        found, report = [], self._reporter(len(self.survey.scans))
         for one in self.survey.scans:
             options = {**one.options, "scan_index": one.index}
             if isinstance(one.source, Scan):
@@ -191,34 +195,38 @@ class _Run:
                 self.cache.put(key, scan)
             path = None if isinstance(one.source, Scan) else one.source
             found.append((ScanFiles(path, options, key, self.cache.folder, self.cache.most_bytes), scan))
-            tell(f"reading {one.id}")
+            report(f"reading {one.id}")
         return found
 
-    def _cameras_stated(self) -> dict[str, _Header]:
-        """Return what each photograph says of its camera; what cannot be read is told at once, all of it."""
+    def _headers(self) -> dict[str, _Header]:
+        """Return the camera of each photograph; faults of all of them are reported together, before any work."""
         cameras, found, faults = {one.id: one for one in self.survey.cameras}, {}, []
+        self._begin("headers")
+        report = self._reporter(len(self.survey.photos))
         for given in self.survey.photos:
             try:
                 files = self._photo_files(given, cameras[given.camera])
                 photo = files.read()
-                orientation = 1 if not isinstance(given.source, Path) else photo_facts(given.source).orientation
-                found[given.id] = _Header(files, photo.camera, photo.assumed, orientation)
+                found[given.id] = _Header(
+                    files, photo.camera, photo.assumed, _orientation(given, cameras[given.camera])
+                )
             except LadarregError as error:
                 faults.append(str(error))
+            report(f"reading {given.id}")
         if faults:
             raise FormatError(listed_faults("the survey", faults))
         return found
 
     def _states(self, headers: Mapping[str, _Header]) -> list[PhotoState]:
         self._begin("features")
-        tell, states = self._told(len(headers)), []
+        report, states = self._reporter(len(headers)), []
         waiting = [
             self.workers.submit(photo_features, one.files, self.cache.folder, self.cache.most_bytes)
             for one in headers.values()
         ]
         for given, one, future in zip(self.survey.photos, headers.values(), waiting, strict=True):
             states.append(PhotoState(given, one.files, one.orientation, future.result(), one.camera, one.assumed))
-            tell(f"features of {given.id}")
+            report(f"features of {given.id}")
         return states
 
     def _photo_files(self, given: SurveyPhoto, camera: SurveyCamera) -> PhotoFiles:
@@ -246,7 +254,7 @@ class _Run:
     def _matches(self, states: list[PhotoState]) -> dict[tuple[int, int], Any]:
         self._begin("matches")
         pairs = propose_pairs([one.features for one in states])
-        tell = self._told(len(pairs))
+        report = self._reporter(len(pairs))
         waiting = {
             (i, j): self.workers.submit(
                 pair_matches, states[i].files, states[j].files, self.cache.folder, self.cache.most_bytes
@@ -256,7 +264,7 @@ class _Run:
         found = {}
         for (i, j), future in waiting.items():
             found[i, j] = future.result()
-            tell(f"{states[i].given.id} and {states[j].given.id}")
+            report(f"{states[i].given.id} and {states[j].given.id}")
         return {pair: matches for pair, matches in found.items() if len(matches)}
 
     # -- the adjustment --------------------------------------------------------------------------------------------
@@ -308,7 +316,7 @@ class _Run:
                     photo=state.files, scan=placement.scans[scan], options=self.options, camera=camera,
                     initial=state.pose @ world, near=True,
                 )  # fmt: skip
-        tell = self._told(len(tasks))
+        report = self._reporter(len(tasks))
         waiting = {key: self.workers.submit(registered, task) for key, task in tasks.items()}
         for state in placement.states:
             state.pairs = {}
@@ -322,7 +330,7 @@ class _Run:
                     placement.states[k].pairs[scan] = result
                 elif not placement.states[k].reasons:
                     placement.states[k].reasons = result.reasons
-            tell(f"{placement.states[k].given.id} on scan {scan + 1}")
+            report(f"{placement.states[k].given.id} on scan {scan + 1}")
         cameras_list = list(adjusted.problem.cameras)
         return self._factors(list(placement.states), cameras_list)
 
@@ -404,7 +412,7 @@ class _Run:
         task = PairTask(
             photo=state.files, scan=placement.scans[0], options=self.options, camera=camera, initial=pose, near=True
         )
-        self._told(1)(f"{state.given.id} against the colours of {len(sources)} photographs")
+        self._reporter(1)(f"{state.given.id} against the colours of {len(sources)} photographs")
         result = self.workers.submit(verified_by_colors, task, sources, surfaces).result()
         if result is None:
             return "Too little of the surface that it shows is coloured by verified photographs to compare it with."
@@ -419,9 +427,7 @@ class _Run:
     def _cameras_now(self, adjusted: Adjusted) -> dict[str, CameraUnknowns]:
         return dict(zip((one.id for one in self.survey.cameras), adjusted.problem.cameras, strict=True))
 
-    def _camera_of(self, state: PhotoState, cameras: Mapping[str, CameraUnknowns]) -> Any:
-        from ladarreg_core.survey.build import photo_view
-
+    def _camera_of(self, state: PhotoState, cameras: Mapping[str, CameraUnknowns]) -> CameraModel:
         unknowns = cameras[state.given.camera]
         return photo_view(state, 0, unknowns).camera_at(unknowns.values)
 
@@ -436,16 +442,28 @@ class _Run:
         self._begin(stage)
         return part_of(self.report, *self.stage)
 
-    def _told(self, total: int) -> Any:
+    def _reporter(self, total: int) -> Callable[[str], None]:
+        """Return a function that reports one more of the units of this stage, by its label."""
         part, done = part_of(self.report, *self.stage), 0
 
-        def tell(label: str) -> None:
+        def report(label: str) -> None:
             nonlocal done
             done += 1
             if part is not None:
                 part(Progress(min(done, total), total, label))
 
-        return tell
+        return report
+
+
+def _orientation(photo: SurveyPhoto, camera: SurveyCamera) -> int:
+    """Return EXIF's orientation, by which photographs of one camera were turned; 1 where that is not of the camera.
+
+    A camera that is given is that of upright pixels, and no camera takes mirrored ones.
+    """
+    if not isinstance(photo.source, Path) or camera.source is not None:
+        return 1
+    orientation = photo_facts(photo.source).orientation
+    return orientation if may_be_turned(orientation) else 1
 
 
 def _determined(problem: Problem) -> Problem:
@@ -453,9 +471,7 @@ def _determined(problem: Problem) -> Problem:
 
     A photograph on ties alone may have lost all of them.
     """
-    from ladarreg_core.survey.problem import WORLD
-
-    weak = np.diag([1.0] * 3 + [1.0] * 3)
+    weak = np.eye(6)  # 1 rad, 1 m
     related = {one.body for one in problem.relative}
     more = [
         RelativePose(body, WORLD, pose, weak, name="its start")

@@ -71,6 +71,8 @@ class AdjustedPhoto:
     """(6, 6), see `COVARIANCE_IS`; NaN if it is not accepted."""
     camera: CameraModel
     """The camera of its pixels."""
+    camera_id: str
+    """Id of the camera that took it."""
     evidence: SurveyEvidence
     """`image`: a scan's image verifies it; `ties`: it rests on what other photographs show of the surface, and their
     colours verify it."""
@@ -198,7 +200,7 @@ class Adjustment:
                 "photos": list(one.partners),
             },
             "moved_others_sigmas": one.moved_others_sigmas,
-            "camera": one.camera.as_fields(),
+            "camera": one.camera_id,
             "folder": f"photos/{name}" if one.accepted else None,
             "input": self.inputs.get(f"photo/{name}"),
         }  # fmt: skip

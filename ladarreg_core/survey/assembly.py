@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.camera.uncertainty import INTRINSICS, pose_jacobian
+from ladarreg_core.camera.uncertainty import INTRINSICS
 from ladarreg_core.survey.adjustment import (
     AdjustedCamera,
     AdjustedPhoto,
@@ -18,10 +18,10 @@ from ladarreg_core.survey.adjustment import (
 )
 from ladarreg_core.survey.build import Bodies
 from ladarreg_core.survey.placement import Placement
-from ladarreg_core.survey.problem import Matrix
+from ladarreg_core.survey.problem import Matrix, projected
 from ladarreg_core.survey.solver import Adjusted
 from ladarreg_core.survey.survey import Survey
-from ladarreg_core.survey.verdicts import Solution, count_ties
+from ladarreg_core.survey.verdicts import Solution, agrees_with_scan, count_ties
 
 _UNKNOWN = np.full((6, 6), np.nan)
 _MAX_SHOWN = 60
@@ -84,23 +84,25 @@ def _photo(
         taken = solution.taken_out.get(k)
         reasons = refused.get(k) or ((taken.reason,) if taken else state.reasons) or ("Nothing is known of it.",)
         return AdjustedPhoto(
-            camera_from_world=None, covariance=_UNKNOWN, camera=state.camera, evidence="none", reasons=reasons,
+            camera_from_world=None, covariance=_UNKNOWN, camera=state.camera, camera_id=state.given.camera,
+            evidence="none", reasons=reasons,
             moved_others_sigmas=None if taken is None else taken.moved_others_sigmas,
         )  # fmt: skip
     body, ties = bodies.photos[k], count_ties(adjusted, bodies, k)
-    scans = tuple(survey.scans[scan].id for scan in sorted(state.pairs))
+    scans = tuple(survey.scans[scan].id for scan in sorted(state.pairs) if agrees_with_scan(solution, k, scan))
     partners = tuple(names[one] for one in ties.partners)
     others = f"{len(partners)} other photograph{'' if len(partners) == 1 else 's'}"
     tied = f"{ties.agree} ties with {others} agree" if ties.agree else "it shares no ties"
-    said = (
+    reason = (
         f"The image of {' and of '.join(scans)} verifies it; {tied}."
         if state.by_image
         else f"No scan's image verifies it by itself; {tied}, and the colours of the surface verify it."
     )
     return AdjustedPhoto(
         camera_from_world=adjusted.problem.poses[body], covariance=adjusted.covariance_of(body),
-        camera=adjusted.problem.camera_of(body), evidence="image" if state.by_image else "ties", reasons=(said,),
-        scans=scans, ties=ties.agree, ties_left_out=ties.left_out, partners=partners, median_px=ties.median_px,
+        camera=adjusted.problem.camera_of(body), camera_id=state.given.camera,
+        evidence="image" if state.by_image else "ties", reasons=(reason,), scans=scans, ties=ties.agree,
+        ties_left_out=ties.left_out, partners=partners, median_px=ties.median_px,
         sigma_px=_pixel_sigma(adjusted, body, _points_shown(placement, solution, k)),
     )  # fmt: skip
 
@@ -120,17 +122,8 @@ def _points_shown(placement: Placement, solution: Solution, photo: int) -> Matri
 
 def _pixel_sigma(adjusted: Adjusted, body: int, points: Matrix) -> float:
     """Return the median standard deviation of where a photograph shows points (N, 3) of the world, px."""
-    problem = adjusted.problem
-    view, camera = problem.views[body], problem.camera_of(body)
-    assert view is not None
-    _, J = pose_jacobian(problem.poses[body], points, camera)
-    pinhole = camera.as_pinhole
-    if problem.cameras[view.camera].size and pinhole is not None:
-        p = problem.poses[body] @ points
-        with np.errstate(invalid="ignore", divide="ignore"):
-            by_camera = pinhole.intrinsics_jacobian(p[:, :2] / p[:, 2:])
-        by_camera[..., 0] /= pinhole.focal_px
-        J = np.concatenate([J, by_camera @ view.turn], axis=2)
+    _, by_pose, by_camera = projected(adjusted.problem, body, points)
+    J = np.concatenate([by_pose, by_camera], axis=2)
     variance = np.einsum("nia,ab,nib->n", J, adjusted.pose_and_camera_covariance(body), J)
     known = variance[np.isfinite(variance)]
     return float(np.sqrt(np.median(known))) if len(known) else float("nan")

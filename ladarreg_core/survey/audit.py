@@ -28,7 +28,7 @@ from ladarreg_core.progress import StepReport
 from ladarreg_core.registration.register import RegisterOptions, register
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
-from ladarreg_core.survey.verdicts import pose_difference
+from ladarreg_core.survey.problem import pose_difference
 
 Outcome = Literal["right", "wrong", "undecidable"]
 FALSE_ALARM = 0.05
@@ -55,7 +55,7 @@ class Audit:
     """What the images say of a pose that is used."""
 
     outcome: Outcome
-    """`right`: they verify it, as far as they can tell; `wrong`: they verify another one that differs significantly;
+    """`right`: they verify it within their uncertainty; `wrong`: they verify another one that differs significantly;
     `undecidable`: they verify nothing near it."""
     sentence: str
     """The outcome in words."""

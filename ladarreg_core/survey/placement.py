@@ -75,7 +75,7 @@ class Placement:
     matches: Mapping[tuple[int, int], IntArray]
     options: RegisterOptions
     workers: Executor
-    tell: Callable[[str], None]
+    report: Callable[[str], None]
     laser: dict[tuple[int, int], LaserPoints] = field(default_factory=dict)
     """Places on the surface of scan s under all features of photograph p, by (p, s)."""
 
@@ -196,7 +196,7 @@ class Placement:
             self.states[k].pose = pose
         nearest = [(k, scan) for k, pose in poses.items() for scan in self.nearest_scans(pose)[:1]]
         self.find_laser_points(nearest, poses, {k: self.states[k].camera for k in poses})
-        self.tell(f"{len(poses)} photographs from what others show")
+        self.report(f"{len(poses)} photographs from what others show")
 
     def _near(self, poses: Mapping[int, Rigid]) -> None:
         """Refine photographs on the scans near their poses (`camera_from_world`)."""
@@ -247,7 +247,7 @@ class Placement:
                 done[photo, scan] = future.result()
             except LadarregError as error:
                 self.states[photo].reasons = (str(error),)
-            self.tell(f"{self.states[photo].given.id} on scan {scan + 1}")
+            self.report(f"{self.states[photo].given.id} on scan {scan + 1}")
         new: list[tuple[int, int]] = []
         for photo, scan in sorted(done):
             state, result = self.states[photo], done[photo, scan]

@@ -175,6 +175,12 @@ def moved_pose(pose: Rigid, step: FloatArray) -> Rigid:
     return Rigid.from_centre(Rigid.from_rotvec(step[:3]).rotation @ pose.rotation, pose.centre + step[3:])
 
 
+def pose_difference(first: Rigid, second: Rigid) -> Matrix:
+    """Return the (w, c) (6,) that leads from the second pose to the first: the step of `moved_pose`."""
+    turn = rotvec_from_rotation(first.rotation @ second.rotation.T)
+    return np.concatenate([turn, first.centre - second.centre])
+
+
 def relative_residual(
     known: RelativePose, poses: Sequence[Rigid], camera_values: Matrix | None
 ) -> tuple[Matrix, Matrix, Matrix]:
@@ -216,21 +222,33 @@ def tie_residuals(problem: Problem) -> tuple[Matrix, Matrix, Matrix, Matrix]:
     by_camera, by_point = np.zeros((count, 2, len(INTRINSICS))), np.empty((count, 2, 3))
     for body in np.unique(ties.photo).tolist():
         rows = np.flatnonzero(ties.photo == body)
-        camera, view, pose = problem.camera_of(body), problem.views[body], problem.poses[body]
-        points = ties.points[ties.point[rows]]
-        uv, J = pose_jacobian(pose, points, camera)
-        residual[rows] = camera.difference(ties.uv[rows], uv)
+        uv, J, of_camera = projected(problem, body, ties.points[ties.point[rows]])
+        residual[rows] = problem.camera_of(body).difference(ties.uv[rows], uv)
         by_pose[rows], by_point[rows] = J, -J[..., 3:]  # a point moves against the camera's centre
-        assert view is not None
-        if problem.cameras[view.camera].size:
-            pinhole = camera.as_pinhole
-            assert pinhole is not None, "only the intrinsics of pinholes are estimated"
-            p = pose @ points
-            with np.errstate(invalid="ignore", divide="ignore"):
-                of_upright = pinhole.intrinsics_jacobian(p[:, :2] / p[:, 2:])
-            of_upright[..., 0] /= pinhole.focal_px
-            by_camera[rows] = of_upright @ view.turn
+        if of_camera.shape[2]:
+            by_camera[rows] = of_camera
     return residual, by_pose, by_camera, by_point
+
+
+def projected(problem: Problem, body: int, points: FloatArray) -> tuple[Matrix, Matrix, Matrix]:
+    """Return where a photograph shows points (N, 3) of the world, and the derivatives.
+
+    Returns:
+        uv (N, 2) px; derivatives by the pose (N, 2, 6), and by its camera (N, 2, 4), or (N, 2, 0) of one that is not
+        estimated. NaN behind the camera.
+    """
+    camera, view, pose = problem.camera_of(body), problem.views[body], problem.poses[body]
+    uv, J = pose_jacobian(pose, points, camera)
+    assert view is not None
+    if not problem.cameras[view.camera].size:
+        return uv, J, np.zeros((len(points), 2, 0))
+    pinhole = camera.as_pinhole
+    assert pinhole is not None, "only the intrinsics of pinholes are estimated"
+    p = pose @ points
+    with np.errstate(invalid="ignore", divide="ignore"):
+        of_upright = pinhole.intrinsics_jacobian(p[:, :2] / p[:, 2:])
+    of_upright[..., 0] /= pinhole.focal_px
+    return uv, J, np.asarray(of_upright @ view.turn)
 
 
 def surface_residuals(problem: Problem) -> tuple[Matrix, Matrix, Matrix]:

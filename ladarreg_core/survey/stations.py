@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Report
 from ladarreg_core.registration.stations.registration import register_scans
@@ -71,6 +72,9 @@ def place_stations(
         scans: the scans themselves.
         seed: random seed.
         report: receives the progress; may raise `Cancelled`.
+
+    Raises:
+        OptionError: if a scan besides the first fixed one is fixed and its pose is not stated, or there are too many.
     """
     placed = [
         scan if one.world_from_scanner is None else replace(scan, world_from_scanner=one.world_from_scanner)
@@ -81,6 +85,12 @@ def place_stations(
         pose = placed[0].world_from_scanner or Rigid.identity()
         return Stations((Station(pose, True, ("The only scan: its frame is that of all poses.",)),))
     stated = [scan.world_from_scanner for scan in placed]
+    unknown = [one.id for k, one in enumerate(given) if one.fixed and stated[k] is None and k != root]
+    if unknown:
+        raise OptionError(
+            f"the scans {', '.join(unknown)} are fixed, but neither the survey nor their files state where they stood; "
+            "state it as `world_from_scanner`, or let them be registered"
+        )
     if all(one.fixed for one in given):
         return Stations(tuple(Station(pose or Rigid.identity(), True, ("Fixed by the survey.",)) for pose in stated))
     network = register_scans(placed, fixed=root, poses="refine", seed=seed, report=report)

@@ -52,7 +52,7 @@ class _Parts:
 
 
 class _Faults:
-    """Collects what is wrong in a file, so that all of it is told at once."""
+    """Collects what is wrong in a file, so that all faults are reported together."""
 
     def __init__(self) -> None:
         self.found: list[str] = []

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ladarreg_core.foundations.formatting import format_length
-from ladarreg_core.frames import Rigid, rotvec_from_rotation
+from ladarreg_core.frames import Rigid
 from ladarreg_core.survey.build import Bodies
-from ladarreg_core.survey.problem import Matrix, Problem, Ties
+from ladarreg_core.survey.problem import Problem, Ties, pose_difference
 from ladarreg_core.survey.solver import Adjusted, solve
 from ladarreg_core.survey.ties import spread
 
@@ -97,6 +97,16 @@ def solve_consistent(
     return solution
 
 
+def agrees_with_scan(solution: Solution, photo: int, scan: int) -> bool:
+    """Return whether what a scan's image says of a photograph's pose agrees with the adjustment."""
+    adjusted, bodies = solution.adjusted, solution.bodies
+    return any(
+        weight >= _MIN_FACTOR_WEIGHT
+        for one, weight in zip(adjusted.problem.relative, adjusted.relative_weights, strict=True)
+        if (one.body, one.base) == (bodies.photos[photo], bodies.scans[scan])
+    )
+
+
 def count_ties(adjusted: Adjusted, bodies: Bodies, photo: int) -> TieCount:
     """Return the ties of a photograph that agree with an adjustment, and those that do not."""
     ties = adjusted.problem.ties
@@ -141,12 +151,6 @@ def without_photo(problem: Problem, bodies: Bodies, photo: int) -> tuple[Problem
     )  # fmt: skip
     photos = {one: int(number[at]) for one, at in bodies.photos.items() if one != photo}
     return again, Bodies([int(number[at]) if at >= 0 else -1 for at in bodies.scans], photos)
-
-
-def pose_difference(first: Rigid, second: Rigid) -> Matrix:
-    """Return the (w, c) (6,) that leads from the second pose to the first."""
-    turn = rotvec_from_rotation(first.rotation @ second.rotation.T)
-    return np.concatenate([turn, first.centre - second.centre])
 
 
 def largest_shift(before: Adjusted, bodies: Bodies, after: Adjusted, left: Bodies) -> tuple[float, int | None]:

@@ -1,8 +1,8 @@
 """Registers a rig: the pairs of several places are solved together, and each is held out to verify the others.
 
-Each pair is registered alone; the poses that it finds, accepted or not, is tried on all pairs. The pose that most pairs
-agree on is refined on these together. Every pair then judges the pose that the others determine without it: a pose
-that is not right for its images agrees there with no more regions than chance, since nothing was fitted to them.
+Each pair is registered alone; the poses that it finds, accepted or not, are tried on all pairs. The pose that most
+pairs agree on is refined on these together. Every pair then judges the pose that the others determine without it: a
+pose that is not right for its images agrees there with no more regions than chance, since nothing was fitted to them.
 """
 
 from __future__ import annotations

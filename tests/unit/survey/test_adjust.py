@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import ladarreg_core as lr
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import Cancelled, OptionError
 from ladarreg_core.frames import rotvec_from_rotation
 from ladarreg_core.simulate.case import SimulatedCase
-from ladarreg_core.survey.parts import SurveyCamera
+from ladarreg_core.survey.parts import SurveyCamera, SurveyPhoto
 
 
 @pytest.fixture(scope="module")
@@ -69,3 +71,24 @@ def test_wrong_arguments_are_refused(case: SimulatedCase) -> None:
         lr.adjust("folder")  # type: ignore[arg-type]
     with pytest.raises(OptionError, match="processes"):
         lr.adjust(lr.Survey.of([case.scan], [case.photo]), processes=0)
+
+
+def test_fixed_scans_without_a_pose_are_refused(case: SimulatedCase) -> None:
+    from ladarreg_core.survey.parts import SurveyScan
+    from ladarreg_core.survey.stations import place_stations
+
+    scans = [case.scan, case.scan]
+    given = [SurveyScan(id=name, source=case.scan, fixed=True) for name in ("hall", "office")]
+    with pytest.raises(OptionError, match="office are fixed"):
+        place_stations(given, scans)
+
+
+@pytest.mark.parametrize(("exif", "given", "used"), [(1, False, 1), (6, False, 6), (2, False, 1), (6, True, 1)])
+def test_the_orientation_of_a_camera_is_that_of_its_pixels(tmp_path: Path, exif: int, given: bool, used: int) -> None:
+    from ladarreg_core.survey.adjust import _orientation
+
+    header = Image.Exif()
+    header[0x0112] = exif
+    Image.fromarray(np.full((40, 60, 3), 99, np.uint8)).save(tmp_path / "photo.jpg", exif=header)
+    camera = SurveyCamera(id="c", source=Camera.from_focal(60, 40, 50.0) if given else None)
+    assert _orientation(SurveyPhoto(id="p", source=tmp_path / "photo.jpg", camera="c"), camera) == used
