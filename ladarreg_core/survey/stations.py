@@ -89,7 +89,7 @@ def place_stations(
     if unknown:
         raise OptionError(
             f"the scans {', '.join(unknown)} are fixed, but neither the survey nor their files state where they stood; "
-            "state it as `world_from_scanner`, or let them be registered"
+            "state their world_from_scanner, or let them be registered"
         )
     if all(one.fixed for one in given):
         return Stations(tuple(Station(pose or Rigid.identity(), True, ("Fixed by the survey.",)) for pose in stated))
