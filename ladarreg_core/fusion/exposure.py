@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.foundations.arrays import ByteArray, FloatArray, IntArray
-from ladarreg_core.foundations.linear_light import encoded_light, linear_light
+from ladarreg_core.foundations.linear_light import encoded_codes, encoded_light, linear_light
 from ladarreg_core.fusion.samples import PhotoSample
 from ladarreg_core.surface.texture.registered_texture import Label
 
@@ -46,7 +46,7 @@ class Gains:
         """Return the codes (256, 3) of the model for each code of photograph k; above 255 where they would clip."""
         light = linear_light(_CODES)[:, None] * self.gains[k]
         bright = np.maximum(light, 1.0)
-        codes = np.where(light > 1, 255 * bright ** (1 / 2.4), encoded_float(light))
+        codes = np.where(light > 1, 255 * bright ** (1 / 2.4), encoded_codes(light))
         return codes.astype(np.float32)
 
     def developed(self, k: int, pixels: ByteArray) -> ByteArray:
@@ -57,12 +57,6 @@ class Gains:
 
         table = encoded_light(linear_light(_CODES)[:, None] * self.gains[k])
         return np.asarray(cv2.LUT(np.asarray(pixels), table[None]), dtype=np.uint8)
-
-
-def encoded_float(light: FloatArray) -> FloatArray:
-    """Return the sRGB codes (...,) of linear light from 0 to 1, not rounded."""
-    c = np.clip(light, 0, 1)
-    return np.asarray(255 * np.where(c <= 0.0031308, c * 12.92, 1.055 * c ** (1 / 2.4) - 0.055))
 
 
 def solve_gains(samples: Sequence[PhotoSample], colors: Sequence[int], shape: tuple[int, int]) -> Gains:

@@ -83,9 +83,7 @@ def _deviations(
     return found
 
 
-def _shared(
-    sample: PhotoSample, low: int, high: int, left: int
-) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+def _shared(sample: PhotoSample, low: int, high: int, left: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
     """Return the part of a sample in rows low to high, in the sample and in a block that starts at (low, left)."""
     top, bottom = max(sample.rows.start, low), min(sample.rows.stop, high)
     inner = slice(top - sample.rows.start, bottom - sample.rows.start), slice(0, sample.labels.shape[1])
@@ -99,7 +97,9 @@ def _median(stack: NDArray[np.uint16]) -> tuple[NDArray[np.float32], BoolArray]:
     stack.sort(axis=-1)
     low, high = (np.maximum(count - 1, 0) // 2)[..., None, None], (count // 2)[..., None, None]
     high = np.minimum(high, stack.shape[-1] - 1)
-    pick = [np.take_along_axis(stack, np.broadcast_to(at, (*stack.shape[:3], 1)), axis=-1)[..., 0] for at in (low, high)]
+    pick = [
+        np.take_along_axis(stack, np.broadcast_to(at, (*stack.shape[:3], 1)), axis=-1)[..., 0] for at in (low, high)
+    ]
     voted = count >= _LEAST_VOTES
     vote = (pick[0].astype(np.float32) + pick[1]) / np.float32(2 * _SCALE)
     return np.where(voted[..., None], vote, np.float32(0)), voted
@@ -108,8 +108,8 @@ def _median(stack: NDArray[np.uint16]) -> tuple[NDArray[np.float32], BoolArray]:
 def _regions(sample: PhotoSample, deviation: NDArray[np.uint8]) -> BoolArray:
     """Return the cells (h, w) of things that moved."""
     colored = sample.colored
-    judged = colored & (deviation > 0) | (sample.labels == Label.SEEN)
-    typical = deviation[(sample.labels == Label.SEEN)]
+    judged = sample.labels == Label.SEEN  # beside depth edges, a pose that is off by a pixel shows another surface
+    typical = deviation[judged]
     if not len(typical):
         return np.zeros(colored.shape, np.bool_)
     noise = 1.4826 * float(np.median(typical))
@@ -119,7 +119,7 @@ def _regions(sample: PhotoSample, deviation: NDArray[np.uint8]) -> BoolArray:
     share = cv2.blur(off.astype(np.float32), window)
     whole = cv2.blur(judged.astype(np.float32), window)
     core = off & (share >= np.float32(_MOST_OF) * whole)
-    weak = ((deviation > _WEAKER * limit) & judged).astype(np.uint8)
+    weak = ((deviation > _WEAKER * limit) & colored).astype(np.uint8)
     weak = cv2.morphologyEx(weak, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     count, component, stats, _ = cv2.connectedComponentsWithStats(weak, connectivity=8)
     cores = np.bincount(component[core], minlength=count)

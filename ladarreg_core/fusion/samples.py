@@ -122,9 +122,7 @@ def sample_photos(
     return found
 
 
-def _sample(
-    scan: Scan, view: PosedPhoto, image: FloatArray | None, others: Sequence[OtherSurface]
-) -> PhotoSample:
+def _sample(scan: Scan, view: PosedPhoto, image: FloatArray | None, others: Sequence[OtherSurface]) -> PhotoSample:
     kept = []
     hiding = [_Hiding(one, view) for one in others]
     for part in textured_parts(
@@ -176,7 +174,8 @@ class _Hiding:
 
     def mark(self, labels: NDArray[np.uint8], scan: Scan, here: tuple[slice, slice]) -> None:
         """Change the labels (h, w) of the cells in rows and columns `here`."""
-        flat = np.flatnonzero(colored_cells(labels))
+        shown = colored_cells(labels)
+        flat = np.flatnonzero(shown)
         points = scan.points_at(*here).reshape(-1, 3)
         hidden = np.zeros(labels.shape, np.uint8)
         for first in range(0, len(flat), _POINTS_AT_ONCE):
@@ -186,8 +185,9 @@ class _Hiding:
             distance = np.linalg.norm(away, axis=1, keepdims=True)
             step = np.minimum(_TOWARD_CAMERA + _TOWARD_CAMERA_M / np.maximum(distance, 1e-9), 1.0)
             hidden.reshape(-1)[some] = self._occluder.hides(self._move @ (there + step * away))
-        core = cv2.morphologyEx(hidden, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-        labels[cv2.dilate(core, np.ones((3, 3), np.uint8)).astype(np.bool_) & colored_cells(labels)] = Label.OCCLUDED
+        # Single cells are noise; what is not shown anyhow may belong to a region that is hidden.
+        core = cv2.morphologyEx(hidden | (~shown).view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) & hidden
+        labels[cv2.dilate(core, np.ones((3, 3), np.uint8)).astype(np.bool_) & shown] = Label.OCCLUDED
 
 
 def _box(cells: BoolArray) -> tuple[slice, slice] | None:

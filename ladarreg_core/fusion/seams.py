@@ -25,9 +25,7 @@ _MOVED = -16.0  # log2: what moved colours a cell only where nothing else does
 _WORST = np.float32(-1e4)
 
 
-def chosen_photos(
-    samples: Sequence[PhotoSample], colors: Sequence[int], shape: tuple[int, int]
-) -> NDArray[np.uint16]:
+def chosen_photos(samples: Sequence[PhotoSample], colors: Sequence[int], shape: tuple[int, int]) -> NDArray[np.uint16]:
     """Return the photograph that colours each cell, (H, W) uint16; `NO_PHOTO` where none shows it."""
     scores = {k: _filtered(samples[k]) for k in colors}
     label = np.full(shape, NO_PHOTO, np.uint16)
@@ -39,7 +37,7 @@ def chosen_photos(
             score = scores[k]
             share = cv2.blur((label[here] == k).astype(np.float32), (_NEIGHBOURS, _NEIGHBOURS))
             score = score + np.float32(_SMOOTHNESS) * share
-            better = score > best[here]
+            better = (score > best[here]) & samples[k].colored
             best[here][better] = score[better]
             after[here][better] = k
         if np.array_equal(after, label):

@@ -36,6 +36,7 @@ FORBIDDEN = {
     "simulate": {"matching", "pose", "registration", "export"},
     "registration": {"formats", "export", "simulate", "inspection", "project"},
     "batch": {"simulate", "inspection", "project", "acquisition", "thesis", "survey"},
+    "fusion": {"registration", "matching", "pose", "formats", "simulate", "project", "acquisition", "survey", "batch"},
     "survey": {"simulate", "inspection", "project", "acquisition", "thesis"},
     "inspection": {"formats", "simulate", "project", "registration"},
     "project": {"inspection", "simulate"},

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ladarreg_core.foundations.arrays import ByteArray
 from ladarreg_core.foundations.linear_light import encoded_light, linear_light
