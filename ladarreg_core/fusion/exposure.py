@@ -59,18 +59,24 @@ class Gains:
         return np.asarray(cv2.LUT(np.asarray(pixels), table[None]), dtype=np.uint8)
 
 
-def solve_gains(samples: Sequence[PhotoSample], colors: Sequence[int], shape: tuple[int, int]) -> Gains:
+def solve_gains(
+    samples: Sequence[Sequence[PhotoSample]], colors: Sequence[int], shapes: Sequence[tuple[int, int]]
+) -> Gains:
     """Return the gains of photographs.
 
     Args:
-        samples: of all photographs.
+        samples: of all photographs, on each scan.
         colors: the indices of those that are solved; the others have the gain 1.
-        shape: of the scan.
+        shapes: of the scans.
     """
-    gains, sigma = np.ones((len(samples), 3)), np.full((len(samples), 3), np.inf)
+    gains, sigma = np.ones((len(samples[0]), 3)), np.full((len(samples[0]), 3), np.inf)
     if len(colors) < 2:
         return Gains(gains, sigma, 0)
-    light = _sampled_light([samples[k] for k in colors], shape)
+    most = min(_MOST_CELLS, _MOST_SAMPLES // len(colors)) // len(shapes)
+    light = np.concatenate(
+        [_sampled_light([some[k] for k in colors], shape, most) for some, shape in zip(samples, shapes, strict=True)],
+        axis=1,
+    )
     pairs = _compared(light)
     if pairs is None:
         return Gains(gains, sigma, 0)
@@ -82,19 +88,18 @@ def solve_gains(samples: Sequence[PhotoSample], colors: Sequence[int], shape: tu
     return Gains(gains, sigma, len(first))
 
 
-def _sampled_light(samples: Sequence[PhotoSample], shape: tuple[int, int]) -> NDArray[np.float32]:
+def _sampled_light(samples: Sequence[PhotoSample], shape: tuple[int, int], most: int) -> NDArray[np.float32]:
     """Return logarithms of linear light (K, N, 3) at every n-th cell; NaN where a photograph says nothing of it."""
-    most = min(_MOST_CELLS, _MOST_SAMPLES // len(samples))
     stride = max(1, int(np.ceil(np.sqrt(shape[0] * shape[1] / most))))
     rows, columns = (len(range(0, n, stride)) for n in shape)
     table = np.log(np.maximum(linear_light(_CODES), 1e-6)).astype(np.float32)
     found = np.full((len(samples), rows, columns, 3), np.nan, np.float32)
     for k, sample in enumerate(samples):
-        first = [-part.start % stride for part in sample.here]
-        color = sample.color[first[0] :: stride, first[1] :: stride]
-        good = sample.labels[first[0] :: stride, first[1] :: stride] == Label.SEEN
+        begin = [-part.start % stride for part in sample.here]
+        color = sample.color[begin[0] :: stride, begin[1] :: stride]
+        good = sample.labels[begin[0] :: stride, begin[1] :: stride] == Label.SEEN
         good &= (color.min(axis=-1) >= _DARKEST) & (color.max(axis=-1) <= _BRIGHTEST)
-        top, left = ((part.start + at) // stride for part, at in zip(sample.here, first, strict=True))
+        top, left = ((part.start + at) // stride for part, at in zip(sample.here, begin, strict=True))
         height, width = good.shape
         found[k, top : top + height, left : left + width] = np.where(good[..., None], table[color], np.float32(np.nan))
     return found.reshape(len(samples), -1, 3)
@@ -103,7 +108,7 @@ def _sampled_light(samples: Sequence[PhotoSample], shape: tuple[int, int]) -> ND
 def _compared(light: NDArray[np.float32]) -> tuple[IntArray, IntArray, FloatArray, FloatArray] | None:
     """Return indices (P,) of photographs with enough in common, log ratios (P, 3) and their standard deviations."""
     known = np.isfinite(light[..., 0])
-    rows = []
+    rows: list[tuple[int, int, FloatArray, FloatArray]] = []
     for i in range(len(light)):
         for j in range(i + 1, len(light)):
             both = np.flatnonzero(known[i] & known[j])
@@ -116,8 +121,8 @@ def _compared(light: NDArray[np.float32]) -> tuple[IntArray, IntArray, FloatArra
             rows.append((i, j, middle, deviation))
     if not rows:
         return None
-    i, j, ratio, deviation = zip(*rows, strict=True)
-    return np.array(i), np.array(j), np.array(ratio, np.float64), np.array(deviation, np.float64)
+    first, second, ratio, spread = (list(column) for column in zip(*rows, strict=True))
+    return np.array(first), np.array(second), np.array(ratio, np.float64), np.array(spread, np.float64)
 
 
 def _solved(

@@ -23,7 +23,6 @@ from ladarreg_core.surface.texture.best_photo import NO_PHOTO, CellColors, Posed
 from ladarreg_core.surface.texture.registered_texture import Label
 
 _SAMPLED = 0.7  # share of the whole
-_STAGES = ("exposure", "moved things", "seams", "colours")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,31 +120,59 @@ def fuse(
                 "no photograph is accepted, and a pose that was given is not verified; register a photograph first"
             )
         scan = scan.scan
+    return fuse_stations([Station(scan, views, others)], values=values, report=report)[0]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Station:
+    """A scan with the poses of photographs relative to it."""
+
+    scan: Scan
+    """The scan."""
+    views: Sequence[PosedPhoto]
+    """The photographs, in the same order for all stations."""
+    others: Sequence[OtherSurface] = ()
+    """Surfaces of the other stations."""
+
+
+def fuse_stations(
+    stations: Sequence[Station], *, values: Sequence[FloatArray | None] = (), report: Report | None = None
+) -> list[FusedModel]:
+    """Colour the scans of several stations by the same photographs, with the same gains; see `fuse`.
+
+    Raises:
+        ShapeError: as `fuse`.
+    """
+    views = stations[0].views
     if not 0 < len(views) < NO_PHOTO:
         raise ShapeError(f"there are {len(views)} photographs; give 1 to {NO_PHOTO - 1}")
     images = [view.photo.temperature_k for view in views]
-    for k, image in enumerate(values):
-        if image is not None:
-            images[k] = image
-    samples = sample_photos(scan, views, values=images, others=others, report=part_of(report, 0.0, _SAMPLED))
+    for k, given in enumerate(values):
+        images[k] = images[k] if given is None else given
+    samples = []
+    for n, one in enumerate(stations):
+        part = part_of(report, _SAMPLED * n / len(stations), _SAMPLED * (n + 1) / len(stations))
+        samples.append(sample_photos(one.scan, one.views, values=images, others=one.others, report=part))
     colored = [k for k, view in enumerate(views) if view.photo.temperature_k is None]
     coloring = colored or list(range(len(views)))
 
-    def say(stage: int) -> None:
+    def say(done: float, what: str) -> None:
         if report is not None:
-            share = _SAMPLED + (1 - _SAMPLED) * stage / len(_STAGES)
-            report(Progress(round(100 * share), 100, f"fusing: {_STAGES[stage]}"))
+            report(Progress(round(100 * (_SAMPLED + (1 - _SAMPLED) * done)), 100, f"fusing: {what}"))
 
-    say(0)
-    gains = solve_gains(samples, colored, scan.shape)
-    say(1)
-    find_moved(samples, colored, scan.shape, gains)
-    say(2)
-    photo = chosen_photos(samples, coloring, scan.shape)
-    photo[~scan.valid] = NO_PHOTO
-    say(3)
-    image = blended(samples, coloring, photo, gains, UNSEEN)
-    return _model(scan, views, samples, coloring, gains, photo, image)
+    say(0, "exposure")
+    gains = solve_gains(samples, colored, [one.scan.shape for one in stations])
+    models = []
+    for n, (one, some) in enumerate(zip(stations, samples, strict=True)):
+        say((n + 0.25) / len(stations), "moved things")
+        find_moved(some, colored, one.scan.shape, gains)
+        say((n + 0.5) / len(stations), "seams")
+        photo = chosen_photos(some, coloring, one.scan.shape)
+        photo[~one.scan.valid] = NO_PHOTO
+        say((n + 0.75) / len(stations), "colours")
+        colors = blended(some, coloring, photo, gains, UNSEEN)
+        models.append(_model(one.scan, one.views, some, coloring, gains, photo, colors))
+    return models
 
 
 def _model(

@@ -120,8 +120,8 @@ def _regions(sample: PhotoSample, deviation: NDArray[np.uint8]) -> BoolArray:
     whole = cv2.blur(judged.astype(np.float32), window)
     core = off & (share >= np.float32(_MOST_OF) * whole)
     weak = ((deviation > _WEAKER * limit) & colored).astype(np.uint8)
-    weak = cv2.morphologyEx(weak, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-    count, component, stats, _ = cv2.connectedComponentsWithStats(weak, connectivity=8)
+    closed = cv2.morphologyEx(weak, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    count, component, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
     cores = np.bincount(component[core], minlength=count)
     kept = (cores >= _LEAST_CELLS) & (cores >= 0.15 * stats[:count, cv2.CC_STAT_AREA])
     kept[0] = False
