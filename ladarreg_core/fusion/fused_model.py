@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -136,9 +136,19 @@ class Station:
 
 
 def fuse_stations(
-    stations: Sequence[Station], *, values: Sequence[FloatArray | None] = (), report: Report | None = None
+    stations: Sequence[Station],
+    *,
+    values: Sequence[FloatArray | None] = (),
+    colorless: Collection[int] = (),
+    report: Report | None = None,
 ) -> list[FusedModel]:
     """Colour the scans of several stations by the same photographs, with the same gains; see `fuse`.
+
+    Args:
+        stations: the scans.
+        values: as of `fuse`.
+        colorless: indices of photographs that are pictures of their values and colour nothing, as thermal ones.
+        report: as of `fuse`.
 
     Raises:
         ShapeError: as `fuse`.
@@ -153,7 +163,7 @@ def fuse_stations(
     for n, one in enumerate(stations):
         part = part_of(report, _SAMPLED * n / len(stations), _SAMPLED * (n + 1) / len(stations))
         samples.append(sample_photos(one.scan, one.views, values=images, others=one.others, report=part))
-    colored = [k for k, view in enumerate(views) if view.photo.temperature_k is None]
+    colored = [k for k, view in enumerate(views) if view.photo.temperature_k is None and k not in colorless]
     coloring = colored or list(range(len(views)))
 
     def say(done: float, what: str) -> None:

@@ -186,8 +186,9 @@ class _Hiding:
             step = np.minimum(_TOWARD_CAMERA + _TOWARD_CAMERA_M / np.maximum(distance, 1e-9), 1.0)
             hidden.reshape(-1)[some] = self._occluder.hides(self._move @ (there + step * away))
         # Single cells are noise; what is not shown anyhow may belong to a region that is hidden.
-        core = cv2.morphologyEx(hidden | (~shown).view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) & hidden
-        labels[cv2.dilate(core, np.ones((3, 3), np.uint8)).astype(np.bool_) & shown] = Label.OCCLUDED
+        square = np.ones((3, 3), np.uint8)
+        core = np.asarray(cv2.morphologyEx(hidden | (~shown).view(np.uint8), cv2.MORPH_OPEN, square), np.uint8)
+        labels[cv2.dilate(core & hidden, square).astype(np.bool_) & shown] = Label.OCCLUDED
 
 
 def _box(cells: BoolArray) -> tuple[slice, slice] | None:

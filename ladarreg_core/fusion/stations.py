@@ -77,10 +77,10 @@ def doubled_cells(scans: Sequence[Scan]) -> list[BoolArray]:
     spacing = [_spacing(scan) for scan in scans]
     result: list[BoolArray] = []
     for k, scan in enumerate(scans):
-        cut = np.zeros(scan.shape, np.bool_)
+        cut: BoolArray = np.zeros(scan.shape, np.bool_)
         for n, other in enumerate(scans):
             if n != k:
-                cut |= _finer(scan, spacing[k], other, spacing[n], first=n < k)
+                cut = cut | _finer(scan, spacing[k], other, spacing[n], first=n < k)
         share = cv2.blur(cut.astype(np.float32), (_WINDOW, _WINDOW))
         valid = cv2.blur(scan.valid.astype(np.float32), (_WINDOW, _WINDOW))
         mostly = ((share > 0.5 * valid) | ~scan.valid).astype(np.uint8)
@@ -107,14 +107,14 @@ def _spacing(scan: Scan) -> NDArray[np.float32]:
 def _finer(scan: Scan, spacing: FloatArray, other: Scan, other_spacing: FloatArray, *, first: bool) -> BoolArray:
     """Return the cells of a scan (H, W) on a surface that another scan sees finer, or equally fine and is `first`."""
     other_from_scanner = _pose(other).inverse @ _pose(scan)
-    result = np.zeros(scan.shape, np.bool_)
+    result: NDArray[np.bool_] = np.zeros(scan.shape, np.bool_)
     rows, columns = np.nonzero(scan.valid)
     noise_m = _SAME_SIGMAS * float(np.hypot(grid_edges(scan).noise_m, grid_edges(other).noise_m)) + _SAME_M
     for begin in range(0, len(rows), _CELLS_AT_ONCE):
         at = rows[begin : begin + _CELLS_AT_ONCE], columns[begin : begin + _CELLS_AT_ONCE]
         there = other_from_scanner @ scan.points[at].astype(np.float64)
         place = np.rint(np.nan_to_num(other.geometry.cell_of(there), nan=-1.0))
-        inside = (place >= 0).all(axis=-1) & (place < np.array(other.shape)).all(axis=-1)
+        inside: BoolArray = np.asarray(((place >= 0) & (place < np.array(other.shape))).all(axis=-1))
         row, column = np.where(inside[:, None], place, 0).astype(np.int64).T
         distance = np.linalg.norm(there, axis=1)
         found = other_spacing[row, column]

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 
 from ladarreg_core.camera import Camera
+from ladarreg_core.export.targets.folder import export_registration
+from ladarreg_core.formats import read_photo, read_scan
+from ladarreg_core.formats.scans.npz import write_npz_xyz
 from ladarreg_core.foundations.linear_light import encoded_codes, linear_light
 from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
 from ladarreg_core.photo import Photo
@@ -16,6 +21,7 @@ from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.texture.best_photo import PosedPhoto
 from testing.scenes.kept import kept
 from testing.scenes.painted_room import BOXES, paint, paintings, shoot
+from testing.scenes.small_registration import sample_registration
 
 SIGMA_RAD, SIGMA_M = 4e-4, 1e-3
 """Standard deviations of the poses, of each axis."""
@@ -72,15 +78,7 @@ def photo_tour(
     """
     rng = np.random.default_rng([seed, 2026])
     picture, other = paintings(seed), 1 - paintings(seed + 1000)
-    step = np.deg2rad(33) / cells[0]
-    geometry = AzimuthElevation(*cells, step, step)
-    rays = geometry.rays.reshape(-1, 3)
-    ranges, box, axis = shoot(np.zeros(3), rays)
-    met = box >= 0
-    truth = np.where(met[:, None], paint(rays * np.where(met, ranges, 1)[:, None], box, axis, picture), np.nan)
-    noisy = np.where(met, ranges, np.nan) + rng.normal(0, 0.003, len(ranges))
-    laser = np.nan_to_num(0.7 * truth[:, 0] + 0.3 * truth[:, 1], nan=0.1)
-    scan = Scan(geometry, noisy.reshape(cells), laser.reshape(cells))
+    scan, truth = scan_of_tour(seed, cells=cells)
     gains = np.exp(rng.normal(0, exposure, (photos, 1)) + rng.normal(0, exposure / 2, (photos, 3)))
     gains /= np.exp(np.log(gains).mean(axis=0))
     views, masks = [], []
@@ -98,7 +96,57 @@ def photo_tour(
         covariance = np.diag(np.repeat([SIGMA_RAD**2, SIGMA_M**2], 3))
         views.append(PosedPhoto(Photo(pixels, camera, name=f"IMG_{k + 1:04}.jpg"), found, camera, covariance))
         masks.append(mask)
-    return PhotoTour(scan, truth.reshape(*cells, 3), tuple(views), gains, tuple(masks))
+    return PhotoTour(scan, truth, tuple(views), gains, tuple(masks))
+
+
+def scan_of_tour(
+    seed: int = 0, *, cells: tuple[int, int] = (240, 336), at_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> tuple[Scan, np.ndarray]:
+    """Return a scan of the room from a place, with its pose, and the colour of each cell (H, W, 3) in linear light."""
+    rng, place = np.random.default_rng([seed, 2027]), np.array(at_m)
+    step = np.deg2rad(33) / cells[0]
+    geometry = AzimuthElevation(*cells, step, step)
+    rays = geometry.rays.reshape(-1, 3)
+    ranges, box, axis = shoot(place, rays)
+    met = box >= 0
+    color = paint(place + rays * np.where(met, ranges, 1)[:, None], box, axis, paintings(seed))
+    truth = np.where(met[:, None], color, np.nan).reshape(*cells, 3)
+    noisy = np.where(met, ranges, np.nan) + rng.normal(0, 0.003, len(ranges))
+    laser = np.nan_to_num(0.7 * truth[..., 0] + 0.3 * truth[..., 1], nan=0.1)
+    pose = Rigid(np.eye(3), place)
+    return Scan(geometry, noisy.reshape(cells), laser, world_from_scanner=pose, name="room"), truth
+
+
+def write_tour(
+    folder: Path, tour: PhotoTour, *, given: tuple[int, ...] = (), name: str = "scan", first: int = 0
+) -> list[Path]:
+    """Write the scan, the photographs from the n-th on and a folder of results for each, and return these folders.
+
+    Args:
+        folder: an existing folder.
+        tour: what is written; its poses are relative to the scanner.
+        given: numbers of photographs whose pose is given, not accepted.
+        name: of the scan's file.
+        first: number of the first photograph.
+    """
+    write_npz_xyz(folder / f"{name}.npz", tour.scan)
+    scan = replace(read_scan(folder / f"{name}.npz"), world_from_scanner=tour.scan.world_from_scanner)
+    found = []
+    for k, view in enumerate(tour.views[first:], first):
+        assert view.covariance is not None
+        picture, camera = folder / Path(view.photo.name).with_suffix(".png"), folder / f"camera-{k}.json"
+        cv2.imwrite(str(picture), view.photo.pixels[..., ::-1])
+        camera.write_text(json.dumps(view.camera.as_fields()))
+        photo = read_photo(picture, camera=camera)
+        registration = replace(
+            sample_registration(), camera_from_scanner=view.camera_from_scanner, camera=view.camera,
+            covariance=np.asarray(view.covariance), world_from_scanner=scan.world_from_scanner,
+        )  # fmt: skip
+        if k in given:
+            registration = replace(registration, accepted=False, evidence="given", reasons=("given",))
+        export_registration(folder / f"results-{k}", registration, scan, photo)
+        found.append(folder / f"results-{k}")
+    return found
 
 
 def _thing(rng: np.random.Generator) -> tuple[tuple[float, ...], tuple[float, ...]]:
