@@ -95,7 +95,28 @@ def test_what_is_written_can_be_used_by_the_other_commands(
     assert joint["covariance"].shape == (6 * len(joint["id"]),) * 2
     assert np.linalg.eigvalsh(joint["covariance"]).min() > -1e-12
     assert set(joint["id"][joint["kind"] == "photo"]) == set(accepted)
-    assert main(["export", str(out), "--to", "colmap", "-o", str(tmp_path / "colmap")]) == 0
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_the_scans_of_a_survey_are_exported_together(adjusted: tuple[int, Path], tmp_path: Path) -> None:
+    _, out = adjusted
+    document = _document(out)
+    accepted = {name: one for name, one in document["photos"].items() if one["accepted"]}
+    assert len({one["folder"] for one in accepted.values()}) == len(accepted)
+    assert main(["export", str(out), "--to", "colmap,e57,ply", "-o", str(tmp_path / "all"), "--quiet"]) == 0
+    lines = (tmp_path / "all/colmap/sparse/0/images.txt").read_text(encoding="utf-8").splitlines()
+    shown = [line.split() for line in lines if line.split()[-1:] and line.split()[-1].endswith(".jpg")]
+    assert {Path(words[-1]).stem for words in shown} == set(accepted)
+    for words in shown:  # COLMAP's poses are those of the adjustment
+        stated = np.array(accepted[Path(words[-1]).stem]["camera_from_world"])
+        assert np.allclose([float(word) for word in words[5:8]], stated[:3, 3], atol=1e-9)
+    for station in document["scans"]:
+        scan = lr.read_scan(tmp_path / "all/e57/survey.e57", scan_index=list(document["scans"]).index(station))
+        assert scan.world_from_scanner is not None
+        stated = document["scans"][station]["world_from_scanner"]
+        assert np.allclose(scan.world_from_scanner.matrix, stated, atol=1e-9)
+        assert any((tmp_path / f"all/ply/{station}").glob("*.ply"))
 
 
 @pytest.mark.long
