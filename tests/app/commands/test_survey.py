@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from ladarreg.cli import main
 
 import ladarreg_core as lr
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
+from ladarreg_core.simulate.sample import sample_survey_folder
 from testing.scenes.survey_set import SurveySet, simulate_survey, write_survey_set
 
 pytest.importorskip("embreex")
@@ -202,3 +204,26 @@ def test_an_existing_survey_file_is_kept(job: Path, tmp_path: Path, capsys: pyte
     survey = lr.Survey.from_file(target)
     assert len(survey.scans) == 2
     assert len(survey.cameras) == 2
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_the_worked_example_of_the_documentation(tmp_path: Path) -> None:
+    """The commands of `docs/surveys.md` on the survey that the package contains."""
+    job, out = tmp_path / "job", tmp_path / "results"
+    shutil.copytree(sample_survey_folder(), job)
+    truth = json.loads((job / "truth.json").read_text(encoding="utf-8"))
+    assert main(["survey", str(job), "-o", str(job / "survey.json"), "--quiet"]) == 0
+    assert main(["adjust", str(job / "survey.json"), "-o", str(out), "--quiet"]) == 3
+    document = _document(out)
+    for name, matrix in truth["camera_from_world"].items():
+        one = document["photos"][name]
+        assert one["accepted"] == (matrix is not None), (name, one["reasons"])
+        if matrix is not None:
+            pose, true = Rigid.from_matrix(one["camera_from_world"]), Rigid.from_matrix(matrix)
+            off = np.concatenate([rotvec_from_rotation(true.rotation @ pose.rotation.T), true.centre - pose.centre])
+            assert np.sqrt(off @ np.linalg.solve(np.array(one["covariance"]), off) / 6) < 4, name
+            assert pose.distance_to(true) < 0.05, name
+    assert document["photos"]["close_01"]["evidence"] == "ties"
+    for camera, focal in zip(document["cameras"].values(), truth["focal_px"], strict=True):
+        assert abs(camera["camera"]["fx"] - focal) < 4 * camera["sigmas"]["focal_px"]
