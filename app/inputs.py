@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -16,6 +16,7 @@ from .progress_bar import ProgressBar
 if TYPE_CHECKING:
     from ladarreg_core.frames import Rigid
     from ladarreg_core.matches import Pick
+    from ladarreg_core.outputs.saved_results import SavedResult
     from ladarreg_core.photo import Photo
     from ladarreg_core.scan import Scan
 
@@ -149,6 +150,23 @@ def read_start(arguments: InputArguments, scan: Scan) -> tuple[list[Pick] | None
     if arguments.initial:
         initial = read_initial(arguments.initial, scan.world_from_scanner, picture=arguments.photo.name)
     return picks, initial
+
+
+def read_results(paths: Sequence[Path], *, trust_edited: bool = False) -> list[SavedResult]:
+    """Read folders of results, without the files that they were made of.
+
+    Raises:
+        OptionError: if a path is no such folder.
+        FormatError: if one is damaged.
+    """
+    from ladarreg_core.errors import OptionError
+    from ladarreg_core.outputs.saved_results import is_saved_result, read_saved_result
+
+    for path in paths:
+        if not is_saved_result(path):
+            what = "has neither a registration.json nor a project.json" if path.is_dir() else "is not a folder"
+            raise OptionError(f"{path} {what}; give folders of results, or one project")
+    return [read_saved_result(path, trust_edited=trust_edited) for path in paths]
 
 
 def timed(name: str, bar: ProgressBar, work: Callable[[], T]) -> T:
