@@ -262,5 +262,7 @@ def _rounded(value: float, sigma: float) -> str:
 
 
 def _plain(value: Any) -> Any:
-    array = np.asarray(value, np.float64)
-    return np.where(np.isfinite(array), array.astype(object), None).tolist()
+    """Return numbers as JSON-ready values, None for those that are not finite."""
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_plain(one) for one in value]
+    return float(value) if np.isfinite(value) else None

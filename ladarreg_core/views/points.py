@@ -104,6 +104,7 @@ class MeasuredPoints:
             at = read_only(cells, np.float64, (None, 2), "the cells")
             names = tuple(f"cell ({row:g}, {column:g})" for row, column in at)
         else:
+            assert rays is not None
             given = read_only(rays, np.float64, (None, 3), "the rays")
             length = np.linalg.norm(given, axis=1, keepdims=True)
             if not (np.isfinite(length) & (length > 0)).all():
@@ -111,7 +112,7 @@ class MeasuredPoints:
             at = np.asarray(scan.geometry.cell_of(given / length), np.float64)
             names = tuple(f"ray ({x:.4g}, {y:.4g}, {z:.4g})" for x, y, z in given / length)
         with np.errstate(invalid="ignore"):
-            inside = ((at >= -0.5) & (at <= np.array(scan.shape) - 0.5)).all(axis=1)
+            inside = np.asarray(((at >= -0.5) & (at <= np.array(scan.shape) - 0.5)).all(axis=1))
         at = np.where(inside[:, None], at, 0.0)
         directions = np.asarray(scan.geometry.ray_at(at), np.float64)
         found = measured_ranges(scan, directions)
@@ -285,7 +286,7 @@ def _near_edge(scan: Scan, at: FloatArray, reach: float) -> BoolArray:
     around = at[:, None] + reach * np.concatenate([circle, circle / 2])
     highest = np.array(scan.shape) - 1.0
     rays = np.asarray(scan.geometry.ray_at(np.clip(around, 0, highest).reshape(-1, 2)), np.float64)
-    return np.isnan(measured_ranges(scan, rays).ranges).reshape(len(at), -1).any(axis=1)
+    return np.asarray(np.isnan(measured_ranges(scan, rays).ranges).reshape(len(at), -1).any(axis=1))
 
 
 def _ray_by_cell(scan: Scan, at: FloatArray) -> NDArray[np.float64]:

@@ -205,10 +205,10 @@ def photo_point_errors(
     found = surface.seen(uv)
     count, known = len(uv), surface.covariance
     xyz, normals, spread = np.full((count, 3), np.nan), np.full((count, 3), np.nan), np.full(count, np.nan)
-    xyz[found.index], normals[found.index], spread[found.index] = found.points, found.normals, found.spread
+    xyz[found.rows], normals[found.rows], spread[found.rows] = found.points, found.normals, found.spread
     errors = surface_errors(surface.camera, surface.pose, known, points=xyz, normals=normals, uv=uv)
     at_edge = np.zeros(count, np.bool_)
-    at_edge[found.index] = surface.is_at_edge(uv[found.index], found.points, max(scan.geometry.step_rad))
+    at_edge[found.rows] = surface.is_at_edge(uv[found.rows], found.points, max(scan.geometry.step_rad))
     cosine = (normals * (surface.camera.unproject(uv) @ surface.pose.rotation)).sum(axis=1)
     return PhotoPointErrors(xyz, errors, spread, cosine, at_edge)
 
@@ -223,7 +223,7 @@ def _require_shown(registration: PoseResult) -> None:
 class _Met(NamedTuple):
     """Rays that met triangles."""
 
-    index: IntArray
+    rows: IntArray
     """(K,) numbers of the rays that did."""
     points: FloatArray
     """(K, 3), scanner frame, m."""
@@ -387,7 +387,7 @@ class _Surface:
         around = (uv[:, None] + reach[:, None, None] * circle).reshape(-1, 2)
         found = self.seen(around)
         away = np.full(len(around), np.inf)
-        away[found.index] = np.linalg.norm(found.points - pose.centre, axis=1)
+        away[found.rows] = np.linalg.norm(found.points - pose.centre, axis=1)
         away[~np.asarray(camera.contains(around, border=-0.5))] = np.nan  # nothing is known beside the photograph
         aside = np.tile(np.repeat([0.5, 1.0], _AROUND), (count, 1)) * reach[:, None] / camera.focal_px
         allowed = _STEEPEST * distance[:, None] * aside + _NOISE_SIGMAS * self.sigma_range_m
@@ -402,7 +402,7 @@ class _Surface:
         """
         points, sigma, normals = np.full((len(rays), 3), np.nan), np.full(len(rays), np.nan), np.full_like(rays, np.nan)
         found = self.met(triangles, rays)
-        hit = found.index
+        hit = found.rows
         points[hit], normals[hit] = found.points, found.normals
         if self.covariance is None or not len(hit):
             return points, sigma, normals
