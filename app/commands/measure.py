@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 import tyro
 
 from ..exit_codes import ExitCode
-from ..inputs import read_results
+from ..inputs import read_on_one_scan
 from ..progress_bar import progress_bar
 
 if TYPE_CHECKING:
@@ -66,7 +66,6 @@ def run(arguments: Arguments) -> ExitCode:
     """Measure, print the list, and write it where asked."""
     from ladarreg_core.errors import OptionError
     from ladarreg_core.export.output_frame import OutputFrame
-    from ladarreg_core.outputs.saved_results import registered_scan
     from ladarreg_core.views.measurement_list import check_target, measure_places, write_measurements
 
     places = _places(arguments)
@@ -75,13 +74,7 @@ def run(arguments: Arguments) -> ExitCode:
     elif arguments.crs is not None:
         raise OptionError("--crs is stated in files; give one with -o")
     with progress_bar(quiet=arguments.quiet or arguments.json) as bar:
-        opened = registered_scan(
-            read_results(arguments.results, trust_edited=arguments.trust_edited),
-            folders=arguments.root,
-            scan_file=arguments.scan,
-            option="--root, or the file itself with --scan",
-            report=bar.loading,
-        )
+        opened = read_on_one_scan(arguments, bar)
         frame = OutputFrame.of(opened.scan, arguments.frame)
         found = measure_places(
             opened.scan,
