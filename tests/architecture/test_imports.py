@@ -37,6 +37,7 @@ FORBIDDEN = {
     "registration": {"formats", "export", "simulate", "inspection", "project"},
     "batch": {"simulate", "inspection", "project", "acquisition", "thesis", "survey"},
     "survey": {"simulate", "inspection", "project", "acquisition", "thesis"},
+    "views": {"simulate", "inspection", "project", "acquisition", "thesis", "registration", "matching"},
     "inspection": {"formats", "simulate", "project", "registration"},
     "project": {"inspection", "simulate"},
 }
