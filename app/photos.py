@@ -113,7 +113,7 @@ def run_photos(arguments: PhotosArguments) -> ExitCode:
             options=_options(arguments),
             frame=arguments.frame,
             processes=arguments.processes,
-            cache=_cache(arguments.cache),
+            cache=ContentCache.of_user() if arguments.cache is None else ContentCache(arguments.cache),
             force=arguments.force,
             report=bar.work,
         )
@@ -187,16 +187,6 @@ def _options(arguments: PhotosArguments) -> RegisterOptions:
         pose=dataclasses.replace(options.pose, camera_prior=prior),
         auto=dataclasses.replace(options.auto, **chosen),
     )
-
-
-def _cache(folder: Path | None) -> ContentCache:
-    from ladarreg_core.batch.cache import ContentCache
-
-    if folder is None:
-        import platformdirs
-
-        folder = Path(platformdirs.user_cache_dir("ladarreg", appauthor=False), "content")
-    return ContentCache(folder)
 
 
 def _verdict(result: PhotosResult) -> str:

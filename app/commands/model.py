@@ -50,8 +50,8 @@ class Arguments(ScanArguments):
     """Index of the scan in a file with several, for results that do not record it."""
     root: Annotated[tyro.conf.UseAppendAction[_Paths], tyro.conf.arg(metavar="FOLDER")] = field(default_factory=list)
     """Folder where the scans and the photos are looked for, too. Repeatable."""
-    frame: Literal["scanner", "world"] | None = None
-    """Coordinates of cloud and model; by default the scanner's, and with several scans the world's, less an offset."""
+    frame: Literal["scanner", "world"] = "scanner"
+    """Coordinates of cloud and model; with several scans those of the world, less a stated offset."""
     trust_edited: bool = False
     """Go on with results that were changed after they were written; their photos count as given, and are left out."""
     temperature_unit: Literal["K", "C", "none"] | None = None

@@ -16,7 +16,7 @@ from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.export.json import input_document, software_document, write_result
 from ladarreg_core.export.layered_scan import LayeredScan
 from ladarreg_core.export.pictures.images import layer_picture, write_png
-from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan, photo_id
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.folder import FileJob, write_folder
 from ladarreg_core.export.targets.laz import layered_laz_files
 from ladarreg_core.export.targets.model import layered_glb_files
@@ -243,12 +243,8 @@ def _files(
 def _pictures(layers: Sequence[Layer], found: _Fused) -> list[FileJob]:
     """Return the pictures of the layers, of several scans in a folder for each."""
     jobs: list[FileJob] = []
-    taken: list[str] = []
     for k, handed in enumerate(found.scans):
-        place = "layers/"
-        if len(found.scans) > 1:
-            taken.append(photo_id(handed.scan.name, taken))
-            place = f"layers/{taken[-1]}/"
+        place = f"layers/{handed.id}/" if len(found.scans) > 1 else "layers/"
         for layer in layers:
 
             def write(path: Path, layer: Layer = layer, k: int = k) -> None:

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from ladarreg_core.batch.folder import is_batch_folder
 from ladarreg_core.batch.photo_summary import read_photos_result
 from ladarreg_core.errors import ExportError, OptionError
-from ladarreg_core.export.output_frame import FrameName, OutputFrame
-from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan, photo_id
-from ladarreg_core.frames import Rigid
-from ladarreg_core.outputs.saved_results import SavedResult, is_saved_result, read_saved_result, registered_scan
-from ladarreg_core.progress import Report, part_of
-
-_SAME = 1e-6
+from ladarreg_core.export.output_frame import FrameName
+from ladarreg_core.export.registered_scan import RegisteredScan, RegisteredSurvey
+from ladarreg_core.outputs.saved_results import SavedResult, is_saved_result, read_saved_result, registered_results
+from ladarreg_core.progress import Report
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,8 +33,8 @@ def read_model_sources(
     scan_options: Mapping[str, Any] | None = None,
     temperature_unit: str | None = None,
     trust_edited: bool = False,
-    frame: FrameName | None = None,
-    option: str = "`folders`",
+    frame: FrameName = "scanner",
+    option: str = "`inputs`",
     report: Report | None = None,
 ) -> ModelSources:
     """Read results with their scans and photographs; only what was accepted is used.
@@ -48,9 +43,9 @@ def read_model_sources(
         results: folders of results, of a run with many photographs, or of an adjusted survey.
         folders: where inputs are looked for, too.
         scan_options: arguments of `read_scan` for results that do not record them.
-        temperature_unit: as of `registered_scan`.
+        temperature_unit: as of `registered_results`.
         trust_edited: read results that were changed after they were written; they then count as given.
-        frame: of the files; None: `scanner` of one scan, `world` of several.
+        frame: of the files; several scans are written in the world.
         option: how to give a folder, for messages.
         report: receives the progress.
 
@@ -72,23 +67,11 @@ def read_model_sources(
         raise ExportError(
             f"no photo was accepted, so there is no model to make ({named or 'there is none'}); register one first"
         )
-    groups: dict[tuple[Any, ...], list[SavedResult]] = {}
-    for one in used:
-        key = one.inputs[0].get("sha256"), tuple(sorted((k, str(v)) for k, v in one.scan_options.items()))
-        groups.setdefault(key, []).append(one)
-    several = len(groups) > 1
-    if several and frame == "scanner":
-        raise OptionError(
-            f"the results are on {len(groups)} scans, which have no common scanner's frame; write in the world"
-        )
-    scans: list[RegisteredScan] = []
-    taken: list[str] = []
-    for n, group in enumerate(groups.values()):
-        found = registered_scan(
-            group, folders=folders, scan_options=scan_options, temperature_unit=temperature_unit, option=option,
-            report=part_of(report, n / len(groups), (n + 1) / len(groups)),
-        )  # fmt: skip
-        scans.append(_placed(found, group, several=several, frame=frame, first=scans, taken=taken))
+    found = registered_results(
+        used, folders=folders, scan_options=scan_options, temperature_unit=temperature_unit, frame=frame, option=option,
+        report=report,
+    )  # fmt: skip
+    scans = found.scans if isinstance(found, RegisteredSurvey) else (found,)
     return ModelSources(tuple(scans), tuple(left_out))
 
 
@@ -110,47 +93,3 @@ def _photo_folders(results: Sequence[Path], *, trust_edited: bool) -> tuple[list
             what = "has no registration.json, and is no folder of many photos" if path.is_dir() else "is not a folder"
             raise OptionError(f"{path} {what}; give folders of results, or of an adjusted survey")
     return list(dict.fromkeys(found)), left_out
-
-
-def _placed(
-    found: RegisteredScan, group: Sequence[SavedResult], *, several: bool, frame: FrameName | None,
-    first: Sequence[RegisteredScan], taken: list[str],
-) -> RegisteredScan:  # fmt: skip
-    """Return a scan with its pose in the world, in the frame of the files, its photographs with unique ids."""
-    scan = found.scan
-    if several or scan.world_from_scanner is None:
-        scan = replace(scan, world_from_scanner=_world_of(group) or scan.world_from_scanner)
-    if several and scan.world_from_scanner is None:
-        raise OptionError(
-            f"the results are on different scans, and where {found.scan.name} stands in the world is not known; give "
-            "the folder of an adjusted survey, or the results of each scan by itself"
-        )
-    name: FrameName = frame or ("world" if several else "scanner")
-    placed = OutputFrame.of(scan, name)
-    if first:  # what is subtracted is the same for all
-        placed = replace(placed, offset_m=first[0].frame.offset_m)
-    photos: list[RegisteredPhoto] = []
-    for one in found.photos:
-        unique = photo_id(one.id, taken)
-        taken.append(unique)
-        registration = replace(one.registration, world_from_scanner=scan.world_from_scanner)
-        photos.append(replace(one, id=unique, registration=registration))
-    return replace(found, scan=scan, photos=photos, frame=placed, refused=())
-
-
-def _world_of(group: Sequence[SavedResult]) -> Rigid | None:
-    """Return the scanner's pose in the world as results state it; None: they do not.
-
-    Raises:
-        OptionError: if they state different ones.
-    """
-    stated = [one.registration.world_from_scanner for one in group]
-    known = [one for one in stated if one is not None]
-    if not known:
-        return None
-    if any(np.abs(one.matrix - known[0].matrix).max() > _SAME for one in known[1:]):
-        raise OptionError(
-            f"{group[0].file.parent} and others state different poses of one scanner, as of different adjustments; "
-            "give the results of one"
-        )
-    return known[0]

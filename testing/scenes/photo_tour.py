@@ -141,6 +141,7 @@ def write_tour(
         registration = replace(
             sample_registration(), camera_from_scanner=view.camera_from_scanner, camera=view.camera,
             covariance=np.asarray(view.covariance), world_from_scanner=scan.world_from_scanner,
+            method="survey",
         )  # fmt: skip
         if k in given:
             registration = replace(registration, accepted=False, evidence="given", reasons=("given",))

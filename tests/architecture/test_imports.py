@@ -38,6 +38,7 @@ FORBIDDEN = {
     "batch": {"simulate", "inspection", "project", "acquisition", "thesis", "survey"},
     "fusion": {"registration", "matching", "pose", "formats", "simulate", "project", "acquisition", "survey", "batch"},
     "survey": {"simulate", "inspection", "project", "acquisition", "thesis"},
+    "views": {"simulate", "inspection", "project", "acquisition", "thesis", "registration", "matching"},
     "inspection": {"formats", "simulate", "project", "registration"},
     "project": {"inspection", "simulate"},
 }
