@@ -124,10 +124,10 @@ def _values(given: Sequence[str], sources: ModelSources) -> list[PhotoValues]:
     found = []
     for text in given:
         name, unit, photo, *rest = [part.strip() for part in text.split(":", _PARTS_OF_VALUES - 1)] + [""] * 3
-        if not name.isidentifier() or not photo:
+        if not photo:
             raise OptionError(
                 f"--values {text!r:.80} is not NAME:UNIT:PHOTO or NAME:UNIT:PHOTO:FILE; give for example "
-                "gamma:counts/s:IMG_0003, with a name of letters, digits and underscores"
+                "gamma:counts/s:IMG_0003"
             )
         photos = [one for handed in sources.scans for one in handed.photos]
         own = next((one.file for one in photos if one.file is not None and photo in (one.id, one.file.name)), None)
@@ -135,5 +135,5 @@ def _values(given: Sequence[str], sources: ModelSources) -> list[PhotoValues]:
         if file is None or not file.is_file():
             what = f"{file}: file not found" if file is not None else f"there is no photo {photo!r:.60}"
             raise OptionError(f"{what}; --values names a photo of the model ({', '.join(one.id for one in photos)})")
-        found.append(PhotoValues(photo, Quantity(name.lower(), unit), read_values(file), not rest[0], file))
+        found.append(PhotoValues(photo, Quantity(name, unit), read_values(file), not rest[0], file))
     return found

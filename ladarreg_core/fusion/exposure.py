@@ -98,6 +98,7 @@ def _sampled_light(samples: Sequence[PhotoSample], shape: tuple[int, int], most:
         begin = [-part.start % stride for part in sample.here]
         color = sample.color[begin[0] :: stride, begin[1] :: stride]
         good = sample.labels[begin[0] :: stride, begin[1] :: stride] == Label.SEEN
+        good &= ~sample.moved[begin[0] :: stride, begin[1] :: stride]
         good &= (color.min(axis=-1) >= _DARKEST) & (color.max(axis=-1) <= _BRIGHTEST)
         top, left = ((part.start + at) // stride for part, at in zip(sample.here, begin, strict=True))
         height, width = good.shape

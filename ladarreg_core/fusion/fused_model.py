@@ -171,15 +171,19 @@ def fuse_stations(
             report(Progress(round(100 * (_SAMPLED + (1 - _SAMPLED) * done)), 100, f"fusing: {what}"))
 
     say(0, "exposure")
-    gains = solve_gains(samples, colored, [one.scan.shape for one in stations])
+    shapes = [one.scan.shape for one in stations]
+    gains = solve_gains(samples, colored, shapes)
+    say(0.1, "moved things")
+    for one, some in zip(stations, samples, strict=True):
+        find_moved(some, colored, one.scan.shape, gains)
+    if any(sample.moved.any() for some in samples for sample in some):
+        gains = solve_gains(samples, colored, shapes)  # what moved had shifted the medians
     models = []
     for n, (one, some) in enumerate(zip(stations, samples, strict=True)):
-        say((n + 0.25) / len(stations), "moved things")
-        find_moved(some, colored, one.scan.shape, gains)
-        say((n + 0.5) / len(stations), "seams")
+        say(0.5 + 0.5 * n / len(stations), "seams")
         photo = chosen_photos(some, coloring, one.scan.shape)
         photo[~one.scan.valid] = NO_PHOTO
-        say((n + 0.75) / len(stations), "colours")
+        say(0.5 + 0.5 * (n + 0.5) / len(stations), "colours")
         colors = blended(some, coloring, photo, gains, UNSEEN)
         models.append(_model(one.scan, one.views, some, coloring, gains, photo, colors))
     return models

@@ -27,16 +27,32 @@ _RAMP = 17
 _SAMPLED = 200_000
 _FREEZING_K = 273.15
 _MOST_IN_LEGEND = 24
+_LONGEST_NAME = 20
+_FIELDS_OF_POINTS = frozenset({
+    "x", "y", "z", "red", "green", "blue", "nir", "label", "returns", "flags", "classification", "user_data",
+    "scan_angle", "point_source_id", "gps_time", "intensity",
+})  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Quantity:
-    """What the values of a sensor's pixels are."""
+    """What the values of a sensor's pixels are.
+
+    Raises:
+        OptionError: if the name is not one of a field.
+    """
 
     name: str
-    """In lower case, as in names of fields: `temperature`, `gamma`."""
+    """ASCII letters, digits and underscores, as in names of fields: `temperature`, `gamma`."""
     unit: str
     """`K`, `counts/s`; empty: a number."""
+
+    def __post_init__(self) -> None:
+        if not (self.name.isascii() and self.name.isidentifier() and len(self.name) <= _LONGEST_NAME):
+            raise OptionError(
+                f"the quantity is called {self.name!r:.60}; give a name of at most {_LONGEST_NAME} ASCII letters, "
+                "digits and underscores, as files of points name their fields"
+            )
 
 
 TEMPERATURE = Quantity("temperature", "K")
@@ -105,8 +121,8 @@ def model_layers(
             raise OptionError(f"{quantity.name} is given in different units; give all its photographs the same one")
         values = [_combined(one, users) for one in models]
         field = _field(quantity)
-        if any(field == layer.name for layer in layers):
-            raise OptionError(f"{field} is the name of a layer; give the quantity another name")
+        if field in _FIELDS_OF_POINTS or any(field == layer.name for layer in layers):
+            raise OptionError(f"files of points have a field {field} already; give the quantity another name")
         title = f"{quantity.name.replace('_', ' ').capitalize()}{f', {quantity.unit}' if quantity.unit else ''}"
         layers.append(_map(field, title, quantity.unit, values, kelvin=quantity.unit == "K"))
     for k, name in enumerate(names):
@@ -135,9 +151,8 @@ def layer_pictures(layers: Sequence[Layer], scan: int) -> dict[str, LayerPicture
 
 def _field(quantity: Quantity) -> str:
     """Return the name of a quantity's field: letters, digits and underscores, with a unit that fits."""
-    unit = quantity.unit.lower()
-    word = f"{quantity.name}_{unit}" if unit.isalnum() else quantity.name
-    return word.lower()[:32]
+    unit, name = quantity.unit.lower(), quantity.name.lower()
+    return f"{name}_{unit}" if unit.isascii() and unit.isalnum() and len(unit) <= _LONGEST_NAME // 2 else name
 
 
 def _combined(model: FusedModel, users: Sequence[int]) -> NDArray[np.float32]:

@@ -238,7 +238,8 @@ def test_what_is_refused_is_said_in_one_line(job: Path, tmp_path: Path, capsys: 
     assert "has no registration.json" in complaint(capsys, str(job), "-o", out)
     assert "is not a folder" in complaint(capsys, str(job / "nothing"), "-o", out)
     for values, words in (
-        ("gamma", "is not NAME:UNIT:PHOTO"), ("a b:K:IMG_0001", "is not NAME:UNIT:PHOTO"),
+        ("gamma", "is not NAME:UNIT:PHOTO"), ("a b:K:IMG_0001", "the quantity is called 'a b'"),
+        ("Größe:K:IMG_0001", "the quantity is called 'Größe'"),
         ("gamma:counts:IMG_9", "there is no photo 'IMG_9'"), ("g:c:IMG_0001:no.tif", "no.tif: file not found"),
         (f"g:c:IMG_0001:{job / 'one' / 'scan.npz'}", "scan.npz"), ("dose:uSv/h:IMG_0001", "it has colours"),
     ):  # fmt: skip

@@ -95,7 +95,8 @@ def test_moved_things_are_voted_out(seed: int) -> None:
     single = best_photo(one.scan, one.views).photo
     found = [int((one.shows_moved(photo) & decided).sum()) for photo in (last, single, model.photo)]
     assert min(found[:2]) > 500, "there is something to vote out"
-    assert found[2] <= 0.1 * min(found[:2]), found
+    assert found[2] <= 0.1 * found[0], found
+    assert found[2] <= 0.3 * found[1], found
     assert one.shows_moved(model.photo).sum() < one.shows_moved(last).sum()
 
 
