@@ -35,6 +35,11 @@ if TYPE_CHECKING:
     from ladarreg_core.frames import ThesisParameters as ThesisParameters
     from ladarreg_core.inspection.notebook import views as views
     from ladarreg_core.inspection.notebook.progress import NotebookProgress as NotebookProgress
+    from ladarreg_core.jobs.job import Job as Job
+    from ladarreg_core.jobs.job_list import read_jobs as read_jobs
+    from ladarreg_core.jobs.run import BatchProgress as BatchProgress
+    from ladarreg_core.jobs.run import batch as batch
+    from ladarreg_core.jobs.run_folder import BatchResult as BatchResult
     from ladarreg_core.matches import Matches as Matches
     from ladarreg_core.matches import Pick as Pick
     from ladarreg_core.matches import picks_of_arrays as picks_of_arrays
@@ -90,6 +95,8 @@ _HOMES = {
     "Adjustment": "survey.adjustment",
     "Audit": "survey.audit",
     "AutoOptions": "matching.auto",
+    "BatchProgress": "jobs.run",
+    "BatchResult": "jobs.run_folder",
     "Camera": "camera",
     "Cancelled": "errors",
     "Channels": "matching.images.kept_channels",
@@ -97,6 +104,7 @@ _HOMES = {
     "EquirectangularCamera": "camera",
     "FisheyeCamera": "camera",
     "ImageCheck": "matching.image_check",
+    "Job": "jobs.job",
     "Label": "surface.texture.registered_texture",
     "LadarregError": "errors",
     "Matches": "matches",
@@ -130,6 +138,7 @@ _HOMES = {
     "View": "surface.perspective",
     "adjust": "survey.adjust",
     "audit": "survey.audit",
+    "batch": "jobs.run",
     "camera_from_json": "camera",
     "compare": "registration.comparison",
     "estimate_pose": "pose.estimate",
@@ -140,6 +149,7 @@ _HOMES = {
     "perspective_view": "surface.perspective",
     "picks_of_arrays": "matches",
     "read_camera": "formats",
+    "read_jobs": "jobs.job_list",
     "read_matches": "formats",
     "read_photo": "formats",
     "read_pose": "formats",

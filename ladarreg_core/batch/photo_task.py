@@ -52,9 +52,9 @@ class ScanFiles:
     """Arguments of `read_scan`."""
     key: str
     """Its key in the cache."""
-    cache: Path
-    """The cache's folder."""
-    cache_bytes: int
+    cache: Path | None = None
+    """The cache's folder; None: it is not kept on disk."""
+    cache_bytes: int = 0
 
     @property
     def files(self) -> list[Path]:
@@ -119,7 +119,7 @@ def register_in_worker(task: PhotoTask, output: Output) -> dict[str, Any]:
     camera_file = task.options.get("camera")
     inputs = [*task.scan.files[:1], task.path, *([camera_file] if camera_file else []), *task.scan.files[1:]]
     export_registration(
-        output.folder, result, scan, photo, assessment=assess(scan, result), inputs=inputs,
+        output.folder, result.untimed, scan, photo, assessment=assess(scan, result), inputs=inputs,
         read_with=[task.scan.options, task.options], frame=output.frame, force=output.force,
     )  # fmt: skip
     return summary_fields(result, photo)
@@ -246,7 +246,8 @@ def held_scan(files: ScanFiles) -> Scan:
         LadarregError: if it is not in the cache any more, and cannot be read.
     """
     if files.key not in _held:
-        kept = ContentCache(files.cache, most_bytes=files.cache_bytes).get(files.key)
+        cached = None if files.cache is None else ContentCache(files.cache, most_bytes=files.cache_bytes)
+        kept = None if cached is None else cached.get(files.key)
         if isinstance(kept, Scan):
             scan = with_source(kept, files.files, files.options) if files.path is not None else kept
         elif files.path is None:
