@@ -17,7 +17,7 @@ from ..inputs import suit_heap, timed
 from ..progress_bar import ProgressBar, progress_bar
 
 if TYPE_CHECKING:
-    from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
+    from ladarreg_core.export.registered_scan import Registered, RegisteredPhoto
     from ladarreg_core.export.targets.pipeline import Source
     from ladarreg_core.export.targets.stations import StationScans
     from ladarreg_core.export.targets.target import Target
@@ -44,7 +44,7 @@ class Arguments(ScanArguments):
     """Arguments of `export`."""
 
     results: Annotated[tyro.conf.Positional[_Paths], tyro.conf.arg(metavar="RESULT")] = field(default_factory=list)
-    """Folder of results, several on the same scan or a folder of many photos, a project, or a folder of stations."""
+    """Folder of results, several, a folder of many photos or of a survey, a project, or a folder of stations."""
     to: Annotated[str | None, tyro.conf.arg(metavar="TARGETS")] = None
     """Targets, separated by commas; list prints them."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="OUT")] = None
@@ -82,7 +82,6 @@ class Arguments(ScanArguments):
 def run(arguments: Arguments) -> ExitCode:
     """Open the results with their inputs, and write the targets."""
     from ladarreg_core.errors import OptionError
-    from ladarreg_core.export.registered_scan import RegisteredScan
     from ladarreg_core.export.targets.folder import check_folder
     from ladarreg_core.export.targets.pipeline import export_to
     from ladarreg_core.export.targets.registry import targets_of
@@ -124,8 +123,8 @@ def run(arguments: Arguments) -> ExitCode:
         else:
             sources = [_of_results(arguments, targets, bar)]
         for source in sources:
-            if isinstance(source, RegisteredScan):
-                suit_heap(source.scan)
+            for one in () if isinstance(source, StationScans) else source.scans:
+                suit_heap(one.scan)
         export_to(
             arguments.out,
             sources,
@@ -141,9 +140,9 @@ def run(arguments: Arguments) -> ExitCode:
             print(f"Poses    {source.mark}: the folder was changed after it was written")
     if not arguments.quiet:
         for source in sources:
-            if isinstance(source, RegisteredScan):
-                for one in (*source.photos, *source.refused):
-                    print(f"Photo    {one.id}: {_state(one)}")
+            if not isinstance(source, StationScans):
+                for photo in (*source.photos, *source.refused):
+                    print(f"Photo    {photo.id}: {_state(photo)}")
                 print(f"Frame    {source.frame.sentence}")
         print(f"Wrote    {', '.join(target.name for target in targets)} in {arguments.out}")
         print(f"Took     {time.perf_counter() - started:.1f} s")
@@ -181,11 +180,11 @@ def _state(photo: RegisteredPhoto) -> str:
     return f"{result.caveat or 'accepted'}, {evidence}"
 
 
-def _of_results(arguments: Arguments, targets: Sequence[Target], bar: ProgressBar) -> RegisteredScan:
-    """Return results on one scan, whose inputs are found by their names and hashes."""
+def _of_results(arguments: Arguments, targets: Sequence[Target], bar: ProgressBar) -> Registered:
+    """Return results on one scan or those of a survey, whose inputs are found by their names and hashes."""
     from ladarreg_core.errors import OptionError
     from ladarreg_core.export.targets.pipeline import require_shown
-    from ladarreg_core.outputs.saved_results import is_saved_result, read_saved_result, registered_scan
+    from ladarreg_core.outputs.saved_results import is_saved_result, read_saved_result, registered_results
 
     for path in arguments.results:
         if not is_saved_result(path):
@@ -202,7 +201,7 @@ def _of_results(arguments: Arguments, targets: Sequence[Target], bar: ProgressBa
     return timed(
         "Read inputs",
         bar,
-        lambda: registered_scan(
+        lambda: registered_results(
             saved,
             folders=[*files, *arguments.root],
             scan_file=arguments.scan,

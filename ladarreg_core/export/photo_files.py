@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.registered_scan import Registered, RegisteredPhoto
 from ladarreg_core.foundations.arrays import ByteArray
 from ladarreg_core.foundations.opened_image import opened_image
 from ladarreg_core.photo import Photo
@@ -43,7 +43,7 @@ def text_writer(text: str) -> Callable[[Path], None]:
     return lambda path: write_bytes(path, text.encode("utf-8"))
 
 
-def words_of(handed: RegisteredScan, one: RegisteredPhoto) -> list[str]:
+def words_of(handed: Registered, one: RegisteredPhoto) -> list[str]:
     """Return sentences for the comments of a file: the photograph, its world, and the mark of its pose."""
     lines = [
         f"Photograph: {on_one_line(one.photo.name)} ({one.camera.width} x {one.camera.height} pixels)",
@@ -77,7 +77,7 @@ class WrittenPhoto:
         """Whether the picture is not the photograph's own."""
         return self.camera != self.one.camera
 
-    def words(self, handed: RegisteredScan) -> list[str]:
+    def words(self, handed: Registered) -> list[str]:
         """Return sentences about it for the comments of a file."""
         found = [f"{self.name}: {line}" for line in words_of(handed, self.one)]
         if self.is_undistorted:

@@ -97,6 +97,8 @@ class RegisteredScan:
     """Photographs whose pose was refused: results and reports show them with the reasons, and nothing else may."""
     drawn: Mapping[str, Sequence[Pick]] = field(default_factory=dict)
     """The matches of photographs without a pose, by their ids: results contain them, and nothing else does."""
+    id: str = "scan"
+    """Unique among the scans of a survey, and a file name."""
 
     def __post_init__(self) -> None:
         photos, refused = tuple(self.photos), tuple(self.refused)
@@ -164,10 +166,76 @@ class RegisteredScan:
         """A sentence for every photograph whose pose was not verified, or is coarse."""
         return tuple(f"{one.photo.name}: {one.caveat}" for one in self.photos if one.caveat)
 
+    @property
+    def scans(self) -> tuple[RegisteredScan, ...]:
+        """Itself, as the scans of a survey."""
+        return (self,)
+
+    def scan_of(self, one: RegisteredPhoto) -> RegisteredScan:
+        """Return itself, as the scan of one of its photographs."""
+        del one
+        return self
+
     def written_from_camera(self, one: RegisteredPhoto) -> Rigid:
         """Return the pose of a camera in the frame of the written points, its offset subtracted."""
         turned = one.camera_from_scanner.rotation @ self.frame.world_from_scanner.rotation.T
         return Rigid.from_centre(turned, self.frame.place(one.camera_from_scanner.centre[None])[0]).inverse
+
+
+@dataclass(frozen=True, eq=False)
+class RegisteredSurvey:
+    """Scans of several places with their photographs, in the world that they share.
+
+    Raises:
+        ExportError: if there is no scan, one is not written in the world or with another offset, or two scans or two
+            photographs have the same id.
+    """
+
+    scans: Sequence[RegisteredScan]
+    """The scans, each with the photographs that are registered to it."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "scans", tuple(self.scans))
+        if not self.scans:
+            raise ExportError("there is no registered photograph to export; register one, or give its pose")
+        frames = [one.frame for one in self.scans]
+        if any(one.name != "world" or one.offset_m != frames[0].offset_m for one in frames):
+            raise ExportError("scans of several places fit together in the world only; export in the frame 'world'")
+        for ids in ([one.id for one in self.scans], [one.id for one in (*self.photos, *self.refused)]):
+            if len(set(ids)) < len(ids):
+                raise ExportError(f"two scans or two photographs have the same id ({', '.join(ids)}); rename one")
+
+    @property
+    def photos(self) -> tuple[RegisteredPhoto, ...]:
+        """The photographs of all scans."""
+        return tuple(one for scan in self.scans for one in scan.photos)
+
+    @property
+    def refused(self) -> tuple[RegisteredPhoto, ...]:
+        """Those of all scans whose pose was refused."""
+        return tuple(one for scan in self.scans for one in scan.refused)
+
+    @property
+    def frame(self) -> OutputFrame:
+        """The frame of written points and poses: the world, less one offset for all."""
+        return self.scans[0].frame
+
+    @property
+    def marks(self) -> tuple[str, ...]:
+        """As `RegisteredScan.marks`, of all scans."""
+        return tuple(mark for scan in self.scans for mark in scan.marks)
+
+    def scan_of(self, one: RegisteredPhoto) -> RegisteredScan:
+        """Return the scan that one of the photographs is registered to."""
+        return next(scan for scan in self.scans if any(other is one for other in scan.photos))
+
+    def written_from_camera(self, one: RegisteredPhoto) -> Rigid:
+        """As `RegisteredScan.written_from_camera`."""
+        return self.scan_of(one).written_from_camera(one)
+
+
+Registered = RegisteredScan | RegisteredSurvey
+"""What photographs are exported from."""
 
 
 def photo_id(name: str, taken: Sequence[str] = ()) -> str:

@@ -13,7 +13,7 @@ import msgspec
 from ladarreg_core.errors import ExportError, FormatError, LadarregError, OptionError
 from ladarreg_core.export.json import find_inputs, is_recorded
 from ladarreg_core.export.output_frame import FrameName, OutputFrame
-from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan, photo_id
+from ladarreg_core.export.registered_scan import Registered, RegisteredPhoto, RegisteredScan, RegisteredSurvey, photo_id
 from ladarreg_core.formats import read_photo, read_scan
 from ladarreg_core.formats.documents.registration_file import read_result
 from ladarreg_core.formats.scans.scan_request import ScanOptions, stated_options
@@ -278,7 +278,7 @@ def missing_scans(result: Path, scan: Path, more: Sequence[Path], *, within: Seq
     )
 
 
-def registered_scan(
+def registered_results(
     results: Sequence[SavedResult],
     *,
     folders: Sequence[Path] = (),
@@ -288,8 +288,10 @@ def registered_scan(
     frame: FrameName = "scanner",
     option: str = "`inputs`",
     report: Report | None = None,
-) -> RegisteredScan:
-    """Return results on the same scan, to be exported together, their inputs read again.
+) -> Registered:
+    """Return results to be exported together, their inputs read again.
+
+    Results on several scans are those of a survey: each states where its scanner stands in the world.
 
     Args:
         results: the results, accepted, given or refused; refused ones are listed as such.
@@ -298,63 +300,123 @@ def registered_scan(
         scan_file: the scan's file; None: it is looked for.
         scan_options: arguments of `read_scan` for results that do not record them.
         temperature_unit: unit of the pixels of thermal photographs whose results do not record it.
-        frame: of written points and poses.
+        frame: of written points and poses; those of a survey are in the world.
         option: how to give a folder, for messages.
         report: receives the progress of reading, with the files' names.
 
     Raises:
-        OptionError: if there is no result, they are on different scans, or the frame is `world` and the scan does not
-            state where it stands.
+        OptionError: if there is no result, they are on different scans that do not all stand in one world, or the
+            frame is `world` and the scan does not state where it stands.
         ExportError: if an input is not found.
         LadarregError: if an input cannot be read.
     """
     if not results:
         raise OptionError("there is no result to export; give one or several folders of results")
-    _require_one_scan(results, scan_options)
-    found = [one.find(folders, scan_file=scan_file, option=option) for one in results]
-    reading = results[0].scan_reading(scan_options, scan_file=found[0][0])
-    scan = read_scan(found[0][0], report=report, **reading)
-    placed = OutputFrame.of(scan, frame)
-    photos: list[RegisteredPhoto] = []
-    for done, (one, (_, file)) in enumerate(zip(results, found, strict=True)):
-        if report is not None:
-            report(Progress(done, len(results), f"reading {file.name}"))
-        photos.append(
-            RegisteredPhoto(
-                photo_id(file.name, [other.id for other in photos]),
-                one.read_photo(file, temperature_unit=temperature_unit),
-                replace(one.registration, world_from_scanner=scan.world_from_scanner),
-                file,
-                one.camera_file(folders),
-                dict(one.photo_options or {}),
-                _document_of(one),
+    groups = _by_scan(results, scan_options)
+    if len(groups) > 1 and scan_file is not None:
+        raise OptionError(f"the results are on {len(groups)} scans, and one file is given for them; give their folder")
+    opened = _Opened(tuple(folders), scan_file, dict(scan_options or {}), temperature_unit, option, report)
+    if len(groups) == 1:
+        (scan, reading, file), placed = opened.scan(groups[0]), None
+        return opened.registered(groups[0], scan, reading, file, OutputFrame.of(scan, frame), "scan", [])
+    found: list[RegisteredScan] = []
+    placed = None
+    for group in groups:
+        scan, reading, file = opened.scan(group)
+        own = OutputFrame.of(scan, "world")
+        placed = own if placed is None else replace(own, offset_m=placed.offset_m)
+        taken = [one.id for other in found for one in (*other.photos, *other.refused)]
+        name = photo_id(file.name, [one.id for one in found])
+        found.append(opened.registered(group, scan, reading, file, placed, name, taken))
+    return RegisteredSurvey(found)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Opened:
+    """Reads what results were made of."""
+
+    folders: Sequence[Path]
+    scan_file: Path | None
+    scan_options: Mapping[str, Any]
+    temperature_unit: str | None
+    option: str
+    report: Report | None
+
+    def scan(self, results: Sequence[SavedResult]) -> tuple[Scan, dict[str, Any], Path]:
+        """Return the scan of some results where a survey put it, how it was read, and its file."""
+        first = results[0]
+        file, _ = first.find(self.folders, scan_file=self.scan_file, option=self.option)
+        reading = first.scan_reading(self.scan_options, scan_file=file)
+        scan = read_scan(file, report=self.report, **reading)
+        world = first.registration.world_from_scanner
+        if first.registration.method == "survey" and world is not None:
+            scan = replace(scan, world_from_scanner=world)
+        return scan, reading, file
+
+    def registered(
+        self, results: Sequence[SavedResult], scan: Scan, reading: dict[str, Any], scan_file: Path,
+        frame: OutputFrame, name: str, taken: Sequence[str],
+    ) -> RegisteredScan:  # fmt: skip
+        """Return a scan with the photographs of its results."""
+        photos: list[RegisteredPhoto] = []
+        files = [one.find(self.folders, scan_file=self.scan_file, option=self.option)[1] for one in results]
+        for done, (one, file) in enumerate(zip(results, files, strict=True)):
+            if self.report is not None:
+                self.report(Progress(done, len(results), f"reading {file.name}"))
+            photos.append(
+                RegisteredPhoto(
+                    photo_id(file.name, [*taken, *(other.id for other in photos)]),
+                    one.read_photo(file, temperature_unit=self.temperature_unit),
+                    replace(one.registration, world_from_scanner=scan.world_from_scanner),
+                    file,
+                    one.camera_file(self.folders),
+                    dict(one.photo_options or {}),
+                    _document_of(one),
+                )
             )
+        return RegisteredScan(
+            scan,
+            [one for one in photos if one.registration.is_shown],
+            scan_file,
+            reading,
+            frame,
+            [one for one in photos if not one.registration.is_shown],
+            id=name,
         )
-    return RegisteredScan(
-        scan,
-        [one for one in photos if one.registration.is_shown],
-        found[0][0],
-        reading,
-        placed,
-        [one for one in photos if not one.registration.is_shown],
-    )
 
 
 def _document_of(result: SavedResult) -> Callable[[], Mapping[str, Any]]:
     return lambda: result.document
 
 
-def _require_one_scan(results: Sequence[SavedResult], scan_options: Mapping[str, Any] | None) -> None:
-    first = results[0]
-    for other in results[1:]:
-        if other.inputs[0].get("sha256") != first.inputs[0].get("sha256"):
-            one, two = (f"{result.file.parent} ({result.inputs[0].get('name')})" for result in (first, other))
-            raise OptionError(f"the results are on different scans: {one}, {two}; export the results of each by itself")
-        if {**other.scan_options, **_changed(scan_options)} != {**first.scan_options, **_changed(scan_options)}:
+def _by_scan(results: Sequence[SavedResult], scan_options: Mapping[str, Any] | None) -> list[list[SavedResult]]:
+    """Return the results by their scans, in the order of these files' names.
+
+    Raises:
+        OptionError: if there are several scans that do not all stand in one world.
+    """
+    groups: dict[str, list[SavedResult]] = {}
+    for one in results:
+        reading = {**one.scan_options, **_changed(scan_options)}
+        groups.setdefault(f"{one.inputs[0].get('sha256')} {sorted(reading.items())}", []).append(one)
+    found = sorted(groups.values(), key=lambda one: (str(one[0].inputs[0].get("name")), _index(one[0])))
+    if len(found) > 1 and any(one.registration.world_from_scanner is None for one in results):
+        first, other = found[0][0], found[1][0]
+        if first.inputs[0].get("sha256") == other.inputs[0].get("sha256"):
             raise OptionError(
                 f"{first.file.parent} and {other.file.parent} read {first.inputs[0].get('name')} with different "
                 "options (another scan of the file, or another origin); export each by itself"
             )
+        names = ", ".join(f"{result.file.parent} ({result.inputs[0].get('name')})" for result in (first, other))
+        raise OptionError(
+            f"the results are on different scans: {names}, and not all state where the scanner stands in one "
+            "world; export the results of each by itself, or solve them as a survey"
+        )
+    return found
+
+
+def _index(result: SavedResult) -> int:
+    return int(result.scan_options.get("scan_index") or 0)
 
 
 def _recorded(record: Mapping[str, Any], kind: type[msgspec.Struct]) -> dict[str, Any] | None:

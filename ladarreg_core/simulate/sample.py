@@ -36,6 +36,20 @@ def sample_folder() -> Path:
     return folder
 
 
+def sample_survey_folder() -> Path:
+    """Return the folder of the embedded sample survey: two scans, ten photographs of two cameras, `truth.json`.
+
+    Eight photographs are of the room, one is a close-up, and one is of another room.
+
+    Raises:
+        FormatError: if the installed package is incomplete.
+    """
+    folder = Path(__file__).resolve().parent / "sample_survey"
+    if not folder.is_dir():
+        raise FormatError("the embedded sample survey is missing; install ladarreg again")
+    return folder
+
+
 def make_sample(folder: Path) -> None:
     """Write the sample's files into a folder."""
     write_case(simulate_case(SCENE, seed=SEED), folder)

@@ -16,7 +16,6 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,23 +23,19 @@ import numpy as np
 from ladarreg_core.batch.cache import ContentCache
 from ladarreg_core.batch.executor import WorkerProcesses, usable_cores
 from ladarreg_core.batch.photo_task import ScanFiles
-from ladarreg_core.batch.pooled_camera import may_be_turned
 from ladarreg_core.camera import CameraModel
-from ladarreg_core.errors import FormatError, LadarregError, OptionError
-from ladarreg_core.export.json import input_document, plain
-from ladarreg_core.formats import read_scan
-from ladarreg_core.formats.photos.photo_facts import photo_facts
+from ladarreg_core.errors import LadarregError, OptionError
+from ladarreg_core.export.json import plain
 from ladarreg_core.foundations.validation import require_type
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report, part_of
 from ladarreg_core.registration.register import RegisterOptions
 from ladarreg_core.results import Registration
-from ladarreg_core.scan import Scan
 from ladarreg_core.survey.adjustment import Adjustment
 from ladarreg_core.survey.assembly import adjustment_of
 from ladarreg_core.survey.build import Bodies, build_problem, camera_unknowns, pair_factor, photo_view, with_ties
 from ladarreg_core.survey.features import propose_pairs
-from ladarreg_core.survey.parts import SurveyCamera, SurveyPhoto, listed_faults
+from ladarreg_core.survey.inputs import PhotoHeader, SurveyInputs
 from ladarreg_core.survey.placement import PhotoState, Placement
 from ladarreg_core.survey.problem import WORLD, CameraUnknowns, Problem, RelativePose, pose_difference
 from ladarreg_core.survey.solver import Adjusted, solve
@@ -54,7 +49,14 @@ from ladarreg_core.survey.verdicts import (
     solve_consistent,
     without_photo,
 )
-from ladarreg_core.survey.work import PairTask, PhotoFiles, pair_matches, photo_features, registered, verified_by_colors
+from ladarreg_core.survey.work import (
+    PairTask,
+    finished,
+    pair_matches,
+    photo_features,
+    registered,
+    verified_by_colors,
+)
 
 _DIFFERS = 27.9  # squared Mahalanobis distance with 6 degrees of freedom, exceeded once in 10,000
 _ROUGH_RAD, _ROUGH_M = float(np.radians(0.02)), 0.001  # what the colours' own poses may be off
@@ -122,16 +124,6 @@ def solve_survey(
         return _Run(survey, o, kept, workers, report).run()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Header:
-    """A photograph's file, and its camera before anything is adjusted."""
-
-    files: PhotoFiles
-    camera: CameraModel
-    assumed: bool
-    orientation: int
-
-
 @dataclass(slots=True, eq=False)
 class _Run:
     survey: Survey
@@ -139,12 +131,15 @@ class _Run:
     cache: ContentCache
     workers: Executor
     report: Report | None
-    inputs: dict[str, Any] = field(default_factory=dict)
     stage: tuple[float, float] = (0.0, 0.0)
+    latest: Progress = field(default_factory=lambda: Progress(0, 1, "reading"))
 
     def run(self) -> Solved:
-        headers = self._headers()
-        scans = self._read_scans()
+        inputs = SurveyInputs(self.survey, self.cache)
+        self._begin("headers")
+        headers = inputs.headers(self._reporter(len(self.survey.photos)))
+        self._begin("scans")
+        scans = inputs.scans(self._reporter(len(self.survey.scans)))
         stations = place_stations(
             self.survey.scans, [scan for _, scan in scans], seed=self.options.seed, report=self._part("stations")
         )
@@ -154,7 +149,14 @@ class _Run:
         matches = self._matches(states)
         self._begin("placement")
         placement = Placement(
-            states, files, stations, matches, self.options, self.workers, self._reporter(3 * len(states))
+            states,
+            files,
+            stations,
+            matches,
+            self.options,
+            self.workers,
+            self._reporter(3 * len(states)),
+            self._tick,
         )
         placement.run()
         cameras = camera_unknowns(self.survey, states)
@@ -166,106 +168,37 @@ class _Run:
         self._begin("verify")
         solution, refused = self._judged(placement, second, bodies)
         adjustment = adjustment_of(
-            self.survey, placement, solution, refused, options=plain(asdict(self.options)), inputs=self.inputs
+            self.survey, placement, solution, refused, options=plain(asdict(self.options)), inputs=inputs.documents
         )
         return Solved(adjustment, tuple(states), tuple(files))
 
-    # -- what is given ---------------------------------------------------------------------------------------------
-
-    def _read_scans(self) -> list[tuple[ScanFiles, Scan]]:
-        self._begin("scans")
-        found, report = [], self._reporter(len(self.survey.scans))
-        for one in self.survey.scans:
-            options = {**one.options, "scan_index": one.index}
-            if isinstance(one.source, Scan):
-                content = [ContentCache.key(ranges=_digest(one.source.ranges), intensity=_digest(one.source.intensity))]
-            else:
-                document = input_document(one.source)
-                self.inputs[f"scan/{one.id}"] = document
-                content = [document["sha256"]]
-            stated = None if one.world_from_scanner is None else one.world_from_scanner.matrix.tolist()
-            key = ContentCache.key(kind="survey scan", content=content, options=plain(options), world=stated)
-            scan = one.source if isinstance(one.source, Scan) else self.cache.get(key)
-            if not isinstance(scan, Scan):
-                assert isinstance(one.source, Path)
-                scan = read_scan(one.source, **options)
-            if one.world_from_scanner is not None:
-                scan = replace(scan, world_from_scanner=one.world_from_scanner)
-            if key not in self.cache:
-                self.cache.put(key, scan)
-            path = None if isinstance(one.source, Scan) else one.source
-            found.append((ScanFiles(path, options, key, self.cache.folder, self.cache.most_bytes), scan))
-            report(f"reading {one.id}")
-        return found
-
-    def _headers(self) -> dict[str, _Header]:
-        """Return the camera of each photograph; faults of all of them are reported together, before any work."""
-        cameras, found, faults = {one.id: one for one in self.survey.cameras}, {}, []
-        self._begin("headers")
-        report = self._reporter(len(self.survey.photos))
-        for given in self.survey.photos:
-            try:
-                files = self._photo_files(given, cameras[given.camera])
-                photo = files.read()
-                found[given.id] = _Header(
-                    files, photo.camera, photo.assumed, _orientation(given, cameras[given.camera])
-                )
-            except LadarregError as error:
-                faults.append(str(error))
-            report(f"reading {given.id}")
-        if faults:
-            raise FormatError(listed_faults("the survey", faults))
-        return found
-
-    def _states(self, headers: Mapping[str, _Header]) -> list[PhotoState]:
+    def _states(self, headers: Mapping[str, PhotoHeader]) -> list[PhotoState]:
         self._begin("features")
         report, states = self._reporter(len(headers)), []
-        waiting = [
-            self.workers.submit(photo_features, one.files, self.cache.folder, self.cache.most_bytes)
-            for one in headers.values()
-        ]
+        waiting = {
+            self.workers.submit(photo_features, one.files, self.cache.folder, self.cache.most_bytes): name
+            for name, one in headers.items()
+        }
+        for future in finished(waiting, self._tick):
+            report(f"features of {waiting[future]}")
         for given, one, future in zip(self.survey.photos, headers.values(), waiting, strict=True):
             states.append(PhotoState(given, one.files, one.orientation, future.result(), one.camera, one.assumed))
-            report(f"features of {given.id}")
         return states
-
-    def _photo_files(self, given: SurveyPhoto, camera: SurveyCamera) -> PhotoFiles:
-        options = dict(camera.options)
-        if camera.source is not None:
-            options["camera"] = camera.source
-        if isinstance(given.source, Path):
-            document = input_document(given.source)
-            self.inputs[f"photo/{given.id}"] = document
-            stated: Any = options.get("camera")
-            if isinstance(stated, Path):
-                stated = input_document(stated)["sha256"]
-            elif stated is not None:
-                stated = stated.as_fields()
-            key = ContentCache.key(photo=document["sha256"], options=plain({**options, "camera": stated}))
-            return PhotoFiles(id=given.id, source=given.source, options=options, key=key)
-        photo = given.source
-        if camera.source is not None:
-            if isinstance(camera.source, Path):
-                raise OptionError(f"the photo {given.id} is in memory, and its camera is a file; give both alike")
-            photo = replace(photo, camera=camera.source, calibrated=True, assumed=False, alternatives=())
-        key = ContentCache.key(photo=_digest(photo.pixels), camera=photo.camera.as_fields(), assumed=photo.assumed)
-        return PhotoFiles(id=given.id, source=photo, key=key)
 
     def _matches(self, states: list[PhotoState]) -> dict[tuple[int, int], Any]:
         self._begin("matches")
         pairs = propose_pairs([one.features for one in states])
         report = self._reporter(len(pairs))
         waiting = {
-            (i, j): self.workers.submit(
+            self.workers.submit(
                 pair_matches, states[i].files, states[j].files, self.cache.folder, self.cache.most_bytes
-            )
+            ): (i, j)
             for i, j in pairs
         }
-        found = {}
-        for (i, j), future in waiting.items():
-            found[i, j] = future.result()
+        for future in finished(waiting, self._tick):
+            i, j = waiting[future]
             report(f"{states[i].given.id} and {states[j].given.id}")
-        return {pair: matches for pair, matches in found.items() if len(matches)}
+        return {pair: future.result() for future, pair in waiting.items() if len(future.result())}
 
     # -- the adjustment --------------------------------------------------------------------------------------------
 
@@ -283,9 +216,9 @@ class _Run:
         states = placement.states
         poses = {k: one.pose for k, one in enumerate(states) if one.pose is not None}
         problem, bodies = build_problem(self.survey, placement, cameras, poses, factors)
-        adjusted = solve(_determined(with_ties(problem, bodies, placement)))
+        adjusted = solve(_determined(with_ties(problem, bodies, placement)), tick=self._tick)
         self._laser(placement, adjusted, bodies)
-        adjusted = solve(with_ties(adjusted.problem, bodies, placement))
+        adjusted = solve(with_ties(adjusted.problem, bodies, placement), tick=self._tick)
         for photo, body in bodies.photos.items():
             states[photo].pose = adjusted.problem.poses[body]
         self._start_others(placement, adjusted)
@@ -317,10 +250,13 @@ class _Run:
                     initial=state.pose @ world, near=True,
                 )  # fmt: skip
         report = self._reporter(len(tasks))
-        waiting = {key: self.workers.submit(registered, task) for key, task in tasks.items()}
+        waiting = {self.workers.submit(registered, task): key for key, task in tasks.items()}
         for state in placement.states:
             state.pairs = {}
-        for (k, scan), future in waiting.items():
+        for future in finished(waiting, self._tick):
+            k, scan = waiting[future]
+            report(f"{placement.states[k].given.id} on scan {scan + 1}")
+        for future, (k, scan) in waiting.items():
             try:
                 result = future.result()
             except LadarregError as error:
@@ -330,7 +266,6 @@ class _Run:
                     placement.states[k].pairs[scan] = result
                 elif not placement.states[k].reasons:
                     placement.states[k].reasons = result.reasons
-            report(f"{placement.states[k].given.id} on scan {scan + 1}")
         cameras_list = list(adjusted.problem.cameras)
         return self._factors(list(placement.states), cameras_list)
 
@@ -349,7 +284,7 @@ class _Run:
         problem, bodies = build_problem(self.survey, placement, cameras, poses, factors)
         self._laser(placement, None, bodies, problem)
         problem = _determined(with_ties(problem, bodies, placement))
-        adjusted = solve(problem)
+        adjusted = solve(problem, tick=self._tick)
         self._laser(placement, adjusted, bodies)
         again = with_ties(adjusted.problem, bodies, placement)
         return replace(adjusted, problem=again), bodies
@@ -373,7 +308,7 @@ class _Run:
     ) -> tuple[Solution, dict[int, tuple[str, ...]]]:
         """Take out what contradicts the rest, and photographs on ties alone that nothing verifies."""
         names = {k: one.given.id for k, one in enumerate(placement.states)}
-        solution = solve_consistent(adjusted.problem, bodies, names)
+        solution = solve_consistent(adjusted.problem, bodies, names, tick=self._tick)
         refused: dict[int, tuple[str, ...]] = {}
         while True:
             verified = {k for k in solution.bodies.photos if placement.states[k].by_image}
@@ -386,7 +321,7 @@ class _Run:
             for k, why in wrong.items():
                 refused[k] = (why, *placement.states[k].reasons[:1])
                 problem, left = without_photo(problem, left, k)
-            again = solve(problem)
+            again = solve(problem, tick=self._tick)
             moved = {k: largest_shift(solution.adjusted, solution.bodies, again, left)[0] for k in wrong}
             taken = {**solution.taken_out, **{k: TakenOut(refused[k][0], moved[k]) for k in wrong}}
             solution = Solution(again, left, taken)
@@ -413,7 +348,8 @@ class _Run:
             photo=state.files, scan=placement.scans[0], options=self.options, camera=camera, initial=pose, near=True
         )
         self._reporter(1)(f"{state.given.id} against the colours of {len(sources)} photographs")
-        result = self.workers.submit(verified_by_colors, task, sources, surfaces).result()
+        future = self.workers.submit(verified_by_colors, task, sources, surfaces)
+        result = next(finished([future], self._tick)).result()
         if result is None:
             return "Too little of the surface that it shows is coloured by verified photographs to compare it with."
         if not result.accepted:
@@ -440,11 +376,20 @@ class _Run:
 
     def _part(self, stage: str) -> Report | None:
         self._begin(stage)
-        return part_of(self.report, *self.stage)
+        return part_of(self._receive, *self.stage)
+
+    def _receive(self, progress: Progress) -> None:
+        self.latest = progress
+        self._tick()
+
+    def _tick(self) -> None:
+        """Report the latest progress again, so that work which takes long can be stopped."""
+        if self.report is not None:
+            self.report(self.latest)
 
     def _reporter(self, total: int) -> Callable[[str], None]:
         """Return a function that reports one more of the units of this stage, by its label."""
-        part, done = part_of(self.report, *self.stage), 0
+        part, done = part_of(self._receive, *self.stage), 0
 
         def report(label: str) -> None:
             nonlocal done
@@ -453,17 +398,6 @@ class _Run:
                 part(Progress(min(done, total), total, label))
 
         return report
-
-
-def _orientation(photo: SurveyPhoto, camera: SurveyCamera) -> int:
-    """Return EXIF's orientation, by which photographs of one camera were turned; 1 where that is not of the camera.
-
-    A camera that is given is that of upright pixels, and no camera takes mirrored ones.
-    """
-    if not isinstance(photo.source, Path) or camera.source is not None:
-        return 1
-    orientation = photo_facts(photo.source).orientation
-    return orientation if may_be_turned(orientation) else 1
 
 
 def _determined(problem: Problem) -> Problem:
@@ -497,9 +431,3 @@ def _contradicted_by(result: Registration, pose: Rigid, covariance: Any) -> str:
         f"The colours of the surface verify another pose, {1000 * np.linalg.norm(off[3:]):.0f} mm and "
         f"{np.degrees(np.linalg.norm(off[:3])):.2f} deg away."
     )
-
-
-def _digest(array: Any) -> str:
-    from hashlib import sha256
-
-    return sha256(np.ascontiguousarray(array).tobytes()).hexdigest()

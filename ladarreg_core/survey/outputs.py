@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -33,7 +32,7 @@ from ladarreg_core.survey.adjustment import AdjustedPhoto, Adjustment
 from ladarreg_core.survey.problem import Matrix
 from ladarreg_core.survey.report import survey_page
 from ladarreg_core.survey.survey import Survey
-from ladarreg_core.survey.work import PhotoFiles
+from ladarreg_core.survey.work import PhotoFiles, finished
 
 COVARIANCE_FILE = "covariance.npz"
 """The joint covariance of all scans and photographs: `covariance` (6 n, 6 n), `kind` and `id` of each six rows."""
@@ -126,10 +125,16 @@ def _write_photos(
             workers.submit(_thumbnail_of, state.files): state.given.id
             for state in solved.states if state.given.id not in outputs
         }  # fmt: skip
-        for done, future in enumerate(as_completed(waiting), 1):
-            pictures[waiting[future]] = future.result()
+        latest = Progress(0, len(waiting), "writing")
+
+        def tick() -> None:
             if report is not None:
-                report(Progress(done, len(waiting), f"writing {waiting[future]}"))
+                report(latest)
+
+        for done, future in enumerate(finished(waiting, tick), 1):
+            pictures[waiting[future]] = future.result()
+            latest = Progress(done, len(waiting), f"writing {waiting[future]}")
+            tick()
     return pictures
 
 

@@ -8,7 +8,7 @@ are known. A group of photographs that share features therefore needs one search
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Executor, Future, as_completed
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass, field
 
 import cv2
@@ -26,7 +26,7 @@ from ladarreg_core.survey.features import Features
 from ladarreg_core.survey.parts import SurveyPhoto
 from ladarreg_core.survey.stations import Stations
 from ladarreg_core.survey.ties import LaserPoints
-from ladarreg_core.survey.work import PairTask, PhotoFiles, laser_under, registered
+from ladarreg_core.survey.work import PairTask, PhotoFiles, finished, laser_under, registered
 
 _MIN_START = 15  # inliers of a pose from features
 _START_PX = 8.0  # of a photograph 1000 px wide: cameras and poses are rough yet
@@ -76,6 +76,8 @@ class Placement:
     options: RegisterOptions
     workers: Executor
     report: Callable[[str], None]
+    tick: Callable[[], None]
+    """Called several times a second; may raise to stop."""
     laser: dict[tuple[int, int], LaserPoints] = field(default_factory=dict)
     """Places on the surface of scan s under all features of photograph p, by (p, s)."""
 
@@ -141,7 +143,7 @@ class Placement:
             relative, uv = poses[photo] @ world, self.states[photo].features.uv
             future = self.workers.submit(laser_under, self.scans[scan], cameras[photo], relative, uv)
             waiting[future] = (photo, scan)
-        for future in as_completed(waiting):
+        for future in finished(waiting, self.tick):
             self.laser[waiting[future]] = future.result()
 
     def _without_pose(self) -> list[int]:
@@ -241,7 +243,7 @@ class Placement:
             self.workers.submit(registered, task): key for key, task in tasks.items()
         }
         done: dict[tuple[int, int], Registration] = {}
-        for future in as_completed(waiting):
+        for future in finished(waiting, self.tick):
             photo, scan = waiting[future]
             try:
                 done[photo, scan] = future.result()

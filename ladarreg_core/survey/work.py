@@ -6,10 +6,11 @@ photograph, does not do it twice.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -26,6 +27,9 @@ from ladarreg_core.results import Registration
 from ladarreg_core.survey.colored_view import ColorSource, colored_view
 from ladarreg_core.survey.features import MAX_FEATURES, Features, detect, matches_between
 from ladarreg_core.survey.ties import LaserPoints, laser_points
+
+T = TypeVar("T")
+_TICK_S = 0.25
 
 _held_features: dict[str, Features] = {}
 _MAX_HELD = 40
@@ -66,6 +70,15 @@ class PairTask:
     """Look near `initial` only."""
     matches: Path | None = None
     """File of matches to solve."""
+
+
+def finished(waiting: Iterable[Future[T]], tick: Callable[[], None]) -> Iterator[Future[T]]:
+    """Yield futures as they are done, and call `tick` several times a second meanwhile; it may raise to stop."""
+    left = set(waiting)
+    while left:
+        done, left = wait(left, timeout=_TICK_S, return_when=FIRST_COMPLETED)
+        tick()
+        yield from done
 
 
 def photo_features(photo: PhotoFiles, cache: Path, cache_bytes: int) -> Features:

@@ -1,7 +1,11 @@
-"""A job as people hold it: stations in a room, photographs of two cameras, close-ups, and one of another room."""
+"""A job as people hold it: stations in a room, photographs of two cameras, close-ups, and one of another room.
+
+`python -m testing.scenes.survey_set` makes the sample survey of the package again.
+"""
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -14,6 +18,7 @@ from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.photograph import Lighting, take_photograph
 from ladarreg_core.simulate.ray_cast import RayCaster
+from ladarreg_core.simulate.sample import sample_survey_folder
 from ladarreg_core.simulate.stations import scan_stations, station_room, upright_pose
 from ladarreg_core.simulate.worlds.world import World
 from testing.scenes.kept import kept
@@ -22,6 +27,7 @@ from testing.scenes.photo_set import write_phone_photo
 CAMERAS = (Camera.from_focal(960, 640, 780.0), Camera.from_focal(1152, 768, 1000.0))
 """The true cameras."""
 _FREE_M = 0.45  # around a camera
+_STEP_M = 2.0**-9  # of the sample's coordinates, which so are compressed well
 _STATIONS = (np.array([-0.9, -0.5, 0.0]), np.array([0.8, 0.7, 0.1]), np.array([1.2, -0.8, 0.0]))
 
 
@@ -120,6 +126,34 @@ def write_survey_set(folder: Path, found: SurveySet) -> None:
         )
 
 
+def write_sample_survey(folder: Path) -> None:
+    """Write the sample survey of the package, and what is true of it, into a folder."""
+    found = simulate_survey("office", seed=12, photos=8, close_ups=1, size=0.6, step_deg=0.3)
+    write_survey_set(folder, found)
+    for k, scan in enumerate(found.scans):
+        xyz = (np.round(scan.points / _STEP_M) * _STEP_M).astype(np.float32)
+        brightness = np.rint(255 * np.clip(scan.intensity / np.nanmax(scan.intensity), 0, 1)).astype(np.uint8)
+        np.savez_compressed(
+            folder / f"station{k + 1}.npz", xyz=xyz, intensity=brightness, intensity_is=scan.intensity_is
+        )
+    truth = {
+        "made_by": "python -m testing.scenes.survey_set",
+        "world_is": "the frame of station1",
+        "world_from_scanner": {
+            f"station{k + 1}": (found.world_from_scanner[0].inverse @ pose).matrix.tolist()
+            for k, pose in enumerate(found.world_from_scanner)
+        },
+        "camera_from_world": {
+            Path(one.name).stem: None
+            if one.camera_from_world is None
+            else found.in_first(one.camera_from_world).matrix.tolist()
+            for one in found.photos
+        },
+        "focal_px": [camera.fx for camera in found.cameras],
+    }
+    (folder / "truth.json").write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
+
+
 def _standpoint(room: tuple[World, RayCaster], rng: np.random.Generator) -> Rigid:
     """Return a pose in the room, looking at something at least 1.5 m away."""
     while True:
@@ -175,3 +209,7 @@ def _taken(
 ) -> TakenPhoto:  # fmt: skip
     pixels = take_photograph(*room, cameras[camera], pose, lighting=Lighting(), rng=rng)
     return TakenPhoto(name, pixels, camera, pose, scale)
+
+
+if __name__ == "__main__":
+    write_sample_survey(sample_survey_folder())

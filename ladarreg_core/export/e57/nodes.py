@@ -9,7 +9,7 @@ from typing import Any
 
 from ladarreg_core.export.e57.tree import library
 from ladarreg_core.export.json import software_document
-from ladarreg_core.export.registered_scan import RegisteredScan
+from ladarreg_core.export.registered_scan import Registered
 from ladarreg_core.formats.parsing.untrusted import one_line
 from ladarreg_core.frames import Rigid
 
@@ -27,7 +27,7 @@ def declare_note(file: Any) -> None:
         file.extensionsAdd(_PREFIX, _NAMESPACE)
 
 
-def note_of(handed: RegisteredScan) -> str:
+def note_of(handed: Registered) -> str:
     """Return where colours and images come from, and which poses were given."""
     software = software_document()
     names = ", ".join(plain(one.photo.name) for one in handed.photos)

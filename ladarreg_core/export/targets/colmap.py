@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ladarreg_core.camera import CameraModel, axial_pinhole
 from ladarreg_core.export.photo_files import WrittenPhoto, shown_names
-from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.registered_scan import Registered, RegisteredPhoto
 from ladarreg_core.export.targets.colmap_files import (
     ColmapModel,
     colmap_parameters,
@@ -32,7 +32,7 @@ _FILES: tuple[tuple[str, Callable[[Path, ColmapModel], None]], ...] = (
 )
 
 
-def colmap_refusal(handed: RegisteredScan, options: ExportOptions) -> str | None:
+def colmap_refusal(handed: Registered, options: ExportOptions) -> str | None:
     """Return a sentence if a camera has no model in COLMAP and cannot be undistorted to one."""
     del options
     found = [one for one in handed.photos if not has_colmap_camera(one)]
@@ -44,7 +44,7 @@ def colmap_refusal(handed: RegisteredScan, options: ExportOptions) -> str | None
     )
 
 
-def colmap_files(handed: RegisteredScan, options: ExportOptions, report: Report | None) -> Sequence[FileJob]:
+def colmap_files(handed: Registered, options: ExportOptions, report: Report | None) -> Sequence[FileJob]:
     """Return the reconstruction, the pictures and, if a lens has a distortion, the undistorted reconstruction."""
     del options
     written = [WrittenPhoto(one, _colmap_camera(one), report=report) for one in handed.photos]

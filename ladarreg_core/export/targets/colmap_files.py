@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +56,21 @@ class ColmapModel:
     """(P,)."""
     words: Sequence[str]
     """Sentences for the comments of the text files."""
+
+
+def joined(models: Sequence[ColmapModel]) -> ColmapModel:
+    """Return reconstructions in the same world as one."""
+    images, first = [], 0
+    for model in models:
+        images += [replace(one, observed=one.observed + first) for one in model.images]
+        first += len(model.points)
+    return ColmapModel(
+        images,
+        np.concatenate([np.empty((0, 3)), *(one.points for one in models)]),
+        np.concatenate([np.empty((0, 3), np.uint8), *(one.colors for one in models)]),
+        np.concatenate([np.empty(0), *(one.errors_px for one in models)]),
+        [line for one in models for line in one.words],
+    )
 
 
 def colmap_parameters(camera: CameraModel) -> tuple[str, list[float]] | None:

@@ -20,7 +20,7 @@ from ladarreg_core.export.e57.colors import (
     add_color_fields,
     color_limits,
 )
-from ladarreg_core.export.e57.new_file import write_new_scan
+from ladarreg_core.export.e57.new_file import append_scan, start_tree, write_new_scan
 from ladarreg_core.export.e57.nodes import (
     NOTE,
     declare_note,
@@ -35,7 +35,7 @@ from ladarreg_core.export.e57.nodes import (
 from ladarreg_core.export.e57.pictures import Picture, pictures
 from ladarreg_core.export.e57.tree import E57Copy, Made, library, new_e57
 from ladarreg_core.export.json import software_document
-from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan, photo_id
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan, RegisteredSurvey, photo_id
 from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.stations import StationScans, stations_e57_files, stations_e57_refusal
 from ladarreg_core.export.targets.target import ExportOptions
@@ -50,13 +50,15 @@ _SENSOR_WIDTH_M = 0.036  # of a pinhole image whose sensor is not known: only th
 _PICTURE_WEIGHT = 500_000  # points that take about as long as a picture
 
 
-def e57_refusal(handed: RegisteredScan | StationScans, options: ExportOptions) -> str | None:
+def e57_refusal(handed: RegisteredScan | RegisteredSurvey | StationScans, options: ExportOptions) -> str | None:
     """Return why the scan's file cannot be copied, or stations cannot be written; None if they can."""
     del options
     if isinstance(handed, StationScans):
         return stations_e57_refusal()
     try:
         library()
+        if isinstance(handed, RegisteredSurvey):
+            return None
         source = _source(handed)
         if source is None:
             return None
@@ -76,10 +78,12 @@ def e57_refusal(handed: RegisteredScan | StationScans, options: ExportOptions) -
 
 
 def e57_files(
-    handed: RegisteredScan | StationScans, options: ExportOptions, report: Report | None
+    handed: RegisteredScan | RegisteredSurvey | StationScans, options: ExportOptions, report: Report | None
 ) -> Sequence[FileJob]:
-    """Return `NAME.e57`, named like the scan's file; of stations, `stations.e57` with all of them."""
+    """Return `NAME.e57`, named like the scan's file; of a survey or stations, one with all scans."""
     del options
+    if isinstance(handed, RegisteredSurvey):
+        return [("survey.e57", lambda path: _write_survey(path, handed, report))]
     if isinstance(handed, StationScans):
         return stations_e57_files(handed, report)
     name = photo_id(handed.scan.name if handed.scan_file is None else handed.scan_file.name)
@@ -139,6 +143,18 @@ def _write(path: Path, handed: RegisteredScan, report: Report | None) -> None:
         raise ExportError(
             f"the E57 cannot be copied: {one_line(said, 160)}; export the scan again from the program that made it"
         ) from error
+
+
+def _write_survey(path: Path, handed: RegisteredSurvey, report: Report | None) -> None:
+    """Write all scans with the poses that the survey found; what their files had beside their returns is left out."""
+    points = sum(int(np.count_nonzero(one.scan.valid)) for one in handed.scans)
+    told = _Told(points + _PICTURE_WEIGHT * len(handed.photos), path.name, report)
+    with new_e57(path) as file:
+        data3d = start_tree(file, note_of(handed))
+        for one in handed.scans:
+            one.compute_colors(report)
+            guid = append_scan(file, data3d, one.scan, note_of(one), told, colors=one.colors)
+            _add_images(file, one, guid, told)
 
 
 def _copy(old: E57File, file: Any, handed: RegisteredScan, told: _Told, info: E57ScanInfo) -> None:

@@ -25,7 +25,7 @@ from ladarreg_core.camera.equirectangular import FULL_WINDOW
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.json import write_document
 from ladarreg_core.export.photo_files import WrittenPhoto, on_one_line
-from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.registered_scan import Registered, RegisteredPhoto
 from ladarreg_core.export.targets.colmap import model_files
 from ladarreg_core.export.targets.colmap_files import colmap_parameters
 from ladarreg_core.export.targets.folder import FileJob
@@ -48,7 +48,7 @@ _CLOUD = "sparse_pc.ply"
 _VERTEX = np.dtype([(name, "<f4") for name in "xyz"] + [(name, "u1") for name in ("red", "green", "blue")])
 
 
-def nerfstudio_files(handed: RegisteredScan, options: ExportOptions, report: Report | None) -> Sequence[FileJob]:
+def nerfstudio_files(handed: Registered, options: ExportOptions, report: Report | None) -> Sequence[FileJob]:
     """Return pictures, depth maps, masks, `transforms.json`, the initial cloud and a reconstruction for COLMAP."""
     del options
     written = [WrittenPhoto(one, _camera(one.camera), report=report) for one in handed.photos]
@@ -88,14 +88,14 @@ def _groups(written: Sequence[WrittenPhoto]) -> dict[str, list[WrittenPhoto]]:
     }
 
 
-def _transforms_writer(handed: RegisteredScan, group: Sequence[WrittenPhoto], maps: _DepthMaps) -> Any:
+def _transforms_writer(handed: Registered, group: Sequence[WrittenPhoto], maps: _DepthMaps) -> Any:
     def write(path: Path) -> None:
         write_document(path, _transforms(handed, group, maps.step_m))
 
     return write
 
 
-def _transforms(handed: RegisteredScan, group: Sequence[WrittenPhoto], step_m: float) -> dict[str, Any]:
+def _transforms(handed: Registered, group: Sequence[WrittenPhoto], step_m: float) -> dict[str, Any]:
     depth_is = (
         "z, along the camera's axis" if group[0].camera.model == "pinhole" else "distance from the camera's centre"
     )
@@ -116,7 +116,7 @@ def _transforms(handed: RegisteredScan, group: Sequence[WrittenPhoto], step_m: f
     }
 
 
-def _frame(handed: RegisteredScan, written: WrittenPhoto) -> dict[str, Any]:
+def _frame(handed: Registered, written: WrittenPhoto) -> dict[str, Any]:
     one = written.one
     pose = handed.written_from_camera(one).matrix @ _OPENCV_FROM_OPENGL
     return {
@@ -151,7 +151,7 @@ def _intrinsics(camera: CameraModel) -> dict[str, float]:
 class _DepthMaps:
     """The depth maps of the photographs; one at a time is kept."""
 
-    def __init__(self, handed: RegisteredScan, written: Sequence[WrittenPhoto], report: Report | None) -> None:
+    def __init__(self, handed: Registered, written: Sequence[WrittenPhoto], report: Report | None) -> None:
         self._handed, self._written, self._report = handed, written, report
         self._index, self._depth = -1, np.empty((0, 0), np.float32)
 
@@ -177,7 +177,7 @@ class _DepthMaps:
 
     def _farthest(self, one: RegisteredPhoto) -> float:
         """Return the largest distance of a point in a photograph, or a little beside it, m."""
-        scan, farthest = self._handed.scan, 0.0
+        scan, farthest = self._handed.scan_of(one).scan, 0.0
         for first in range(0, scan.shape[0], _ROWS_AT_ONCE):
             rows = slice(first, first + _ROWS_AT_ONCE)
             points = one.camera_from_scanner @ scan.points_at(rows, slice(None))[scan.valid[rows]]
@@ -196,9 +196,8 @@ class _DepthMaps:
                 if self._report is not None:
                     self._report(Progress(index, len(self._written), f"depth of {written.name}"))
 
-            depth = depth_map(
-                self._handed.scan, written.camera, written.one.camera_from_scanner, only_seen=True, report=go_on
-            )
+            scan = self._handed.scan_of(written.one).scan
+            depth = depth_map(scan, written.camera, written.one.camera_from_scanner, only_seen=True, report=go_on)
             np.nan_to_num(depth, copy=False, nan=0.0)
             self._index, self._depth = index, depth
         return self._depth
@@ -234,7 +233,7 @@ def _write_png(path: Path, values: NDArray[Any]) -> None:
     write_chunks(path, (encoded.data,))
 
 
-def _cloud(handed: RegisteredScan, reconstruction: Reconstruction) -> Iterator[bytes]:
+def _cloud(handed: Registered, reconstruction: Reconstruction) -> Iterator[bytes]:
     model = reconstruction.model
     words = [f"ladarreg: {handed.frame.sentence}", *model.words]
     header = [

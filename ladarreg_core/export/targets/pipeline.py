@@ -8,7 +8,7 @@ from typing import Any
 
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.json import input_document, software_document, write_result
-from ladarreg_core.export.registered_scan import RegisteredScan
+from ladarreg_core.export.registered_scan import RegisteredScan, RegisteredSurvey
 from ladarreg_core.export.targets.folder import MAX_CELLS_TOGETHER, FileJob, write_folder
 from ladarreg_core.export.targets.registry import targets_of
 from ladarreg_core.export.targets.stations import StationScans
@@ -16,7 +16,7 @@ from ladarreg_core.export.targets.target import ExportOptions, Target
 from ladarreg_core.progress import Report
 from ladarreg_core.storage.replacement import EXPORT_FILE
 
-Source = RegisteredScan | StationScans
+Source = RegisteredScan | RegisteredSurvey | StationScans
 """What targets are written from."""
 
 
@@ -36,7 +36,7 @@ def export_to(
 
     Args:
         folder: output folder; missing parents are created.
-        handed: the scan and its photographs, or stations, or both.
+        handed: the scan and its photographs, or those of a survey, or stations, or several of them.
         targets: names of targets, see `targets.registry.TARGETS`.
         options: options of the targets; None: `ExportOptions()`.
         apart_from: open project folders; a folder that is, contains or lies in one of them is not replaced.
@@ -49,7 +49,8 @@ def export_to(
             cannot be written.
     """
     sources = _listed(handed)
-    small = all(one.scan.ranges.size <= MAX_CELLS_TOGETHER for one in sources if isinstance(one, RegisteredScan))
+    scans = [scan for one in sources if not isinstance(one, StationScans) for scan in one.scans]
+    small = sum(one.scan.ranges.size for one in scans) <= MAX_CELLS_TOGETHER
     write_folder(
         folder,
         lambda: export_files(sources, targets, options=options, report=report),
@@ -76,7 +77,7 @@ def export_files(
     """
     sources, chosen, options = _listed(handed), targets_of(targets), options or ExportOptions()
     for source in sources:
-        if isinstance(source, RegisteredScan):
+        if not isinstance(source, StationScans):
             require_shown([one.photo.name for one in source.refused], chosen)
     refused = {target.name: why for target in chosen if (why := refusal(target, sources, options))}
     if refused:
@@ -93,7 +94,7 @@ def export_files(
 
 def refusal(target: Target, sources: Sequence[Source], options: ExportOptions) -> str | None:
     """Return why a target cannot be written from any of the sources; None if it can."""
-    reasons = [target.refusal(one, options) for one in sources if isinstance(one, target.reads)]
+    reasons = [target.refusal(one, options) for _, one in _read_by(target, sources)]
     if any(why is None for why in reasons):
         return None
     return "; ".join(why for why in reasons if why) or f"it needs {target.needs}, and there is none"
@@ -119,17 +120,28 @@ def require_shown(refused: Sequence[str], targets: Sequence[Target]) -> None:
 
 def _files(target: Target, sources: Sequence[Source], options: ExportOptions, report: Report | None) -> list[FileJob]:
     return [
-        job
-        for one in sources
-        if isinstance(one, target.reads) and target.refusal(one, options) is None
-        for job in target.files(one, options, report)
+        (f"{folder}{name}", write)
+        for folder, one in _read_by(target, sources)
+        if target.refusal(one, options) is None
+        for name, write in target.files(one, options, report)
     ]
+
+
+def _read_by(target: Target, sources: Sequence[Source]) -> list[tuple[str, Source]]:
+    """Return the sources that a target is written from, each with the folder of its files, ending in `/`, if any."""
+    found: list[tuple[str, Source]] = []
+    for one in sources:
+        if isinstance(one, target.reads):
+            found.append(("", one))
+        elif isinstance(one, RegisteredSurvey) and RegisteredScan in target.reads:
+            found += [(f"{scan.id}/", scan) for scan in one.scans]
+    return found
 
 
 def _document(
     sources: Sequence[Source], targets: Sequence[Target], options: ExportOptions, names: Sequence[str]
 ) -> dict[str, Any]:
-    handed = next((one for one in sources if isinstance(one, RegisteredScan)), None)
+    handed = next((one for one in sources if not isinstance(one, StationScans)), None)
     stations = next((one for one in sources if isinstance(one, StationScans)), None)
     placed = {} if handed is None else {"frame": handed.frame.as_dict(), "frame_is": handed.frame.sentence}
     return {
@@ -146,8 +158,10 @@ def _document(
                 "evidence": one.registration.evidence,
                 "mark": one.mark or None,
                 "coarse": one.registration.is_coarse,
+                **({} if len(handed.scans) == 1 else {"scan": scan.id}),
             }
-            for one in (*handed.photos, *handed.refused)
+            for scan in handed.scans
+            for one in (*scan.photos, *scan.refused)
         ],
         **({} if stations is None else {"stations": {"scans": list(stations.scans), "mark": stations.mark or None}}),
         "options": {"full": options.full, "crop": options.crop},
@@ -157,7 +171,7 @@ def _document(
 
 
 def _listed(handed: Source | Sequence[Source]) -> Sequence[Source]:
-    return [handed] if isinstance(handed, RegisteredScan | StationScans) else list(handed)
+    return [handed] if isinstance(handed, Source) else list(handed)
 
 
 def _inputs(sources: Sequence[Source]) -> list[Path]:
@@ -166,7 +180,8 @@ def _inputs(sources: Sequence[Source]) -> list[Path]:
         if isinstance(source, StationScans):
             listed += source.inputs
             continue
-        listed += [source.scan_file, *source.scan_options.get("more", ())]
-        for one in (*source.photos, *source.refused):
-            listed += [one.file, one.camera_file]
+        for scan in source.scans:
+            listed += [scan.scan_file, *scan.scan_options.get("more", ())]
+            for one in (*scan.photos, *scan.refused):
+                listed += [one.file, one.camera_file]
     return list(dict.fromkeys(path for path in listed if path is not None))

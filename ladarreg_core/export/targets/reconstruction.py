@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.export.photo_files import WrittenPhoto
-from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
-from ladarreg_core.export.targets.colmap_files import ColmapImage, ColmapModel
+from ladarreg_core.export.registered_scan import Registered, RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.targets.colmap_files import ColmapImage, ColmapModel, joined
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.surface.texture.registered_texture import COLORED, Label
@@ -27,12 +27,12 @@ class Reconstruction:
     """Photographs with the points that they see; computed when it is first needed.
 
     Args:
-        handed: the scan and its photographs.
+        handed: the scans and their photographs.
         photos: those that are written.
         report: receives the progress; may raise `Cancelled`.
     """
 
-    def __init__(self, handed: RegisteredScan, photos: Sequence[WrittenPhoto], report: Report | None) -> None:
+    def __init__(self, handed: Registered, photos: Sequence[WrittenPhoto], report: Report | None) -> None:
         self._handed, self._photos, self._report = handed, photos, report
 
     @cached_property
@@ -42,9 +42,23 @@ class Reconstruction:
         The error of a point is the standard deviation of its pixel in the photograph that colours it, where the pose's
         covariance is known, otherwise 0: its pixels are projections of the laser's point and have no residuals.
         """
+        scans = [(scan, [one for one in self._photos if one.one in scan.photos]) for scan in self._handed.scans]
+        parts = [_Part(scan, photos, len(self._photos), self._report).model for scan, photos in scans if photos]
+        return joined(parts) if len(parts) != 1 else parts[0]
+
+
+class _Part:
+    """The points of one scan that its photographs see."""
+
+    def __init__(self, handed: RegisteredScan, photos: Sequence[WrittenPhoto], all_photos: int, report: Report | None):
+        self._handed, self._photos, self._all_photos, self._report = handed, photos, all_photos, report
+
+    @property
+    def model(self) -> ColmapModel:
+        """The reconstruction of this scan."""
         self._handed.compute_colors(self._report)
         seen = [self._seen(index) for index in range(len(self._photos))]
-        share = MAX_POINTS // max(1, len(self._photos))
+        share = MAX_POINTS // self._all_photos
         kept = np.unique(np.concatenate([_thinned(cells, uv, share) for cells, uv in seen]))
         points = self._handed.frame.place(self._points(kept))
         images = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ladarreg_core.errors import OptionError
-from ladarreg_core.export.registered_scan import RegisteredScan
+from ladarreg_core.export.registered_scan import RegisteredScan, RegisteredSurvey
 from ladarreg_core.export.targets.colmap import colmap_files, colmap_refusal
 from ladarreg_core.export.targets.e57 import e57_files, e57_refusal
 from ladarreg_core.export.targets.kalibr import kalibr_files, kalibr_refusal
@@ -40,6 +40,7 @@ TARGETS: tuple[Target, ...] = (
         "that read it.",
         files=colmap_files,
         refusal=colmap_refusal,
+        reads=(RegisteredScan, RegisteredSurvey),
     ),
     Target(
         name="nerfstudio",
@@ -47,6 +48,7 @@ TARGETS: tuple[Target, ...] = (
         purpose="Photographs, poses, depth maps from the laser, masks and an initial cloud for nerfstudio and other "
         "programs for Gaussian splats.",
         files=nerfstudio_files,
+        reads=(RegisteredScan, RegisteredSurvey),
     ),
     Target(
         name="e57",
@@ -54,7 +56,7 @@ TARGETS: tuple[Target, ...] = (
         purpose="The scan's file as it was, plus colours and the photographs with their poses: for CloudCompare, ReCap "
         "and other programs for laser scans.",
         files=e57_files,
-        reads=(RegisteredScan, StationScans),
+        reads=(RegisteredScan, RegisteredSurvey, StationScans),
         needs="a registered photograph, or stations that are registered to each other",
         refusal=e57_refusal,
     ),

@@ -48,7 +48,8 @@ class Target:
     A writer of a large file reports its progress (`Progress`) at least every second; the report may raise `Cancelled`.
     """
     reads: tuple[type, ...] = (RegisteredScan,)
-    """The sources that it is written from; a file for each of those that there are."""
+    """The sources that it is written from; a file for each of those that there are. Of a survey that is none of them,
+    it is written for every scan in a folder of its own."""
     needs: str = "a registered photograph"
     """What there has to be, for messages."""
     stands_alone: bool = False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from ladarreg.cli import main
 
 import ladarreg_core as lr
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
+from ladarreg_core.simulate.sample import sample_survey_folder
 from testing.scenes.survey_set import SurveySet, simulate_survey, write_survey_set
 
 pytest.importorskip("embreex")
@@ -95,7 +97,28 @@ def test_what_is_written_can_be_used_by_the_other_commands(
     assert joint["covariance"].shape == (6 * len(joint["id"]),) * 2
     assert np.linalg.eigvalsh(joint["covariance"]).min() > -1e-12
     assert set(joint["id"][joint["kind"] == "photo"]) == set(accepted)
-    assert main(["export", str(out), "--to", "colmap", "-o", str(tmp_path / "colmap")]) == 0
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_the_scans_of_a_survey_are_exported_together(adjusted: tuple[int, Path], tmp_path: Path) -> None:
+    _, out = adjusted
+    document = _document(out)
+    accepted = {name: one for name, one in document["photos"].items() if one["accepted"]}
+    assert len({one["folder"] for one in accepted.values()}) == len(accepted)
+    assert main(["export", str(out), "--to", "colmap,e57,ply", "-o", str(tmp_path / "all"), "--quiet"]) == 0
+    lines = (tmp_path / "all/colmap/sparse/0/images.txt").read_text(encoding="utf-8").splitlines()
+    shown = [line.split() for line in lines if line.split()[-1:] and line.split()[-1].endswith(".jpg")]
+    assert {Path(words[-1]).stem for words in shown} == set(accepted)
+    for words in shown:  # COLMAP's poses are those of the adjustment
+        stated = np.array(accepted[Path(words[-1]).stem]["camera_from_world"])
+        assert np.allclose([float(word) for word in words[5:8]], stated[:3, 3], atol=1e-9)
+    for station in document["scans"]:
+        scan = lr.read_scan(tmp_path / "all/e57/survey.e57", scan_index=list(document["scans"]).index(station))
+        assert scan.world_from_scanner is not None
+        stated = document["scans"][station]["world_from_scanner"]
+        assert np.allclose(scan.world_from_scanner.matrix, stated, atol=1e-9)
+        assert any((tmp_path / f"all/ply/{station}").glob("*.ply"))
 
 
 @pytest.mark.long
@@ -181,3 +204,26 @@ def test_an_existing_survey_file_is_kept(job: Path, tmp_path: Path, capsys: pyte
     survey = lr.Survey.from_file(target)
     assert len(survey.scans) == 2
     assert len(survey.cameras) == 2
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_the_worked_example_of_the_documentation(tmp_path: Path) -> None:
+    """The commands of `docs/surveys.md` on the survey that the package contains."""
+    job, out = tmp_path / "job", tmp_path / "results"
+    shutil.copytree(sample_survey_folder(), job)
+    truth = json.loads((job / "truth.json").read_text(encoding="utf-8"))
+    assert main(["survey", str(job), "-o", str(job / "survey.json"), "--quiet"]) == 0
+    assert main(["adjust", str(job / "survey.json"), "-o", str(out), "--quiet"]) == 3
+    document = _document(out)
+    for name, matrix in truth["camera_from_world"].items():
+        one = document["photos"][name]
+        assert one["accepted"] == (matrix is not None), (name, one["reasons"])
+        if matrix is not None:
+            pose, true = Rigid.from_matrix(one["camera_from_world"]), Rigid.from_matrix(matrix)
+            off = np.concatenate([rotvec_from_rotation(true.rotation @ pose.rotation.T), true.centre - pose.centre])
+            assert np.sqrt(off @ np.linalg.solve(np.array(one["covariance"]), off) / 6) < 4, name
+            assert pose.distance_to(true) < 0.05, name
+    assert document["photos"]["close_01"]["evidence"] == "ties"
+    for camera, focal in zip(document["cameras"].values(), truth["focal_px"], strict=True):
+        assert abs(camera["camera"]["fx"] - focal) < 4 * camera["sigmas"]["focal_px"]

@@ -16,7 +16,7 @@ from ladarreg_core.errors import ExportError, FormatError, OptionError, Underspe
 from ladarreg_core.export.targets.folder import export_registration
 from ladarreg_core.export.targets.pipeline import export_to
 from ladarreg_core.formats import read_photo, read_scan
-from ladarreg_core.outputs.saved_results import SavedResult, read_saved_result, recorded_options, registered_scan
+from ladarreg_core.outputs.saved_results import SavedResult, read_saved_result, recorded_options, registered_results
 from testing.files.rewritten import rewrite
 from testing.scenes.small_registration import sample_photo, sample_registration, sample_scan
 from tests.formats.test_ptx import block
@@ -58,7 +58,7 @@ def test_the_options_of_reading_are_recorded_and_used_again(inputs: Path, tmp_pa
     saved = results(tmp_path / "out", inputs)
     assert saved.document["inputs"][0]["read_with"] == {"scan_index": 1}
     assert saved.document["inputs"][1]["read_with"] == {"focal_px": 100.0}
-    handed = registered_scan([saved], folders=[inputs])
+    handed = registered_results([saved], folders=[inputs])
     assert np.array_equal(handed.scan.ranges, read_scan(inputs / "two.ptx", scan_index=1).ranges, equal_nan=True)
     assert np.array_equal(handed.scan.world_from_scanner.matrix, STATION)
     (one,) = handed.photos
@@ -72,28 +72,28 @@ def test_the_options_of_reading_are_recorded_and_used_again(inputs: Path, tmp_pa
     (tmp_path / "old").mkdir()
     rewrite(tmp_path / "old" / "registration.json", old)
     before = read_saved_result(tmp_path / "old")
-    first = registered_scan([before], folders=[inputs])
+    first = registered_results([before], folders=[inputs])
     assert not np.allclose(np.nanmax(first.scan.ranges), np.nanmax(handed.scan.ranges))
-    given = registered_scan([before], folders=[inputs], scan_options={"scan_index": 1, "intensity": "auto"})
+    given = registered_results([before], folders=[inputs], scan_options={"scan_index": 1, "intensity": "auto"})
     assert np.array_equal(given.scan.ranges, handed.scan.ranges, equal_nan=True)
 
 
 def test_several_results_on_one_scan_are_one_hand_over(inputs: Path, tmp_path: Path) -> None:
     one, two = results(tmp_path / "a", inputs), results(tmp_path / "b", inputs, "b.png")
-    handed = registered_scan([one, two, one], folders=[inputs], frame="world")
+    handed = registered_results([one, two, one], folders=[inputs], frame="world")
     assert [each.id for each in handed.photos] == ["Gr-e-1", "b", "Gr-e-1-2"]
     assert handed.frame.name == "world"
     other = results(tmp_path / "c", inputs, index=0)
     with pytest.raises(OptionError, match=r"read two\.ptx with different options \(another scan of the file"):
-        registered_scan([one, other], folders=[inputs])
+        registered_results([one, other], folders=[inputs])
     document = dict(two.document)
     document["inputs"] = [{**document["inputs"][0], "sha256": "0" * 64}, document["inputs"][1]]
     (tmp_path / "d").mkdir()
     rewrite(tmp_path / "d" / "registration.json", document)
     with pytest.raises(OptionError, match="the results are on different scans"):
-        registered_scan([one, read_saved_result(tmp_path / "d")], folders=[inputs])
+        registered_results([one, read_saved_result(tmp_path / "d")], folders=[inputs])
     with pytest.raises(OptionError, match="no result"):
-        registered_scan([])
+        registered_results([])
 
 
 def test_the_unit_of_a_thermal_photograph_is_recorded(inputs: Path, tmp_path: Path) -> None:
@@ -105,7 +105,7 @@ def test_the_unit_of_a_thermal_photograph_is_recorded(inputs: Path, tmp_path: Pa
         read_photo(tmp_path / "t.tif", focal_px=100.0)
     shutil.copy(inputs / "two.ptx", tmp_path)
     saved = results(tmp_path / "out", tmp_path, "t.tif", temperature_unit="C")
-    (one,) = registered_scan([saved]).photos
+    (one,) = registered_results([saved]).photos
     assert one.photo.temperature_k is not None
     assert np.allclose(one.photo.temperature_k, celsius + 273.15, atol=1e-3)
 
@@ -113,10 +113,10 @@ def test_the_unit_of_a_thermal_photograph_is_recorded(inputs: Path, tmp_path: Pa
 def test_inputs_are_found_in_a_folder_beside_the_results(inputs: Path, tmp_path: Path) -> None:
     saved = replace(results(tmp_path / "out", inputs), within=())  # no paths are followed
     kept = Path(shutil.copytree(inputs, tmp_path / "kept"))
-    assert registered_scan([saved]).scan_file == kept / "two.ptx"
+    assert registered_results([saved]).scan_file == kept / "two.ptx"
     kept.rename(tmp_path / ".hidden")
     with pytest.raises(ExportError, match="there is no such file"):
-        registered_scan([saved])
+        registered_results([saved])
 
 
 def test_inputs_are_recognised_by_their_content(inputs: Path, tmp_path: Path) -> None:
@@ -124,20 +124,20 @@ def test_inputs_are_recognised_by_their_content(inputs: Path, tmp_path: Path) ->
     with pytest.raises(
         ExportError, match=r"two\.ptx is needed, but there is no such file; give its folder with --root"
     ):
-        registered_scan([saved], option="--root")
+        registered_results([saved], option="--root")
     renamed = shutil.copy(inputs / "two.ptx", tmp_path / "renamed.ptx")
-    assert registered_scan([saved], folders=[inputs], scan_file=Path(renamed)).scan_file == Path(renamed)
+    assert registered_results([saved], folders=[inputs], scan_file=Path(renamed)).scan_file == Path(renamed)
     with open(renamed, "ab") as file:
         file.write(b"\n")
     with pytest.raises(ExportError, match=r"renamed\.ptx differs from it \(another SHA-256\)"):
-        registered_scan([saved], folders=[Path(renamed), inputs / "Größe 1.png"])
+        registered_results([saved], folders=[Path(renamed), inputs / "Größe 1.png"])
 
 
 def test_a_refused_result_is_shown_by_its_report_only(inputs: Path, tmp_path: Path) -> None:
     saved = results(tmp_path / "out", inputs)
     path = tmp_path / "out" / "registration.json"
     rewrite(path, {**saved.document, "accepted": False, "evidence": "none", "reasons": ["No."]})
-    handed = registered_scan([read_saved_result(tmp_path / "out")], folders=[inputs])
+    handed = registered_results([read_saved_result(tmp_path / "out")], folders=[inputs])
     assert (len(handed.photos), len(handed.refused)) == (0, 1)
     export_to(tmp_path / "report", handed, ["report"])
     assert "not accepted</span>" in (tmp_path / "report" / "report" / "Gr-e-1.html").read_text(encoding="utf-8")
@@ -167,7 +167,7 @@ def test_a_given_pose_that_is_missing_is_not_taken_for_a_refused_one(inputs: Pat
     given = {**results(tmp_path / "out", inputs).document, "accepted": False, "evidence": "given"}
     file = tmp_path / "out" / "registration.json"
     rewrite(file, given)
-    assert registered_scan([read_saved_result(tmp_path / "out")], folders=[inputs]).marks
+    assert registered_results([read_saved_result(tmp_path / "out")], folders=[inputs]).marks
     for guess in (None, given["camera_from_scanner"]):
         rewrite(file, {**given, "camera_from_scanner": None, "rejected_guess": guess})
         with pytest.raises(FormatError, match="camera_from_scanner"):

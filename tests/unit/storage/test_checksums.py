@@ -27,7 +27,7 @@ from ladarreg_core.formats.documents.pose_file import read_initial
 from ladarreg_core.formats.documents.registration_file import read_registration
 from ladarreg_core.frames import Rigid
 from ladarreg_core.outputs.integrity import check_integrity
-from ladarreg_core.outputs.saved_results import read_saved_result, recorded_options, recorded_scans, registered_scan
+from ladarreg_core.outputs.saved_results import read_saved_result, recorded_options, recorded_scans, registered_results
 from ladarreg_core.registration.carry import carry_over
 from ladarreg_core.simulate.sample import sample_folder
 from ladarreg_core.storage.checksums import canonical, checksum, checksum_state, sealed
@@ -175,7 +175,7 @@ def test_results_from_python_state_their_inputs_and_are_found_again(written: Pat
     assert [one["name"] for one in document["inputs"]] == names
     assert [one["path_hint"] for one in document["inputs"][:2]] == ["../../data/scan.npz", "../../data/photo.png"]
     assert document["inputs"][1]["read_with"] == {"camera": "camera.json"}
-    handed = registered_scan([read_saved_result(home / "runs/out")])
+    handed = registered_results([read_saved_result(home / "runs/out")])
     assert handed.scan_file.samefile(home / "data/scan.npz")
     assert handed.photos[0].file.samefile(home / "data/photo.png")
     # the control: a file of the same name and size with other bytes is not taken
@@ -183,7 +183,7 @@ def test_results_from_python_state_their_inputs_and_are_found_again(written: Pat
     data[-20] ^= 1
     (home / "data/photo.png").write_bytes(data)
     with pytest.raises(ExportError, match=r"photo\.png is needed"):
-        registered_scan([read_saved_result(home / "runs/out")])
+        registered_results([read_saved_result(home / "runs/out")])
 
 
 def test_hints_are_followed_within_given_folders_only_and_tell_nothing(home: Path) -> None:

@@ -13,6 +13,7 @@ import ladarreg_core as lr
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import Cancelled, OptionError
 from ladarreg_core.frames import rotvec_from_rotation
+from ladarreg_core.progress import Progress
 from ladarreg_core.simulate.case import SimulatedCase
 from ladarreg_core.survey.parts import SurveyCamera, SurveyPhoto
 
@@ -46,6 +47,21 @@ def test_one_photograph_on_one_scan_is_registered_as_by_itself(case: SimulatedCa
     assert one.ties == 0
     assert any("features" in label for label in told)
     assert found.document()["photos"][next(iter(found.photos))]["accepted"] is True
+
+
+@pytest.mark.slow
+def test_a_survey_stops_in_the_middle_of_a_registration(case: SimulatedCase) -> None:
+    told: list[Progress] = []
+
+    def stop(progress: Progress) -> None:
+        registering = bool(told) and told[-1].label.startswith("features") and progress == told[-1]
+        told.append(progress)
+        if registering:  # it is told again while a worker is busy
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        lr.adjust(lr.Survey.of([case.scan], [replace(case.photo, name="photo")]), processes=1, report=stop)
+    assert not any("on scan" in one.label for one in told)
 
 
 @pytest.mark.slow
@@ -85,7 +101,7 @@ def test_fixed_scans_without_a_pose_are_refused(case: SimulatedCase) -> None:
 
 @pytest.mark.parametrize(("exif", "given", "used"), [(1, False, 1), (6, False, 6), (2, False, 1), (6, True, 1)])
 def test_the_orientation_of_a_camera_is_that_of_its_pixels(tmp_path: Path, exif: int, given: bool, used: int) -> None:
-    from ladarreg_core.survey.adjust import _orientation
+    from ladarreg_core.survey.inputs import _orientation
 
     header = Image.Exif()
     header[0x0112] = exif
