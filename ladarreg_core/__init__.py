@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING, Any
 from ladarreg_core.foundations.version import VERSION
 
 if TYPE_CHECKING:
-    from ladarreg_core.batch.photo_run import register_photos as register_photos
-    from ladarreg_core.batch.photo_summary import PhotosResult as PhotosResult
     from ladarreg_core.camera import Camera as Camera
     from ladarreg_core.camera import EquirectangularCamera as EquirectangularCamera
     from ladarreg_core.camera import FisheyeCamera as FisheyeCamera
@@ -40,6 +38,8 @@ if TYPE_CHECKING:
     from ladarreg_core.jobs.run import BatchProgress as BatchProgress
     from ladarreg_core.jobs.run import batch as batch
     from ladarreg_core.jobs.run_folder import BatchResult as BatchResult
+    from ladarreg_core.many.photo_run import register_photos as register_photos
+    from ladarreg_core.many.photo_summary import PhotosResult as PhotosResult
     from ladarreg_core.matches import Matches as Matches
     from ladarreg_core.matches import Pick as Pick
     from ladarreg_core.matches import picks_of_arrays as picks_of_arrays
@@ -112,7 +112,7 @@ _HOMES = {
     "Photo": "photo",
     "PhotoPoints": "surface.texture.photo_points",
     "PhotoPointsWithNormals": "surface.texture.photo_points",
-    "PhotosResult": "batch.photo_summary",
+    "PhotosResult": "many.photo_summary",
     "Pick": "matches",
     "PoseOptions": "pose.estimate",
     "PoseResult": "results",
@@ -157,7 +157,7 @@ _HOMES = {
     "read_rig": "outputs.rig_folder",
     "read_scan": "formats",
     "register": "registration.register",
-    "register_photos": "batch.photo_run",
+    "register_photos": "many.photo_run",
     "register_rig": "registration.rig.registration",
     "register_scans": "registration.stations.registration",
     "simulate_case": "simulate",

@@ -10,13 +10,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from ladarreg_core.batch.folder import is_batch_folder
-from ladarreg_core.batch.photo_list import folder_contents
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
 from ladarreg_core.formats.parsing.csv_table import read_csv_table
 from ladarreg_core.formats.parsing.untrusted import one_line, reading, shown_name
 from ladarreg_core.jobs.job import Job, parsed_option
 from ladarreg_core.jobs.run_folder import JOBS_RUN
+from ladarreg_core.many.folder import is_batch_folder
+from ladarreg_core.many.photo_list import folder_contents
+from ladarreg_core.survey.parts import SurveyCamera, SurveyPhoto, SurveyScan
 from ladarreg_core.survey.survey import Survey
 
 _VERSION = 1
@@ -103,8 +104,9 @@ def survey_inputs(survey: Path) -> list[Path]:
     """
     parts = Survey.from_file(survey)
     files = [] if survey.is_dir() else [survey]
-    for one in (*parts.scans, *parts.photos, *parts.cameras):
-        named = [one.source, getattr(one, "matches", None), *getattr(one, "options", {}).values()]
+    members: list[SurveyScan | SurveyPhoto | SurveyCamera] = [*parts.scans, *parts.photos, *parts.cameras]
+    for one in members:
+        named: list[object] = [one.source, getattr(one, "matches", None), *getattr(one, "options", {}).values()]
         files += [value for value in named if isinstance(value, Path)]
     return list(dict.fromkeys(files))
 

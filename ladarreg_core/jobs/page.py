@@ -7,10 +7,11 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from ladarreg_core.batch.summary_page import sigma_words, summary_row, whole_page
+from ladarreg_core.export.report.style import BATCH_STYLE
 from ladarreg_core.foundations.formatting import format_angle, format_length
 from ladarreg_core.foundations.markup import Content, Html, definitions, section, tag
 from ladarreg_core.jobs.run_folder import JOBS_RUN
+from ladarreg_core.many.summary_page import sigma_words, summary_row, whole_page
 from ladarreg_core.storage.atomic_write import write_bytes
 from ladarreg_core.storage.checksums import sealed_page
 
@@ -22,19 +23,6 @@ _BADGES = {
     "accepted": ("ok", "accepted"),
 }  # fmt: skip
 _KINDS = {"pair": "", "photos": "photos of a scan", "survey": "survey"}
-_STYLE = """
-.tools { display: flex; flex-wrap: wrap; gap: 8px; margin: 14px 0; align-items: center; }
-.tools button, .tools select, .tools input { font: inherit; padding: 4px 11px; border: 1px solid var(--line);
-  border-radius: 7px; background: #fff; color: inherit; }
-.tools button[aria-pressed=true] { background: var(--ink); color: #fff; border-color: var(--ink); }
-.tools input { flex: 1 1 12rem; min-width: 0; } .photos { width: 100%; }
-.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(9rem, 1fr)); gap: 10px; }
-.figures div { background: var(--panel); border-radius: 7px; padding: 8px 12px; }
-.figures b { display: block; font-size: 21px; font-variant-numeric: tabular-nums; } tr[hidden] { display: none; }
-@media screen and (max-width: 700px) { .photos td:first-child, .photos img { width: 84px; }
-  .photos td:last-child { display: none; } }
-@media print { .tools { display: none; } }
-"""
 _SCRIPT = """
 "use strict";
 (() => {
@@ -126,7 +114,7 @@ def batch_page(document: Mapping[str, Any], found: Mapping[str, Mapping[str, Any
         section("jobs", "Jobs", _tools(listed), table),
         section("software", "Software", definitions([(k, str(v)) for k, v in document["software"].items()])),
     ]
-    return whole_page(title, body, style=_STYLE, script=_SCRIPT + (_RELOAD if running else ""))
+    return whole_page(title, body, style=BATCH_STYLE, script=_SCRIPT + (_RELOAD if running else ""))
 
 
 def _state(job: Mapping[str, Any]) -> str:

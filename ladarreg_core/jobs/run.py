@@ -12,11 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ladarreg_core.batch.cache import ContentCache
-from ladarreg_core.batch.executor import WorkerProcesses, usable_cores
-from ladarreg_core.batch.failures import lacks_memory, why_it_failed
-from ladarreg_core.batch.folder import PAGE_FILE, BatchFolder
-from ladarreg_core.batch.memory_limit import memory_of_machine
 from ladarreg_core.errors import ExportError, LadarregError, OptionError
 from ladarreg_core.export.json import plain, write_document, write_result
 from ladarreg_core.foundations.validation import require_int
@@ -25,6 +20,11 @@ from ladarreg_core.jobs.job_list import JobListError, faults_of_jobs, read_jobs,
 from ladarreg_core.jobs.page import write_batch_page
 from ladarreg_core.jobs.run_folder import JOBS_RUN, OUTCOMES, TIMES_FILE, VERSION, BatchResult, Outcome
 from ladarreg_core.jobs.work import InputState, JobTask, UnfitWorkerError, do_job, input_state, job_software
+from ladarreg_core.many.cache import ContentCache
+from ladarreg_core.many.executor import WorkerProcesses, usable_cores
+from ladarreg_core.many.failures import lacks_memory, why_it_failed
+from ladarreg_core.many.folder import PAGE_FILE, BatchFolder
+from ladarreg_core.many.memory_limit import memory_of_machine
 from ladarreg_core.progress import Progress
 from ladarreg_core.storage.atomic_write import is_disk_full
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from ladarreg_core.batch.folder import RunKind
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.documents.own_results import read_own_result
 from ladarreg_core.formats.parsing.untrusted import reading
+from ladarreg_core.many.folder import RunKind
 
 JOBS_RUN = RunKind("manifest.jsonl", "jobs", "batch.json", "jobs")
 """Layout of the folder of a batch."""
@@ -65,3 +65,17 @@ def read_batch(folder: str | Path) -> BatchResult:
         if fields.get("version") != VERSION or not isinstance(fields.get("jobs"), dict):
             raise FormatError(f"it is of another version than {VERSION}, or damaged; run the batch again")
     return BatchResult(home, fields)
+
+
+def describe_batch(folder: str | Path) -> dict[str, Any]:
+    """Return what a batch found, JSON-ready: how many jobs had each outcome, and the verdict of each.
+
+    Raises:
+        FormatError: as of `read_batch`.
+    """
+    result = read_batch(folder)
+    return {
+        "kind": "results of a batch",
+        **{outcome: f"{result.count(outcome)} of {len(result.jobs)}" for outcome in OUTCOMES},
+        "jobs": [f"{name}: {one.get('outcome')}. {one.get('verdict')}" for name, one in result.jobs.items()],
+    }

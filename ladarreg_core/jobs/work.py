@@ -13,14 +13,10 @@ from typing import Any
 
 import cv2
 
-from ladarreg_core.batch.executor import as_worker
-from ladarreg_core.batch.memory_limit import memory_limit
-from ladarreg_core.batch.photo_run import register_photos
-from ladarreg_core.batch.photo_task import ScanFiles, held_scan, kept_channels, summary_fields, thumbnail
 from ladarreg_core.camera import require_pinhole
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.export.json import input_document, software_document
-from ladarreg_core.export.output_frame import OutputFrame
+from ladarreg_core.export.output_frame import FrameName, OutputFrame
 from ladarreg_core.export.targets.folder import export_registration
 from ladarreg_core.formats import read_photo
 from ladarreg_core.formats.documents.matches_file import read_matches
@@ -28,6 +24,10 @@ from ladarreg_core.formats.documents.pose_file import read_initial
 from ladarreg_core.formats.scans.scan_request import SCAN_OPTIONS, ScanOptions
 from ladarreg_core.foundations.shell_command import serve_command
 from ladarreg_core.jobs.job import FILES, PHOTO_OPTIONS, Job, JobKind
+from ladarreg_core.many.executor import as_worker
+from ladarreg_core.many.memory_limit import memory_limit
+from ladarreg_core.many.photo_run import register_photos
+from ladarreg_core.many.photo_task import ScanFiles, held_scan, kept_channels, summary_fields, thumbnail
 from ladarreg_core.outputs.saved_results import recorded_options, recorded_scans
 from ladarreg_core.quality.assessment import assess
 from ladarreg_core.quality.smoothing import smooth_with_report
@@ -150,7 +150,7 @@ def _register_pair(task: JobTask) -> tuple[dict[str, Any], list[list[Any]]]:
     photo = read_photo(job.photos[0], **photo_options)
     if options.get("smooth"):
         require_pinhole(photo.camera, "`smooth`")
-    frame = options.get("frame") or "scanner"
+    frame: FrameName = options.get("frame") or "scanner"
     OutputFrame.of(scan, frame)  # refuse before the work
     picks = read_matches(options["matches"], scan) if options.get("matches") else None
     initial = None

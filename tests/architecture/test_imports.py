@@ -35,7 +35,7 @@ FORBIDDEN = {
     "export/targets": {"registration"},
     "simulate": {"matching", "pose", "registration", "export"},
     "registration": {"formats", "export", "simulate", "inspection", "project"},
-    "batch": {"simulate", "inspection", "project", "acquisition", "thesis", "survey", "jobs"},
+    "many": {"simulate", "inspection", "project", "acquisition", "thesis", "survey", "jobs"},
     "jobs": {"simulate", "inspection", "project", "acquisition", "thesis"},
     "survey": {"jobs", "simulate", "inspection", "project", "acquisition", "thesis"},
     "inspection": {"formats", "simulate", "project", "registration"},

@@ -17,7 +17,6 @@ from typing import Any
 import pytest
 
 import ladarreg_core as lr
-from ladarreg_core.batch.executor import WorkerProcesses
 from ladarreg_core.errors import Cancelled, DiskFullError, ExportError, FormatError, OptionError
 from ladarreg_core.export.pictures.images import write_png
 from ladarreg_core.formats.scans.npz import write_npz_xyz
@@ -25,6 +24,7 @@ from ladarreg_core.jobs import run, work
 from ladarreg_core.jobs.job_list import JobListError
 from ladarreg_core.jobs.run_folder import read_batch
 from ladarreg_core.jobs.work import JobTask, UnfitWorkerError, do_job, input_state, job_software
+from ladarreg_core.many.executor import WorkerProcesses
 from ladarreg_core.outputs.integrity import check_integrity
 from testing.scenes.photo_set import small_photo_set, write_photo_set
 from testing.scenes.small_registration import sample_photo, sample_scan
@@ -60,7 +60,7 @@ def jobs(tmp_path: Path) -> list[lr.Job]:
     write_npz_xyz(tmp_path / "scan.npz", sample_scan())
     camera = tmp_path / "camera.json"
     camera.write_text(json.dumps(sample_photo().camera.as_fields()))
-    photos = [tmp_path / f"{k}.png" for k in range(3)]
+    photos = [tmp_path / f"p{k}.png" for k in range(3)]
     for k, path in enumerate(photos):
         write_png(path, sample_photo().pixels[:, ::-1] if k else sample_photo().pixels)
     damaged = tmp_path / "damaged.png"
@@ -83,8 +83,8 @@ def test_refused_and_failed_are_told_apart_and_the_folder_is_intact(jobs: list[l
     assert read_batch(result.folder).jobs == result.jobs
     assert not check_integrity(result.folder).damaged
     times = json.loads((result.folder / "timing.json").read_text())["jobs"]
-    assert times["0"]["seconds"] > 0
-    assert times["0"]["steps"]
+    assert times["p0"]["seconds"] > 0
+    assert times["p0"]["steps"]
     everything = "".join(path.read_text() for path in result.folder.rglob("*.json") if path.name != "timing.json")
     assert '"seconds": 0' not in everything
 
@@ -105,11 +105,11 @@ def test_the_page_has_failures_first_and_is_readable_while_it_runs(jobs: list[lr
     assert "to be done" in next(filter(None, pages))
     assert "location.reload" in next(filter(None, pages))
     assert "location.reload" not in last
-    places = [last.index(f"<b>{name}</b>") for name in ("damaged", "2", "1", "0")]
+    places = [last.index(f"<b>{name}</b>") for name in ("damaged", "p2", "p1", "p0")]
     assert places == sorted(places)
     assert last.count("data:image/jpeg;base64,") == 3
     assert "http" not in last.replace("http-equiv", "")
-    assert 'href="jobs/0/report.html"' in last
+    assert 'href="jobs/p0/report.html"' in last
 
 
 def test_again_nothing_is_done_twice_but_what_failed_or_is_missing(jobs: list[lr.Job], tmp_path: Path) -> None:
@@ -118,11 +118,11 @@ def test_again_nothing_is_done_twice_but_what_failed_or_is_missing(jobs: list[lr
     again = Here()
     lr.batch(jobs, tmp_path / "out", executor=again)
     assert [task.job.id for task in again.tasks] == ["damaged"]
-    shutil.rmtree(tmp_path / "out/jobs/1")
-    shutil.copy(tmp_path / "0.png", tmp_path / "damaged.png")
+    shutil.rmtree(tmp_path / "out/jobs/p1")
+    shutil.copy(tmp_path / "p0.png", tmp_path / "damaged.png")
     more = Here()
     result = lr.batch(jobs, tmp_path / "out", executor=more)
-    assert sorted(task.job.id for task in more.tasks) == ["1", "damaged"]
+    assert sorted(task.job.id for task in more.tasks) == ["damaged", "p1"]
     assert result.count("failed") == 0
     now = contents(tmp_path / "out")
     assert {name: data for name, data in now.items() if name.startswith("jobs/") and "damaged" not in name} == {
@@ -134,15 +134,15 @@ def test_other_options_or_files_are_refused_unless_they_may_replace(jobs: list[l
     lr.batch(jobs[:2], tmp_path / "out", executor=Here())
     before = contents(tmp_path / "out")
     other = [replace(jobs[0], options={**jobs[0].options, "seed": 5}), jobs[1]]
-    with pytest.raises(ExportError, match=r"other jobs, inputs or options than these \(0\)"):
+    with pytest.raises(ExportError, match=r"other jobs, inputs or options than these \(p0\)"):
         lr.batch(other, tmp_path / "out", executor=Here())
     shutil.copy(jobs[2].photos[0], jobs[0].photos[0])
-    with pytest.raises(ExportError, match=r"\(0\)"):
+    with pytest.raises(ExportError, match=r"\(p0\)"):
         lr.batch(jobs[:2], tmp_path / "out", executor=Here())
     assert contents(tmp_path / "out") == before
     forced = Here()
     lr.batch(jobs[:2], tmp_path / "out", executor=forced, force=True)
-    assert [task.job.id for task in forced.tasks] == ["0"]
+    assert [task.job.id for task in forced.tasks] == ["p0"]
     (tmp_path / "foreign").mkdir()
     (tmp_path / "foreign/mine.txt").write_text("mine")
     with pytest.raises(ExportError, match=r"mine\.txt"):
@@ -151,10 +151,10 @@ def test_other_options_or_files_are_refused_unless_they_may_replace(jobs: list[l
 
 def test_a_changed_result_is_kept_and_its_job_fails(jobs: list[lr.Job], tmp_path: Path) -> None:
     lr.batch(jobs[:1], tmp_path / "out", executor=Here())
-    edited = tmp_path / "out/jobs/0/rejected_overlay.png"
+    edited = tmp_path / "out/jobs/p0/rejected_overlay.png"
     edited.write_bytes(b"my own")
     result = lr.batch(jobs[:1], tmp_path / "out", executor=Here(), force=True)
-    assert "changed since" in result.jobs["0"]["reasons"][0]
+    assert "changed since" in result.jobs["p0"]["reasons"][0]
     assert edited.read_bytes() == b"my own"
 
 
@@ -204,15 +204,15 @@ def test_a_full_disk_is_waited_for(jobs: list[lr.Job], tmp_path: Path, monkeypat
 
 def test_a_file_that_changes_or_goes_fails_its_job_alone(jobs: list[lr.Job], tmp_path: Path) -> None:
     def change(do: Callable[..., Any], task: JobTask) -> Any:
-        if task.job.id == "0":
+        if task.job.id == "p0":
             jobs[0].photos[0].write_bytes(jobs[2].photos[0].read_bytes() + b"more")
             jobs[1].photos[0].unlink()
         return do(task)
 
     result = lr.batch(jobs[:3], tmp_path / "out", executor=Here(change))
-    assert "changed while it was done" in result.jobs["0"]["reasons"][0]
-    assert "1.png" in result.jobs["1"]["reasons"][0]
-    assert result.jobs["2"]["outcome"] == "refused"
+    assert "changed while it was done" in result.jobs["p0"]["reasons"][0]
+    assert "p1.png" in result.jobs["p1"]["reasons"][0]
+    assert result.jobs["p2"]["outcome"] == "refused"
 
 
 def test_a_worker_with_other_software_or_files_is_one_clear_error(jobs: list[lr.Job], tmp_path: Path) -> None:
@@ -236,7 +236,7 @@ def test_a_worker_with_other_software_or_files_is_one_clear_error(jobs: list[lr.
 
 
 def test_faulty_jobs_and_options_are_refused_before_anything_is_done(jobs: list[lr.Job], tmp_path: Path) -> None:
-    with pytest.raises(JobListError, match="2 jobs have the name 0") as error:
+    with pytest.raises(JobListError, match="2 jobs have the name p0") as error:
         lr.batch([jobs[0], jobs[0], lr.Job(id="x")], tmp_path / "out", executor=Here())
     assert len(error.value.faults) == 3
     with pytest.raises(JobListError, match="no jobs"):
@@ -263,10 +263,10 @@ def too_much(task: JobTask) -> Any:
 def test_a_job_that_needs_too_much_memory_fails_alone(jobs: list[lr.Job], tmp_path: Path) -> None:
     result = lr.batch(
         jobs[:2], tmp_path / "out", memory_gb=1.0,
-        executor=Here(lambda do, task: too_much(task) if task.job.id == "0" else do(task)),
+        executor=Here(lambda do, task: too_much(task) if task.job.id == "p0" else do(task)),
     )  # fmt: skip
-    assert "more memory than the 1.0 GB" in result.jobs["0"]["reasons"][0]
-    assert result.jobs["1"]["outcome"] == "refused"
+    assert "more memory than the 1.0 GB" in result.jobs["p0"]["reasons"][0]
+    assert result.jobs["p1"]["outcome"] == "refused"
 
 
 def crash(number: int, name: str, do: Callable[..., Any], task: JobTask) -> Any:
@@ -277,10 +277,10 @@ def crash(number: int, name: str, do: Callable[..., Any], task: JobTask) -> Any:
 
 
 class Crashing(WorkerProcesses):
-    """Processes that are killed by the job `1`."""
+    """Processes that are killed by the job `p1`."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        return super().submit(partial(crash, signal.SIGKILL, "1"), fn, *args)
+        return super().submit(partial(crash, signal.SIGKILL, "p1"), fn, *args)
 
 
 @pytest.mark.long
@@ -288,9 +288,9 @@ class Crashing(WorkerProcesses):
 def test_a_job_that_kills_its_workers_fails_with_its_last_words(jobs: list[lr.Job], tmp_path: Path) -> None:
     with Crashing(2) as workers:
         result = lr.batch(jobs[:3], tmp_path / "out", executor=workers)
-    assert "killed 3 times" in result.jobs["1"]["reasons"][0]
-    assert "last words: out of luck" in result.jobs["1"]["reasons"][0]
-    assert [result.jobs[name]["outcome"] for name in ("0", "2")] == ["refused", "refused"]
+    assert "killed 3 times" in result.jobs["p1"]["reasons"][0]
+    assert "last words: out of luck" in result.jobs["p1"]["reasons"][0]
+    assert [result.jobs[name]["outcome"] for name in ("p0", "p2")] == ["refused", "refused"]
 
 
 @pytest.mark.long

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from ladarreg_core.batch.executor import WorkerLostError, WorkerProcesses
 from ladarreg_core.errors import FormatError, OptionError
+from ladarreg_core.many.executor import WorkerLostError, WorkerProcesses
 
 
 class _TwoArgumentsError(FormatError):

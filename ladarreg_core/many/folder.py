@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-from ladarreg_core.batch.journal import JOURNAL_FILE, Journal
 from ladarreg_core.errors import ExportError, FormatError
 from ladarreg_core.export.targets.folder import check_folder
+from ladarreg_core.many.journal import JOURNAL_FILE, Journal
 from ladarreg_core.storage.atomic_write import cannot_write, make_folder, write_bytes
 from ladarreg_core.storage.folder_lock import FolderLock
-from ladarreg_core.storage.manifest import MANIFEST_FILE, manifest_bytes, read_manifest
+from ladarreg_core.storage.manifest import MANIFEST_FILE, manifest_bytes, read_manifest, remove_listed
 from ladarreg_core.storage.moved_together import finish_moves, replace_together
 from ladarreg_core.storage.replacement import display_path, folder_content, remove_results, require_apart
 from ladarreg_core.storage.staging import clear_leftovers
@@ -101,11 +101,9 @@ class BatchFolder:
         self.journal.close()
         self._lock.discard()
         if self._made and not self.journal and not (self.folder / self.kind.summary).exists():  # nothing was finished
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError, FormatError):
                 self.results.rmdir()
-                for name in (self.kind.journal, MANIFEST_FILE):
-                    (self.folder / name).unlink(missing_ok=True)
-                self.folder.rmdir()
+                remove_listed(self.folder, besides=(self.kind.journal,))
 
     @property
     def photos(self) -> Path:

@@ -16,21 +16,21 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ladarreg_core.batch.cache import ContentCache
-from ladarreg_core.batch.executor import WorkerProcesses, usable_cores
-from ladarreg_core.batch.failures import failed, why_it_failed
-from ladarreg_core.batch.folder import PAGE_FILE, SUMMARY_FILE, BatchFolder
-from ladarreg_core.batch.photo_list import CameraGroup, PhotoEntry, camera_groups, photo_entries
-from ladarreg_core.batch.photo_summary import PhotosResult, summary_document
-from ladarreg_core.batch.photo_task import Output, PhotoTask, ScanFiles, estimate_in_worker, register_in_worker
-from ladarreg_core.batch.pooled_camera import CameraEstimate, PooledCamera, pool
-from ladarreg_core.batch.summary_page import write_summary_page
 from ladarreg_core.errors import OptionError
 from ladarreg_core.export.json import input_document, plain, write_result
 from ladarreg_core.export.output_frame import FrameName, OutputFrame
 from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.scans.scan_request import ScanOptions
 from ladarreg_core.frames import Rigid
+from ladarreg_core.many.cache import ContentCache
+from ladarreg_core.many.executor import WorkerProcesses, usable_cores
+from ladarreg_core.many.failures import failed, why_it_failed
+from ladarreg_core.many.folder import PAGE_FILE, SUMMARY_FILE, BatchFolder
+from ladarreg_core.many.photo_list import CameraGroup, PhotoEntry, camera_groups, photo_entries
+from ladarreg_core.many.photo_summary import PhotosResult, summary_document
+from ladarreg_core.many.photo_task import Output, PhotoTask, ScanFiles, estimate_in_worker, register_in_worker
+from ladarreg_core.many.pooled_camera import CameraEstimate, PooledCamera, pool
+from ladarreg_core.many.summary_page import write_summary_page
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.registration.register import RegisterOptions
 from ladarreg_core.results import Registration

@@ -12,13 +12,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ladarreg_core.batch.cache import ContentCache
-from ladarreg_core.batch.pooled_camera import (
-    CameraEstimate,
-    PooledCamera,
-    camera_estimate,
-    with_pooled_camera,
-)
 from ladarreg_core.camera.model import CameraModel
 from ladarreg_core.camera.uncertainty import CameraPrior
 from ladarreg_core.errors import OptionError
@@ -29,6 +22,13 @@ from ladarreg_core.foundations.arrays import ByteArray
 from ladarreg_core.foundations.encoded_image import encoded_image
 from ladarreg_core.foundations.source import with_source
 from ladarreg_core.frames import Rigid
+from ladarreg_core.many.cache import ContentCache
+from ladarreg_core.many.pooled_camera import (
+    CameraEstimate,
+    PooledCamera,
+    camera_estimate,
+    with_pooled_camera,
+)
 from ladarreg_core.matching.images.kept_channels import Channels
 from ladarreg_core.photo import Photo
 from ladarreg_core.quality.assessment import assess
@@ -52,9 +52,10 @@ class ScanFiles:
     """Arguments of `read_scan`."""
     key: str
     """Its key in the cache."""
-    cache: Path | None = None
-    """The cache's folder; None: it is not kept on disk."""
+    cache: Path = Path()
+    """The cache's folder."""
     cache_bytes: int = 0
+    """Its size; 0: there is none."""
 
     @property
     def files(self) -> list[Path]:
@@ -246,8 +247,8 @@ def held_scan(files: ScanFiles) -> Scan:
         LadarregError: if it is not in the cache any more, and cannot be read.
     """
     if files.key not in _held:
-        cached = None if files.cache is None else ContentCache(files.cache, most_bytes=files.cache_bytes)
-        kept = None if cached is None else cached.get(files.key)
+        cached = ContentCache(files.cache, most_bytes=files.cache_bytes)
+        kept = cached.get(files.key) if files.cache_bytes else None
         if isinstance(kept, Scan):
             scan = with_source(kept, files.files, files.options) if files.path is not None else kept
         elif files.path is None:
