@@ -112,7 +112,7 @@ def run_photos(arguments: PhotosArguments) -> ExitCode:
             options=register_options(arguments),
             frame=arguments.frame,
             processes=arguments.processes,
-            cache=_cache(arguments.cache),
+            cache=ContentCache.of_user() if arguments.cache is None else ContentCache(arguments.cache),
             force=arguments.force,
             report=bar.work,
         )
@@ -171,16 +171,6 @@ def _scans_and_photos(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
     if not photos:
         raise OptionError("there is no photo among the files; give one scan and the photos, or a folder with both")
     return scans, photos
-
-
-def _cache(folder: Path | None) -> ContentCache:
-    from ladarreg_core.many.cache import ContentCache
-
-    if folder is None:
-        import platformdirs
-
-        folder = Path(platformdirs.user_cache_dir("ladarreg", appauthor=False), "content")
-    return ContentCache(folder)
 
 
 def _verdict(result: PhotosResult) -> str:

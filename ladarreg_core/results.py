@@ -25,7 +25,7 @@ ThesisStage = Literal["linear", "constrained_linear", "simplex", "simplex_outlie
 """The columns of thesis Tables 3.2-3.5."""
 StageName = Literal[ThesisStage, "default"]
 """The columns of a comparison: those of the thesis, and the default method."""
-StageId = Literal[ThesisStage, "robust", "refined", "auto", "thesis", "carried"]
+StageId = Literal[ThesisStage, "robust", "refined", "auto", "thesis", "survey", "carried"]
 """The poses that a project stores for a photograph."""
 STAGE_LABELS: dict[StageId | StageName, str] = {
     "linear": "Linear",
@@ -36,6 +36,7 @@ STAGE_LABELS: dict[StageId | StageName, str] = {
     "refined": "Refined against the image",
     "auto": "Automatic",
     "thesis": "Thesis chain",
+    "survey": "Survey",
     "carried": "Carried over",
     "default": "Default",
 }

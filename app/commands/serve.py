@@ -1,4 +1,4 @@
-"""`ladarreg serve [PROJECT | SCAN PHOTO ...]`."""
+"""`ladarreg serve [PROJECT | SURVEY | SCAN PHOTO ...]`."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ EXAMPLES = (
     "ladarreg serve",
     "ladarreg serve room.e57 photo.jpg --focal-px 2900",
     "ladarreg serve sweep1.pcd sweep2.pcd photo.png",
+    "ladarreg serve job/survey.json",
     "# for others on the network, see docs/remote.md:",
     "ladarreg serve my-project --host 0.0.0.0 --certfile a.pem --keyfile b.pem",
 )
@@ -31,8 +32,11 @@ EXAMPLES = (
 class Arguments(CameraArguments):
     """Arguments of `serve`."""
 
-    inputs: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="[PROJECT | SCAN PHOTO ...]")] = ()
-    """A project folder, or a scan and photos to start a project with; further scans are accumulated with the first."""
+    inputs: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="[PROJECT | SURVEY | SCAN PHOTO ...]")
+    ] = ()
+    """A project folder; a survey.json or a folder with scans and photos, which become stations and photographs of a
+    project; or a scan and photos, where further scans are accumulated with the first."""
     project: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder of a project that is started with a scan and photos."""
     matches: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None

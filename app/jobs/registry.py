@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from ladarreg_core.errors import OptionError
@@ -18,6 +19,7 @@ from .registration import RegistrationJobs
 from .runner import FULL_SPEED, WATCHED_SPEED, Control, JobContext, JobRunner
 from .simplex import Frame, SimplexJobs, frame_event
 from .solve import SolveJobs
+from .survey import SurveyJobs
 
 Work = Callable[[Inputs, JobContext], str]
 _WATCHED: tuple[Control, ...] = ("pause", "stop", "speed", "step")
@@ -59,6 +61,7 @@ class JobRegistry:
         self._automatic = AutomaticSolver(workspace, runner, solve, on_change) if on_change else None
         simplex = SimplexJobs(solve, self._show_frame)
         self._registration = RegistrationJobs(workspace, solve)
+        self._survey = SurveyJobs(workspace, self._registration)
         self.exports = ExportJobs(workspace)
         self._kinds = {
             "find_corners": JobKind("Find corners", self._matching.find_corners),
@@ -93,6 +96,18 @@ class JobRegistry:
         """Start a registration from a rough pose; raises as `run`."""
         kind = JobKind("Refine the rough pose", self._registration.refine(initial))
         return self._start("refine", kind, photo, author)
+
+    def register_all(self, photos: Sequence[str] | None, author: Author) -> str:
+        """Start registering photographs by their ids, None: all that are not accepted yet; raises as `run`."""
+        self._survey.require_photos(photos)
+        work = partial(self._survey.register_all, photos)
+        return self._runner.start("register_all", work, label="Register all photographs", photo="", author=author)
+
+    def adjust(self, photos: Sequence[str] | None, author: Author) -> str:
+        """Start solving photographs and scans together; arguments and errors as of `register_all`."""
+        self._survey.require_photos(photos)
+        work = partial(self._survey.adjust, photos)
+        return self._runner.start("adjust", work, label="Adjust everything together", photo="", author=author)
 
     def run_export(self, export: Export, author: Author) -> str:
         """Start an export and return the job's id; raises as `run`."""

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ladarreg_core.registration.register import MatchesRegistered
     from ladarreg_core.results import PoseResult, StageId
 
-FROM_IMAGES = ("refined", "auto", "carried")
+FROM_IMAGES = ("refined", "auto", "survey", "carried")
 """Stages whose pose does not come from the matches."""
 
 

@@ -23,6 +23,7 @@ from .files.reading import with_reading
 
 if TYPE_CHECKING:
     from ladarreg_core.project.document import PhotoEntry
+    from ladarreg_core.survey.survey import Survey
 
     from .workbench import Workbench
 
@@ -98,6 +99,60 @@ def add_files(workbench: Workbench, files: Sequence[Path], reading: Reading, che
         check()
         _add_photo(workbench, photo, reading)
     return said
+
+
+def survey_given(path: Path) -> Survey | None:
+    """Return the survey of a `survey.json`, or of a folder with scans and photographs; None: it is something else.
+
+    Raises:
+        FormatError: if it is a survey, and has faults.
+    """
+    from ladarreg_core.many.photo_list import folder_contents
+    from ladarreg_core.survey.survey import Survey
+    from ladarreg_core.survey.survey_file import is_survey_file
+
+    if path.is_dir():
+        contents = folder_contents(path)
+        return Survey.from_folder(path) if contents.scans and contents.photos else None
+    return Survey.from_file(path) if is_survey_file(path) else None
+
+
+def add_survey(workbench: Workbench, survey: Survey, reading: Reading, check: Callable[[], None]) -> None:
+    """Open what a survey consists of and the project does not have yet: the first scan, the others as stations, photos.
+
+    Args:
+        workbench: the workbench.
+        survey: the survey, of files.
+        reading: options that are given for the files; those of the survey precede them.
+        check: called between files; may raise `Cancelled`.
+
+    Raises:
+        LadarregError: if a file cannot be opened.
+    """
+    from ladarreg_core.project.station_edits import scans_of
+
+    session = workbench.session
+    there = {(session.folder.source_path(one.path), one.index) for one in scans_of(session.document)}
+    for scan in survey.scans:
+        path = Path(os.path.abspath(str(scan.source)))
+        if (path, scan.index) in there:
+            continue
+        check()
+        how: HowScans = "replace" if session.document.scan is None else "stations"
+        options = {**reading.scan_options, **scan.options, **({"scan_index": scan.index} if scan.index else {})}
+        workbench.files.open_scans([(path, path.name)], how, None, options)
+    cameras = {one.id: one for one in survey.cameras}
+    for photo in survey.photos:
+        check()
+        camera = cameras[photo.camera]
+        named = {"camera_name": "name", "camera_model": "model"}
+        stated = {named.get(name, name): value for name, value in camera.options.items() if name != "temperature_unit"}
+        own = Reading(
+            camera=camera.source if isinstance(camera.source, Path) else reading.camera,
+            camera_options={**reading.camera_options, **stated},
+            temperature_unit=camera.options.get("temperature_unit", reading.temperature_unit),
+        )
+        _add_photo(workbench, Path(os.path.abspath(str(photo.source))), own)
 
 
 def _open(workbench: Workbench, clouds: Sequence[Path], how: HowScans, reading: Reading) -> None:

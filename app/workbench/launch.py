@@ -26,7 +26,7 @@ from ..session.loader import DEFAULT_CACHE_BYTES, Loader
 from ..session.session import Session, now
 from ..stop_signals import StopSignals, exit_now, print_error
 from .acquisition.watchable import SIMULATED_ONLY, Watchable
-from .given_files import Reading, add_files
+from .given_files import Reading, add_files, add_survey, survey_given
 
 if TYPE_CHECKING:
     import viser
@@ -63,7 +63,8 @@ def open_workbench(
     """Open a workbench; the caller closes it.
 
     Args:
-        inputs: a project folder, or a scan and photographs; empty: an empty project, whose page is the start page.
+        inputs: a project folder, a survey, or a scan and photographs; empty: an empty project, whose page is the start
+            page.
         project: folder of the project; None: a folder in the user's data.
         folder: folder whose files clients may open.
         watchable: what plans of acquisitions may watch, beside that folder.
@@ -92,7 +93,8 @@ def open_workbench(
         if not path.exists():
             raise OptionError(f"{path}: no such file; give a project folder, or a scan and photographs")
     old = given[0] if len(given) == 1 and is_project(given[0]) else None
-    if old is None and len(given) == 1 and given[0].is_dir():
+    survey = survey_given(given[0]) if old is None and len(given) == 1 else None
+    if old is None and survey is None and len(given) == 1 and given[0].is_dir():
         raise OptionError(_no_project(given[0]))
     files = [] if old else given
     if not files and not said.is_empty:
@@ -126,7 +128,10 @@ def open_workbench(
         raise
     try:
         check()
-        workbench.opening_remarks = add_files(workbench, files, said, check)
+        if survey is None:
+            workbench.opening_remarks = add_files(workbench, files, said, check)
+        else:
+            add_survey(workbench, survey, said, check)
     except BaseException:
         workbench.close()
         raise
@@ -145,7 +150,10 @@ def _no_project(folder: Path) -> str:
         names = ", ".join(str(pair["name"]) for pair in fields["pairs"])
         start = ["--initial", str(rig)] if fields["accepted"] else []
     except (OSError, ValueError, KeyError, TypeError):
-        return f"{folder} is not a project: it has no project.json; give a project folder, or a scan"
+        return (
+            f"{folder} is not a project: it has no project.json, and not both a scan and photos; give a project "
+            "folder, a folder with scans and photos, or a scan"
+        )
     return (
         f"{folder} is the result of a rig, on the pairs {names}; open one of them by its own files: "
         f"{shell_command(['ladarreg', 'serve', 'SCAN', 'PHOTO', '--camera', 'FILE', *start])}"

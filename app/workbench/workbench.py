@@ -54,6 +54,7 @@ from .state.slices import (
     scan_slice,
 )
 from .state.stations import Stations
+from .state.survey import survey_slice
 
 if TYPE_CHECKING:
     from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
@@ -293,6 +294,7 @@ class Workbench:
             "embedded": self.embedded.slice(),
             "acquisition": self.acquisition.slice(),
             "stations": self.stations.slice(),
+            "survey": survey_slice(document, partial(self._is_stale, document)),
             "progress": progress_slice(loader, document, None, exported={}),
             "limits": {"upload_bytes": self.limits.upload_bytes, "photos": MAX_PHOTOS},
         }
@@ -307,6 +309,9 @@ class Workbench:
             found[f"corners:{entry.id}"] = self.jobs.corners(entry.id)
             found[f"self_test:{entry.id}"] = self.jobs.self_test(entry.id)
         return found
+
+    def _is_stale(self, document: Document, entry: PhotoEntry) -> bool:
+        return entry.pose is not None and bool(self.loader.stale(document, entry, entry.pose))
 
     def _own_slices(self, client: Client) -> dict[str, Any]:
         """Return the slices that differ between the clients."""

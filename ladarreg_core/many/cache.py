@@ -48,6 +48,13 @@ class ContentCache:
         self.most_bytes = require_int(most_bytes, "the size of the cache", least=0)
 
     @staticmethod
+    def of_user() -> ContentCache:
+        """Return the cache of the user who runs the program."""
+        import platformdirs
+
+        return ContentCache(Path(platformdirs.user_cache_dir("ladarreg", appauthor=False), "content"))
+
+    @staticmethod
     def key(**made_of: Any) -> str:
         """Return the key of a value: of the program's version and of all that it was made of, plain JSON values."""
         return checksum({"software": VERSION, **made_of})

@@ -277,6 +277,59 @@ class PhotoCheck(msgspec.Struct, frozen=True, kw_only=True):
     """Fraction of the regions that agree; None: too little of the photograph is seen from there."""
 
 
+class AdjustedPhotoEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """What solving everything together says of a photograph."""
+
+    verdict: str
+    """As a sentence."""
+    accepted: bool
+    """Whether its pose may be used."""
+    reasons: tuple[str, ...] = ()
+    """Of the verdict, in sentences."""
+    ties: int = 0
+    """Ties with other photographs that agree."""
+    ties_left_out: int = 0
+    """Ties that do not."""
+    median_px: float | None = None
+    """Median residual of its ties, px; None: it has none."""
+    partners: tuple[str, ...] = ()
+    """Ids of the accepted photographs that it is tied to."""
+    camera: str = ""
+    """Id of its camera among `Adjusted.cameras`."""
+    sigma_m: float | None = None
+    """Standard deviation of its position, m; None: it is not accepted."""
+    sigma_rad: float | None = None
+    """Standard deviation of its direction, rad."""
+    pose: str = ""
+    """Name of the arrays of the pose that it got; empty: none."""
+
+
+class AdjustedCameraEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """A camera as its photographs determine it together."""
+
+    camera: dict[str, Any]
+    """Its intrinsics."""
+    sigmas: dict[str, float] = {}
+    """Standard deviations of those that were estimated."""
+    photos: tuple[str, ...] = ()
+    """Ids of the accepted photographs that it took."""
+
+
+class Adjusted(msgspec.Struct, frozen=True, kw_only=True):
+    """All photographs and scans solved together, as they were then."""
+
+    scans: tuple[Source, ...]
+    """The scans; that which was shown first."""
+    photos: dict[str, AdjustedPhotoEntry]
+    """By the ids of the photographs."""
+    cameras: dict[str, AdjustedCameraEntry] = {}
+    """By their own ids."""
+    chi2_per_dof: float | None = None
+    """Of everything that was kept."""
+    sigma_px: float | None = None
+    """Noise of the ties, px; None: there were none."""
+
+
 class Document(msgspec.Struct, frozen=True, kw_only=True):
     """Complete state of a project."""
 
@@ -298,6 +351,8 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
     """Last number used in a station's id."""
     survey: Survey | None = None
     """Where the stations stand; None before they were registered."""
+    adjusted: Adjusted | None = None
+    """What solving everything together gave; None before that was done."""
 
     @property
     def clouds(self) -> int:

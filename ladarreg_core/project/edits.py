@@ -25,7 +25,7 @@ from ladarreg_core.project.document import (
 )
 from ladarreg_core.results import StageId
 
-MAX_PHOTOS = 32
+MAX_PHOTOS = 200
 MAX_PICKS = 5000
 MAX_PIXEL = 1e6
 """Largest absolute pixel coordinate of a match."""

@@ -7,7 +7,7 @@ from typing import Any
 
 from ladarreg_core.project.document import PhotoEntry, PickEntry, PoseEntry
 
-_FROM_IMAGES = ("auto", "carried")
+_FROM_IMAGES = ("auto", "survey", "carried")
 
 
 def changed_since(photo: PhotoEntry, solved_on: Sequence[PickEntry] | None) -> frozenset[str]:

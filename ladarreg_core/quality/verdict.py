@@ -28,7 +28,7 @@ LIGHT_WORDS: dict[Light, str] = {
     "out_of_date": "out of date",
 }
 """Each light in words, as on a tab or in a list."""
-FROM_IMAGES: tuple[StageId, ...] = ("auto", "carried")
+FROM_IMAGES: tuple[StageId, ...] = ("auto", "survey", "carried")
 """Stages that matches do not solve again."""
 _MAX_SHOWN_M = 1e4
 _NOTHING_AGREES = 0.25

@@ -9,27 +9,23 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.export.json import plain, write_result
 from ladarreg_core.export.targets.folder import export_registration
 from ladarreg_core.formats.isolated.messages import MessageError
-from ladarreg_core.frames import Rigid, skew
 from ladarreg_core.many.cache import ContentCache
 from ladarreg_core.many.executor import WorkerProcesses, usable_cores
 from ladarreg_core.many.folder import SUMMARY_FILE, BatchFolder
 from ladarreg_core.many.photo_task import ScanFiles, held_scan, thumbnail
-from ladarreg_core.matches import Matches
-from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.progress import Progress, Report, part_of
 from ladarreg_core.quality.assessment import assess
 from ladarreg_core.registration.register import RegisterOptions
-from ladarreg_core.results import PoseResult, Registration
+from ladarreg_core.results import Registration
 from ladarreg_core.storage.atomic_write import write_bytes
 from ladarreg_core.storage.replacement import REPORT_FILE
 from ladarreg_core.survey.adjust import Solved, solve_survey
-from ladarreg_core.survey.adjustment import AdjustedPhoto, Adjustment
-from ladarreg_core.survey.problem import Matrix
+from ladarreg_core.survey.adjustment import Adjustment
+from ladarreg_core.survey.registrations import main_scan, photo_registration
 from ladarreg_core.survey.report import survey_page
 from ladarreg_core.survey.survey import Survey
 from ladarreg_core.survey.work import PhotoFiles, finished
@@ -46,15 +42,7 @@ class _PhotoOutput:
 
     photo: PhotoFiles
     scan: ScanFiles
-    world_from_scanner: Rigid
-    camera_from_scanner: Rigid
-    covariance: Matrix
-    camera: CameraModel
-    evidence: str
-    reasons: tuple[str, ...]
-    found: Registration | None
-    """Its registration on that scan; None: it rests on ties."""
-    options: RegisterOptions
+    registration: Registration
     folder: Path
 
 
@@ -139,80 +127,17 @@ def _write_photos(
 
 
 def _output(survey: Survey, solved: Solved, k: int, folder: Path, options: RegisterOptions) -> _PhotoOutput:
-    state, adjustment = solved.states[k], solved.adjustment
-    photo = adjustment.photos[state.given.id]
-    assert photo.camera_from_world is not None
-    scan = _main_scan(survey, solved, k, photo)
-    world = adjustment.scans[survey.scans[scan].id].world_from_scanner
-    assert world is not None
-    return _PhotoOutput(
-        photo=state.files, scan=solved.scans[scan], world_from_scanner=world,
-        camera_from_scanner=photo.camera_from_world @ world,
-        covariance=relative_covariance(adjustment, state.given.id, survey.scans[scan].id),
-        camera=photo.camera, evidence=photo.evidence, reasons=photo.reasons, found=state.pairs.get(scan),
-        options=options, folder=folder,
-    )  # fmt: skip
-
-
-def _main_scan(survey: Survey, solved: Solved, k: int, photo: AdjustedPhoto) -> int:
-    """Return the scan that a photograph's results are of: the one that determines it best, or stood nearest."""
-    state, scans = solved.states[k], solved.adjustment.scans
-    assert photo.camera_from_world is not None
-    placed = [j for j, one in enumerate(survey.scans) if scans[one.id].accepted]
-    by_image = [j for j in placed if j in state.pairs]
-    if by_image:
-        return min(by_image, key=lambda j: float(np.trace(state.pairs[j].covariance[3:, 3:])))
-    centre = photo.camera_from_world.centre
-
-    def away(j: int) -> float:
-        pose = scans[survey.scans[j].id].world_from_scanner
-        assert pose is not None
-        return float(np.linalg.norm(pose.translation - centre))
-
-    return min(placed, key=away)
-
-
-def relative_covariance(adjustment: Adjustment, photo: str, scan: str) -> Matrix:
-    """Return the covariance (6, 6) of a photograph's pose relative to a scanner, (w, c) in that scanner's frame.
-
-    With R the rotation of `camera_from_scanner` and C its centre, w = w_photo - R w_scan and c = R_scan (c_photo -
-    c_scan) - [C]x w_scan, with the scanner's own w about its axes.
-    """
-    one, base = adjustment.photos[photo], adjustment.scans[scan]
-    assert one.camera_from_world is not None
-    assert base.world_from_scanner is not None
-    pose = one.camera_from_world @ base.world_from_scanner
-    scanner = base.world_from_scanner.rotation.T
-    J = np.zeros((6, 12))
-    J[:3, :3], J[:3, 6:9] = np.eye(3), -pose.rotation
-    J[3:, 3:6], J[3:, 9:] = scanner, -scanner
-    J[3:, 6:9] = -skew(pose.centre)
-    rows = [
-        row for key in (("photo", photo), ("scan", scan))
-        for row in range(6 * adjustment.joint_ids.index(key), 6 * adjustment.joint_ids.index(key) + 6)
-    ]  # fmt: skip
-    found = J @ adjustment.joint[np.ix_(rows, rows)] @ J.T
-    return np.asarray((found + found.T) / 2)
+    state = solved.states[k]
+    scan = main_scan(survey, solved, k)
+    found = photo_registration(survey, solved, k, scan, options)
+    return _PhotoOutput(photo=state.files, scan=solved.scans[scan], registration=found, folder=folder)
 
 
 def _write_photo(task: _PhotoOutput) -> str:
     """Write a photograph's folder of results in a worker, and return its thumbnail."""
-    scan = replace(held_scan(task.scan), world_from_scanner=task.world_from_scanner)
-    photo = replace(task.photo.read(), camera=task.camera, calibrated=True, assumed=False, alternatives=())
-    found = task.found
-    matches = Matches.none() if found is None else found.matches
-    inliers = np.zeros(0, np.bool_) if found is None else found.inliers
-    described = describe_pose(
-        task.camera_from_scanner, matches, inliers, task.camera, covariance=task.covariance,
-        sigma_px=1.0 if found is None else found.sigma_px,
-        sigma_range_m=0.015 if found is None else found.sigma_range_m,
-    )  # fmt: skip
-    fields = {name: getattr(described, name) for name in PoseResult.__dataclass_fields__}
-    fields |= {
-        "accepted": True, "evidence": task.evidence, "reasons": task.reasons,
-        "world_from_scanner": task.world_from_scanner,
-    }  # fmt: skip
-    result = Registration(**fields, method="survey", options=plain(asdict(task.options)), seed=task.options.seed)
+    result = task.registration
+    scan = replace(held_scan(task.scan), world_from_scanner=result.world_from_scanner)
+    photo = replace(task.photo.read(), camera=result.camera, calibrated=True, assumed=False, alternatives=())
     camera_file = task.photo.options.get("camera")
     inputs: list[str | Path] = [*task.scan.files[:1]]
     if isinstance(task.photo.source, Path):

@@ -99,6 +99,16 @@ def read_survey_parts(path: str | Path) -> SurveyParts:
     return parts_read
 
 
+def is_survey_file(path: str | Path) -> bool:
+    """Return whether a file is a `survey.json`, with or without faults."""
+    try:
+        with reading(path) as file:
+            fields = read_json_object(file)
+    except LadarregError:
+        return False
+    return {"scans", "photos"} <= set(fields)
+
+
 def write_survey(path: str | Path, survey: SurveyParts) -> None:
     """Write a survey into a file, with paths relative to its folder.
 

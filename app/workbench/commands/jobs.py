@@ -46,6 +46,29 @@ class Run(WorkbenchCommand, frozen=True):
         return {"job": context.jobs.run(self.job, self.photo, client.author)}
 
 
+class RegisterAll(WorkbenchCommand, frozen=True):
+    """registers photographs one after the other from the images: those of `photos`, ids, or all that are not accepted
+    yet (null); each result is kept as it comes
+    """
+
+    replies: ClassVar[str] = "job"
+    photos: PhotoIds | None = None
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Start it."""
+        return {"job": context.jobs.register_all(self.photos, client.author)}
+
+
+class Adjust(RegisterAll, frozen=True):
+    """solves photographs (null: all), cameras and scans together, and takes over all poses in one step of the history,
+    see [surveys.md](surveys.md)
+    """
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Start it."""
+        return {"job": context.jobs.adjust(self.photos, client.author)}
+
+
 class Refine(WorkbenchCommand, frozen=True):
     """registers from the images, starting from a rough pose: the matrix (4 rows), or where this client looks from in
     the 3-D view

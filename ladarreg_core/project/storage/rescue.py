@@ -98,7 +98,7 @@ def _with_absolute_paths(folder: ProjectFolder, document: Document) -> Document:
             for photo in photos
         )
 
-    survey = document.survey
+    survey, adjusted = document.survey, document.adjusted
     return changed(
         document,
         scan=absolute(document.scan) if document.scan else None,
@@ -114,4 +114,5 @@ def _with_absolute_paths(folder: ProjectFolder, document: Document) -> Document:
             scans=tuple(map(absolute, survey.scans)),
             checks=tuple(changed(check, scan=absolute(check.scan)) for check in survey.checks),
         ),
+        adjusted=None if adjusted is None else changed(adjusted, scans=tuple(map(absolute, adjusted.scans))),
     )

@@ -13,7 +13,7 @@ import { parameterName, sentences, typeset } from "../../ui/numbers.js";
 import { openFiles } from "../files/files.js";
 import { ABOUT_FRAMES } from "../files/scan_clouds.js";
 
-const FROM_IMAGES = new Set(["auto", "carried"]);
+const FROM_IMAGES = new Set(["auto", "survey", "carried"]);
 const LEVELS = { good: ["tick", "Good", "ok"], fair: ["warn", "Fair", "warn"], poor: ["bad", "Poor", "bad"] };
 const EMPTY =
   "Once there is a pose, its verdict is shown here: accepted or not, with reasons, six parameters with their " +

@@ -1,0 +1,91 @@
+"""The survey of a project, for pages: what solving everything together said of each photograph and camera."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from ladarreg_core.foundations.formatting import format_angle, format_length
+from ladarreg_core.project.station_edits import scans_of
+
+from ...argument_names import as_fields
+
+if TYPE_CHECKING:
+    from ladarreg_core.project.document import Adjusted, Document, PhotoEntry
+
+
+def survey_slice(document: Document, is_stale: Callable[[PhotoEntry], bool]) -> dict[str, Any] | None:
+    """Return the slice `survey`; None before everything was solved together.
+
+    Args:
+        document: the project.
+        is_stale: returns whether the pose of a photograph is out of date.
+    """
+    adjusted = document.adjusted
+    if adjusted is None:
+        return None
+    photos = [
+        _photo(adjusted, entry, stale=is_stale(entry)) for entry in document.photos if entry.id in adjusted.photos
+    ]
+    changed = {photo["id"] for photo in photos if photo["changed"]}
+    later = [entry.source.name for entry in document.photos if entry.id not in adjusted.photos]
+    return {
+        "accepted": sum(photo["accepted"] for photo in photos),
+        "photos": photos,
+        "cameras": [_camera(adjusted, document, name) for name in adjusted.cameras],
+        "scans": [source.name for source in adjusted.scans],
+        "chi2_per_dof": adjusted.chi2_per_dof,
+        "sigma_px": adjusted.sigma_px,
+        "since": _since(len(changed), later, scans_changed=adjusted.scans != scans_of(document)),
+    }
+
+
+def _photo(adjusted: Adjusted, entry: PhotoEntry, *, stale: bool) -> dict[str, Any]:
+    found = adjusted.photos[entry.id]
+    pose = entry.pose
+    same = pose is not None and pose.arrays.name == found.pose
+    return {
+        "id": entry.id,
+        "name": entry.source.name,
+        "verdict": found.verdict,
+        "accepted": found.accepted,
+        "reasons": [as_fields(reason) for reason in found.reasons],
+        "ties": found.ties,
+        "ties_left_out": found.ties_left_out,
+        "median_px": found.median_px,
+        "partners": list(found.partners),
+        "camera": found.camera,
+        "sigma_m": found.sigma_m,
+        "position": None if found.sigma_m is None else format_length(found.sigma_m),
+        "angle": None if found.sigma_rad is None else format_angle(found.sigma_rad),
+        "changed": found.accepted and (stale or not same),
+    }
+
+
+def _camera(adjusted: Adjusted, document: Document, name: str) -> dict[str, Any]:
+    found = adjusted.cameras[name]
+    names = {entry.id: entry.source.name for entry in document.photos}
+    taken = [entry.id for entry in document.photos if (one := adjusted.photos.get(entry.id)) and one.camera == name]
+    return {
+        "id": name,
+        "focal_px": found.camera.get("fx"),
+        "sigma_px": found.sigmas.get("focal_px"),
+        "width": found.camera.get("width"),
+        "height": found.camera.get("height"),
+        "photos": [names[one] for one in taken],
+        "used": len(found.photos),
+    }
+
+
+def _since(changed: int, later: list[str], *, scans_changed: bool) -> str:
+    """Return what has changed since, as a sentence; empty: nothing."""
+    causes = []
+    if scans_changed:
+        causes.append("the scans have changed")
+    if changed:
+        causes.append(f"{changed} photograph{' has' if changed == 1 else 's have'} another pose")
+    if later:
+        causes.append(f"{len(later)} photograph{' was' if len(later) == 1 else 's were'} added")
+    if not causes:
+        return ""
+    return f"{', '.join(causes)[:1].upper()}{', '.join(causes)[1:]} since: adjust again."
