@@ -27,6 +27,7 @@ COMMANDS = {
     "compare": "Compare the thesis's stages with the default method.",
     "panorama": "Compose the pieces of a pan/tilt run as one scan.",
     "register-scans": "Register scans of several stations to each other.",
+    "measure": "Measure in a result: lengths, angles, areas, with sigma.",
     "export": "Hand results to other programs: COLMAP, E57, LAZ, ROS ...",
     "report": "Write the report of a result or project: one HTML file.",
     "info": "Describe a scan, photo, camera, pose, matches or results.",

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from .arguments import InputArguments, PhotoArguments
 from .messages import one_line
@@ -14,8 +14,10 @@ from .process_resources import keep_freed_memory, keep_heap_small, return_memory
 from .progress_bar import ProgressBar
 
 if TYPE_CHECKING:
+    from ladarreg_core.export.registered_scan import RegisteredScan
     from ladarreg_core.frames import Rigid
     from ladarreg_core.matches import Pick
+    from ladarreg_core.outputs.saved_results import SavedResult
     from ladarreg_core.photo import Photo
     from ladarreg_core.scan import Scan
 
@@ -149,6 +151,70 @@ def read_start(arguments: InputArguments, scan: Scan) -> tuple[list[Pick] | None
     if arguments.initial:
         initial = read_initial(arguments.initial, scan.world_from_scanner, picture=arguments.photo.name)
     return picks, initial
+
+
+def read_results(paths: Sequence[Path], *, trust_edited: bool = False) -> list[SavedResult]:
+    """Read folders of results, without the files that they were made of.
+
+    Raises:
+        OptionError: if a path is no such folder.
+        FormatError: if one is damaged.
+    """
+    from ladarreg_core.errors import OptionError
+    from ladarreg_core.outputs.saved_results import is_saved_result, read_saved_result
+
+    for path in paths:
+        if not is_saved_result(path):
+            what = "has neither a registration.json nor a project.json" if path.is_dir() else "is not a folder"
+            raise OptionError(f"{path} {what}; give folders of results, or one project")
+    return [read_saved_result(path, trust_edited=trust_edited) for path in paths]
+
+
+class ResultArguments(Protocol):
+    """Arguments that give results on one scan."""
+
+    @property
+    def results(self) -> list[Path]:
+        """Their folders."""
+
+    @property
+    def scan(self) -> Path | None:
+        """The scan's file."""
+
+    @property
+    def root(self) -> list[Path]:
+        """Where the files are looked for, too."""
+
+    @property
+    def trust_edited(self) -> bool:
+        """Whether results that were changed are read, too."""
+
+
+def read_on_one_scan(arguments: ResultArguments, bar: ProgressBar) -> RegisteredScan:
+    """Read results on one scan, with the files that they were made of.
+
+    Raises:
+        OptionError: if they are on several scans.
+        LadarregError: if one is damaged, or a file is not found.
+    """
+    from ladarreg_core.errors import OptionError
+    from ladarreg_core.export.registered_scan import RegisteredScan
+    from ladarreg_core.outputs.saved_results import registered_results
+
+    for path in [arguments.scan] if arguments.scan else []:
+        if not path.is_file():
+            raise OptionError(f"{path}: file not found; --scan gives the file that the results were made of")
+    found = registered_results(
+        read_results(arguments.results, trust_edited=arguments.trust_edited),
+        folders=arguments.root,
+        scan_file=arguments.scan,
+        option="--root, or the file itself with --scan",
+        report=bar.loading,
+    )
+    if not isinstance(found, RegisteredScan):
+        raise OptionError("the results are on several scans; give those on one of them")
+    suit_heap(found.scan)
+    return found
 
 
 def timed(name: str, bar: ProgressBar, work: Callable[[], T]) -> T:

@@ -88,6 +88,10 @@ if TYPE_CHECKING:
     from ladarreg_core.survey.parts import SurveyPhoto as SurveyPhoto
     from ladarreg_core.survey.parts import SurveyScan as SurveyScan
     from ladarreg_core.survey.survey import Survey as Survey
+    from ladarreg_core.views.measurement import Measurement as Measurement
+    from ladarreg_core.views.measurement import measure as measure
+    from ladarreg_core.views.measurement_list import write_measurements as write_measurements
+    from ladarreg_core.views.points import MeasuredPoints as MeasuredPoints
 
 __version__ = VERSION
 
@@ -108,6 +112,8 @@ _HOMES = {
     "Label": "surface.texture.registered_texture",
     "LadarregError": "errors",
     "Matches": "matches",
+    "MeasuredPoints": "views.points",
+    "Measurement": "views.measurement",
     "NotebookProgress": "inspection.notebook.progress",
     "Photo": "photo",
     "PhotoPoints": "surface.texture.photo_points",
@@ -146,6 +152,7 @@ _HOMES = {
     "export_to": "export.targets.pipeline",
     "given_pose": "registration.given",
     "intensity_picture": "surface.texture.registered_texture",
+    "measure": "views.measurement",
     "perspective_view": "surface.perspective",
     "picks_of_arrays": "matches",
     "read_camera": "formats",
@@ -166,6 +173,7 @@ _HOMES = {
     "views": "inspection.notebook.views",
     "with_image_check": "matching.image_check",
     "write_adjustment": "survey.outputs",
+    "write_measurements": "views.measurement_list",
     "xyz_of_photo": "surface.texture.photo_points",
 }
 __all__ = sorted(_HOMES)

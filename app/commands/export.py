@@ -13,7 +13,7 @@ import tyro
 
 from ..arguments import ScanArguments
 from ..exit_codes import ExitCode
-from ..inputs import suit_heap, timed
+from ..inputs import read_results, suit_heap, timed
 from ..progress_bar import ProgressBar, progress_bar
 
 if TYPE_CHECKING:
@@ -184,19 +184,15 @@ def _of_results(arguments: Arguments, targets: Sequence[Target], bar: ProgressBa
     """Return results on one scan or those of a survey, whose inputs are found by their names and hashes."""
     from ladarreg_core.errors import OptionError
     from ladarreg_core.export.targets.pipeline import require_shown
-    from ladarreg_core.outputs.saved_results import is_saved_result, read_saved_result, registered_results
+    from ladarreg_core.outputs.saved_results import registered_results
 
-    for path in arguments.results:
-        if not is_saved_result(path):
-            what = "has neither a registration.json nor a project.json" if path.is_dir() else "is not a folder"
-            raise OptionError(f"{path} {what}; give folders of results, or one project")
+    saved = read_results(arguments.results, trust_edited=arguments.trust_edited)
     if arguments.last_solved:
         raise OptionError("--last-solved is for projects; a folder of results is as it was solved")
     files = [Path(name) for name in arguments.photo]
     for file in [*files, *([arguments.scan] if arguments.scan else [])]:
         if not file.is_file():
             raise OptionError(f"{file}: file not found; --photo and --scan give the files that results were made of")
-    saved = [read_saved_result(path, trust_edited=arguments.trust_edited) for path in arguments.results]
     require_shown([one.photo_name for one in saved if not one.registration.is_shown], targets)
     return timed(
         "Read inputs",

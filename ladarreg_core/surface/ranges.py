@@ -96,6 +96,12 @@ def measured_ranges(scan: Scan, rays: FloatArray) -> MeasuredRanges:
     return MeasuredRanges(ranges, edge, outline, cells, shares, sigma)
 
 
+def range_noise_m(scan: Scan, rays: FloatArray) -> FloatArray:
+    """Return the standard deviation (N,), m, of the range of a cell along each ray (N, 3): a weak return is noisier."""
+    row, column = _nearest_cells(scan, rays)
+    return np.asarray(usual_noise_m(scan) * np.sqrt(_weakness(scan, row, column)))
+
+
 def range_quality(scan: Scan, rays: FloatArray, found: MeasuredRanges | None = None) -> FloatArray:
     """Return the relative information (inverse variance) of the ranges along rays.
 
@@ -109,9 +115,7 @@ def range_quality(scan: Scan, rays: FloatArray, found: MeasuredRanges | None = N
         is meaningless without a return and outside the scan.
     """
     height, width = scan.shape
-    cells = np.nan_to_num(np.asarray(scan.geometry.cell_of(rays), dtype=np.float64), nan=0.0, posinf=0.0, neginf=0.0)
-    row = np.clip(np.rint(cells[:, 0]), 0, height - 1).astype(np.intp)
-    column = np.clip(np.rint(cells[:, 1]), 0, width - 1).astype(np.intp)
+    row, column = _nearest_cells(scan, rays)
     steps = np.arange(-_AROUND, _AROUND + 1)
     rows = np.clip(row[:, None] + steps, 0, height - 1)[:, :, None]
     columns = np.clip(column[:, None] + steps, 0, width - 1)[:, None, :]
@@ -122,6 +126,13 @@ def range_quality(scan: Scan, rays: FloatArray, found: MeasuredRanges | None = N
         between = np.isfinite(found.sigma)
         quality = np.where(between, noise_m**2 / (noise_m**2 + np.where(between, found.sigma, 0) ** 2), quality)
     return np.asarray(quality)
+
+
+def _nearest_cells(scan: Scan, rays: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the row and the column (N,) of the cell nearest to each ray."""
+    cells = np.nan_to_num(np.asarray(scan.geometry.cell_of(rays), dtype=np.float64), nan=0.0, posinf=0.0, neginf=0.0)
+    row, column = (np.clip(np.rint(cells[:, k]), 0, scan.shape[k] - 1).astype(np.intp) for k in (0, 1))
+    return row, column
 
 
 def _weakness(scan: Scan, row: IntArray, column: IntArray) -> FloatArray:

@@ -9,7 +9,7 @@ in (w, R c), with rows of x, y and 1/z alone, so that the pixel's covariance is 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ _NET_NODES, _NET_MARGIN = 161, 0.4
 _MAX_ROUNDING_PX = 1e-3
 _ROUNDING = 4 * float(np.finfo(np.float32).eps)
 _MAX_SIGMA_RANGE_M = 1e6
+_MIN_COSINE = 0.02
 
 
 def picture_sigma(
@@ -114,6 +115,85 @@ def pixel_sigma(
         p = np.ascontiguousarray(flat[part].T, dtype=dtype)
         result[part] = _sigma(p, camera, factor, "longer_axis", lens=lens, joint=joint)
     return result.reshape(points.shape[:-1])
+
+
+class SurfaceErrors(NamedTuple):
+    """What moves the points of a surface under N pixels of a photograph: derivatives by independent errors.
+
+    The point X = C + s d, on a surface with the unit normal n, is off by
+
+        dX = (I - d n^T / (n . d)) (c + s dd) + d (n . l) / (n . d) dr
+
+    where c is the error of the camera's centre, dd that of the ray's direction d, from the camera's rotation, its
+    uncertain intrinsics and the pixel itself, and dr the error of the range there along the laser's ray l.
+    """
+
+    by_pose: NDArray[np.float64] | None
+    """(N, P, 3) m, by each of P independent errors of one sigma, of pose and intrinsics, which are the same for all
+    points of a photograph; None: not known."""
+    by_pixel: NDArray[np.float64]
+    """(N, 2, 3) m per px."""
+    by_range: NDArray[np.float64]
+    """(N, 3) m per m."""
+
+
+def surface_errors(
+    camera: CameraModel,
+    camera_from_scanner: Rigid,
+    covariance: FloatArray | CameraUncertainty | None,
+    *,
+    points: FloatArray,
+    normals: FloatArray,
+    uv: FloatArray,
+) -> SurfaceErrors:
+    """Return how far points of a surface, under pixels of a photograph, move by the errors of all that they rest on.
+
+    Args:
+        camera: intrinsics.
+        camera_from_scanner: the pose.
+        covariance: as `PoseResult.joint_covariance`.
+        points: (N, 3) the points under the pixels, scanner frame, m.
+        normals: (N, 3) unit normals there; a surface seen at less than about a degree is taken as seen at that.
+        uv: (N, 2) the pixels.
+    """
+    R, d_camera = camera_from_scanner.rotation, camera.unproject(uv)
+    d = d_camera @ R
+    depth = np.linalg.norm(points - camera_from_scanner.centre, axis=1)[:, None, None]
+    cosine = away_from_zero((normals * d).sum(axis=1))[:, None, None]
+
+    def on_surface(moved: FloatArray) -> NDArray[np.float64]:
+        along = (moved * normals[:, None]).sum(axis=-1, keepdims=True) / cosine
+        return np.asarray(moved - along * d[:, None])
+
+    by_direction = _direction_by_pixel(camera, uv, d_camera) @ R  # (N, 2, 3), 1/px
+    by_pose = None
+    if covariance is not None:
+        factor = covariance_factor(covariance)
+        turned = np.cross(d_camera[:, None], factor[:3].T[None]) @ R  # d_camera x w, in the scanner's axes
+        moved = factor[3:6].T[None] + depth * turned
+        pinhole = camera.as_pinhole
+        if isinstance(covariance, CameraUncertainty) and pinhole is not None:
+            by_lens = covariance.jacobian(pinhole, d_camera[:, :2] / d_camera[:, 2:]) @ factor[6:]
+            moved = moved - depth * np.einsum("nki,nkp->npi", by_direction, by_lens)
+        by_pose = on_surface(moved)
+    laser = points / np.linalg.norm(points, axis=1, keepdims=True)
+    by_range = d * (normals * laser).sum(axis=1, keepdims=True) / cosine[:, 0]
+    return SurfaceErrors(by_pose, on_surface(depth * by_direction), by_range)
+
+
+def away_from_zero(cosine: FloatArray) -> NDArray[np.float64]:
+    """Return cosines of at least `_MIN_COSINE`, either sign kept."""
+    return np.where(np.abs(cosine) < _MIN_COSINE, np.where(cosine > 0, 1, -1) * _MIN_COSINE, cosine)
+
+
+def _direction_by_pixel(camera: CameraModel, uv: FloatArray, d_camera: FloatArray) -> NDArray[np.float64]:
+    """Return the derivative of the rays' directions by the pixel (N, 2, 3), camera axes, 1/px."""
+    rows = []
+    for step in np.eye(2) * 0.5:
+        ahead, behind = camera.unproject(uv + step), camera.unproject(uv - step)
+        one_side = np.where(np.isfinite(ahead), ahead - d_camera, d_camera - behind) * 2
+        rows.append(np.where(np.isfinite(ahead - behind), ahead - behind, one_side))
+    return np.stack(rows, axis=1)
 
 
 def covariance_factor(covariance: FloatArray | CameraUncertainty) -> NDArray[np.float64]:

@@ -16,10 +16,12 @@ from ladarreg_core.project.document import (
     Adjusted,
     AdjustedCameraEntry,
     AdjustedPhotoEntry,
+    AdjustedScanEntry,
     CameraGiven,
     Document,
     PhotoEntry,
     PoseEntry,
+    Rows,
     Source,
 )
 from ladarreg_core.project.results import pose_of
@@ -83,7 +85,15 @@ def adjusted_entry(adjustment: Adjustment, scans: Sequence[Source], poses: Mappi
         poses: the entries of the poses that it gave, by the ids of the photographs.
     """
     return Adjusted(
-        scans=tuple(scans),
+        scans=tuple(
+            AdjustedScanEntry(
+                source=source,
+                world_from_scanner=None if one.world_from_scanner is None else _rows(one.world_from_scanner),
+                sigma_m=None if one.fixed or not one.accepted else float(np.sqrt(np.trace(one.covariance[3:, 3:]))),
+                sigma_rad=None if one.fixed or not one.accepted else float(np.sqrt(np.trace(one.covariance[:3, :3]))),
+            )
+            for source, one in zip(scans, adjustment.scans.values(), strict=True)
+        ),
         photos={
             name: AdjustedPhotoEntry(
                 verdict=one.verdict, accepted=one.accepted, reasons=tuple(one.reasons), ties=one.ties,
@@ -101,6 +111,10 @@ def adjusted_entry(adjustment: Adjustment, scans: Sequence[Source], poses: Mappi
         chi2_per_dof=_finite(adjustment.chi2_per_dof),
         sigma_px=_finite(adjustment.sigma_px) if any(one.ties for one in adjustment.photos.values()) else None,
     )  # fmt: skip
+
+
+def _rows(pose: Rigid) -> Rows:
+    return tuple(tuple(float(value) for value in row) for row in pose.matrix)
 
 
 def _finite(value: float) -> float | None:

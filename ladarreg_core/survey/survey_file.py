@@ -103,7 +103,7 @@ def is_survey_file(path: str | Path) -> bool:
     """Return whether a file is a `survey.json`, with or without faults."""
     try:
         with reading(path) as file:
-            fields = read_json_object(file)
+            fields = read_json_object(file, "a survey")
     except LadarregError:
         return False
     return {"scans", "photos"} <= set(fields)

@@ -38,6 +38,7 @@ FORBIDDEN = {
     "many": {"simulate", "inspection", "project", "acquisition", "thesis", "survey", "jobs"},
     "jobs": {"simulate", "inspection", "project", "acquisition", "thesis"},
     "survey": {"jobs", "simulate", "inspection", "project", "acquisition", "thesis"},
+    "views": {"simulate", "inspection", "project", "acquisition", "thesis", "registration", "matching"},
     "inspection": {"formats", "simulate", "project", "registration"},
     "project": {"inspection", "simulate"},
 }

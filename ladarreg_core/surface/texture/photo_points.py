@@ -1,14 +1,9 @@
 """The laser's point under each pixel of a registered photograph, and how far it can be off.
 
 A pixel's ray meets a triangle of the scan's surface. Triangles do not span depth edges, so no point lies between two
-surfaces. The point X = C + s d, on a surface with the unit normal n, is off by
-
-    dX = (I - d n^T / (n . d)) (c + s dd) + d (n . l) / (n . d) dr
-
-where c is the error of the camera's centre, dd that of the ray's direction d, from the camera's rotation, its uncertain
-intrinsics and the pixel itself, and dr the error of the range there along the laser's ray l. The ranges of the three
-corners are averaged by their weights in the triangle, w, so that dr has the standard deviation sigma_range |w|. `sigma`
-is the root of the trace of the covariance of dX: the root mean square of its length.
+surfaces. `surface_errors` says what moves the point; the ranges of the triangle's three corners are averaged by their
+weights w, so that its range has the standard deviation sigma_range |w|. `sigma` is the root of the trace of the
+covariance: the root mean square of the error's length.
 """
 
 from __future__ import annotations
@@ -23,25 +18,29 @@ from numpy.typing import ArrayLike, NDArray
 from ladarreg_core.camera import Camera, CameraModel, cube_faces
 from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import ExportError, OptionError
-from ladarreg_core.foundations.arrays import FloatArray, IntArray, read_only
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray, read_only
 from ladarreg_core.foundations.validation import require_choice, require_number, require_type
 from ladarreg_core.frames import Rigid
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh.grid_mesh import Mesh, scan_mesh
 from ladarreg_core.surface.mesh.normals import cell_normals
-from ladarreg_core.surface.uncertainty import covariance_factor
+from ladarreg_core.surface.uncertainty import SurfaceErrors, away_from_zero, pixel_sigma, surface_errors
 from ladarreg_core.surface.visibility.rasterise import covering_pinhole, rasterise_values
 
 Frame = Literal["scanner", "world"]
 _MAX_CELLS = 4_000_000  # larger scans are thinned
 _ROWS_AT_ONCE = 64
 _DIGITS = 1024  # of a triangle's number, drawn as three colours
-_MIN_COSINE = 0.02
 _PAIRS_AT_ONCE = 1_000_000
 _RIM = 1e-9
 _TILE_PX = 16
 _BENT = np.float32(0.25)  # of a triangle's extent in the photograph, beyond its corners
+_AROUND = 8  # pixels on a circle where another surface is looked for
+_REACH_SIGMAS, _REACH_CELLS = 2.5, 1.0
+_LEAST_REACH_PX, _MOST_REACH_PX = 1.0, 40.0
+_STEEPEST = 5.7  # tan 80 deg
+_NOISE_SIGMAS = 4.0
 _MAX_EXTENDED = 0.05  # of the distance, between a triangle and the pixel beside it
 
 
@@ -128,10 +127,7 @@ def xyz_of_photo(
     require_type(normals, bool, "'normals'")
     noise = registration.sigma_range_m if sigma_range_m is None else sigma_range_m
     require_number(noise, "sigma_range_m", least=0)
-    if not registration.is_shown:
-        raise ExportError(
-            "the pose was refused, so its photograph has no coordinates; accept another pose, or give one"
-        )
+    _require_shown(registration)
     world = scan.world_from_scanner
     if frame == "world" and world is None:
         raise OptionError("the frame is 'world', but the scan does not state where it stands; use 'scanner'")
@@ -169,6 +165,74 @@ def _placed(
     )
 
 
+class PhotoPointErrors(NamedTuple):
+    """Points of the laser under N pixels of a photograph with what moves them, for sums over several points."""
+
+    xyz: NDArray[np.float64]
+    """(N, 3) scanner frame, m; NaN where the laser saw no surface."""
+    errors: SurfaceErrors
+    """NaN where there is no point."""
+    spread: NDArray[np.float64]
+    """(N,) standard deviation of a point's range, over that of one cell's."""
+    cosine: NDArray[np.float64]
+    """(N,) of the angle at which the pixel's ray meets the surface; negative from the scanner's side."""
+    at_edge: BoolArray
+    """(N,) bool: within its uncertainty, or a cell, the pixel shows another surface, or none."""
+
+
+def photo_point_errors(
+    scan: Scan, registration: PoseResult, at: ArrayLike, *, sigma_uv_px: float = 0.0
+) -> PhotoPointErrors:
+    """Return the laser's points under some pixels with their errors one by one, see `xyz_of_photo`.
+
+    Args:
+        scan: the scan.
+        registration: the result for the photograph.
+        at: (N, 2) pixels (u, v).
+        sigma_uv_px: standard deviation of the pixels along each axis; only `at_edge` depends on it.
+
+    Raises:
+        ExportError: if the pose was refused.
+        OptionError: if the standard deviation is negative.
+        ShapeError: if `at` is not (N, 2).
+    """
+    require_number(sigma_uv_px, "sigma_uv_px", least=0)
+    _require_shown(registration)
+    uv = read_only(at, np.float64, (None, 2), "the pixels")
+    if scan.ranges.size > _MAX_CELLS:
+        scan, _ = scan.thinned(_MAX_CELLS)
+    surface = _Surface.of(scan, registration, registration.sigma_range_m, sigma_uv_px)
+    found = surface.seen(uv)
+    count, known = len(uv), surface.covariance
+    xyz, normals, spread = np.full((count, 3), np.nan), np.full((count, 3), np.nan), np.full(count, np.nan)
+    xyz[found.rows], normals[found.rows], spread[found.rows] = found.points, found.normals, found.spread
+    errors = surface_errors(surface.camera, surface.pose, known, points=xyz, normals=normals, uv=uv)
+    at_edge = np.zeros(count, np.bool_)
+    at_edge[found.rows] = surface.is_at_edge(uv[found.rows], found.points, max(scan.geometry.step_rad))
+    cosine = (normals * (surface.camera.unproject(uv) @ surface.pose.rotation)).sum(axis=1)
+    return PhotoPointErrors(xyz, errors, spread, cosine, at_edge)
+
+
+def _require_shown(registration: PoseResult) -> None:
+    if not registration.is_shown:
+        raise ExportError(
+            "the pose was refused, so its photograph has no coordinates; accept another pose, or give one"
+        )
+
+
+class _Met(NamedTuple):
+    """Rays that met triangles."""
+
+    rows: IntArray
+    """(K,) numbers of the rays that did."""
+    points: FloatArray
+    """(K, 3), scanner frame, m."""
+    normals: FloatArray
+    """(K, 3) unit."""
+    spread: FloatArray
+    """(K,) as of `PhotoPointErrors`."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Surface:
     """The triangles of a scan that a camera may see, and what is uncertain about them."""
@@ -185,9 +249,8 @@ class _Surface:
     """(V, 3), scanner frame."""
     faces: IntArray
     """(F, 3)."""
-    factor: NDArray[np.float64] | None
-    """Root of the covariance of pose and intrinsics; None: not known."""
-    joint: CameraUncertainty | None
+    covariance: FloatArray | CameraUncertainty | None
+    """As `PoseResult.joint_covariance`."""
     sigma_range_m: float
     sigma_uv_px: float
 
@@ -196,15 +259,12 @@ class _Surface:
         pose, camera = registration.camera_from_scanner, registration.camera
         mesh: Mesh = scan_mesh(scan)
         vertices = mesh.vertices.astype(np.float64)
-        known = registration.joint_covariance
         in_camera = np.asarray(pose @ vertices, dtype=np.float64)
         uv = camera.project(in_camera)
         return _Surface(
             camera, pose, vertices, in_camera, uv, cell_normals(scan, mesh.cells),
             _faces_near(mesh.faces, uv, camera),
-            None if known is None else covariance_factor(known),
-            known if isinstance(known, CameraUncertainty) and camera.as_pinhole is not None else None,
-            sigma_range_m, sigma_uv_px,
+            registration.joint_covariance, sigma_range_m, sigma_uv_px,
         )  # fmt: skip
 
     def rendered(self) -> Iterator[tuple[slice, IntArray, FloatArray, FloatArray]]:
@@ -300,6 +360,39 @@ class _Surface:
         count += before[first_i, first_j] - before[last_i + 1, first_j]
         return np.flatnonzero((count > 0) | unknown)
 
+    def seen(self, uv: FloatArray) -> _Met:
+        """Return where the rays of pixels (N, 2) meet the surface first."""
+        inside = np.asarray(self.camera.contains(uv, border=-0.5))
+        rays = np.where(inside[:, None], self.camera.unproject(uv), np.nan)
+        return self.met(self.first_hit(rays, uv), rays)
+
+    def is_at_edge(self, uv: FloatArray, points: FloatArray, step_rad: float) -> BoolArray:
+        """Return (N,) whether pixels (N, 2) may show another surface than that of their points (N, 3).
+
+        Around each, as far as its uncertainty and a cell of the scan reach, the surface is looked for: it is another
+        one if there is none, or if it lies farther along the ray than a surface seen at 80 degrees could.
+        """
+        camera, pose, count = self.camera, self.pose, len(uv)
+        if not count:
+            return np.zeros(0, np.bool_)
+        in_camera = pose @ points
+        distance = np.linalg.norm(points - pose.centre, axis=1)
+        cell_px = camera.focal_px * step_rad * np.linalg.norm(points, axis=1) / distance
+        sigma = np.full(count, self.sigma_uv_px)
+        if self.covariance is not None:
+            sigma = np.hypot(sigma, np.nan_to_num(pixel_sigma(in_camera, camera, pose.rotation, self.covariance)))
+        reach = np.clip(_REACH_SIGMAS * sigma + _REACH_CELLS * cell_px, _LEAST_REACH_PX, _MOST_REACH_PX)
+        angle = np.arange(_AROUND) * (2 * np.pi / _AROUND)
+        circle = np.concatenate([share * np.stack([np.cos(angle), np.sin(angle)], axis=1) for share in (0.5, 1.0)])
+        around = (uv[:, None] + reach[:, None, None] * circle).reshape(-1, 2)
+        found = self.seen(around)
+        away = np.full(len(around), np.inf)
+        away[found.rows] = np.linalg.norm(found.points - pose.centre, axis=1)
+        away[~np.asarray(camera.contains(around, border=-0.5))] = np.nan  # nothing is known beside the photograph
+        aside = np.tile(np.repeat([0.5, 1.0], _AROUND), (count, 1)) * reach[:, None] / camera.focal_px
+        allowed = _STEEPEST * distance[:, None] * aside + _NOISE_SIGMAS * self.sigma_range_m
+        return np.asarray((np.abs(away.reshape(count, -1) - distance[:, None]) > allowed).any(axis=1))
+
     def points_on(
         self, triangles: IntArray, rays: FloatArray, uv: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -308,9 +401,26 @@ class _Surface:
         They are NaN where there is none.
         """
         points, sigma, normals = np.full((len(rays), 3), np.nan), np.full(len(rays), np.nan), np.full_like(rays, np.nan)
-        hit = np.flatnonzero(triangles >= 0)
-        if not len(hit):
+        found = self.met(triangles, rays)
+        hit = found.rows
+        points[hit], normals[hit] = found.points, found.normals
+        if self.covariance is None or not len(hit):
             return points, sigma, normals
+        errors = surface_errors(
+            self.camera, self.pose, self.covariance, points=found.points, normals=found.normals, uv=uv[hit]
+        )
+        assert errors.by_pose is not None
+        by_range = errors.by_range * (self.sigma_range_m * found.spread)[:, None]
+        sigma[hit] = np.sqrt(
+            (errors.by_pose**2).sum(axis=(1, 2))
+            + self.sigma_uv_px**2 * (errors.by_pixel**2).sum(axis=(1, 2))
+            + (by_range**2).sum(axis=1)
+        )
+        return points, sigma, normals
+
+    def met(self, triangles: IntArray, rays: FloatArray) -> _Met:
+        """Return where rays (N, 3), camera frame, meet the triangles (N,) of the same number; -1: none."""
+        hit = np.flatnonzero(triangles >= 0)
         corners = self.faces[triangles[hit]]
         R, d_camera = self.pose.rotation, rays[hit]
         d = d_camera @ R
@@ -319,8 +429,7 @@ class _Surface:
         inner /= inner.sum(axis=1, keepdims=True)
         normal = (self.normals[corners] * inner[..., None]).sum(axis=1)
         normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-        cosine = (normal * d).sum(axis=1)
-        cosine = np.where(np.abs(cosine) < _MIN_COSINE, np.where(cosine > 0, 1, -1) * _MIN_COSINE, cosine)
+        cosine = away_from_zero((normal * d).sum(axis=1))
         # A pixel's centre may lie beside the triangle that was drawn there: the smoothed surface is extended to it.
         beside = np.asarray(~(weights >= -_RIM).all(axis=1))
         border = (self.vertices[corners] * inner[..., None]).sum(axis=1) - self.pose.centre
@@ -329,40 +438,8 @@ class _Surface:
         with np.errstate(invalid="ignore"):
             far = np.abs(depth - np.linalg.norm(border, axis=1))
             close = np.flatnonzero((depth > 0) & (far <= _MAX_EXTENDED * depth))
-        hit, d, d_camera = hit[close], d[close], d_camera[close]
-        weights, depth, normal, cosine = weights[close], depth[close], normal[close], cosine[close]
-        found = self.pose.centre + depth[:, None] * d
-        points[hit], normals[hit] = found, normal
-        if self.factor is None:
-            return points, sigma, normals
-        turned = (
-            np.cross(d_camera[:, None], self.factor[:3].T[None]) @ R
-        )  # (N, P, 3): d_camera x w, in the scanner's axes
-        moved = self.factor[3:6].T[None] + depth[:, None, None] * turned
-        by_pixel = self._direction_by_pixel(uv[hit], d_camera)
-        if self.joint is not None:
-            xy = d_camera[:, :2] / d_camera[:, 2:]
-            by_lens = self.joint.jacobian(self.camera, xy) @ self.factor[6:]  # type: ignore[arg-type]
-            moved = moved - depth[:, None, None] * np.einsum("nik,nkp->npi", by_pixel, by_lens)
-        if self.sigma_uv_px:
-            moved = np.concatenate(
-                [moved, depth[:, None, None] * self.sigma_uv_px * np.moveaxis(by_pixel, 1, 2)], axis=1
-            )
-        along = (moved * normal[:, None]).sum(axis=-1) / cosine[:, None]
-        error = moved - along[..., None] * d[:, None]
-        laser = found / np.linalg.norm(found, axis=1, keepdims=True)
-        by_range = (normal * laser).sum(axis=1) / cosine * self.sigma_range_m * np.linalg.norm(weights, axis=1)
-        sigma[hit] = np.sqrt((error * error).sum(axis=(1, 2)) + by_range**2)
-        return points, sigma, normals
-
-    def _direction_by_pixel(self, uv: FloatArray, d_camera: FloatArray) -> NDArray[np.float64]:
-        """Return the derivative of the rays' directions by the pixel (N, 3, 2), scanner axes, 1/px."""
-        columns = []
-        for step in np.eye(2) * 0.5:
-            ahead, behind = self.camera.unproject(uv + step), self.camera.unproject(uv - step)
-            one_side = np.where(np.isfinite(ahead), ahead - d_camera, d_camera - behind) * 2
-            columns.append(np.where(np.isfinite(ahead - behind), ahead - behind, one_side) @ self.pose.rotation)
-        return np.stack(columns, axis=-1)
+        found = self.pose.centre + depth[close, None] * d[close]
+        return _Met(hit[close], found, normal[close], np.linalg.norm(weights[close], axis=1))
 
 
 def _met(corners: FloatArray, rays: FloatArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
