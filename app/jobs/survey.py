@@ -101,8 +101,8 @@ class SurveyJobs:
             context: the job.
         """
         from ladarreg_core.many.cache import ContentCache
+        from ladarreg_core.outputs.project_survey import survey_of_project
         from ladarreg_core.survey.adjust import solve_survey
-        from ladarreg_core.survey.of_project import survey_of_project
         from ladarreg_core.survey.registrations import photo_registration
 
         document = self.require_photos(chosen)
@@ -139,7 +139,7 @@ class SurveyJobs:
     def _commit(
         self, before: Document, survey: Survey, solved: Solved, found: dict[str, Registration], context: JobContext
     ) -> None:
-        from ladarreg_core.survey.of_project import adjusted_entry
+        from ladarreg_core.outputs.project_survey import adjusted_entry
 
         poses = {name: pose_entry("survey", one, clouds=before.clouds) for name, one in found.items()}
         adjustment = solved.adjustment
