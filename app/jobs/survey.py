@@ -129,11 +129,13 @@ class SurveyJobs:
             if chosen is not None and entry.id not in chosen:
                 continue
             try:
-                self._workspace.loader.photo(entry)
+                has_camera = self._workspace.loader.header(entry).camera is not None
             except LadarregError:
-                taking.left_out.append(entry.source.name)
-            else:
+                has_camera = False
+            if has_camera:
                 taking.photos.append(entry)
+            else:
+                taking.left_out.append(entry.source.name)
         return taking
 
     def _commit(

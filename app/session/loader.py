@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from ladarreg_core.errors import CameraError, FormatError, LadarregError
@@ -36,6 +36,7 @@ T = TypeVar("T")
 _LIMITS = {
     "scan": (1, 1),
     "photo": (8, 600_000_000),
+    "header": (1024, 10_000_000),
     "views": (1, 1),
     "view": (16, 280_000_000),
     "registration": (64, 100_000_000),
@@ -62,6 +63,26 @@ _LARGE_SCAN_CELLS = 4_000_000
 
 _DERIVED_FROM_SCAN = ("views", "view", "assessment", "partners", "measured", "picture", "model", "line")
 """Kinds whose values would keep the previous scan in memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class PhotoHeader:
+    """What is known of a photograph without its pixels, which need not be in memory."""
+
+    width: int
+    """Of its pixels."""
+    height: int
+    """Of its pixels."""
+    is_thermal: bool
+    """Whether its pixels are temperatures."""
+    notes: tuple[str, ...]
+    """Remarks on the file."""
+    camera: CameraModel | None
+    """Its camera; None: its focal length is unknown, or the camera does not fit."""
+    calibrated: bool = False
+    """Whether the camera comes from a calibration."""
+    camera_error: str = ""
+    """Why there is no camera."""
 
 
 class Loader:
@@ -188,6 +209,27 @@ class Loader:
             return self.photo(entry)
         except CameraError:
             return self.cached("photo", (entry.source, "no camera"), lambda: self._with_nominal_camera(entry))
+
+    def header(self, entry: PhotoEntry) -> PhotoHeader:
+        """Return what is known of a photograph without its pixels; it is kept however many photographs there are.
+
+        Raises:
+            LadarregError: if its file can no longer be read.
+        """
+
+        def made() -> PhotoHeader:
+            error = ""
+            try:
+                photo = self.photo(entry)
+            except CameraError as fault:
+                photo, error = self.viewable_photo(entry), str(fault)
+            height, width = photo.pixels.shape[:2]
+            return PhotoHeader(
+                width, height, photo.temperature_k is not None, photo.notes, None if error else photo.camera,
+                photo.calibrated and not error, error,
+            )  # fmt: skip
+
+        return self.cached("header", (entry.source, entry.camera), made)
 
     def _read_photo(self, entry: PhotoEntry) -> Photo | LadarregError:
         from ladarreg_core.formats import read_photo
