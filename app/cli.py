@@ -21,6 +21,7 @@ COMMANDS = {
     "register": "Register a scan with a photo: pose, registered image, model.",
     "survey": "Write survey.json of a folder with scans and photos.",
     "adjust": "Solve a survey: scans, photos and cameras together.",
+    "batch": "Do many jobs: pairs, photos of a scan, surveys.",
     "audit": "Judge a calibration in use: right, wrong or undecidable.",
     "apply": "Colour and export with a known pose: given, not verified.",
     "compare": "Compare the thesis's stages with the default method.",

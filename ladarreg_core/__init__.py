@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING, Any
 from ladarreg_core.foundations.version import VERSION
 
 if TYPE_CHECKING:
-    from ladarreg_core.batch.photo_run import register_photos as register_photos
-    from ladarreg_core.batch.photo_summary import PhotosResult as PhotosResult
     from ladarreg_core.camera import Camera as Camera
     from ladarreg_core.camera import EquirectangularCamera as EquirectangularCamera
     from ladarreg_core.camera import FisheyeCamera as FisheyeCamera
@@ -37,6 +35,13 @@ if TYPE_CHECKING:
     from ladarreg_core.fusion.fused_model import fuse as fuse
     from ladarreg_core.inspection.notebook import views as views
     from ladarreg_core.inspection.notebook.progress import NotebookProgress as NotebookProgress
+    from ladarreg_core.jobs.job import Job as Job
+    from ladarreg_core.jobs.job_list import read_jobs as read_jobs
+    from ladarreg_core.jobs.run import BatchProgress as BatchProgress
+    from ladarreg_core.jobs.run import batch as batch
+    from ladarreg_core.jobs.run_folder import BatchResult as BatchResult
+    from ladarreg_core.many.photo_run import register_photos as register_photos
+    from ladarreg_core.many.photo_summary import PhotosResult as PhotosResult
     from ladarreg_core.matches import Matches as Matches
     from ladarreg_core.matches import Pick as Pick
     from ladarreg_core.matches import picks_of_arrays as picks_of_arrays
@@ -97,6 +102,8 @@ _HOMES = {
     "Adjustment": "survey.adjustment",
     "Audit": "survey.audit",
     "AutoOptions": "matching.auto",
+    "BatchProgress": "jobs.run",
+    "BatchResult": "jobs.run_folder",
     "Camera": "camera",
     "Cancelled": "errors",
     "Channels": "matching.images.kept_channels",
@@ -105,6 +112,7 @@ _HOMES = {
     "FisheyeCamera": "camera",
     "FusedModel": "fusion.fused_model",
     "ImageCheck": "matching.image_check",
+    "Job": "jobs.job",
     "Label": "surface.texture.registered_texture",
     "LadarregError": "errors",
     "Matches": "matches",
@@ -114,7 +122,7 @@ _HOMES = {
     "Photo": "photo",
     "PhotoPoints": "surface.texture.photo_points",
     "PhotoPointsWithNormals": "surface.texture.photo_points",
-    "PhotosResult": "batch.photo_summary",
+    "PhotosResult": "many.photo_summary",
     "Pick": "matches",
     "PoseOptions": "pose.estimate",
     "PoseResult": "results",
@@ -141,6 +149,7 @@ _HOMES = {
     "View": "surface.perspective",
     "adjust": "survey.adjust",
     "audit": "survey.audit",
+    "batch": "jobs.run",
     "camera_from_json": "camera",
     "compare": "registration.comparison",
     "estimate_pose": "pose.estimate",
@@ -153,6 +162,7 @@ _HOMES = {
     "perspective_view": "surface.perspective",
     "picks_of_arrays": "matches",
     "read_camera": "formats",
+    "read_jobs": "jobs.job_list",
     "read_matches": "formats",
     "read_photo": "formats",
     "read_pose": "formats",
@@ -160,7 +170,7 @@ _HOMES = {
     "read_rig": "outputs.rig_folder",
     "read_scan": "formats",
     "register": "registration.register",
-    "register_photos": "batch.photo_run",
+    "register_photos": "many.photo_run",
     "register_rig": "registration.rig.registration",
     "register_scans": "registration.stations.registration",
     "simulate_case": "simulate",

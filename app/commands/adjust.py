@@ -51,8 +51,8 @@ class Arguments:
 
 def run(arguments: Arguments) -> ExitCode:
     """Solve the survey and write the results."""
-    from ladarreg_core.batch.cache import ContentCache
     from ladarreg_core.foundations.formatting import format_angle, format_length
+    from ladarreg_core.many.cache import ContentCache
     from ladarreg_core.registration.register import RegisterOptions
     from ladarreg_core.storage.manifest import visible_files
     from ladarreg_core.survey.outputs import write_adjustment

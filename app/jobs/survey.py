@@ -100,7 +100,7 @@ class SurveyJobs:
             chosen: ids of the photographs that take part; None: all.
             context: the job.
         """
-        from ladarreg_core.batch.cache import ContentCache
+        from ladarreg_core.many.cache import ContentCache
         from ladarreg_core.outputs.project_survey import survey_of_project
         from ladarreg_core.survey.adjust import solve_survey
         from ladarreg_core.survey.registrations import photo_registration
@@ -129,11 +129,13 @@ class SurveyJobs:
             if chosen is not None and entry.id not in chosen:
                 continue
             try:
-                self._workspace.loader.photo(entry)
+                has_camera = self._workspace.loader.header(entry).camera is not None
             except LadarregError:
-                taking.left_out.append(entry.source.name)
-            else:
+                has_camera = False
+            if has_camera:
                 taking.photos.append(entry)
+            else:
+                taking.left_out.append(entry.source.name)
         return taking
 
     def _commit(

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ladarreg_core.batch.folder import is_batch_folder
-from ladarreg_core.batch.photo_summary import read_photos_result
 from ladarreg_core.errors import ExportError, OptionError
 from ladarreg_core.export.output_frame import FrameName
 from ladarreg_core.export.registered_scan import RegisteredScan, RegisteredSurvey
+from ladarreg_core.many.folder import is_batch_folder
+from ladarreg_core.many.photo_summary import read_photos_result
 from ladarreg_core.outputs.saved_results import SavedResult, is_saved_result, read_saved_result, registered_results
 from ladarreg_core.progress import Report
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ladarreg_core.batch.photo_list import camera_groups, photo_entries
 from ladarreg_core.errors import OptionError
 from ladarreg_core.export.json import plain
 from ladarreg_core.export.registered_scan import photo_id
 from ladarreg_core.frames import Rigid
+from ladarreg_core.many.photo_list import camera_groups, photo_entries
 from ladarreg_core.project.document import (
     Adjusted,
     AdjustedCameraEntry,

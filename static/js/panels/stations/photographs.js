@@ -81,7 +81,7 @@ export const mountPhotographs = () => {
       element(
         "div",
         { class: "survey-row" },
-        check,
+        element("label", { class: "survey-choice" }, check),
         name,
         element("span", { class: `clip ${light.level}` }, icon(light.sign), " ", photo.state),
         element("span", { class: "figures" }, photo.position),

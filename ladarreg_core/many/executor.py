@@ -5,6 +5,8 @@ Here every process has a pipe of its own and one task at a time, so that whose t
 takes its place and does the task again; a task that has lost three processes fails, and the others go on. Processes are
 spawned, never forked: the same on all systems, and safe beside threads. Each imports once and works with one thread.
 Anything that takes a `concurrent.futures.Executor` can use it.
+
+A task that itself asks for processes, as a survey of a batch does, gets none: its tasks are done in its own process.
 """
 
 from __future__ import annotations
@@ -15,7 +17,9 @@ import os
 import pickle
 import signal
 import sys
+import tempfile
 import threading
+import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -35,6 +39,9 @@ T = TypeVar("T")
 _MAX_PROCESSES = 256
 _MAX_ATTEMPTS = 3
 _JOIN_S = 10.0
+_START_AGAIN_S = 2.0
+_MAX_WORDS = 300  # the last ones that a process wrote
+_WORDS_BYTES = 4096
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 log = logging.getLogger(__name__)
@@ -64,6 +71,8 @@ class WorkerProcesses(Executor):
         self._waker, self._woken = get_context("spawn").Pipe()
         self._is_woken = self._closed = self._killed = False
         self._dispatcher: threading.Thread | None = None
+        self.remark = ""
+        """Why no task is being done, a sentence; empty: it is."""
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """Have a function called in one of the processes.
@@ -80,6 +89,9 @@ class WorkerProcesses(Executor):
             RuntimeError: after `shutdown`.
         """
         future: Future[T] = Future()
+        if _is_worker and not self._closed:
+            _do_here(future, fn, args, kwargs)
+            return future
         with self._lock:
             if self._closed:
                 raise RuntimeError("no task can be submitted after the processes were shut down")
@@ -127,7 +139,9 @@ class WorkerProcesses(Executor):
         workers: list[_Worker] = []
         try:
             while not self._killed:
-                self._hand_out(workers)
+                if not self._hand_out(workers):
+                    time.sleep(_START_AGAIN_S)
+                    continue
                 busy = {worker.connection: worker for worker in workers if worker.task is not None}
                 with self._lock:
                     if not busy and not self._tasks and self._closed:
@@ -150,19 +164,27 @@ class WorkerProcesses(Executor):
             for worker in workers:
                 worker.end()
 
-    def _hand_out(self, workers: list[_Worker]) -> None:
-        """Give every free process a task, and start processes while there are tasks left."""
+    def _hand_out(self, workers: list[_Worker]) -> bool:
+        """Give every free process a task, and start processes while there are tasks left; False: there are none."""
         while self._tasks:
             free = next((worker for worker in workers if worker.task is None), None)
             if free is None and len(workers) >= self.count:
-                return
+                break
             if free is None:
-                free = _Worker()
+                try:
+                    free = _Worker()
+                except OSError as error:  # too many processes or too little memory, for now
+                    reason = (error.strerror or type(error).__name__).lower()
+                    self.remark = f"no process can be started ({reason}); waiting until one can"
+                    log.warning("%s", self.remark)
+                    return bool(workers)
+                self.remark = ""
                 workers.append(free)
             with self._lock:
                 task = self._tasks.popleft()
             if (task.attempts or task.future.set_running_or_notify_cancel()) and not free.begin(task):
                 self._replace(free, workers)
+        return True
 
     def _replace(self, worker: _Worker, workers: list[_Worker]) -> None:
         """Give up a process that has ended, and put its task first in the queue unless it has lost too many."""
@@ -200,13 +222,20 @@ class _Worker:
         context = get_context("spawn")
         self.connection, theirs = context.Pipe()
         self.task: _Task | None = None
+        descriptor, self._words = tempfile.mkstemp(prefix="ladarreg-worker-")
+        os.close(descriptor)
         self._process: SpawnProcess = context.Process(
-            target=_serve, args=(theirs, os.getpid()), name="ladarreg worker", daemon=True
+            target=_serve, args=(theirs, os.getpid(), self._words), name="ladarreg worker", daemon=True
         )
-        with _environment(dict.fromkeys(_ONE_THREAD, "1")):
-            _block_interrupts()
-            self._process.start()
-        theirs.close()
+        try:
+            with _environment(dict.fromkeys(_ONE_THREAD, "1")):
+                _block_interrupts()
+                self._process.start()
+        except BaseException:
+            self._close()
+            raise
+        finally:
+            theirs.close()
 
     def begin(self, task: _Task) -> bool:
         """Send a task; False: the process has ended."""
@@ -246,17 +275,23 @@ class _Worker:
         """Kill the process: it has nothing to do, or is not to do it."""
         self._process.kill()
         self._process.join(_JOIN_S)
-        self.connection.close()
+        self._close()
         if self.task is not None:
             self.task.future.set_exception(WorkerLostError("the work was cancelled"))
 
     def lost(self) -> tuple[_Task, str]:
         """Return the task of a process that has ended, and why it did."""
         self._process.join(_JOIN_S)
-        code = self._process.exitcode
-        self.connection.close()
+        code, words = self._process.exitcode, _last_words(self._words)
+        self._close()
         assert self.task is not None
-        return self.task, _why_it_ended(code, self.task.attempts)
+        why = _why_it_ended(code, self.task.attempts)
+        return self.task, f"{why}; its last words: {words}" if words else why
+
+    def _close(self) -> None:
+        self.connection.close()
+        with contextlib.suppress(OSError):
+            os.unlink(self._words)
 
 
 def _why_it_ended(code: int | None, attempts: int) -> str:
@@ -266,7 +301,7 @@ def _why_it_ended(code: int | None, attempts: int) -> str:
         if -code == getattr(signal, "SIGKILL", None):
             return (
                 f"its process was killed{times} ({name}), perhaps because memory ran out; run again, with fewer "
-                "`processes`"
+                "processes at a time"
             )
         return f"its process crashed{times} ({name}); run again, and report it if that repeats"
     return f"its process ended{times} with code {code} before it had finished; run again, and report it if that repeats"
@@ -296,23 +331,82 @@ def _environment(values: dict[str, str]) -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _serve(connection: Connection, parent: int) -> None:
-    """Work off the tasks of the parent, one after the other, until it closes the pipe or ends."""
+_is_worker = False
+"""Whether this process is one of several that work on tasks."""
+
+
+@contextlib.contextmanager
+def as_worker() -> Iterator[None]:
+    """Work as one of several processes: with one thread, confined readers, and no processes of its own."""
+    global _is_worker
     from threadpoolctl import threadpool_limits
 
     from ladarreg_core.formats.isolated.forked import confined_reads
-    from ladarreg_core.formats.isolated.worker import end_with
     from ladarreg_core.foundations.parallel import one_thread
 
+    before, _is_worker = _is_worker, True
+    try:
+        with one_thread(), threadpool_limits(1), confined_reads():
+            yield
+    finally:
+        _is_worker = before
+
+
+def _do_here(future: Future[Any], function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> None:
+    """Do a task in this process, which is a worker itself."""
+    try:
+        future.set_result(function(*args, **kwargs))
+    except Exception as error:
+        future.set_exception(error)
+
+
+def _last_words(file: str) -> str:
+    """Return the end of what a process wrote on stderr, on one line."""
+    try:
+        with open(file, "rb") as stream:
+            stream.seek(max(0, os.fstat(stream.fileno()).st_size - _WORDS_BYTES))
+            text = stream.read(_WORDS_BYTES).decode("utf-8", "replace")
+    except OSError:
+        return ""
+    words = " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    return words if len(words) <= _MAX_WORDS else f"... {words[-_MAX_WORDS:]}"
+
+
+def _keep_words(file: str) -> None:
+    """Have what this process and its libraries write on stderr kept in a file, a crash's stack among it."""
+    import faulthandler
+
+    try:
+        descriptor = os.open(file, os.O_WRONLY | os.O_APPEND)
+        os.dup2(descriptor, 2)
+        os.close(descriptor)
+    except OSError:  # a full disk: there are no words then
+        return
+    with contextlib.suppress(Exception):
+        faulthandler.enable(2, all_threads=False)
+
+
+def _forget_words() -> None:
+    """Keep of what was written only what the next task writes."""
+    with contextlib.suppress(OSError, ValueError):
+        os.ftruncate(2, 0)
+
+
+def _serve(connection: Connection, parent: int, words: str) -> None:
+    """Work off the tasks of the parent, one after the other, until it closes the pipe or ends."""
+    from ladarreg_core.formats.isolated.worker import end_with
+
+    _keep_words(words)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # where signals cannot be blocked
     if sys.platform == "linux":  # elsewhere it ends after its task
         end_with(parent)
-    with one_thread(), threadpool_limits(1), confined_reads():
+    with as_worker():
         while True:
             try:
                 function, args, kwargs = pickle.loads(connection.recv_bytes())
             except (EOFError, OSError):
                 return
+            _forget_words()
             connection.send_bytes(_answer(function, args, kwargs))
 
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ladarreg_core.batch.pooled_camera import may_be_turned
 from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.export.registered_scan import photo_id
 from ladarreg_core.formats import listed_kind
 from ladarreg_core.formats.parsing.begun_read import BegunRead
 from ladarreg_core.formats.photos.photo_facts import PhotoFacts, header_fields
+from ladarreg_core.many.pooled_camera import may_be_turned
 
 _GIVEN = ("camera", "focal_px", "focal_mm", "camera_model")
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ladarreg_core.batch.photo_list import CameraGroup, camera_groups, folder_contents, photo_entries
 from ladarreg_core.errors import FormatError
+from ladarreg_core.many.photo_list import CameraGroup, camera_groups, folder_contents, photo_entries
 from ladarreg_core.storage.replacement import display_path
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ladarreg_core.batch.pooled_camera import CameraEstimate, PooledCamera, camera_estimate, pool, with_pooled_camera
 from ladarreg_core.camera import Camera
 from ladarreg_core.camera.uncertainty import INTRINSICS, CameraUncertainty
+from ladarreg_core.many.pooled_camera import CameraEstimate, PooledCamera, camera_estimate, pool, with_pooled_camera
 from testing.scenes.small_registration import sample_registration
 
 TRUTH = np.array([980.0, -0.02, 4.0, -6.0])

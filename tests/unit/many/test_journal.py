@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from ladarreg_core.batch.journal import JOURNAL_FILE, Journal
 from ladarreg_core.errors import FormatError, NewerVersionError
+from ladarreg_core.many.journal import JOURNAL_FILE, Journal
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def test_another_file_is_refused_and_stays(tmp_path: Path, content: bytes) -> No
 
 
 def test_a_newer_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ladarreg_core.batch.journal._VERSION", 2)
+    monkeypatch.setattr("ladarreg_core.many.journal._VERSION", 2)
     Journal(tmp_path / JOURNAL_FILE).close()
     monkeypatch.undo()
     with pytest.raises(NewerVersionError, match="newer version"):

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ladarreg_core.batch.folder import PHOTOS_FOLDER, SUMMARY_FILE
-from ladarreg_core.batch.photo_list import CameraGroup, PhotoEntry
-from ladarreg_core.batch.pooled_camera import PooledCamera
 from ladarreg_core.errors import ExportError, FormatError
 from ladarreg_core.export.json import CAMERA_FROM_SCANNER_IS, software_document
 from ladarreg_core.formats.documents.own_results import read_own_result
 from ladarreg_core.formats.parsing.untrusted import reading
 from ladarreg_core.frames import Rigid
+from ladarreg_core.many.folder import PHOTOS_FOLDER, SUMMARY_FILE
+from ladarreg_core.many.photo_list import CameraGroup, PhotoEntry
+from ladarreg_core.many.pooled_camera import PooledCamera
 from ladarreg_core.storage.replacement import is_file_name
 
 _VERSION = 1

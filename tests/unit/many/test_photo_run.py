@@ -16,13 +16,13 @@ import pytest
 from PIL import Image
 
 import ladarreg_core as lr
-from ladarreg_core.batch import photo_run
-from ladarreg_core.batch.cache import ContentCache
-from ladarreg_core.batch.folder import PAGE_FILE, SUMMARY_FILE
-from ladarreg_core.batch.journal import JOURNAL_FILE
-from ladarreg_core.batch.photo_summary import accepted_folders, read_photos_result
-from ladarreg_core.batch.photo_task import register_in_worker
 from ladarreg_core.errors import Cancelled, ExportError, FormatError, OptionError
+from ladarreg_core.many import photo_run
+from ladarreg_core.many.cache import ContentCache
+from ladarreg_core.many.folder import PAGE_FILE, SUMMARY_FILE
+from ladarreg_core.many.journal import JOURNAL_FILE
+from ladarreg_core.many.photo_summary import accepted_folders, read_photos_result
+from ladarreg_core.many.photo_task import register_in_worker
 from ladarreg_core.outputs.integrity import check_integrity
 from ladarreg_core.progress import Progress
 from testing.scenes.photo_set import PhotoSet, small_photo_set, write_phone_photo, write_photo_set

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from ladarreg_core.batch.executor import WorkerLostError, WorkerProcesses
 from ladarreg_core.errors import FormatError, OptionError
+from ladarreg_core.many.executor import WorkerLostError, WorkerProcesses
 
 
 class _TwoArgumentsError(FormatError):
@@ -85,7 +85,7 @@ def test_the_task_of_a_killed_process_is_done_by_another(tmp_path: Path) -> None
 def test_a_task_whose_processes_are_killed_says_so() -> None:
     with (
         WorkerProcesses(1) as workers,
-        pytest.raises(WorkerLostError, match=r"was killed 3 times \(Killed\).*`processes`"),
+        pytest.raises(WorkerLostError, match=r"was killed 3 times \(Killed\).*fewer processes"),
     ):
         workers.submit(end_by_kill).result(60)
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ladarreg_core.batch.cache import ContentCache
 from ladarreg_core.errors import OptionError
+from ladarreg_core.many.cache import ContentCache
 from testing.scenes.small_registration import sample_scan
 
 

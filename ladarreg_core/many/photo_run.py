@@ -12,23 +12,25 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, as_completed
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ladarreg_core.batch.cache import ContentCache
-from ladarreg_core.batch.executor import WorkerProcesses, usable_cores
-from ladarreg_core.batch.folder import PAGE_FILE, SUMMARY_FILE, BatchFolder
-from ladarreg_core.batch.photo_list import CameraGroup, PhotoEntry, camera_groups, photo_entries
-from ladarreg_core.batch.photo_summary import PhotosResult, summary_document
-from ladarreg_core.batch.photo_task import Output, PhotoTask, ScanFiles, estimate_in_worker, register_in_worker
-from ladarreg_core.batch.pooled_camera import CameraEstimate, PooledCamera, pool
-from ladarreg_core.batch.summary_page import write_summary_page
-from ladarreg_core.errors import LadarregError, OptionError
+from ladarreg_core.errors import OptionError
 from ladarreg_core.export.json import input_document, plain, write_result
 from ladarreg_core.export.output_frame import FrameName, OutputFrame
 from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.scans.scan_request import ScanOptions
 from ladarreg_core.frames import Rigid
+from ladarreg_core.many.cache import ContentCache
+from ladarreg_core.many.executor import WorkerProcesses, usable_cores
+from ladarreg_core.many.failures import failed, why_it_failed
+from ladarreg_core.many.folder import PAGE_FILE, SUMMARY_FILE, BatchFolder
+from ladarreg_core.many.photo_list import CameraGroup, PhotoEntry, camera_groups, photo_entries
+from ladarreg_core.many.photo_summary import PhotosResult, summary_document
+from ladarreg_core.many.photo_task import Output, PhotoTask, ScanFiles, estimate_in_worker, register_in_worker
+from ladarreg_core.many.pooled_camera import CameraEstimate, PooledCamera, pool
+from ladarreg_core.many.summary_page import write_summary_page
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.registration.register import RegisterOptions
 from ladarreg_core.results import Registration
@@ -37,6 +39,7 @@ from ladarreg_core.scan import Scan
 T = TypeVar("T")
 _FIRST, _DONE = "alone", "done"
 """Stages of a photograph in the journal: registered by itself, for its camera; registered and written."""
+_DOING = "registered"
 _LABELS = {_FIRST: "camera estimated", _DONE: "registered"}
 
 
@@ -239,7 +242,7 @@ class _Run:
         camera_of = {entry.id: cameras.get(group.id) for group in self.groups for entry in group.photos}
         for entry in self.entries:
             if entry.facts is None:
-                results[entry.id] = _failed(entry.fault)
+                results[entry.id] = failed(entry.fault, _DOING)
                 continue
             pooled = camera_of[entry.id]
             whole[entry.id] += "/" + ContentCache.key(camera=_camera_fields(pooled, entry), frame=self.frame)
@@ -255,7 +258,7 @@ class _Run:
             try:
                 results[entry.id] = plain(future.result())
             except Exception as error:
-                results[entry.id] = _failed(_why(error))
+                results[entry.id] = failed(why_it_failed(error), _DOING)
                 self.folder.clear_leftovers()
             else:
                 self.folder.journal.add(_DONE, entry.id, whole[entry.id], results[entry.id])
@@ -278,7 +281,8 @@ class _Run:
         )  # fmt: skip
 
     def _finished(self, waiting: Mapping[Future[T], PhotoEntry], stage: str) -> Iterator[tuple[Future[T], PhotoEntry]]:
-        for future in as_completed(waiting):
+        early = [future for future in waiting if future.done()]  # in their order: `as_completed` gives them in any
+        for future in chain(early, as_completed({*waiting} - {*early})):
             yield future, waiting[future]  # and it is recorded
             self._advance(waiting[future], stage)
 
@@ -304,14 +308,3 @@ def _camera_fields(pooled: PooledCamera | None, entry: PhotoEntry) -> dict[str, 
         return None
     how = {"agrees": entry.id in pooled.photos, "disagrees": entry.id in pooled.disagreeing}
     return {"values": pooled.values.tolist(), "covariance": pooled.covariance.tolist(), **how}
-
-
-def _failed(why: str) -> dict[str, Any]:
-    return {"accepted": False, "evidence": "none", "verdict": "Failed: it could not be registered.", "reasons": [why]}
-
-
-def _why(error: Exception) -> str:
-    """Return why a photograph failed, for users."""
-    if isinstance(error, LadarregError | MemoryError):
-        return str(error) or "there was not enough memory"
-    return f"internal error ({type(error).__name__}: {error}): a fault of this program, not of the file"

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ladarreg_core.batch.folder_info import describe_folder
-from ladarreg_core.batch.photo_list import camera_groups, folder_contents, photo_entries
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.scans.npz import write_npz_xyz
+from ladarreg_core.many.folder_info import describe_folder
+from ladarreg_core.many.photo_list import camera_groups, folder_contents, photo_entries
 from testing.scenes.photo_set import write_phone_photo
 from testing.scenes.small_registration import sample_scan
 

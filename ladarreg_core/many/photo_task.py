@@ -12,13 +12,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ladarreg_core.batch.cache import ContentCache
-from ladarreg_core.batch.pooled_camera import (
-    CameraEstimate,
-    PooledCamera,
-    camera_estimate,
-    with_pooled_camera,
-)
 from ladarreg_core.camera.model import CameraModel
 from ladarreg_core.camera.uncertainty import CameraPrior
 from ladarreg_core.errors import OptionError
@@ -29,6 +22,13 @@ from ladarreg_core.foundations.arrays import ByteArray
 from ladarreg_core.foundations.encoded_image import encoded_image
 from ladarreg_core.foundations.source import with_source
 from ladarreg_core.frames import Rigid
+from ladarreg_core.many.cache import ContentCache
+from ladarreg_core.many.pooled_camera import (
+    CameraEstimate,
+    PooledCamera,
+    camera_estimate,
+    with_pooled_camera,
+)
 from ladarreg_core.matching.images.kept_channels import Channels
 from ladarreg_core.photo import Photo
 from ladarreg_core.quality.assessment import assess
@@ -52,9 +52,10 @@ class ScanFiles:
     """Arguments of `read_scan`."""
     key: str
     """Its key in the cache."""
-    cache: Path
+    cache: Path = Path()
     """The cache's folder."""
-    cache_bytes: int
+    cache_bytes: int = 0
+    """Its size; 0: there is none."""
 
     @property
     def files(self) -> list[Path]:
@@ -119,7 +120,7 @@ def register_in_worker(task: PhotoTask, output: Output) -> dict[str, Any]:
     camera_file = task.options.get("camera")
     inputs = [*task.scan.files[:1], task.path, *([camera_file] if camera_file else []), *task.scan.files[1:]]
     export_registration(
-        output.folder, result, scan, photo, assessment=assess(scan, result), inputs=inputs,
+        output.folder, result.untimed, scan, photo, assessment=assess(scan, result), inputs=inputs,
         read_with=[task.scan.options, task.options], frame=output.frame, force=output.force,
     )  # fmt: skip
     return summary_fields(result, photo)
@@ -246,7 +247,8 @@ def held_scan(files: ScanFiles) -> Scan:
         LadarregError: if it is not in the cache any more, and cannot be read.
     """
     if files.key not in _held:
-        kept = ContentCache(files.cache, most_bytes=files.cache_bytes).get(files.key)
+        cached = ContentCache(files.cache, most_bytes=files.cache_bytes)
+        kept = cached.get(files.key) if files.cache_bytes else None
         if isinstance(kept, Scan):
             scan = with_source(kept, files.files, files.options) if files.path is not None else kept
         elif files.path is None:

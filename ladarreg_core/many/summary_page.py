@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,15 +48,57 @@ def summary_page(document: Mapping[str, Any], results: Mapping[str, Mapping[str,
         section("cameras", "Cameras", _cameras(document["cameras"])),
         section("scan", "Scan", tag("ul", files), tag("ul", [tag("li", note) for note in scan["notes"]])),
     ]
+    return whole_page(title, body)
+
+
+def whole_page(title: str, body: Sequence[Html], *, style: str = "", script: str = "") -> str:
+    """Return a self-contained page as HTML.
+
+    Args:
+        title: its title.
+        body: its header and sections.
+        style: what its style sheet has besides that of all summaries.
+        script: of the page; it must not be needed to read it.
+    """
     head = tag(
         "head",
         Html('<meta charset="utf-8">'),
         tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
         tag("meta", name="referrer", content="no-referrer"),
         tag("title", title),
-        tag("style", Html(STYLE + SUMMARY_STYLE)),
+        tag("style", Html(STYLE + SUMMARY_STYLE + style)),
     )
-    return f"<!DOCTYPE html>\n{tag('html', head, tag('body', tag('main', *body)), lang='en')}\n"
+    scripts = [tag("script", Html(script))] if script else []
+    return f"<!DOCTYPE html>\n{tag('html', head, tag('body', tag('main', *body), *scripts), lang='en')}\n"
+
+
+def summary_row(
+    name: str, badge: tuple[str, str], text: Sequence[Content], *, thumbnail: str, link: str | None, note: str,
+    **data: str | float | None,
+) -> Html:  # fmt: skip
+    """Return a row of the table of a summary: picture, name with its badge, what there is to say, and a note.
+
+    Args:
+        name: of the photograph or job.
+        badge: class and words of its verdict.
+        text: paragraphs and lists.
+        thumbnail: JPEG in Base64; empty: none.
+        link: to its report; None: it has none.
+        note: last cell.
+        data: further attributes of the row.
+    """
+    kind, words = badge
+    uri = DataUri(f"data:image/jpeg;base64,{thumbnail}") if thumbnail else None
+    picture: Content = tag("img", src=uri, alt=name, loading="lazy") if uri else ""
+    cell: list[Content] = [tag("p", tag("b", name), " ", tag("span", words, class_=f"badge {kind}")), *text]
+    if link is not None:
+        cell.append(tag("p", tag("a", "Report", href=link)))
+    return tag("tr", tag("td", picture), tag("td", *cell), tag("td", note, class_="dim"), **data)
+
+
+def sigma_words(sigma: Mapping[str, float]) -> str:
+    """Return the standard deviations of a pose."""
+    return f"Sigma {_length(sigma['position_m'])}, {_angle(sigma['angle_rad'])}"
 
 
 def _photos(photos: Mapping[str, Mapping[str, Any]], results: Mapping[str, Mapping[str, Any]]) -> Html:
@@ -72,18 +114,14 @@ def _rank(photo: Mapping[str, Any]) -> int:
 
 
 def _row(photo: Mapping[str, Any], result: Mapping[str, Any]) -> Html:
-    name = str(photo["input"]["name"])
-    kind, words = _BADGES[_rank(photo)]
-    uri = DataUri(f"data:image/jpeg;base64,{result['thumbnail']}") if result.get("thumbnail") else None
-    picture: Content = tag("img", src=uri, alt=name) if uri else ""
-    text: list[Content] = [tag("p", tag("b", name), " ", tag("span", words, class_=f"badge {kind}"))]
-    text.append(tag("p", str(photo["verdict"])))
+    text: list[Content] = [tag("p", str(photo["verdict"]))]
     if photo["sigma"] is not None and photo["accepted"]:
-        text.append(tag("p", f"Sigma {_length(photo['sigma']['position_m'])}, {_angle(photo['sigma']['angle_rad'])}"))
+        text.append(tag("p", sigma_words(photo["sigma"])))
     text.append(tag("ul", [tag("li", reason) for reason in photo["reasons"][-_MAX_REASONS:]]))
-    if photo["folder"]:
-        text.append(tag("p", tag("a", "Report", href=f"{photo['folder']}/{REPORT_FILE}")))
-    return tag("tr", tag("td", picture), tag("td", *text), tag("td", str(photo["camera"] or ""), class_="dim"))
+    return summary_row(
+        str(photo["input"]["name"]), _BADGES[_rank(photo)], text, thumbnail=str(result.get("thumbnail") or ""),
+        link=f"{photo['folder']}/{REPORT_FILE}" if photo["folder"] else None, note=str(photo["camera"] or ""),
+    )  # fmt: skip
 
 
 def _cameras(cameras: Mapping[str, Mapping[str, Any]]) -> Html:
