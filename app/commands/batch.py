@@ -91,8 +91,8 @@ def run(arguments: Arguments) -> ExitCode:
             raise OptionError("--tls and --insecure-cluster are for a cluster; give its --scheduler, or omit them")
         table = stack.enter_context(batch_table(quiet=arguments.quiet or arguments.json))
         result = batch(
-            jobs, arguments.out, executor=executor, workers=arguments.workers, memory_gb=arguments.memory_gb, force=arguments.force,
-            report=table.show,
+            jobs, arguments.out, executor=executor, workers=arguments.workers, memory_gb=arguments.memory_gb,
+            force=arguments.force, report=table.show,
         )  # fmt: skip
     files = visible_files(arguments.out)
     if arguments.json:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -264,7 +265,7 @@ def test_the_executor_makes_no_difference(tmp_path: Path) -> None:
     for name, workers in (("one", 1), ("three", 3)):
         result = lr.batch(jobs, tmp_path / name, workers=workers)
         found[name] = contents(tmp_path / name)
-    with ProcessPoolExecutor(2) as pool:
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:  # a fork of threads may hang
         lr.batch(jobs, tmp_path / "pool", executor=pool)
     lr.batch(jobs, tmp_path / "here", executor=Here())
     assert [one["outcome"] for one in result.jobs.values()] == ["accepted", "accepted", "refused", "accepted"]
