@@ -29,6 +29,7 @@ COMMANDS = {
     "register-scans": "Register scans of several stations to each other.",
     "measure": "Measure in a result: lengths, angles, areas, with sigma.",
     "export": "Hand results to other programs: COLMAP, E57, LAZ, ROS ...",
+    "model": "Make one coloured model of many photos and sensors.",
     "report": "Write the report of a result or project: one HTML file.",
     "info": "Describe a scan, photo, camera, pose, matches or results.",
     "check": "Say whether a project, result, run or export is damaged.",

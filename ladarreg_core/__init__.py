@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from ladarreg_core.formats import read_scan as read_scan
     from ladarreg_core.frames import Rigid as Rigid
     from ladarreg_core.frames import ThesisParameters as ThesisParameters
+    from ladarreg_core.fusion.fused_model import FusedModel as FusedModel
+    from ladarreg_core.fusion.fused_model import fuse as fuse
     from ladarreg_core.inspection.notebook import views as views
     from ladarreg_core.inspection.notebook.progress import NotebookProgress as NotebookProgress
     from ladarreg_core.jobs.cluster import cluster as cluster
@@ -73,6 +75,7 @@ if TYPE_CHECKING:
     from ladarreg_core.simulate import simulate_case as simulate_case
     from ladarreg_core.surface.perspective import View as View
     from ladarreg_core.surface.perspective import perspective_view as perspective_view
+    from ladarreg_core.surface.texture.best_photo import PosedPhoto as PosedPhoto
     from ladarreg_core.surface.texture.photo_points import PhotoPoints as PhotoPoints
     from ladarreg_core.surface.texture.photo_points import PhotoPointsWithNormals as PhotoPointsWithNormals
     from ladarreg_core.surface.texture.photo_points import xyz_of_photo as xyz_of_photo
@@ -108,6 +111,7 @@ _HOMES = {
     "ComparedBlocks": "results",
     "EquirectangularCamera": "camera",
     "FisheyeCamera": "camera",
+    "FusedModel": "fusion.fused_model",
     "ImageCheck": "matching.image_check",
     "Job": "jobs.job",
     "Label": "surface.texture.registered_texture",
@@ -123,6 +127,7 @@ _HOMES = {
     "Pick": "matches",
     "PoseOptions": "pose.estimate",
     "PoseResult": "results",
+    "PosedPhoto": "surface.texture.best_photo",
     "Progress": "progress",
     "RegisterOptions": "registration.register",
     "RegisteredPhoto": "export.registered_scan",
@@ -152,6 +157,7 @@ _HOMES = {
     "estimate_pose": "pose.estimate",
     "export_registration": "export.targets.folder",
     "export_to": "export.targets.pipeline",
+    "fuse": "fusion.fused_model",
     "given_pose": "registration.given",
     "intensity_picture": "surface.texture.registered_texture",
     "measure": "views.measurement",

@@ -16,7 +16,7 @@ from ladarreg_core.storage.manifest import DOCUMENTS, MANIFEST_FILE, read_manife
 _RESULTS = {
     "registration.json": "result", "stations.json": "stations", "rig.json": "rig", "export.json": "export",
     "adjustment.json": "result", "comparison.json": "comparison", "panorama.json": "panorama",
-    "batch.json": "result", "truth.json": "simulation",
+    "batch.json": "result", "truth.json": "simulation", "model.json": "model",
 }  # fmt: skip
 _NO_MANIFEST = f"no manifest ({MANIFEST_FILE}), as of earlier versions: sizes and SHA-256 of the files are unknown"
 
@@ -26,7 +26,8 @@ class Integrity:
     """What was found of a folder or a file."""
 
     kind: str
-    """`project`, `run`, `result`, `stations`, `rig`, `export`, `comparison`, `panorama`, `simulation` or `scan`."""
+    """`project`, `run`, `result`, `stations`, `rig`, `export`, `comparison`, `panorama`, `simulation`, `model` or
+    `scan`."""
     files: int
     """Number of files that were compared with what was written."""
     damaged: tuple[str, ...] = ()

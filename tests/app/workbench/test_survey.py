@@ -104,4 +104,7 @@ def test_a_survey_opens_as_a_project_and_again(tmp_path: Path) -> None:
         assert first["camera"]["calibrated"]
         assert first["camera"]["fx"] == 468
         assert not second["camera"]["calibrated"]
+        entry = bench.workbench.session.document.photos[1]
+        read_before = bench.workbench.loader.known("photo", (entry.source, entry.camera)) is not None
         bench.workbench.close()
+    assert not read_before, "what is kept of a photograph needs none of its pixels"
