@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import logging
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
@@ -77,21 +78,20 @@ def cluster(address: str, *, tls: str | Path | None = None, insecure: bool = Fal
     if missing:
         raise OptionError(f"{', '.join(missing)}: file not found; the folder needs ca.pem, cert.pem and key.pem")
     try:
-        from distributed import Client
-        from distributed.security import Security
+        distributed: Any = importlib.import_module("distributed")
     except ImportError:
         raise DependencyError(
             "a cluster needs dask.distributed; install ladarreg[cluster] here and on all machines"
         ) from None
     security = None
     if files:
-        security = Security(
+        security = distributed.Security(
             tls_ca_file=str(files["ca"]), tls_client_cert=str(files["cert"]), tls_client_key=str(files["key"]),
             require_encryption=True,
         )  # fmt: skip
     logging.getLogger("distributed").setLevel(logging.ERROR)  # what it reports are workers that come and go
     try:
-        client = Client(address, security=security, timeout=_CONNECT_S, set_as_default=False)
+        client = distributed.Client(address, security=security, timeout=_CONNECT_S, set_as_default=False)
     except Exception as error:  # each protocol has its own
         reason = " ".join(str(error).split())[:160] or type(error).__name__
         raise DeviceError(
