@@ -27,6 +27,7 @@ EXAMPLES = (
 )
 _PLAN_BELOW_M = 2.0
 _BESIDE_M = 0.5
+_PIPE_RADIUS_M = 0.3
 _Paths: TypeAlias = list[Path]
 _Names: TypeAlias = list[str]
 
@@ -138,7 +139,6 @@ def _surface(arguments: Arguments, opened: RegisteredScan) -> Plane | Cylinder:
         raise DegenerateGeometryError(refused[0])
     if len(picked) == 3:
         return Plane.through(picked.xyz)
-    radius = {} if arguments.radius is None else {"radius_m": arguments.radius}
     if arguments.surface == "pipe":
-        return Cylinder.fitted(opened.scan, picked.xyz[0], **radius)
-    return Plane.fitted(opened.scan, picked.xyz[0], **radius)
+        return Cylinder.fitted(opened.scan, picked.xyz[0], radius_m=_given(arguments.radius, _PIPE_RADIUS_M))
+    return Plane.fitted(opened.scan, picked.xyz[0], radius_m=_given(arguments.radius, _BESIDE_M))
