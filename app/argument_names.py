@@ -78,7 +78,13 @@ ARGUMENTS: dict[str, Argument] = {
     "images": Argument(flag="--image TOPIC", words="ladarreg register --rig FILE --image"),
     "inputs": Argument(flag="--inputs"),
     "kind": Argument(flag="--kind", words="ladarreg measure --kind"),
+    "memory_gb": Argument(flag="--memory-gb", words="ladarreg batch --memory-gb"),
     "match_tolerance_m": Argument(flag="--match-tolerance-m", words="the setting 'Lengths of targets'"),
+    **{
+        name: Argument(flag=f"--{name.replace('_', '-')}", words=f"ladarreg register --{name.replace('_', '-')}")
+        for name in ("centre_sigma_percent", "culling", "first_pose", "focal_sigma_percent", "intrinsics", "k1_sigma",
+                     "matches", "method", "proposal", "reject_depth_m", "residual", "t1", "t2_px")
+    },
     "poses": Argument(flag="--poses", words="'Poses in the files':", value_shown=True),
     "processes": Argument(flag="--processes", words="ladarreg register --processes"),
     "resume": Argument(flag="--resume", label="Resume"),

@@ -6,14 +6,13 @@ import contextlib
 import io
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Optional, Protocol, TypeAlias, TypeVar, Union
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Optional, TypeAlias, TypeVar, Union
 
 import tyro
 
 if TYPE_CHECKING:
-    from ladarreg_core.camera.uncertainty import CameraPrior
     from ladarreg_core.registration.register import RegisterOptions
 
 # tyro checks a default of None against `X | None` by typeguard, which imports asyncio and a mock library and
@@ -29,7 +28,6 @@ _ARGUMENT = re.compile(r"((?:-[a-z] [A-Z]+, )?--[a-z-]+|[A-Z]{3,})(?= |$)")
 _FRAME = re.compile(r"^[\s│|╭╰╮╯─┌└┐┘+]*(?:-{3,})?|[\s│|╮╯─+]*$")
 _INVALID_CHOICE = re.compile(r"invalid choice '([^']*)' for argument '([^']*)'.*?\((.*)\)")
 _TOO_MANY = "Unrecognized options:"
-_THESIS_ONLY = ("t1", "t2_px", "culling", "first_pose", "residual", "reject_depth_m")
 
 
 def parse(kind: type[T], words: Sequence[str], *, prog: str, description: str) -> T:
@@ -257,85 +255,16 @@ def check_method(arguments: RegisterArguments, method: str) -> None:
     Raises:
         OptionError: naming the flag.
     """
-    from ladarreg_core.errors import OptionError
+    from ladarreg_core.registration.stated_options import check_stated
 
-    given = [f"--{name.replace('_', '-')}" for name in _THESIS_ONLY if getattr(arguments, name) is not None]
-    if given and method != "thesis":
-        raise OptionError(f"{', '.join(given)} can only be used with --method thesis; the method is {method}")
-    if arguments.intrinsics is not None and method == "thesis":
-        raise OptionError("--intrinsics cannot be used with --method thesis, which takes the camera as calibrated")
-    for name in ("focal_sigma_percent", "centre_sigma_percent", "k1_sigma"):
-        if getattr(arguments, name) is not None and arguments.camera is not None:
-            flag = f"--{name.replace('_', '-')}"
-            raise OptionError(f"{flag} cannot be used with --camera: a camera file is taken as calibrated")
-    if arguments.match_tolerance_m is not None and arguments.matches is None:
-        raise OptionError("--match-tolerance-m needs matches with lengths (--matches)")
-    if arguments.intrinsics == "focal-k1-centre" and arguments.matches is None:
-        raise OptionError("--intrinsics focal-k1-centre needs manual matches (--matches)")
+    check_stated(vars(arguments), method)
 
 
-def _of_percent(value: float | None) -> float | None:
-    return None if value is None else value / 100
+def register_options(arguments: object) -> RegisterOptions:
+    """Return the options of a registration, as far as arguments state them."""
+    from ladarreg_core.registration.stated_options import options_of
 
-
-class PriorArguments(Protocol):
-    """Arguments that state how well the camera of a photo without a camera file is known."""
-
-    @property
-    def focal_sigma_percent(self) -> float | None:
-        """Of the focal length."""
-
-    @property
-    def centre_sigma_percent(self) -> float | None:
-        """Of the principal point."""
-
-    @property
-    def k1_sigma(self) -> float | None:
-        """Of the distortion."""
-
-
-def register_prior(arguments: PriorArguments) -> CameraPrior:
-    """Return what is known of a camera before its photo is registered."""
-    from ladarreg_core.camera.uncertainty import CameraPrior
-
-    return CameraPrior(
-        **_given(
-            centre_of_width=_of_percent(arguments.centre_sigma_percent),
-            k1=arguments.k1_sigma,
-            focal=_of_percent(arguments.focal_sigma_percent),
-        )
-    )
-
-
-def register_options(arguments: RegisterArguments) -> RegisterOptions:
-    """Return the options of a registration."""
-    from ladarreg_core.registration.register import RegisterOptions
-    from ladarreg_core.thesis.matching.chain import ThesisOptions
-
-    default = ThesisOptions()
-    prior = register_prior(arguments)
-    culling = _option_name(arguments.culling)
-    thesis = replace(
-        default,
-        matching=replace(default.matching, **_given(t1=arguments.t1, t2_px=arguments.t2_px, culling=culling)),
-        pose=replace(
-            default.pose,
-            camera_prior=prior,
-            simplex=replace(default.pose.simplex, **_given(reject_depth_m=arguments.reject_depth_m)),
-        ),
-        **_given(first_pose=_option_name(arguments.first_pose), residual=arguments.residual),
-    )
-    intrinsics = _option_name(arguments.intrinsics)
-    options = RegisterOptions()
-    pose = replace(options.pose, camera_prior=prior, **_given(intrinsics=intrinsics))
-    auto = options.auto if intrinsics == "focal_k1_centre" else replace(options.auto, **_given(intrinsics=intrinsics))
-    return RegisterOptions(
-        seed=arguments.seed,
-        thesis=thesis,
-        pose=pose,
-        auto=auto,
-        **_given(samples_per_line=arguments.samples_per_line, match_tolerance_m=arguments.match_tolerance_m),
-    )
+    return options_of(vars(arguments))
 
 
 def _coordinates(text: str) -> tuple[float, ...]:
@@ -348,11 +277,3 @@ def _coordinates(text: str) -> tuple[float, ...]:
     if len(numbers) != 3:
         raise OptionError(f"--origin is {text[:60]!r}; give three coordinates in metres, e.g. --origin 12.5,-3,1.8")
     return numbers
-
-
-def _given(**values: Any) -> dict[str, Any]:
-    return {name: value for name, value in values.items() if value is not None}
-
-
-def _option_name(flag: str | None) -> str | None:
-    return flag.replace("-", "_") if flag else None

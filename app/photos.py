@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, TypeAlias
 
 import tyro
 
-from .arguments import CameraArguments, OptionalFloat, OptionalInt, OptionalPath, register_prior
+from .arguments import CameraArguments, OptionalFloat, OptionalInt, OptionalPath, register_options
 from .exit_codes import ExitCode
 from .messages import one_line
 from .progress_bar import progress_bar
@@ -21,9 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from typing import Any
 
-    from ladarreg_core.batch.cache import ContentCache
-    from ladarreg_core.batch.photo_summary import PhotosResult
-    from ladarreg_core.registration.register import RegisterOptions
+    from ladarreg_core.many.cache import ContentCache
+    from ladarreg_core.many.photo_summary import PhotosResult
 
 EXAMPLES = (
     "ladarreg register room.e57 1.jpg 2.jpg 3.jpg -o results",
@@ -98,7 +97,7 @@ def flags_of(kind: type) -> list[str]:
 
 def run_photos(arguments: PhotosArguments) -> ExitCode:
     """Register the photos, write their results and the summary, and print the verdicts."""
-    from ladarreg_core.batch.photo_run import register_photos
+    from ladarreg_core.many.photo_run import register_photos
     from ladarreg_core.storage.manifest import visible_files
 
     started = time.perf_counter()
@@ -110,7 +109,7 @@ def run_photos(arguments: PhotosArguments) -> ExitCode:
             arguments.out,
             scan_options={**arguments.scan_options, "more": tuple(scans[1:])},
             photo_options=arguments.photo_options,
-            options=_options(arguments),
+            options=register_options(arguments),
             frame=arguments.frame,
             processes=arguments.processes,
             cache=ContentCache.of_user() if arguments.cache is None else ContentCache(arguments.cache),
@@ -150,9 +149,9 @@ def _scans_and_photos(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
     Raises:
         OptionError: if there is no scan or no photo, or a folder with several scans.
     """
-    from ladarreg_core.batch.photo_list import folder_contents
     from ladarreg_core.errors import OptionError
     from ladarreg_core.formats.registry import recognise
+    from ladarreg_core.many.photo_list import folder_contents
 
     scans: list[Path] = []
     photos: list[Path] = []
@@ -172,21 +171,6 @@ def _scans_and_photos(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
     if not photos:
         raise OptionError("there is no photo among the files; give one scan and the photos, or a folder with both")
     return scans, photos
-
-
-def _options(arguments: PhotosArguments) -> RegisterOptions:
-    from ladarreg_core.registration.register import RegisterOptions
-
-    prior = register_prior(arguments)
-    options = RegisterOptions(seed=arguments.seed)
-    chosen: Mapping[str, Any] = {}
-    if arguments.intrinsics is not None:
-        chosen = {"intrinsics": arguments.intrinsics.replace("-", "_")}
-    return dataclasses.replace(
-        options,
-        pose=dataclasses.replace(options.pose, camera_prior=prior),
-        auto=dataclasses.replace(options.auto, **chosen),
-    )
 
 
 def _verdict(result: PhotosResult) -> str:

@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING, Any
 from ladarreg_core.foundations.version import VERSION
 
 if TYPE_CHECKING:
-    from ladarreg_core.batch.photo_run import register_photos as register_photos
-    from ladarreg_core.batch.photo_summary import PhotosResult as PhotosResult
     from ladarreg_core.camera import Camera as Camera
     from ladarreg_core.camera import EquirectangularCamera as EquirectangularCamera
     from ladarreg_core.camera import FisheyeCamera as FisheyeCamera
@@ -33,8 +31,17 @@ if TYPE_CHECKING:
     from ladarreg_core.formats import read_scan as read_scan
     from ladarreg_core.frames import Rigid as Rigid
     from ladarreg_core.frames import ThesisParameters as ThesisParameters
+    from ladarreg_core.fusion.fused_model import FusedModel as FusedModel
+    from ladarreg_core.fusion.fused_model import fuse as fuse
     from ladarreg_core.inspection.notebook import views as views
     from ladarreg_core.inspection.notebook.progress import NotebookProgress as NotebookProgress
+    from ladarreg_core.jobs.job import Job as Job
+    from ladarreg_core.jobs.job_list import read_jobs as read_jobs
+    from ladarreg_core.jobs.run import BatchProgress as BatchProgress
+    from ladarreg_core.jobs.run import batch as batch
+    from ladarreg_core.jobs.run_folder import BatchResult as BatchResult
+    from ladarreg_core.many.photo_run import register_photos as register_photos
+    from ladarreg_core.many.photo_summary import PhotosResult as PhotosResult
     from ladarreg_core.matches import Matches as Matches
     from ladarreg_core.matches import Pick as Pick
     from ladarreg_core.matches import picks_of_arrays as picks_of_arrays
@@ -67,6 +74,7 @@ if TYPE_CHECKING:
     from ladarreg_core.simulate import simulate_case as simulate_case
     from ladarreg_core.surface.perspective import View as View
     from ladarreg_core.surface.perspective import perspective_view as perspective_view
+    from ladarreg_core.surface.texture.best_photo import PosedPhoto as PosedPhoto
     from ladarreg_core.surface.texture.photo_points import PhotoPoints as PhotoPoints
     from ladarreg_core.surface.texture.photo_points import PhotoPointsWithNormals as PhotoPointsWithNormals
     from ladarreg_core.surface.texture.photo_points import xyz_of_photo as xyz_of_photo
@@ -100,6 +108,8 @@ _HOMES = {
     "Adjustment": "survey.adjustment",
     "Audit": "survey.audit",
     "AutoOptions": "matching.auto",
+    "BatchProgress": "jobs.run",
+    "BatchResult": "jobs.run_folder",
     "Camera": "camera",
     "Cancelled": "errors",
     "Channels": "matching.images.kept_channels",
@@ -107,7 +117,9 @@ _HOMES = {
     "Cylinder": "views.developable",
     "EquirectangularCamera": "camera",
     "FisheyeCamera": "camera",
+    "FusedModel": "fusion.fused_model",
     "ImageCheck": "matching.image_check",
+    "Job": "jobs.job",
     "Label": "surface.texture.registered_texture",
     "LadarregError": "errors",
     "Matches": "matches",
@@ -117,11 +129,12 @@ _HOMES = {
     "Photo": "photo",
     "PhotoPoints": "surface.texture.photo_points",
     "PhotoPointsWithNormals": "surface.texture.photo_points",
-    "PhotosResult": "batch.photo_summary",
+    "PhotosResult": "many.photo_summary",
     "Pick": "matches",
     "Plane": "views.developable",
     "PoseOptions": "pose.estimate",
     "PoseResult": "results",
+    "PosedPhoto": "surface.texture.best_photo",
     "Progress": "progress",
     "RectifiedView": "views.rectified",
     "RegisterOptions": "registration.register",
@@ -145,17 +158,20 @@ _HOMES = {
     "View": "surface.perspective",
     "adjust": "survey.adjust",
     "audit": "survey.audit",
+    "batch": "jobs.run",
     "camera_from_json": "camera",
     "compare": "registration.comparison",
     "estimate_pose": "pose.estimate",
     "export_registration": "export.targets.folder",
     "export_to": "export.targets.pipeline",
+    "fuse": "fusion.fused_model",
     "given_pose": "registration.given",
     "intensity_picture": "surface.texture.registered_texture",
     "measure": "views.measurement",
     "perspective_view": "surface.perspective",
     "picks_of_arrays": "matches",
     "read_camera": "formats",
+    "read_jobs": "jobs.job_list",
     "read_matches": "formats",
     "read_photo": "formats",
     "read_pose": "formats",
@@ -164,7 +180,7 @@ _HOMES = {
     "read_scan": "formats",
     "rectify": "views.rectified",
     "register": "registration.register",
-    "register_photos": "batch.photo_run",
+    "register_photos": "many.photo_run",
     "register_rig": "registration.rig.registration",
     "register_scans": "registration.stations.registration",
     "section": "views.section",

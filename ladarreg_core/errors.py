@@ -54,6 +54,10 @@ class ExportError(LadarregError):
     """A result that could not be written to its destination."""
 
 
+class DiskFullError(ExportError):
+    """A result that could not be written since there is no space left; it can be, once there is."""
+
+
 class UnderspecifiedError(FormatError):
     """A file that is intact but does not say all that reading it needs; the text names the option that does."""
 

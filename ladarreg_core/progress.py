@@ -35,7 +35,7 @@ class Step:
     name: str
     """Name, e.g. `channels` or `climb`."""
     seconds: float
-    """Wall time, s."""
+    """Wall time, s; NaN: it is kept elsewhere, see `Registration.untimed`."""
     matches: Matches | None = None
     """The matches after it, if it produced any."""
     pose: Rigid | None = None

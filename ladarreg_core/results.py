@@ -390,6 +390,11 @@ class Registration(PoseResult):
     seed: int = 0
     """The seed used."""
 
+    @property
+    def untimed(self) -> Registration:
+        """This registration without the times of its steps: what else there is does not differ from run to run."""
+        return replace(self, steps=tuple(replace(step, seconds=float("nan")) for step in self.steps))
+
     def to_json(self) -> str:
         """Return the result as JSON; the names and meanings are those of `registration.json`.
 

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import os
 import time
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from ..exit_codes import ExitCode
 from ..messages import one_line
 from ..progress_bar import progress_bar
+
+if TYPE_CHECKING:
+    from ladarreg_core.survey.survey import Survey
 
 EXAMPLES = (
     "ladarreg adjust survey.json -o results",
@@ -26,7 +30,7 @@ class Arguments:
     """Arguments of `adjust`."""
 
     survey: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SURVEY")]
-    """A survey.json, or a folder with scans and photographs."""
+    """A survey.json, a folder with scans and photographs, or a project of the workbench."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
     """Output folder: a new one, or that of an earlier run, which is resumed."""
     processes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
@@ -47,17 +51,17 @@ class Arguments:
 
 def run(arguments: Arguments) -> ExitCode:
     """Solve the survey and write the results."""
-    from ladarreg_core.batch.cache import ContentCache
     from ladarreg_core.foundations.formatting import format_angle, format_length
+    from ladarreg_core.many.cache import ContentCache
     from ladarreg_core.registration.register import RegisterOptions
     from ladarreg_core.storage.manifest import visible_files
     from ladarreg_core.survey.outputs import write_adjustment
-    from ladarreg_core.survey.survey import Survey
 
     started = time.perf_counter()
+    survey = _survey(arguments.survey)
     with progress_bar(quiet=arguments.quiet or arguments.json) as bar:
         found = write_adjustment(
-            Survey.from_file(arguments.survey), arguments.out, options=RegisterOptions(seed=arguments.seed),
+            survey, arguments.out, options=RegisterOptions(seed=arguments.seed),
             processes=arguments.processes, force=arguments.force, report=bar.progress,
             cache=None if arguments.cache is None else ContentCache(arguments.cache),
         )  # fmt: skip
@@ -88,3 +92,19 @@ def run(arguments: Arguments) -> ExitCode:
     print(f"Wrote    {', '.join(visible_files(arguments.out)[:6])} ... in {arguments.out}")
     print(f"Took     {time.perf_counter() - started:.1f} s")
     return code
+
+
+def _survey(path: Path) -> Survey:
+    """Return the survey of a file, a folder or a project.
+
+    Raises:
+        LadarregError: if it has faults; all are listed.
+    """
+    from ladarreg_core.outputs.project_survey import survey_of_project
+    from ladarreg_core.project.storage.folder import ProjectFolder, is_project
+    from ladarreg_core.survey.survey import Survey
+
+    if not is_project(path):
+        return Survey.from_file(path)
+    with closing(ProjectFolder(path)) as folder:
+        return survey_of_project(folder.read().document, folder)

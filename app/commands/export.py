@@ -151,8 +151,8 @@ def run(arguments: Arguments) -> ExitCode:
 
 def _with_accepted_photos(arguments: Arguments) -> Arguments:
     """Return arguments with the accepted photos of a folder with many in place of that folder."""
-    from ladarreg_core.batch.folder import is_batch_folder
-    from ladarreg_core.batch.photo_summary import accepted_folders
+    from ladarreg_core.many.folder import is_batch_folder
+    from ladarreg_core.many.photo_summary import accepted_folders
 
     results = [
         found

@@ -100,7 +100,6 @@ def run(arguments: Arguments | RigArguments | PhotosArguments) -> ExitCode:
     arguments = with_recorded_options(arguments, arguments.initial, arguments.carry)
     check_method(arguments, arguments.method)
     _check_carry(arguments)
-    _check_proposal(arguments)
     with progress_bar(quiet=arguments.quiet) as bar:
         scan, photo = read_inputs(arguments, bar, arguments.initial, arguments.carry, soon=lambda: lr.register)
         if arguments.smooth:
@@ -145,14 +144,6 @@ def _check_carry(arguments: Arguments) -> None:
         raise OptionError("--carry does not solve for a pose; omit --matches, --initial and --method")
 
 
-def _check_proposal(arguments: Arguments) -> None:
-    """Refuse a choice between the poses of matches where there are none, or where they have one pose only."""
-    from ladarreg_core.errors import OptionError
-
-    if arguments.proposal is not None and (arguments.matches is None or arguments.method == "thesis"):
-        raise OptionError("--proposal needs matches (--matches), solved by the method manual")
-
-
 def _register(arguments: Arguments, scan: Scan, photo: Photo, bar: ProgressBar) -> Registration:
     import ladarreg_core as lr
 
@@ -167,16 +158,13 @@ def _register(arguments: Arguments, scan: Scan, photo: Photo, bar: ProgressBar) 
         carried = timed("Carry over", bar, lambda: carry_over(first, offset, photo))
         return replace(carried, world_from_scanner=scan.world_from_scanner)  # it stands in this scan's world
     picks, initial = read_start(arguments, scan)
-    options = register_options(arguments)
-    if arguments.proposal is not None:
-        options = replace(options, proposal=arguments.proposal)
     return lr.register(
         scan,
         photo,
         method=arguments.method,
         picks=picks,
         initial=initial,
-        options=options,
+        options=register_options(arguments),
         report=bar.step,
     )
 

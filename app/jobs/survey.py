@@ -100,9 +100,9 @@ class SurveyJobs:
             chosen: ids of the photographs that take part; None: all.
             context: the job.
         """
-        from ladarreg_core.batch.cache import ContentCache
+        from ladarreg_core.many.cache import ContentCache
+        from ladarreg_core.outputs.project_survey import survey_of_project
         from ladarreg_core.survey.adjust import solve_survey
-        from ladarreg_core.survey.of_project import survey_of_project
         from ladarreg_core.survey.registrations import photo_registration
 
         document = self.require_photos(chosen)
@@ -129,17 +129,19 @@ class SurveyJobs:
             if chosen is not None and entry.id not in chosen:
                 continue
             try:
-                self._workspace.loader.photo(entry)
+                has_camera = self._workspace.loader.header(entry).camera is not None
             except LadarregError:
-                taking.left_out.append(entry.source.name)
-            else:
+                has_camera = False
+            if has_camera:
                 taking.photos.append(entry)
+            else:
+                taking.left_out.append(entry.source.name)
         return taking
 
     def _commit(
         self, before: Document, survey: Survey, solved: Solved, found: dict[str, Registration], context: JobContext
     ) -> None:
-        from ladarreg_core.survey.of_project import adjusted_entry
+        from ladarreg_core.outputs.project_survey import adjusted_entry
 
         poses = {name: pose_entry("survey", one, clouds=before.clouds) for name, one in found.items()}
         adjustment = solved.adjustment

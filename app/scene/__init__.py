@@ -6,6 +6,7 @@ from .scene import Scene3D, Shown
 from .simplex_frame import SimplexFrame
 from .stations_layer import StationShown
 from .subject import CameraShown, ScanShown, Subject
+from .survey_layer import SurveyShown
 
 __all__ = [
     "CameraShown",
@@ -17,5 +18,6 @@ __all__ = [
     "SimplexFrame",
     "StationShown",
     "Subject",
+    "SurveyShown",
     "residual_colors",
 ]

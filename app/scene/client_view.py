@@ -14,6 +14,7 @@ from .person import Person, ViewpointName
 from .picks_layer import PicksLayer
 from .simplex_layer import SimplexLayer
 from .stations_layer import StationShown, StationsLayer
+from .survey_layer import SurveyLayer, SurveyShown
 from .viewer_pose import viewer_pose
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from .place import Place
     from .simplex_frame import SimplexFrame
     from .subject import CameraShown, Subject
+    from .survey_layer import SurveyShown
 
 _NEAR_M, _NEAR_PER_FRUSTUM = 0.01, 1.05
 _MOVED_M = 1e-3
@@ -64,7 +66,7 @@ class ClientView:
         self.person = person
         self._place = place
         self._cameras, self._matches, self._simplex = CamerasLayer(place), PicksLayer(place), SimplexLayer(place)
-        self._stations = StationsLayer(place)
+        self._stations, self._survey = StationsLayer(place), SurveyLayer(place)
         self._draft = DraftLayer(place, on_draft)
         self._subject: Subject | None = None
         self._looks: ViewpointName = looks
@@ -72,7 +74,7 @@ class ClientView:
 
     def draw(
         self, person: Person, subject: Subject | None, picks: Picks | None, simplex: SimplexShown | None,
-        stations: Sequence[StationShown], cameras: Sequence[CameraShown] = (),
+        stations: Sequence[StationShown], cameras: Sequence[CameraShown] = (), survey: SurveyShown | None = None,
     ) -> None:  # fmt: skip
         """Draw everything that has changed."""
         before, self._subject = self._subject, subject
@@ -81,6 +83,7 @@ class ClientView:
         self._matches.draw(subject, picks, person.model)
         self._matches.highlight(person.highlighted)
         self._stations.draw(stations, hidden=person.model.hidden_stations)
+        self._survey.draw(survey, visible=person.model.cameras)
         self._draft.draw(subject, person.draft)
         self.draw_simplex(person, simplex)
         self._follow(before, subject)

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from .simplex_frame import SimplexFrame
     from .stations_layer import StationShown
     from .subject import CameraShown, Subject
+    from .survey_layer import SurveyShown
 
 MODEL_NODE = "/model"
 """Node of the model. It is empty here: the page, which fetches mesh and textures, fills it in the browser."""
@@ -83,6 +84,7 @@ class Scene3D:
         self._photos: Mapping[str | None, Shown] = {}
         self._stations: Sequence[StationShown] = ()
         self._cameras: Sequence[CameraShown] = ()
+        self._survey: SurveyShown | None = None
         self._people: Mapping[str, Person] = {}
         self._highlights: dict[str, str | None] = {}
         self._drafts: dict[str, Rigid] = {}
@@ -105,15 +107,18 @@ class Scene3D:
         server.on_client_connect(self._connected)
         server.on_client_disconnect(lambda client: self.remove_view(client.client_id))
 
-    def show(self, photos: Mapping[str | None, Shown], cameras: Sequence[CameraShown] = ()) -> None:
+    def show(
+        self, photos: Mapping[str | None, Shown], cameras: Sequence[CameraShown] = (), survey: SurveyShown | None = None
+    ) -> None:
         """Show a scan with photographs.
 
         Args:
             photos: by id what is shown to the clients that look at one, None: at none.
             cameras: all photographs whose poses are accepted, of which everybody sees the frusta.
+            survey: what is known of all of them together; None: nothing.
         """
         with self._lock:
-            self._photos, self._cameras = photos, cameras
+            self._photos, self._cameras, self._survey = photos, cameras, survey
             if self._simplex is not None and not self._simplex.runs:
                 self._simplex = None  # the pose shown now replaces it
         self._request_views()
@@ -245,12 +250,12 @@ class Scene3D:
     def _draw_views(self) -> None:
         with self._lock:
             views, photos, simplex = list(self._views.values()), self._photos, self._simplex
-            stations, cameras = self._stations, self._cameras
+            stations, cameras, survey = self._stations, self._cameras, self._survey
         for view in views:
             person = self._person(view)
             shown = photos.get(person.photo) or photos.get(None)
             subject, picks = (shown.subject, shown.picks) if shown else (None, None)
-            view.draw(person, subject, picks, simplex, stations, cameras)
+            view.draw(person, subject, picks, simplex, stations, cameras, survey)
             if self._run_view is not None:
                 view.look_at_run(self._run_view)
 

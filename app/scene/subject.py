@@ -62,6 +62,8 @@ class CameraShown:
     """Its pose."""
     picture: ByteArray | None
     """(h, w, 3) uint8 RGB; None: an outline alone."""
+    covariance: FloatArray | None = None
+    """(3, 3) of its position, m^2; None: not known."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
+
+import msgspec
 
 from ladarreg_core.errors import CameraError, FormatError, LadarregError
 
@@ -36,6 +39,7 @@ T = TypeVar("T")
 _LIMITS = {
     "scan": (1, 1),
     "photo": (8, 600_000_000),
+    "header": (1024, 10_000_000),
     "views": (1, 1),
     "view": (16, 280_000_000),
     "registration": (64, 100_000_000),
@@ -62,6 +66,42 @@ _LARGE_SCAN_CELLS = 4_000_000
 
 _DERIVED_FROM_SCAN = ("views", "view", "assessment", "partners", "measured", "picture", "model", "line")
 """Kinds whose values would keep the previous scan in memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class PhotoHeader:
+    """What is known of a photograph without its pixels, which need not be in memory."""
+
+    width: int
+    """Of its pixels."""
+    height: int
+    """Of its pixels."""
+    is_thermal: bool
+    """Whether its pixels are temperatures."""
+    notes: tuple[str, ...]
+    """Remarks on the file."""
+    camera: CameraModel | None
+    """Its camera; None: its focal length is unknown, or the camera does not fit."""
+    calibrated: bool = False
+    """Whether the camera comes from a calibration."""
+    camera_error: str = ""
+    """Why there is no camera."""
+
+
+def _header_fields(header: PhotoHeader) -> dict[str, Any]:
+    camera = None if header.camera is None else json.dumps(header.camera.as_fields())
+    return {**asdict(replace(header, camera=None)), "notes": list(header.notes), "camera": camera}
+
+
+def _header_of(fields: dict[str, Any]) -> PhotoHeader | None:
+    """Return a header that was kept; None: it is of another version."""
+    from ladarreg_core.formats.cameras.camera_file import camera_from_fields
+
+    try:
+        camera = None if fields["camera"] is None else camera_from_fields(json.loads(fields["camera"]))
+        return PhotoHeader(**{**fields, "camera": camera, "notes": tuple(fields["notes"])})
+    except (LadarregError, TypeError, KeyError, ValueError):
+        return None
 
 
 class Loader:
@@ -188,6 +228,55 @@ class Loader:
             return self.photo(entry)
         except CameraError:
             return self.cached("photo", (entry.source, "no camera"), lambda: self._with_nominal_camera(entry))
+
+    def header(self, entry: PhotoEntry) -> PhotoHeader:
+        """Return what is known of a photograph without its pixels; it is kept however many photographs there are.
+
+        Raises:
+            LadarregError: if its file can no longer be read.
+        """
+
+        def made() -> PhotoHeader:
+            from ladarreg_core.many.cache import ContentCache
+
+            kept, key = ContentCache.of_user(), self._header_key(entry)
+            known = kept.get(key) if key else None
+            found = _header_of(known) if isinstance(known, dict) else None
+            if found is None:
+                found = measured()
+                if key:
+                    kept.put(key, _header_fields(found))
+            return found
+
+        def measured() -> PhotoHeader:
+            error = ""
+            try:
+                photo = self.photo(entry)
+            except CameraError as fault:
+                photo, error = self.viewable_photo(entry), str(fault)
+            height, width = photo.pixels.shape[:2]
+            return PhotoHeader(
+                width, height, photo.temperature_k is not None, photo.notes, None if error else photo.camera,
+                photo.calibrated and not error, error,
+            )  # fmt: skip
+
+        return self.cached("header", (entry.source, entry.camera), made)
+
+    def _header_key(self, entry: PhotoEntry) -> str:
+        """Return the key of a photograph's header, by its files as they are now; empty: they are not there."""
+        from ladarreg_core.export.json import plain
+        from ladarreg_core.many.cache import ContentCache
+
+        files = [entry.source, *([entry.camera.file] if entry.camera.file else [])]
+        try:
+            stats = [self._folder.source_path(one.path).stat() for one in files]
+        except OSError:
+            return ""
+        return ContentCache.key(
+            kind="photo header", files=[[one.st_size, one.st_mtime_ns, one.st_ino] for one in stats],
+            source=plain(msgspec.to_builtins(entry.source)), camera=plain(msgspec.to_builtins(entry.camera)),
+            folder=str(self._folder.path),
+        )  # fmt: skip
 
     def _read_photo(self, entry: PhotoEntry) -> Photo | LadarregError:
         from ladarreg_core.formats import read_photo

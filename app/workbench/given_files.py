@@ -107,7 +107,7 @@ def survey_given(path: Path) -> Survey | None:
     Raises:
         FormatError: if it is a survey, and has faults.
     """
-    from ladarreg_core.batch.photo_list import folder_contents
+    from ladarreg_core.many.photo_list import folder_contents
     from ladarreg_core.survey.survey import Survey
     from ladarreg_core.survey.survey_file import is_survey_file
 

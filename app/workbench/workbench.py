@@ -376,12 +376,12 @@ class Workbench:
             return found
         for entry in document.photos:
             try:
-                photo = loader.photo(entry)
+                readable = loader.header(entry).camera is not None
             except LadarregError:
-                photo = None
+                readable = False
             sigmas = document.settings.reject_sigma
-            key = (id(scan), entry.picks, id(entry.pose), id(photo), sigmas)
-            make = partial(judged_slice, loader, scan, photo, entry, sigmas=sigmas)
+            key = (id(scan), entry.picks, id(entry.pose), entry.source, entry.camera, readable, sigmas)
+            make = partial(judged_slice, loader, scan, entry, readable=readable, sigmas=sigmas)
             found[f"judged:{entry.id}"] = self._slices.get(key, make)
         return found
 

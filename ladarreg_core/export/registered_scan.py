@@ -150,6 +150,10 @@ class RegisteredScan:
         if "colors" not in self.__dict__:
             self.__dict__["colors"] = best_photo(self.scan, self.views, report=report)
 
+    def use_colors(self, colors: CellColors, photo_labels: Sequence[ByteArray]) -> None:
+        """Take colours and `photo_labels` that were found otherwise than by the best photograph, as by a fusion."""
+        self.__dict__["colors"], self.__dict__["photo_labels"] = colors, tuple(photo_labels)
+
     @cached_property
     def photo_labels(self) -> tuple[ByteArray, ...]:
         """(H, W) uint8 of every photograph: codes of `Label`, whether it colours the cell or not."""

@@ -17,6 +17,9 @@ from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 
 _NEAR_OF_DISTANCE = 0.01
+_FACTORS = tuple(int(step * 10**power) for power in range(5) for step in (1, 2, 5))[:13]
+"""By how much ellipses may be enlarged."""
+_RING_PARTS = 24
 
 
 def camera_outline(camera: CameraModel, camera_from_scanner: Rigid, *, depth_m: float) -> NDArray[np.float32]:
@@ -59,6 +62,34 @@ def rays_to(points: FloatArray, centres: tuple[FloatArray, ...]) -> NDArray[np.f
     if not lines:
         return np.zeros((0, 2, 3), dtype=np.float32)
     return np.concatenate(lines).astype(np.float32)
+
+
+def error_ellipses(centres: ArrayLike, covariances: ArrayLike, *, size_m: float) -> tuple[NDArray[np.float32], int]:
+    """Return the standard deviations of positions as ellipses in their three principal planes, enlarged to be seen.
+
+    Args:
+        centres: (N, 3) positions, m.
+        covariances: (N, 3, 3) of these, m^2.
+        size_m: the half axes of a typical one are to be at most so long.
+
+    Returns:
+        (K, 2, 3) float32 the lines, m, and the factor by which they are enlarged: 1, 2, 5, 10, 20 ... up to 10,000.
+    """
+    middles = np.asarray(centres, np.float64).reshape(-1, 3)
+    known = np.asarray(covariances, np.float64).reshape(-1, 3, 3)
+    if not len(middles):
+        return np.zeros((0, 2, 3), np.float32), 1
+    variances, axes = np.linalg.eigh(known)
+    halves = axes * np.sqrt(np.maximum(variances, 0.0))[:, None, :]  # columns
+    typical = float(np.median(np.sqrt(np.maximum(variances[:, -1], 0.0))))
+    factor = max((one for one in _FACTORS if one * typical <= size_m), default=1)
+    angle = np.linspace(0, 2 * np.pi, _RING_PARTS + 1)
+    rings = []
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        at = np.cos(angle)[None, :, None] * halves[:, None, :, i] + np.sin(angle)[None, :, None] * halves[:, None, :, j]
+        ring = middles[:, None] + factor * at
+        rings.append(np.stack([ring[:, :-1], ring[:, 1:]], axis=2).reshape(-1, 2, 3))
+    return np.concatenate(rings).astype(np.float32), factor
 
 
 def faded(colors: ArrayLike, background: ArrayLike, *, share: float) -> NDArray[np.uint8]:

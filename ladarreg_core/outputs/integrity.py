@@ -16,7 +16,7 @@ from ladarreg_core.storage.manifest import DOCUMENTS, MANIFEST_FILE, read_manife
 _RESULTS = {
     "registration.json": "result", "stations.json": "stations", "rig.json": "rig", "export.json": "export",
     "adjustment.json": "result", "comparison.json": "comparison", "panorama.json": "panorama",
-    "truth.json": "simulation",
+    "batch.json": "result", "truth.json": "simulation", "model.json": "model",
 }  # fmt: skip
 _NO_MANIFEST = f"no manifest ({MANIFEST_FILE}), as of earlier versions: sizes and SHA-256 of the files are unknown"
 
@@ -26,13 +26,18 @@ class Integrity:
     """What was found of a folder or a file."""
 
     kind: str
-    """`project`, `run`, `result`, `stations`, `rig`, `export`, `comparison`, `panorama`, `simulation` or `scan`."""
+    """`project`, `run`, `result`, `stations`, `rig`, `export`, `comparison`, `panorama`, `simulation`, `model` or
+    `scan`."""
     files: int
     """Number of files that were compared with what was written."""
     damaged: tuple[str, ...] = ()
     """What is damaged, a sentence each."""
     notes: tuple[str, ...] = ()
     """What could not be compared, and other remarks."""
+
+
+_PARTS = {"adjustment.json": "photos", "batch.json": "jobs"}
+"""Where the folders lie that a document summarises."""
 
 
 def check_integrity(path: str | Path) -> Integrity:
@@ -61,17 +66,20 @@ def check_integrity(path: str | Path) -> Integrity:
     if kind is None and not (place / MANIFEST_FILE).is_file():
         raise FormatError(f"{place} is no project, result, run or export of ladarreg; give the folder of one")
     found = _of_results(place, kind or "result")
-    return _with_photos(found, place) if (place / "adjustment.json").is_file() else found
+    for name, parts in _PARTS.items():
+        if (place / name).is_file():
+            found = _with_parts(found, place / parts)
+    return found
 
 
-def _with_photos(summary: Integrity, folder: Path) -> Integrity:
-    """Return what was found of the summary of many photographs together with what was of each one's folder."""
+def _with_parts(summary: Integrity, folder: Path) -> Integrity:
+    """Return what was found of a summary together with what was of the folders that it summarises."""
     files, damaged, notes = summary.files, [*summary.damaged], [*summary.notes]
-    for each in sorted((folder / "photos").glob("*/")):
-        of_photo = _of_results(each, "result")
-        files += of_photo.files
-        damaged += [f"photos/{each.name}/{line}" for line in of_photo.damaged]
-        notes += [f"photos/{each.name}: {line}" for line in of_photo.notes]
+    for each in sorted(folder.glob("*/")):
+        part = check_integrity(each) if (each / "adjustment.json").is_file() else _of_results(each, "result")
+        files += part.files
+        damaged += [f"{folder.name}/{each.name}/{line}" for line in part.damaged]
+        notes += [f"{folder.name}/{each.name}: {line}" for line in part.notes]
     return Integrity(summary.kind, files, tuple(damaged), tuple(notes))
 
 

@@ -304,6 +304,19 @@ class AdjustedPhotoEntry(msgspec.Struct, frozen=True, kw_only=True):
     """Name of the arrays of the pose that it got; empty: none."""
 
 
+class AdjustedScanEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """Where a scanner stood."""
+
+    source: Source
+    """Its file."""
+    world_from_scanner: Rows | None = None
+    """Its pose (4, 4); None: nothing connects it to the others."""
+    sigma_m: float | None = None
+    """Standard deviation of its position, m; None: it is fixed, or has no place."""
+    sigma_rad: float | None = None
+    """Standard deviation of its direction, rad."""
+
+
 class AdjustedCameraEntry(msgspec.Struct, frozen=True, kw_only=True):
     """A camera as its photographs determine it together."""
 
@@ -318,7 +331,7 @@ class AdjustedCameraEntry(msgspec.Struct, frozen=True, kw_only=True):
 class Adjusted(msgspec.Struct, frozen=True, kw_only=True):
     """All photographs and scans solved together, as they were then."""
 
-    scans: tuple[Source, ...]
+    scans: tuple[AdjustedScanEntry, ...]
     """The scans; that which was shown first."""
     photos: dict[str, AdjustedPhotoEntry]
     """By the ids of the photographs."""
@@ -328,6 +341,10 @@ class Adjusted(msgspec.Struct, frozen=True, kw_only=True):
     """Of everything that was kept."""
     sigma_px: float | None = None
     """Noise of the ties, px; None: there were none."""
+
+    def scan(self, source: Source) -> AdjustedScanEntry | None:
+        """Return what is known of a scan; None: it was not among them."""
+        return next((one for one in self.scans if one.source == source), None)
 
 
 class Document(msgspec.Struct, frozen=True, kw_only=True):

@@ -132,11 +132,34 @@ def checked_survey(survey: Survey) -> Survey:
 
 
 def place_of(document: Document, station: StationEntry) -> Rigid | None:
-    """Return `shown_from_station`, of the scan that is shown: as registered, else the rough one; None without both."""
-    shown, other = (surveyed_pose(document.survey, source) for source in (document.scan, station.source))
-    if shown is not None and other is not None:
-        return shown.inverse @ other
+    """Return `shown_from_station`, of the scan that is shown; None where it is not known at all.
+
+    It is the place that was adjusted with the photographs, else the registered one, else the rough one.
+    """
+    for poses in (adjusted_poses(document), registered_poses(document)):
+        shown, other = (
+            None if source is None else poses.get(_key(source)) for source in (document.scan, station.source)
+        )
+        if shown is not None and other is not None:
+            return shown.inverse @ other
     return None if station.rough is None else Rigid.from_matrix(station.rough)
+
+
+def adjusted_poses(document: Document) -> dict[tuple[str, int], Rigid]:
+    """Return `world_from_scanner` of the scans as they were adjusted with the photographs, by path and index."""
+    scans = () if document.adjusted is None else document.adjusted.scans
+    return {
+        _key(one.source): Rigid.from_matrix(one.world_from_scanner)
+        for one in scans
+        if one.world_from_scanner is not None
+    }
+
+
+def registered_poses(document: Document) -> dict[tuple[str, int], Rigid]:
+    """Return the same as the stations were registered to each other."""
+    survey = document.survey
+    scans = () if survey is None else survey.scans
+    return {_key(one): pose for one in scans if (pose := surveyed_pose(survey, one)) is not None}
 
 
 def is_stale(document: Document) -> bool:

@@ -12,10 +12,13 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NoReturn
 
-from ladarreg_core.errors import ExportError
+from ladarreg_core.errors import DiskFullError, ExportError
 
 _NO_SUCH_CALL = frozenset({errno.EINVAL, errno.ENOSYS, getattr(errno, "ENOTSUP", errno.EINVAL)})
 """Errors of file systems that cannot synchronise folders, such as some on a network."""
+
+_FULL = frozenset({errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)})
+_MAX_CAUSES = 20  # causes of errors can be circular
 
 
 def write_bytes(path: str | Path, data: bytes) -> None:
@@ -158,7 +161,19 @@ def _write_all(descriptor: int, data: bytes) -> None:
 def cannot_write(path: str | Path, error: OSError) -> ExportError:
     """Return a one-line error for a file or folder that could not be written."""
     reason = (error.strerror or type(error).__name__).lower()
-    return ExportError(f"cannot write {path}: {reason}; give a writable folder with enough free space")
+    kind = DiskFullError if is_disk_full(error) else ExportError
+    return kind(f"cannot write {path}: {reason}; give a writable folder with enough free space")
+
+
+def is_disk_full(error: BaseException | None) -> bool:
+    """Return whether an error, or what caused it, says that the disk is full or the user's share of it."""
+    for _ in range(_MAX_CAUSES):
+        if error is None:
+            return False
+        if isinstance(error, DiskFullError) or (isinstance(error, OSError) and error.errno in _FULL):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def sync_file(path: str | Path) -> None:

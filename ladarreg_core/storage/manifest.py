@@ -16,7 +16,7 @@ from ladarreg_core.storage.checksums import CHECKSUM_FIELD, checksum_state, seal
 
 MANIFEST_FILE = ".ladarreg-manifest.json"
 """Name of the manifest."""
-DOCUMENTS = ("registration.json", "stations.json", "rig.json", "export.json", "adjustment.json")
+DOCUMENTS = ("registration.json", "stations.json", "rig.json", "export.json", "adjustment.json", "batch.json")
 """The documents of results that hold their own checksum."""
 _VERSION = 1
 _LARGEST_BYTES = 32 << 20

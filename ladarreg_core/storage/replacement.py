@@ -48,6 +48,8 @@ PANORAMA_FILES = (PANORAMA_FILE, "scan.npz", PROVENANCE_FILE)
 """Files of a panorama."""
 STATIONS_FILE = "stations.json"
 """File that describes stations, beside their scans."""
+MODEL_FILE = "model.json"
+"""File that describes a model of many photographs, beside its files."""
 RIG_FILE = "rig.json"
 """File that describes a rig."""
 RIG_FILES = (RIG_FILE, "camera.transform.yaml", "static_transforms.launch.py", "camchain-lidar.yaml",

@@ -20,14 +20,14 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.batch.cache import ContentCache
-from ladarreg_core.batch.executor import WorkerProcesses, usable_cores
-from ladarreg_core.batch.photo_task import ScanFiles
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.export.json import plain
 from ladarreg_core.foundations.validation import require_type
 from ladarreg_core.frames import Rigid
+from ladarreg_core.many.cache import ContentCache
+from ladarreg_core.many.executor import WorkerProcesses, usable_cores
+from ladarreg_core.many.photo_task import ScanFiles
 from ladarreg_core.progress import Progress, Report, part_of
 from ladarreg_core.registration.register import RegisterOptions
 from ladarreg_core.results import Registration

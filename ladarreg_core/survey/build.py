@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ladarreg_core.batch.pooled_camera import CameraEstimate, camera_estimate, pool, pose_by_camera, turn_of
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.camera.uncertainty import CALIBRATED_CAMERA_PRIOR, DEFAULT_CAMERA_PRIOR, INTRINSICS
 from ladarreg_core.frames import Rigid
+from ladarreg_core.many.pooled_camera import CameraEstimate, camera_estimate, pool, pose_by_camera, turn_of
 from ladarreg_core.results import Registration
 from ladarreg_core.survey.parts import SurveyCamera
 from ladarreg_core.survey.placement import PhotoState, Placement

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.batch.cache import ContentCache
-from ladarreg_core.batch.executor import WorkerProcesses, usable_cores
-from ladarreg_core.batch.folder import SUMMARY_FILE, BatchFolder
-from ladarreg_core.batch.photo_task import ScanFiles, held_scan, thumbnail
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.export.json import plain, write_result
 from ladarreg_core.export.targets.folder import export_registration
 from ladarreg_core.formats.isolated.messages import MessageError
+from ladarreg_core.many.cache import ContentCache
+from ladarreg_core.many.executor import WorkerProcesses, usable_cores
+from ladarreg_core.many.folder import SUMMARY_FILE, BatchFolder
+from ladarreg_core.many.photo_task import ScanFiles, held_scan, thumbnail
 from ladarreg_core.progress import Progress, Report, part_of
 from ladarreg_core.quality.assessment import assess
 from ladarreg_core.registration.register import RegisterOptions

@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ladarreg_core.batch.photo_list import camera_groups, folder_contents, photo_entries
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import ExportError, FormatError, LadarregError, OptionError
 from ladarreg_core.export.registered_scan import photo_id
@@ -19,6 +18,7 @@ from ladarreg_core.formats.parsing.json_file import read_json_object, write_json
 from ladarreg_core.formats.parsing.untrusted import reading, shown_name
 from ladarreg_core.formats.scans.scan_request import stated_options
 from ladarreg_core.frames import Rigid
+from ladarreg_core.many.photo_list import camera_groups, folder_contents, photo_entries
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.survey.parts import (
     Estimate,
@@ -103,7 +103,7 @@ def is_survey_file(path: str | Path) -> bool:
     """Return whether a file is a `survey.json`, with or without faults."""
     try:
         with reading(path) as file:
-            fields = read_json_object(file)
+            fields = read_json_object(file, "a survey")
     except LadarregError:
         return False
     return {"scans", "photos"} <= set(fields)

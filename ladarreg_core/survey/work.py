@@ -14,13 +14,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ladarreg_core.batch.cache import ContentCache
-from ladarreg_core.batch.photo_task import ScanFiles, held_scan, kept_channels
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.export.json import input_document, plain
 from ladarreg_core.formats import read_matches, read_photo
 from ladarreg_core.foundations.arrays import FloatArray, IntArray
 from ladarreg_core.frames import Rigid
+from ladarreg_core.many.cache import ContentCache
+from ladarreg_core.many.photo_task import ScanFiles, held_scan, kept_channels
 from ladarreg_core.photo import Photo
 from ladarreg_core.registration.register import RegisterOptions, register
 from ladarreg_core.results import Registration

@@ -16,6 +16,7 @@ export interface Commands {
   acquire_take_over: Record<string, never>;
   add_embedded: { images: number[] };
   add_pick: { photo: string; kind: "point" | "line"; scan: number[][]; photo_uv: number[][] };
+  adjust: { photos?: string[] | null };
   call_me: { name: string };
   check_at_stations: Record<string, never>;
   discard_files: { files: string[] };
@@ -43,6 +44,7 @@ export interface Commands {
   read_only_link: Record<string, never>;
   redo: { n?: number | null };
   refine: { photo: string; camera_from_scanner?: number[][] | null };
+  register_all: { photos?: string[] | null };
   register_stations: { poses?: "keep" | "refine" | "search" };
   reject: { photo: string; above: number; by?: "depth" | "px" };
   remove_photo: { photo: string };

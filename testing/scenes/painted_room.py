@@ -68,11 +68,13 @@ def paintings(seed: int) -> np.ndarray:
     return cv2.GaussianBlur(image, (0, 0), 0.8)
 
 
-def shoot(origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def shoot(
+    origin: np.ndarray, rays: np.ndarray, boxes: list[tuple[tuple[float, ...], tuple[float, ...]]] = BOXES
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return distance, the box that each ray (N, 3) meets first (-1: none) and the face's axis."""
     best = np.full(len(rays), np.inf)
     box, axis = np.full(len(rays), -1), np.zeros(len(rays), int)
-    for number, (low, high) in enumerate(BOXES):
+    for number, (low, high) in enumerate(boxes):
         with np.errstate(divide="ignore", invalid="ignore"):
             ends = [(np.array(edge) - origin) / rays for edge in (low, high)]
         near, far = np.minimum(*ends), np.maximum(*ends)

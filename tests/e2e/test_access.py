@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 pytest.importorskip("axe_playwright_python", reason="axe-core is not installed")
-STEPS = ("Acquire", "Stations", "Match", "Solve", "Judge", "Export")
+STEPS = ("Acquire", "Survey", "Match", "Solve", "Judge", "Export")
 PANELS = (".photo-button", ".camera-button", ".clients-button", ".history-button", ".pane-opener")
 THEMES = ("dark", "light")
 

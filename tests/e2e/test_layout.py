@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 WIDTHS = {390: 844, 768: 1024, 1024: 768, 1280: 800, 1440: 900, 1600: 900, 1920: 1080}
-STEPS = ("Acquire", "Stations", "Match", "Solve", "Judge", "Export")
+STEPS = ("Acquire", "Survey", "Match", "Solve", "Judge", "Export")
 THEMES = ("dark", "light")
 
 

@@ -28,7 +28,7 @@ def test_a_station_is_added_registered_and_shown(browser: Browser, workbench: Sh
     page.set_default_timeout(120_000)
     without_model(page)
     page.goto(f"{workbench.server.address}?token={workbench.server.token}")
-    page.get_by_role("tab", name="Stations").click()
+    page.get_by_role("tab", name="Survey").click()
     part = page.get_by_role("region", name="Stations", exact=True)
     part.get_by_text("Add scans of the same place").wait_for()
     part.locator("input[type=file]").set_input_files(str(second))

@@ -23,7 +23,7 @@ def test_a_walk_through_stations(walk: Walk, tmp_path: Path) -> None:
     (first, second), photo, camera = write_station_scans(tmp_path)
     walk.files(first, photo, camera)
     walk.page.keyboard.press("Escape")
-    walk.page.get_by_role("tab", name="Stations").click()
+    walk.page.get_by_role("tab", name="Survey").click()
     walk.state("one scan")
     walk.station(second)
     walk.state("a second station")

@@ -206,7 +206,8 @@ class Batches:
         found = []
         for entry in self._session.document.photos:
             try:
-                width, height = self._loader.viewable_photo(entry).camera.size
+                header = self._loader.header(entry)
+                width, height = header.width, header.height
             except LadarregError:
                 width = height = 0
             found.append(PhotoTarget(entry.id, entry.source.name, width, height))

@@ -35,12 +35,15 @@ _MIN_MATCHES = 4
 """The number of matches from which on cautions are computed."""
 
 
-def judged_slice(
-    loader: Loader, scan: Scan, photo: Photo | None, entry: PhotoEntry, *, sigmas: float
-) -> dict[str, Any]:
+def judged_slice(loader: Loader, scan: Scan, entry: PhotoEntry, *, readable: bool, sigmas: float) -> dict[str, Any]:
     """Return the slice `judged`: errors of the picks under the shown pose, samples of lines, losses and cautions.
 
-    The suggested thresholds are `sigmas` robust standard deviations.
+    Args:
+        loader: the loader.
+        scan: the scan.
+        entry: the photograph, whose pixels are only read where it has picks.
+        readable: whether it can be read, and has a camera.
+        sigmas: the suggested thresholds in robust standard deviations.
     """
     from ladarreg_core.inspection.picks import suggested_threshold
 
@@ -56,7 +59,11 @@ def judged_slice(
         "losses": [],
         "cautions": [],
     }
-    if photo is None:
+    if not picks or not readable:
+        return found
+    try:
+        photo = loader.photo(entry)
+    except LadarregError:  # it has just gone
         return found
     measured = loader.measured(scan, photo)
     found["losses"] = list(measured.losses(picks))

@@ -7,6 +7,8 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from ladarreg_core.errors import LadarregError
 
 from ...session.debounce import Debouncer
@@ -20,9 +22,10 @@ if TYPE_CHECKING:
 
     from ...jobs.runner import Job
     from ...jobs.simplex import Frame
-    from ...scene import CameraShown, Person, Picks, ScanShown, Scene3D, Shown, StationShown, Subject
+    from ...scene import CameraShown, Person, Picks, ScanShown, Scene3D, Shown, StationShown, Subject, SurveyShown
 
 log = logging.getLogger(__name__)
+_ELLIPSE_SIZE = 0.5  # half an axis of a typical ellipse at most, in depths of a frustum
 _MAX_PICTURES, _PICTURE_PX = 24, 192
 """How many frusta of other photographs have pictures, and the longer side of these, px."""
 
@@ -54,6 +57,7 @@ class SceneSync:
         self._subjects: dict[str, tuple[tuple[object, ...], Subject]] = {}
         self._picks: dict[str, tuple[tuple[object, ...], Picks]] = {}
         self._cameras: dict[str, tuple[tuple[object, ...], CameraShown]] = {}
+        self._survey: tuple[tuple[object, ...], SurveyShown | None] = (), None
         self._simplex_runs = False
         self._iterations = 0
         self._last_iteration = 0
@@ -134,7 +138,10 @@ class SceneSync:
                     residuals = any(p.model.residuals for p in people.values() if p.photo == photo_id)
                     photos[entry.id] = self._shown(scan_shown, entry, with_residuals=residuals)
         cameras = list(self._cameras_of(document))
-        scene.show(photos, cameras if scan_shown is not None else ())
+        if scan_shown is None:
+            scene.show(photos)
+        else:
+            scene.show(photos, cameras, self._survey_of(document, cameras, scan_shown))
         scene.show_stations(self._stations())
 
     def _cameras_of(self, document: Document) -> Iterator[CameraShown]:
@@ -156,9 +163,46 @@ class SceneSync:
                     picture = small_picture(self._loader.photo(entry).pixels, _PICTURE_PX) if pictured else None
                 except LadarregError:  # a file has gone, which the slice `photos` states
                     continue
-                known = key, CameraShown(entry.id, result.camera, result.camera_from_scanner, picture)
+                covariance = result.covariance[3:, 3:] if np.isfinite(result.covariance).all() else None
+                known = key, CameraShown(entry.id, result.camera, result.camera_from_scanner, picture, covariance)
             self._cameras[entry.id] = known
             yield known[1]
+
+    def _survey_of(
+        self, document: Document, cameras: Sequence[CameraShown], scan_shown: ScanShown
+    ) -> SurveyShown | None:
+        """Return the ties between the cameras and their uncertainties; None before everything was adjusted."""
+        from ladarreg_core.inspection.scene_geometry import error_ellipses
+
+        from ...scene import SurveyShown, residual_colors
+
+        adjusted = document.adjusted
+        key = (adjusted, *cameras)
+        if len(key) == len(self._survey[0]) and all(a is b for a, b in zip(key, self._survey[0], strict=True)):
+            return self._survey[1]
+        found = None
+        if adjusted is not None:
+            centres = {one.photo: one.camera_from_scanner.centre for one in cameras}
+            pairs = {
+                (min(photo, other), max(photo, other))
+                for photo, one in adjusted.photos.items() if photo in centres
+                for other in one.partners if other in centres
+            }  # fmt: skip
+            ties = [
+                ((centres[a], centres[b]), max(adjusted.photos[one].median_px or 0.0 for one in (a, b)))
+                for a, b in sorted(pairs) if a in adjusted.photos and b in adjusted.photos
+            ]  # fmt: skip
+            known = {one.photo: one.covariance for one in cameras if one.covariance is not None}
+            rings, factor = error_ellipses(
+                [centres[photo] for photo in known], list(known.values()),
+                size_m=_ELLIPSE_SIZE * scan_shown.frustum_depth_m,
+            )  # fmt: skip
+            found = SurveyShown(
+                np.array([ends for ends, _ in ties]).reshape(-1, 2, 3), residual_colors([px for _, px in ties]), rings,
+                factor, rings[:, 0].max(axis=0) if len(rings) else np.zeros(3),
+            )  # fmt: skip
+        self._survey = key, found
+        return found
 
     def _shown_scan(self, document: Document) -> ScanShown | None:
         from ...scene import ScanShown

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from msgspec import Struct, json
 
 from ladarreg_core.camera import describe_in_short
-from ladarreg_core.errors import CameraError, LadarregError
+from ladarreg_core.errors import LadarregError
 from ladarreg_core.frames import describe_world
 from ladarreg_core.matching.step_labels import step_label
 from ladarreg_core.project.own_steps import plain_label
@@ -22,7 +22,6 @@ from ...session.session import Session
 from .recent import project_id
 
 if TYPE_CHECKING:
-    from ladarreg_core.photo import Photo
     from ladarreg_core.project.document import Document, PhotoEntry, PickEntry, Source
     from ladarreg_core.project.history import Author, Entry, History
 
@@ -130,21 +129,19 @@ def photo_slice(loader: Loader, document: Document, entry: PhotoEntry) -> dict[s
 
     found: dict[str, Any] = {"id": entry.id, "name": entry.source.name, "camera": None, "notes": [], "state": "empty"}
     found["rev"] = photo_revision(entry)
-    photo: Photo | None = None
     try:
-        try:
-            photo = loader.photo(entry)
-            camera = photo.camera
+        header = loader.header(entry)
+        camera = header.camera
+        if camera is None:
+            found["camera_error"] = as_fields(header.camera_error)
+        else:
             found["camera"] = {
                 **camera.as_fields(),
                 "distortion": list(camera.as_fields().get("distortion", ())),
-                "calibrated": photo.calibrated,
-                "said": describe_in_short(camera) + (", calibrated" if photo.calibrated else ""),
+                "calibrated": header.calibrated,
+                "said": describe_in_short(camera) + (", calibrated" if header.calibrated else ""),
                 "short": "panorama" if camera.model == "equirectangular" else f"f {camera.focal_px:.0f}",
             }
-        except CameraError as error:
-            found["camera_error"] = as_fields(str(error))
-            photo = loader.viewable_photo(entry)
     except LadarregError as error:
         return {**found, "width": 0, "height": 0, "thermal": False, "error": as_fields(str(error))}
     except Exception as error:  # a faulty photograph must not keep clients from joining
@@ -153,12 +150,11 @@ def photo_slice(loader: Loader, document: Document, entry: PhotoEntry) -> dict[s
         return {**found, "width": 0, "height": 0, "thermal": False, "error": problem}
     if entry.stated_pose is not None:
         found["stated_pose"] = [list(row) for row in entry.stated_pose]
-    height, width = photo.pixels.shape[:2]
     found.update(
-        width=width,
-        height=height,
-        thermal=photo.temperature_k is not None,
-        notes=[as_fields(text) for text in photo.notes],
+        width=header.width,
+        height=header.height,
+        thermal=header.is_thermal,
+        notes=[as_fields(text) for text in header.notes],
     )
     pose = entry.pose
     if pose is not None:
@@ -186,11 +182,8 @@ def progress_slice(
     if entry is None:
         return {**asdict(progress_of(document, None)), "exported": {}}
     stale = "" if entry.pose is None else loader.stale(document, entry, entry.pose)
-    missing = False
     try:
-        loader.photo(entry)
-    except CameraError:
-        missing = True
+        missing = loader.header(entry).camera is None
     except Exception:  # the slice `photos` states it
         missing = False
     found = progress_of(document, entry, missing_camera=missing, stale=stale, exported=bool(exported))
@@ -210,7 +203,10 @@ def outline_slice(loader: Loader, document: Document, entry: PhotoEntry) -> dict
             registration = loader.registration(entry.pose)
             camera, pose = registration.camera, registration.camera_from_scanner
         elif entry.stated_pose is not None:
-            camera, pose = loader.photo(entry).camera, Rigid.from_matrix(entry.stated_pose)
+            stated = loader.header(entry).camera
+            if stated is None:
+                return None
+            camera, pose = stated, Rigid.from_matrix(entry.stated_pose)
         else:
             return None
         rays = photo_outline(scan, camera, pose)

@@ -179,6 +179,11 @@ def _station(
         for name in ("sigma_mm", "sigma_deg"):
             values = stated[name] or [None]
             found[name] = None if None in values else max(values)
+    adjusted = None if document.adjusted is None else document.adjusted.scan(source)
+    if stated is None and adjusted is not None and adjusted.world_from_scanner is not None:
+        found["state"] = "fixed" if adjusted.sigma_m is None else "registered"
+        found["sigma_mm"] = None if adjusted.sigma_m is None else 1000 * adjusted.sigma_m
+        found["sigma_deg"] = None if adjusted.sigma_rad is None else float(np.degrees(adjusted.sigma_rad))
     place = Rigid.identity() if station is None else place_of(document, station)
     if place is not None:
         x, y, z = place.translation.tolist()

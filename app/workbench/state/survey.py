@@ -33,10 +33,12 @@ def survey_slice(document: Document, is_stale: Callable[[PhotoEntry], bool]) -> 
         "accepted": sum(photo["accepted"] for photo in photos),
         "photos": photos,
         "cameras": [_camera(adjusted, document, name) for name in adjusted.cameras],
-        "scans": [source.name for source in adjusted.scans],
+        "scans": [one.source.name for one in adjusted.scans],
         "chi2_per_dof": adjusted.chi2_per_dof,
         "sigma_px": adjusted.sigma_px,
-        "since": _since(len(changed), later, scans_changed=adjusted.scans != scans_of(document)),
+        "since": _since(
+            len(changed), later, scans_changed={one.source for one in adjusted.scans} != set(scans_of(document))
+        ),
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ _ARRAY_BUFFER, _ELEMENT_BUFFER = 34962, 34963
 _LINEAR, _LINEAR_MIPMAP, _CLAMP = 9729, 9987, 33071
 _MAX_BYTES = 2**32 - 1  # the header states the length in 32 bits
 _BYTES_AT_ONCE = 2**24
+_VARIANTS = "KHR_materials_variants"
 
 
 class GlbContent:
@@ -32,12 +33,12 @@ class GlbContent:
         self._materials: list[dict[str, Any]] = []
         self._images: list[dict[str, Any]] = []
 
-    def material(self, name: str, image: TextureImage, *, base: float = 1.0) -> int:
-        """Add an unlit material with a texture."""
+    def material(self, name: str, image: TextureImage, *, base: float = 1.0, second_uv: bool = False) -> int:
+        """Add an unlit material with a texture, by the first or the second texture coordinates of its primitives."""
         index = len(self._materials)
         self._images.append({"name": name, "bufferView": self._view(image.data), "mimeType": image.media_type})
         color = {
-            "baseColorTexture": {"index": index},
+            "baseColorTexture": {"index": index, **({"texCoord": 1} if second_uv else {})},
             "baseColorFactor": [base, base, base, 1.0],
             "metallicFactor": 0.0,
             "roughnessFactor": 1.0,
@@ -54,15 +55,26 @@ class GlbContent:
         material: int,
         *,
         normals: NDArray[Any] | None = None,
+        second_uv: NDArray[Any] | None = None,
+        variants: Sequence[int] = (),
     ) -> dict[str, Any]:
-        """Add triangles; return the primitive."""
+        """Add triangles; return the primitive. `variants` are their materials in each variant of the file."""
         placed = np.ascontiguousarray(vertices, dtype="<f4")
         attributes = {"POSITION": self._accessor(placed, "VEC3", _FLOAT, bounds=True)}
         if normals is not None:
             attributes["NORMAL"] = self._accessor(np.ascontiguousarray(normals, dtype="<f4"), "VEC3", _FLOAT)
         attributes["TEXCOORD_0"] = self._accessor(np.ascontiguousarray(uv, dtype="<f4"), "VEC2", _FLOAT)
+        if second_uv is not None:
+            attributes["TEXCOORD_1"] = self._accessor(np.ascontiguousarray(second_uv, dtype="<f4"), "VEC2", _FLOAT)
         indices = self._accessor(np.ascontiguousarray(faces, dtype="<u4").reshape(-1), "SCALAR", _UINT)
-        return {"attributes": attributes, "indices": indices, "material": material, "mode": 4}
+        primitive = {"attributes": attributes, "indices": indices, "material": material, "mode": 4}
+        if variants:
+            of_material: dict[int, list[int]] = {}
+            for variant, chosen in enumerate(variants):
+                of_material.setdefault(chosen, []).append(variant)
+            mappings = [{"material": chosen, "variants": listed} for chosen, listed in of_material.items()]
+            primitive["extensions"] = {_VARIANTS: {"mappings": mappings}}
+        return primitive
 
     def chunks(
         self,
@@ -71,6 +83,7 @@ class GlbContent:
         *,
         extras: dict[str, Any] | None = None,
         mark: str = "",
+        variants: Sequence[str] = (),
     ) -> Iterator[bytes | memoryview]:
         """Yield the file in pieces.
 
@@ -78,7 +91,7 @@ class GlbContent:
             ExportError: if it would exceed 4 GB.
         """
         mesh: dict[str, Any] = {"name": "scan", "primitives": primitives}
-        document = {
+        document: dict[str, Any] = {
             "asset": {"version": "2.0", "generator": "ladarreg", **({"extras": {"pose": mark}} if mark else {})},
             "extensionsUsed": ["KHR_materials_unlit"],
             "scene": 0,
@@ -93,6 +106,9 @@ class GlbContent:
             "bufferViews": self._views,
             "buffers": [{"byteLength": self.size}],
         }
+        if variants:
+            document["extensionsUsed"].append(_VARIANTS)
+            document["extensions"] = {_VARIANTS: {"variants": [{"name": name} for name in variants]}}
         text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode("ascii")
         text += b" " * (-len(text) % 4)
         total = 12 + 8 + len(text) + 8 + self.size

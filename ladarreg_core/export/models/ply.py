@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ladarreg_core.errors import ShapeError
+from ladarreg_core.export.layered_scan import LayerValues
 from ladarreg_core.export.output_frame import OutputFrame
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
@@ -33,6 +37,16 @@ _ROWS_AT_ONCE = 128
 _PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<u2": "ushort"}
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class CloudPart:
+    """The returns of a scan with their colours, in the frame of the file."""
+
+    scan: Scan
+    texture: RegisteredTexture | CellColors
+    frame: OutputFrame = SCANNER_FRAME
+    layers: Mapping[str, LayerValues] = field(default_factory=dict)
+
+
 def write_ply(
     path: str | Path,
     scan: Scan,
@@ -51,7 +65,19 @@ def write_ply(
     Raises:
         ExportError: if the file cannot be written.
     """
-    write_chunks(path, _chunks(scan, texture, frame, [*([f"pose: {mark}"] if mark else []), *comments], report))
+    sentences = [*([f"pose: {mark}"] if mark else []), *comments]
+    write_chunks(path, _chunks([CloudPart(scan, texture, frame)], sentences, report))
+
+
+def write_layered_ply(
+    path: str | Path, parts: Sequence[CloudPart], *, comments: Sequence[str] = (), report: Report | None = None
+) -> None:
+    """Write the returns of several scans in one frame as one cloud, with their layers as properties.
+
+    Raises:
+        ExportError: if the file cannot be written.
+    """
+    write_chunks(path, _chunks(parts, comments, report))
 
 
 def ply_bytes(scan: Scan, texture: RegisteredTexture, *, frame: OutputFrame = SCANNER_FRAME) -> bytes:
@@ -63,42 +89,54 @@ def ply_bytes(scan: Scan, texture: RegisteredTexture, *, frame: OutputFrame = SC
     Raises:
         ShapeError: if the texture is not on the scan's grid.
     """
-    return b"".join(_chunks(scan, texture, frame))
+    return b"".join(_chunks([CloudPart(scan, texture, frame)]))
 
 
-def _chunks(
-    scan: Scan,
-    texture: RegisteredTexture | CellColors,
-    frame: OutputFrame,
-    comments: Sequence[str] = (),
-    report: Report | None = None,
-) -> Iterator[bytes]:
+def _chunks(parts: Sequence[CloudPart], comments: Sequence[str] = (), report: Report | None = None) -> Iterator[bytes]:
     """Yield the header, then the vertices of some rows at a time."""
-    if texture.labels.shape != scan.shape:
-        raise ShapeError(f"the texture has {texture.labels.shape} cells, the scan {scan.shape}; they must agree")
-    count = int(np.count_nonzero(scan.valid))
-    several = isinstance(texture, CellColors)
-    layout = np.dtype([*_VERTEX.descr, *_FROM_PHOTOS.descr]) if several else _VERTEX
+    for part in parts:
+        if part.texture.labels.shape != part.scan.shape:
+            raise ShapeError(
+                f"the texture has {part.texture.labels.shape} cells, the scan {part.scan.shape}; they must agree"
+            )
+    first = parts[0]
+    count = sum(int(np.count_nonzero(part.scan.valid)) for part in parts)
+    several = isinstance(first.texture, CellColors)
+    layers = [(name, one.values.dtype.str) for name, one in first.layers.items()]
+    layout = np.dtype([*_VERTEX.descr, *(_FROM_PHOTOS.descr if several else []), *layers])
     codes = ", ".join(f"{label.value} {label.name.lower().replace('_', ' ')}" for label in Label)
+    offset = first.frame.offset_m
     header = [
         "ply",
         "format binary_little_endian 1.0",
-        f"comment ladarreg: {frame.sentence}",
-        *([f"comment offset_m {' '.join(f'{value:.0f}' for value in frame.offset_m)}"] if any(frame.offset_m) else []),
+        f"comment ladarreg: {first.frame.sentence}",
+        *([f"comment offset_m {' '.join(f'{value:.0f}' for value in offset)}"] if any(offset) else []),
         *(f"comment {_ascii(comment)}" for comment in comments),
         f"comment label: {codes}",
+        *(f"comment {name}: {_ascii(one.meaning)}" for name, one in first.layers.items()),
         f"element vertex {count}",
         *(f"property {_PLY_TYPES[layout[name].str]} {name}" for name in layout.names or ()),
         "end_header\n",
     ]
     yield "\n".join(header).encode("ascii")
-    levels, drawn = dimmed_levels(scan), texture.texture if isinstance(texture, CellColors) else texture
     done = 0
+    for part in parts:
+        for vertices in _vertices(part, layout):
+            yield vertices.tobytes()
+            done += len(vertices)
+            if report is not None:
+                report(Progress(done, count, "writing the cloud"))
+
+
+def _vertices(part: CloudPart, layout: np.dtype[Any]) -> Iterator[NDArray[Any]]:
+    """Yield the vertices (N,) of some rows at a time."""
+    scan, texture = part.scan, part.texture
+    levels, drawn = dimmed_levels(scan), texture.texture if isinstance(texture, CellColors) else texture
     for first in range(0, scan.shape[0], _ROWS_AT_ONCE):
         rows = slice(first, first + _ROWS_AT_ONCE)
         valid = np.flatnonzero(scan.valid[rows])
         vertices = np.zeros(len(valid), dtype=layout)
-        points = frame.place(scan.points_at(rows, slice(None)).reshape(-1, 3).take(valid, axis=0))
+        points = part.frame.place(scan.points_at(rows, slice(None)).reshape(-1, 3).take(valid, axis=0))
         rgb = model_rows(scan, drawn, rows, levels).reshape(-1, 3).take(valid, axis=0)
         for k in range(3):
             vertices["xyz"[k]] = points[:, k]
@@ -108,10 +146,9 @@ def _chunks(
         if isinstance(texture, CellColors):
             vertices["photo_id"] = texture.photo[rows].take(valid) + np.uint16(1)  # that of none becomes 0
             vertices["sigma_px"] = texture.sigma_px[rows].take(valid)
-        yield vertices.tobytes()
-        done += len(vertices)
-        if report is not None:
-            report(Progress(done, count, "writing the cloud"))
+        for name, one in part.layers.items():
+            vertices[name] = one.values[rows].take(valid)
+        yield vertices
 
 
 def _ascii(text: str) -> str:

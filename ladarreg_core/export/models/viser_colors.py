@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ladarreg_core.foundations.arrays import ByteArray, FloatArray
+from ladarreg_core.foundations.arrays import ByteArray
+from ladarreg_core.foundations.linear_light import encoded_light, linear_light
 
 VISER_BASE_COLOR = 8.0
 """Factor on the texture: the curve needs 15 times white to display white, and an 8-bit texture ends at 1. With 4 the
@@ -20,9 +21,9 @@ _A, _B, _C, _D, _E = 0.0245786, 0.000090537, 0.983729, 0.4329510, 0.238081
 
 def shown_colors(texture_rgb: ArrayLike, *, base_color: float = VISER_BASE_COLOR) -> ByteArray:
     """Return the colours that an unlit ACES-filmic viewer displays for a texture; both (..., 3) uint8."""
-    v = _linear(np.asarray(texture_rgb)) * (base_color * _PRE_EXPOSURE) @ _INPUT.T
+    v = linear_light(np.asarray(texture_rgb)) * (base_color * _PRE_EXPOSURE) @ _INPUT.T
     fitted = (v * (v + _A) - _B) / (v * (_C * v + _D) + _E)
-    return _encoded(fitted @ _OUTPUT.T)
+    return encoded_light(fitted @ _OUTPUT.T)
 
 
 def texture_for_viewer(wanted_rgb: ArrayLike, *, base_color: float = VISER_BASE_COLOR) -> ByteArray:
@@ -37,24 +38,13 @@ def texture_for_viewer(wanted_rgb: ArrayLike, *, base_color: float = VISER_BASE_
     rgb = np.stack([colors >> 16, (colors >> 8) & 255, colors & 255], axis=-1)
     brightest = base_color * _PRE_EXPOSURE
     limit = (brightest * (brightest + _A) - _B) / (brightest * (_C * brightest + _D) + _E)
-    x = np.clip(_linear(rgb) @ np.linalg.inv(_OUTPUT).T, 0, limit)
+    x = np.clip(linear_light(rgb) @ np.linalg.inv(_OUTPUT).T, 0, limit)
     # x = (v^2 + A v - B) / (C v^2 + D v + E), solved for the positive v.
     a, b, c = 1 - _C * x, _A - _D * x, -(_B + _E * x)
     v = (np.sqrt(b * b - 4 * a * c) - b) / (2 * a)
-    return _encoded(v @ np.linalg.inv(_INPUT).T / brightest)[index.ravel()].reshape(wanted.shape)
+    return encoded_light(v @ np.linalg.inv(_INPUT).T / brightest)[index.ravel()].reshape(wanted.shape)
 
 
 def line_colors_for_viewer(wanted_rgb: ArrayLike) -> ByteArray:
     """Return the colours, (..., 3) uint8, to set in viser for lines, which it tone maps (unlike points)."""
     return texture_for_viewer(wanted_rgb, base_color=1.0)
-
-
-def _linear(srgb: FloatArray | ByteArray) -> NDArray[np.float64]:
-    c = np.asarray(srgb, dtype=np.float64) / 255
-    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
-
-
-def _encoded(linear: FloatArray) -> ByteArray:
-    c = np.clip(linear, 0, 1)
-    encoded = np.where(c <= 0.0031308, c * 12.92, 1.055 * c ** (1 / 2.4) - 0.055)
-    return np.asarray(np.rint(255 * encoded), dtype=np.uint8)

@@ -219,3 +219,27 @@ def _scale(most: float, *, exceeded: str, room: int) -> NDArray[np.uint8]:
             padded(title, left=field // 2, bottom=_MARGIN, right=_MARGIN),
         ]
     )
+
+
+def layer_picture(image: ByteArray, legend: Legend, *, longest_px: int = 2400) -> NDArray[np.uint8]:
+    """Return a layer of the grid above its legend: single colours, and the scale with its ends.
+
+    Args:
+        image: (H, W, 3) uint8 RGB.
+        legend: what the colours mean.
+        longest_px: every n-th row and column of a larger picture is shown.
+    """
+    stride = max(1, int(np.ceil(max(image.shape[:2]) / longest_px)))
+    shown = image[::stride, ::stride]
+    room = max(shown.shape[1], 320)
+    parts = [shown, legend_strip(legend, room=room)]
+    if legend.ramp:
+        width = int(np.clip(room - 2 * _MARGIN, *_BAR_WIDTHS))
+        at = np.linspace(0, len(legend.ramp) - 1, width)
+        knots = np.array(legend.ramp, np.float64)
+        line = np.stack([np.interp(at, np.arange(len(knots)), knots[:, k]) for k in range(3)], axis=-1)
+        bar = np.repeat(np.rint(line).astype(np.uint8)[None], _BAR_HEIGHT, axis=0)
+        least = text_block(legend.least, size=_TEXT, width=width // 2, color=INK)
+        most = text_block(legend.most, size=_TEXT, width=width - width // 2, align="right", color=INK)
+        parts.append(padded(stacked([bar, beside([least, most])], gap=4), left=_MARGIN, bottom=_MARGIN))
+    return stacked(parts)

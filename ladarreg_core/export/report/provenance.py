@@ -96,10 +96,12 @@ def method_section(document: Document) -> Html:
     options = _flat(_options_of(str(document.get("method")), document.get("options") or {}))
     parts: list[Content] = [definitions([("Method", str(document.get("method"))), ("Seed", str(document.get("seed")))])]
     if steps:
-        parts += [
-            tag("h3", "Steps"),
-            tag("div", table(("step", "times", "seconds", "matches"), steps, numbers=(1, 2, 3)), class_="steps"),
-        ]
+        timed = any(step.get("seconds") is not None for step in document.get("steps") or ())
+        listed_steps = (
+            table(("step", "times", "seconds", "matches"), steps, numbers=(1, 2, 3)) if timed else
+            table(("step", "times", "matches"), [(name, n, count) for name, n, _, count in steps], numbers=(1, 2))
+        )  # fmt: skip
+        parts += [tag("h3", "Steps"), tag("div", listed_steps, class_="steps")]
     if options:
         listed = [tag("div", tag("code", name), " ", tag("span", value)) for name, value in options]
         parts += [
@@ -117,7 +119,7 @@ def _summed_steps(document: Document) -> list[tuple[str, str, str, str]]:
         times, seconds, matches = found.get(str(step["name"]), (0, 0.0, ""))
         if step.get("matches") is not None:
             matches = str(step["matches"])
-        found[str(step["name"])] = times + 1, seconds + float(step["seconds"]), matches
+        found[str(step["name"])] = times + 1, seconds + float(step["seconds"] or 0.0), matches
     return [(name, str(n), f"{seconds:.2f}", matches) for name, (n, seconds, matches) in found.items()]
 
 

@@ -65,3 +65,18 @@ SUMMARY_STYLE = """
 .photos p { margin: 2px 0; } .photos td:last-child { white-space: nowrap; padding-right: 0; }
 """
 """What the summary page of many photographs has besides."""
+
+BATCH_STYLE = """
+.tools { display: flex; flex-wrap: wrap; gap: 8px; margin: 14px 0; align-items: center; }
+.tools button, .tools select, .tools input { font: inherit; padding: 4px 11px; border: 1px solid var(--line);
+  border-radius: 7px; background: #fff; color: inherit; }
+.tools button[aria-pressed=true] { background: var(--ink); color: #fff; border-color: var(--ink); }
+.tools input { flex: 1 1 12rem; min-width: 0; } .photos { width: 100%; }
+.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(9rem, 1fr)); gap: 10px; }
+.figures div { background: var(--panel); border-radius: 7px; padding: 8px 12px; }
+.figures b { display: block; font-size: 21px; font-variant-numeric: tabular-nums; } tr[hidden] { display: none; }
+@media screen and (max-width: 700px) { .photos td:first-child, .photos img { width: 84px; }
+  .photos td:last-child { display: none; } }
+@media print { .tools { display: none; } }
+"""
+"""What the page of a batch has besides that."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.export.json import write_document
+from ladarreg_core.export.layered_scan import LayeredScan
 from ladarreg_core.export.registered_scan import RegisteredScan
 from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.las_file import LasWriter, extra_bytes_entry, extra_bytes_record, variable_record
@@ -78,10 +79,21 @@ def laz_files(handed: RegisteredScan, options: ExportOptions, report: Report | N
     stem = "cloud" if handed.scan_file is None else handed.scan_file.stem
     if stem.lower().endswith(".copc"):  # its points have another order, which readers know by the name
         stem = stem[:-5]
-    cloud = _Returns(handed) if source is None else _Copy(handed, source)
+    cloud = _Returns([LayeredScan(handed)]) if source is None else _Copy(handed, source)
+    return _files(stem, cloud, [handed], report)
 
+
+def layered_laz_files(parts: Sequence[LayeredScan], report: Report | None) -> Sequence[FileJob]:
+    """Return one cloud of the returns of scans, `cloud.laz`, with layers as extra bytes, and `legend.json`."""
+    return _files("cloud", _Returns(parts), [part.handed for part in parts], report)
+
+
+def _files(
+    stem: str, cloud: _Copy | _Returns, scans: Sequence[RegisteredScan], report: Report | None
+) -> Sequence[FileJob]:
     def write(path: Path) -> None:
-        handed.compute_colors(report)
+        for handed in scans:
+            handed.compute_colors(report)
         done, label = 0, f"writing {path.name}"
         if report is not None:
             report(Progress(done, cloud.count, label))
@@ -270,36 +282,47 @@ def _free_name(name: str, taken: set[str]) -> str:
 
 
 class _Returns:
-    """The returns of a scan that was not read from LAS."""
+    """The returns of scans that were not read from LAS, or are written with layers."""
 
-    def __init__(self, handed: RegisteredScan) -> None:
-        self._handed = handed
-        scan = handed.scan
-        self.count = int(np.count_nonzero(scan.valid))
-        pose = scan.world_from_scanner or Rigid.identity()
-        large = np.abs(pose.translation).max() > _OFFSET_ROUNDED_TO_M
-        self._offset = (
-            np.round(pose.translation / _OFFSET_ROUNDED_TO_M) * _OFFSET_ROUNDED_TO_M + 0.0 if large else np.zeros(3)
+    def __init__(self, parts: Sequence[LayeredScan]) -> None:
+        self._parts = parts
+        scans = [part.handed.scan for part in parts]
+        self.count = sum(int(np.count_nonzero(scan.valid)) for scan in scans)
+        poses = [scan.world_from_scanner or Rigid.identity() for scan in scans]
+        first = poses[0].translation
+        large = np.abs(first).max() > _OFFSET_ROUNDED_TO_M
+        self._offset = np.round(first / _OFFSET_ROUNDED_TO_M) * _OFFSET_ROUNDED_TO_M + 0.0 if large else np.zeros(3)
+        self._placed = [Rigid(pose.rotation, pose.translation - self._offset) for pose in poses]  # small, and exact
+        reach = max(
+            float(np.nanmax(scan.ranges)) + float(np.abs(placed.translation).max())
+            for scan, placed in zip(scans, self._placed, strict=True)
         )
-        self._placed = Rigid(pose.rotation, pose.translation - self._offset)  # small, and exact
-        reach = float(np.nanmax(scan.ranges)) + 2 * _OFFSET_ROUNDED_TO_M
-        self._scale_m = _SCALE_M if reach / _SCALE_M < _LARGEST_INTEGER else _COARSER_SCALE_M
-        self._intensity = _Intensity(scan)
+        fits = (reach + _OFFSET_ROUNDED_TO_M) / _SCALE_M < _LARGEST_INTEGER
+        self._scale_m = _SCALE_M if fits else _COARSER_SCALE_M
+        self._intensity = _Intensity(scans)
+        scan, layers = scans[0], parts[0].values
         in_world = scan.world_from_scanner is not None
-        self.legend = _legend(
-            handed,
-            "world frame, as the scan's file states it; metres"
-            if in_world
-            else "scanner frame, X forward, Y left, Z up; metres",
-            self._intensity.words,
-            "the dimmed laser intensity" if scan.color is None else "that of the source file",
-            [],
-        )
-        self._dtype = point_dtype(7, [(name, dtype) for name, (dtype, _) in EXTRA_BYTES.items()])
+        self.legend = {
+            **_legend(
+                parts[0].handed,
+                "world frame, as the scan's file states it; metres"
+                if in_world
+                else "scanner frame, X forward, Y left, Z up; metres",
+                self._intensity.words,
+                "the dimmed laser intensity" if scan.color is None else "that of the source file",
+                [],
+            ),
+            **({"layers": {name: one.meaning for name, one in layers.items()}} if layers else {}),
+        }
+        self._fields = {
+            **EXTRA_BYTES,
+            **{name: (one.values.dtype.str, one.meaning) for name, one in layers.items()},
+        }
+        self._dtype = point_dtype(7, [(name, dtype) for name, (dtype, _) in self._fields.items()])
 
     def writer(self, path: Path) -> LasWriter:
         """Return the writer of the cloud."""
-        entries = b"".join(extra_bytes_entry(name, *rest) for name, rest in EXTRA_BYTES.items())
+        entries = b"".join(extra_bytes_entry(name, *rest) for name, rest in self._fields.items())
         return LasWriter(
             path,
             point_format=7,
@@ -317,7 +340,11 @@ class _Returns:
 
     def chunks(self) -> Iterator[NDArray[Any]]:
         """Yield the points with their colours."""
-        scan, colors = self._handed.scan, self._handed.colors
+        for part, placed in zip(self._parts, self._placed, strict=True):
+            yield from self._chunks_of(part, placed)
+
+    def _chunks_of(self, part: LayeredScan, placed: Rigid) -> Iterator[NDArray[Any]]:
+        scan, colors = part.handed.scan, part.handed.colors
         levels = dimmed_levels(scan)
         rows_at_once = max(1, _CHUNK // scan.shape[1])
         for first in range(0, scan.shape[0], rows_at_once):
@@ -325,7 +352,7 @@ class _Returns:
             valid = scan.valid[rows]
             points = scan.points_at(rows, slice(None))[valid].astype(np.float64)
             made = np.zeros(len(points), self._dtype)
-            points = (points @ self._placed.rotation.T + self._placed.translation) / self._scale_m
+            points = (points @ placed.rotation.T + placed.translation) / self._scale_m
             for k, axis in enumerate("XYZ"):
                 made[axis] = np.rint(points[:, k])
             intensity = scan.intensity[rows][valid]
@@ -341,17 +368,21 @@ class _Returns:
                 made[name] = np.where(shown, rgb[:, k], before[:, k]) * _SIXTEEN_BITS
             made["photo_id"] = np.where(shown, photo + np.uint16(1), 0)
             made["label"], made["sigma_px"] = colors.labels[rows][valid], colors.sigma_px[rows][valid]
+            for name, one in part.values.items():
+                made[name] = one.values[rows][valid]
             yield made
 
 
 class _Intensity:
-    """The intensities of a scan in 16 bits: unchanged where they are whole numbers that fit."""
+    """The intensities of scans in 16 bits: unchanged where they are whole numbers that fit."""
 
-    def __init__(self, scan: Scan) -> None:
+    def __init__(self, scans: Sequence[Scan]) -> None:
         low, high, whole = np.inf, -np.inf, True
-        for first in range(0, scan.shape[0], 256):
-            here = scan.intensity[first : first + 256][scan.valid[first : first + 256]]
-            if here.size:
+        for scan in scans:
+            for first in range(0, scan.shape[0], 256):
+                here = scan.intensity[first : first + 256][scan.valid[first : first + 256]]
+                if not here.size:
+                    continue
                 low, high = min(low, float(here.min())), max(high, float(here.max()))
                 whole = whole and bool((here == np.rint(here)).all())
         self._zero, self._factor = min(low, 0.0), 1.0

@@ -7,13 +7,15 @@ from pathlib import Path
 from weakref import WeakKeyDictionary
 
 from ladarreg_core.errors import ExportError
-from ladarreg_core.export.models.glb import write_model_glb
+from ladarreg_core.export.layered_scan import LayeredScan
+from ladarreg_core.export.models.glb import PlacedModel, write_layered_glb, write_model_glb
 from ladarreg_core.export.models.obj import texture_names, write_materials, write_obj, write_texture
 from ladarreg_core.export.registered_scan import RegisteredScan
 from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.progress import Report
 from ladarreg_core.storage.replacement import OFFSET_FILE
+from ladarreg_core.surface.mesh.reduced_mesh import MAX_FACES
 from ladarreg_core.surface.texture.photo_model import ModelPhoto, PhotoModel, photo_model
 
 _MATERIALS = "model.mtl"
@@ -54,6 +56,28 @@ def glb_files(handed: RegisteredScan, options: ExportOptions, report: Report | N
         write_model_glb(path, model, frame=handed.frame, names=names, mark=_mark(handed), report=report)
 
     return [("model.glb", write), *_offset(handed)]
+
+
+def layered_glb_files(parts: Sequence[LayeredScan], report: Report | None) -> Sequence[FileJob]:
+    """Return `model.glb` of several scans with layers as its variants, the first of them the fused colours."""
+    first = parts[0].handed
+    names = [one.photo.name for one in first.photos]
+
+    def write(path: Path) -> None:
+        models = []
+        for part in parts:
+            photos = [
+                ModelPhoto(one.photo.pixels, one.camera, one.camera_from_scanner, labels)
+                for one, labels in zip(part.handed.photos, part.handed.photo_labels, strict=True)
+            ]
+            most = MAX_FACES // len(parts)
+            model = photo_model(
+                part.handed.scan, photos, part.handed.colors.photo, on_grid=True, most_faces=most, report=report
+            )
+            models.append(PlacedModel(model, part.handed.frame, part.pictures))
+        write_layered_glb(path, models, names=names, fused="Fused", mark=_mark(first), report=report)
+
+    return [("model.glb", write)]
 
 
 def obj_files(handed: RegisteredScan, options: ExportOptions, report: Report | None) -> Sequence[FileJob]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from ladarreg_core.export.models.ply import write_ply
+from ladarreg_core.export.layered_scan import LayeredScan
+from ladarreg_core.export.models.ply import CloudPart, write_layered_ply, write_ply
 from ladarreg_core.export.registered_scan import RegisteredScan
 from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions
@@ -26,3 +27,11 @@ def ply_files(handed: RegisteredScan, options: ExportOptions, report: Report | N
 
     jobs: list[FileJob] = [("cloud.ply", write)]
     return jobs if handed.frame.name == "scanner" else [*jobs, (OFFSET_FILE, handed.frame.write)]
+
+
+def layered_ply_files(parts: Sequence[LayeredScan], report: Report | None) -> Sequence[FileJob]:
+    """Return `cloud.ply`, the returns of scans with their layers as properties."""
+    comments = [f"photo_id {k}: {one.photo.name} ({one.registration.standing})"
+                for k, one in enumerate(parts[0].handed.photos, 1)]  # fmt: skip
+    clouds = [CloudPart(one.handed.scan, one.handed.colors, one.handed.frame, one.values) for one in parts]
+    return [("cloud.ply", lambda path: write_layered_ply(path, clouds, comments=comments, report=report))]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ladarreg_core.errors import FormatError
+from ladarreg_core.formats.parsing.csv_table import read_csv_table
 from ladarreg_core.formats.parsing.untrusted import PathLike, one_line, reading
 
 _NEEDED, _OPTIONAL = ("scan", "photo"), ("camera", "camera_name", "more", "name")
@@ -47,22 +47,7 @@ def read_rig_table(path: PathLike) -> list[RigRow]:
         FormatError: if a column is missing or unknown, a row is incomplete, repeated or names a file that is not there.
     """
     with reading(path) as file:
-        data = file.read_bytes()[: _MAX_BYTES + 1]
-        if len(data) > _MAX_BYTES:
-            raise FormatError("it is larger than 1 MB; the table of a rig has a row for each pair")
-        try:
-            text = data.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            raise FormatError("it is no text in UTF-8; save the table as CSV in UTF-8") from None
-        if "\0" in text:
-            raise FormatError("it is no text; give a CSV with the columns scan and photo")
-        lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-        delimiter = ";" if lines and ";" in lines[0] and "," not in lines[0] else ","
-        try:
-            table = [[cell.strip() for cell in row] for row in csv.reader(lines, delimiter=delimiter, strict=True)]
-        except csv.Error as error:
-            raise FormatError(f"its rows are damaged ({one_line(error, 60)})") from None
-        header = [cell.lower() for cell in table[0]] if table else []
+        header, rows = read_csv_table(file, most_bytes=_MAX_BYTES, needs="a CSV with the columns scan and photo")
         missing = [name for name in _NEEDED if name not in header]
         unknown = [name for name in header if name not in (*_NEEDED, *_OPTIONAL)]
         if missing or unknown or len(set(header)) < len(header):
@@ -70,7 +55,6 @@ def read_rig_table(path: PathLike) -> list[RigRow]:
             raise FormatError(
                 f"its header {found}; it must name scan and photo, once each, and may name {', '.join(_OPTIONAL)}"
             )
-        rows = table[1:]
         if not 1 <= len(rows) <= _MAX_ROWS:
             raise FormatError(f"it has {len(rows)} pairs; the table of a rig has 2 to {_MAX_ROWS}")
         names: dict[str, int] = {}

@@ -345,7 +345,7 @@ class _Limits:
             import resource
 
             _, hard = resource.getrlimit(resource.RLIMIT_DATA)
-            wanted = _data_bytes() + self._memory_bytes
+            wanted = data_bytes() + self._memory_bytes
             resource.setrlimit(resource.RLIMIT_DATA, (wanted if hard < 0 else min(wanted, hard), hard))
 
     def restart_alarm(self) -> None:
@@ -364,7 +364,7 @@ class _Limits:
             resource.setrlimit(resource.RLIMIT_DATA, (hard, hard))
 
 
-def _data_bytes() -> int:
+def data_bytes() -> int:
     """Return the current memory that counts towards RLIMIT_DATA, bytes."""
     with open("/proc/self/status", encoding="ascii") as status:
         return next(int(line.split()[1]) << 10 for line in status if line.startswith("VmData"))

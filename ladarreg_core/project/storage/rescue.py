@@ -114,5 +114,7 @@ def _with_absolute_paths(folder: ProjectFolder, document: Document) -> Document:
             scans=tuple(map(absolute, survey.scans)),
             checks=tuple(changed(check, scan=absolute(check.scan)) for check in survey.checks),
         ),
-        adjusted=None if adjusted is None else changed(adjusted, scans=tuple(map(absolute, adjusted.scans))),
+        adjusted=None
+        if adjusted is None
+        else changed(adjusted, scans=tuple(changed(one, source=absolute(one.source)) for one in adjusted.scans)),
     )

@@ -62,6 +62,8 @@ class ModelPart:
     """Index of the photograph; None: laser intensity."""
     tile: TextureTile
     """The rectangle of the picture that the triangles use."""
+    grid_uv: FloatArray | None = None
+    """(N, 2) float32: texture coordinates on a picture of the scan's whole grid, as `uv`; None: not known."""
 
     @property
     def uv(self) -> NDArray[np.float32]:
@@ -86,6 +88,7 @@ class ModelPart:
             pixels=pixels,
             faces=index[faces],
             tile=_tile_of(self.tile.picture, pixels),
+            grid_uv=None if self.grid_uv is None else self.grid_uv[used],
         )
 
     def divided(self, largest_px: int = LARGEST_TILE_PX) -> list[ModelPart]:
@@ -127,9 +130,10 @@ def model_part(
     *,
     picture: ByteArray,
     photo: int | None,
+    grid_uv: FloatArray | None = None,
 ) -> ModelPart:
     """Return the part of triangles with their whole rectangle of a picture; the arguments are those of `ModelPart`."""
-    return ModelPart(vertices, normals, pixels, faces, photo, _tile_of(picture, pixels))
+    return ModelPart(vertices, normals, pixels, faces, photo, _tile_of(picture, pixels), grid_uv)
 
 
 def _tile_of(picture: ByteArray, pixels: FloatArray) -> TextureTile:

@@ -27,7 +27,7 @@ from ladarreg_core.surface.texture.registered_texture import (
     textured_parts,
 )
 from ladarreg_core.surface.uncertainty import pixel_sigma
-from ladarreg_core.surface.visibility.visible_points import Occluder
+from ladarreg_core.surface.visibility.visible_points import Occluder, ScanProjection
 
 NO_PHOTO = np.iinfo(np.uint16).max
 """The photograph of cells and points that no photograph shows."""
@@ -138,7 +138,7 @@ def best_photo(
         ):
             here = part.rows, part.columns
             colored = _table(COLORED)[part.labels]
-            sigma = _sigma(scan, view, here, colored)
+            sigma = cell_sigma(scan, view, here, colored)
             if merit is None:
                 better, hidden = colored, ~colored
             else:
@@ -303,15 +303,24 @@ def _table(labels: Sequence[Label]) -> NDArray[np.bool_]:
 def _merit(part: TexturedPart, camera: CameraModel) -> NDArray[np.int16]:
     """Return how well a photograph shows cells: first by their label, then by its resolution on the surface."""
     rank: NDArray[np.int16] = np.array([_RANK.get(code, 0) for code in range(256)], np.int16)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        squared = np.float32(camera.focal_px**2) * np.abs(part.projection.cosine) / part.projection.depth_m**2
-        steps = np.rint(np.log2(np.maximum(squared, np.float32(1e-6))) * np.float32(_STEPS_PER_OCTAVE / 2))
+    with np.errstate(invalid="ignore"):
+        steps = np.rint(pixel_density(part.projection, camera) * np.float32(_STEPS_PER_OCTAVE / 2))
     fine = np.clip(np.nan_to_num(steps), -400, 400).astype(np.int16)
     result: NDArray[np.int16] = rank[part.labels] * np.int16(1000) + fine + np.int16(400)
     return result
 
 
-def _sigma(scan: Scan, view: PosedPhoto, here: tuple[slice, slice], colored: NDArray[np.bool_]) -> NDArray[np.float32]:
+def pixel_density(projection: ScanProjection, camera: CameraModel) -> NDArray[np.float32]:
+    """Return the binary logarithm of a photograph's pixels per m^2 of the surface, (h, w); at least log2 1e-6."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        squared = np.float32(camera.focal_px**2) * np.abs(projection.cosine) / projection.depth_m**2
+        return np.asarray(np.log2(np.maximum(squared, np.float32(1e-6))), dtype=np.float32)
+
+
+def cell_sigma(
+    scan: Scan, view: PosedPhoto, here: tuple[slice, slice], colored: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    """Return the standard deviation, px, of where a photograph shows cells (h, w) of a rectangle; NaN elsewhere."""
     result = np.full(colored.shape, np.nan, np.float32)
     points = scan.points_at(*here)[colored]
     if len(points):

@@ -84,6 +84,7 @@ def photo_model(
     *,
     full: bool = False,
     crop: bool = False,
+    on_grid: bool = False,
     most_faces: int = MAX_FACES,
     largest_tile_px: int = LARGEST_TILE_PX,
     report: Report | None = None,
@@ -100,6 +101,7 @@ def photo_model(
             it.
         full: keep the whole mesh, whatever its size.
         crop: leave out what no photograph covers.
+        on_grid: every triangle may have a picture on the scan's grid as its texture, too: `ModelPart.grid_uv`.
         most_faces: largest number of triangles, unless `full`.
         largest_tile_px: longer side of the largest texture.
         report: receives the progress; may raise `Cancelled`.
@@ -135,13 +137,14 @@ def photo_model(
     if not full:
         triangles.keep(_without_specks(triangles))
     say("the texture coordinates")
-    error = triangles.refine(UV_ERROR_PX, most_faces=None if full else most_faces)
+    error = triangles.refine(UV_ERROR_PX, most_faces=None if full else most_faces, on_grid=on_grid)
     say("the textures")
     parts: list[ModelPart] = []
+    shape = scan.shape if on_grid else None
     for k, photo in enumerate(photos):
-        parts += _parts(triangles, k, photo.pixels, k, largest_tile_px)
+        parts += _parts(triangles, k, photo.pixels, k, largest_tile_px, shape)
     if (triangles.owner == LASER).any():
-        parts += _parts(triangles, LASER, dimmed_picture(scan), None, largest_tile_px)
+        parts += _parts(triangles, LASER, dimmed_picture(scan), None, largest_tile_px, shape)
     return PhotoModel(tuple(parts), found.tolerance_m, error)
 
 
@@ -193,12 +196,17 @@ def _without_specks(triangles: TexturedTriangles) -> BoolArray:
 
 
 def _parts(
-    triangles: TexturedTriangles, owner: int, picture: ByteArray, photo: int | None, largest_px: int
-) -> list[ModelPart]:
+    triangles: TexturedTriangles, owner: int, picture: ByteArray, photo: int | None, largest_px: int,
+    shape: tuple[int, int] | None,
+) -> list[ModelPart]:  # fmt: skip
     vertex, pixels, faces = triangles.textured(owner)
     if not len(faces):
         return []
     vertices: FloatArray = triangles.vertices.take(vertex, axis=0)
     normals: FloatArray = triangles.normals.take(vertex, axis=0)
-    whole = model_part(vertices, normals, pixels, faces, picture=picture, photo=photo)
+    grid_uv = None
+    if shape is not None:
+        cells: FloatArray = triangles.cells.take(vertex, axis=0)[:, ::-1]
+        grid_uv = ((cells + np.float32(0.5)) / np.array(shape[::-1], np.float32)).astype(np.float32)
+    whole = model_part(vertices, normals, pixels, faces, picture=picture, photo=photo, grid_uv=grid_uv)
     return whole.divided(largest_px)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import cv2
@@ -185,7 +186,7 @@ def textured_parts(
     for tile in tiles:
         projection = _without_isolated_shadows(tile.projection)
         labels = _labels(tile.scan, projection, camera, camera_from_scanner, covariance)
-        image = _sampled(photo.pixels, projection, tile.scan, camera, background)
+        image = cell_values(photo.pixels, projection, tile.scan.ranges, scan.geometry.step_rad, camera, background)
         inner = projection.of_cells(*tile.inner)
         yield TexturedPart(tile.rows, tile.columns, image[tile.inner], labels[tile.inner], inner)
 
@@ -391,22 +392,38 @@ def _pose_uncertain(
     return result
 
 
-def _sampled(
-    pixels: ByteArray, projection: ScanProjection, scan: Scan, camera: CameraModel, background: tuple[int, ...]
-) -> NDArray[np.uint8]:
-    """Return the photo's colour at every visible cell, (H, W, 3), from a copy reduced to about the size of the cell."""
+def cell_values(
+    pixels: NDArray[Any],
+    projection: ScanProjection,
+    ranges: FloatArray,
+    step_rad: tuple[float, float],
+    camera: CameraModel,
+    background: tuple[float, ...],
+) -> NDArray[Any]:
+    """Return a picture's values at every visible cell, from a copy reduced to about the size of the cell.
+
+    Args:
+        pixels: (h, w, 3) uint8, or (h, w) float32; NaN in it makes the cells around NaN.
+        projection: the cells (H, W) in the picture.
+        ranges: (H, W) of the cells, m.
+        step_rad: angles between neighbouring rows and columns of the scan.
+        camera: the picture's camera.
+        background: the value of other cells, a number per channel.
+
+    Returns:
+        values (H, W, 3) or (H, W), of the picture's type.
+    """
     visible = projection.visible
     u, v = (np.where(visible, projection.uv[..., k], _OUTSIDE) for k in range(2))
     if camera.turn_px:  # colours are continuous across the seam
         pixels = np.concatenate([pixels[:, -_SEAM_PX:], pixels, pixels[:, :_SEAM_PX]], axis=1)
         u = np.where(visible, u + np.float32(min(_SEAM_PX, camera.width)), _OUTSIDE)
-    steps = scan.geometry.step_rad
-    reach = np.float32(camera.focal_px * np.sqrt(steps[0] * steps[1]))
+    reach = np.float32(camera.focal_px * np.sqrt(step_rad[0] * step_rad[1]))
     with np.errstate(invalid="ignore", divide="ignore"):
-        cell_px = np.where(visible, reach * scan.ranges / projection.depth_m, np.float32(0))
+        cell_px = np.where(visible, reach * ranges / projection.depth_m, np.float32(0))
     largest = float(cell_px.max())
     smallest = float(np.min(cell_px, where=visible, initial=largest))
-    result: NDArray[np.uint8] | None = None
+    result: NDArray[Any] | None = None
     reduced, level = pixels, 0
     while True:
         last = largest < 2 ** (level + 1) or min(reduced.shape[:2]) < 4
@@ -416,17 +433,18 @@ def _sampled(
             if result is None:
                 result = colors
             else:
-                np.copyto(result, colors, where=(cell_px >= 2**level)[..., None])
+                larger = cell_px >= 2**level
+                np.copyto(result, colors, where=larger[..., None] if colors.ndim == 3 else larger)
         if last:
             assert result is not None, "the last copy is always used"
             return result
         size = (reduced.shape[1] // 2, reduced.shape[0] // 2)
-        reduced = np.asarray(cv2.resize(reduced, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        reduced = np.asarray(cv2.resize(reduced, size, interpolation=cv2.INTER_AREA), dtype=pixels.dtype)
         level += 1
 
 
 def _in_copy(
-    u: FloatArray, v: FloatArray, visible: BoolArray, pixels: ByteArray, reduced: ByteArray
+    u: FloatArray, v: FloatArray, visible: BoolArray, pixels: NDArray[Any], reduced: NDArray[Any]
 ) -> tuple[FloatArray, FloatArray]:
     """Return the positions of pixels in a reduced copy: outer borders are fixed, so centres move."""
     half, at = np.float32(0.5), []

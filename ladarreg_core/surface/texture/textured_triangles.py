@@ -143,12 +143,13 @@ class TexturedTriangles:
                 rows = np.flatnonzero(choice == k)
                 self.owner[rows[at_all_corners(photo.seen, self.faces.take(rows, axis=0))]] = k
 
-    def refine(self, largest_error_px: float, *, most_faces: int | None) -> float:
+    def refine(self, largest_error_px: float, *, most_faces: int | None, on_grid: bool = False) -> float:
         """Divide triangles until the texture errs by at most so much within them.
 
         Args:
             largest_error_px: the error, px of the photograph.
             most_faces: a larger error is accepted if there would be more triangles; None: no limit.
+            on_grid: a picture on the scan's grid is the texture of those with a photograph, too.
 
         Returns:
             The error that the division was made for, px. Triangles at a pole of a panorama may exceed it.
@@ -156,7 +157,7 @@ class TexturedTriangles:
         error = largest_error_px
         self._changed = np.ones(len(self.faces), np.bool_)
         for _ in range(_MAX_ROUNDS):
-            new = self._edges_that_err(error / _INSIDE_OVER_EDGE)
+            new = self._edges_that_err(error / _INSIDE_OVER_EDGE, on_grid=on_grid)
             if not len(new):
                 break
             if most_faces is not None and self._would_exceed(most_faces, new):
@@ -199,7 +200,7 @@ class TexturedTriangles:
         self.faces, parent, self._changed = cut_edges(self.faces, keys, n)
         self.owner = self.owner[parent]
 
-    def _edges_that_err(self, most_px: float) -> NDArray[np.int64]:
+    def _edges_that_err(self, most_px: float, *, on_grid: bool) -> NDArray[np.int64]:
         """Return the keys of the edges of changed triangles whose midpoint errs by more than `most_px`, ascending."""
         n, found = len(self.vertices), [np.zeros(0, np.int64)]
         changed = np.flatnonzero(self._changed)
@@ -207,14 +208,13 @@ class TexturedTriangles:
             faces = self.faces.take(changed[self.owner[changed] == owner], axis=0)
             for first in range(0, len(faces), _AT_ONCE):
                 some = faces[first : first + _AT_ONCE]
-                if owner == LASER:
+                if owner == LASER or on_grid:
                     keys = distinct(edge_keys(some[self._may_err_on_grid(some)], n))
-                    errs = self._errs_on_grid(*edge_ends(keys, n))
-                else:
+                    found.append(keys[self._errs_on_grid(*edge_ends(keys, n))])
+                if owner != LASER:
                     photo = self._photos[owner]
                     keys = distinct(edge_keys(some[self._may_err_in(photo, some, most_px)], n))
-                    errs = self._errs_in(photo, *edge_ends(keys, n), most_px)
-                found.append(keys[errs])
+                    found.append(keys[self._errs_in(photo, *edge_ends(keys, n), most_px)])
         return distinct(np.concatenate(found))
 
     def _may_err_on_grid(self, faces: IntArray) -> BoolArray:

@@ -9,6 +9,7 @@ import { mountExport } from "../panels/export/export.js";
 import { mountMatchTable } from "../panels/matches/match_table.js";
 import { mountPipeline } from "../panels/matches/pipeline.js";
 import { mountStages } from "../panels/pose/stages.js";
+import { mountPhotographs } from "../panels/stations/photographs.js";
 import { mountStations } from "../panels/stations/stations.js";
 import { mountVerdict } from "../panels/pose/verdict.js";
 import { view } from "../state/view.js";
@@ -17,7 +18,7 @@ import { element } from "../ui/dom.js";
 /** The panels of each step, in order; each panel is created once and then only shown or hidden. */
 const SHOWN = {
   acquire: ["devices", "plan", "run"],
-  stations: ["stations", "fit"],
+  stations: ["photographs", "stations", "fit"],
   match: ["table", "methods", "verdict"],
   solve: ["table", "methods", "convergence"],
   judge: ["depth", "verdict", "stages"],
@@ -32,6 +33,7 @@ export const mountDock = (dock) => {
     devices: mountDevices(),
     plan: mountPlanForm(),
     run: mountRun(),
+    photographs: mountPhotographs(),
     stations,
     fit,
     table: mountMatchTable(),

@@ -49,7 +49,7 @@ export const stationsStep = () => {
   const { stations, done, status, missing } = stationsNow();
   return {
     name: "stations",
-    label: "Stations",
+    label: "Survey",
     done: stations.length > 0 && Boolean(done),
     missing: missing ?? "",
     status: status ?? "Scans of the same place from elsewhere.",

@@ -21,12 +21,12 @@ const answers = (names, uploaded) => {
   const found = scan
     ? [
       ["frames", many ? "Add as frames" : "Add as a frame", `${frames}: accumulated with the scan. Matches, photographs and poses stay.`],
-      ["stations", many ? "Add as stations" : "Add as a station", `${stations}: registered to the scan in the step Stations. Matches, photographs and poses stay.`],
+      ["stations", many ? "Add as stations" : "Add as a station", `${stations}: registered to the scan in the step Survey. Matches, photographs and poses stay.`],
       ["replace", "Replace the scan", `Its matches and poses are removed; Undo brings them back.${many ? " The new ones are accumulated to one scan." : ""}`],
     ]
     : [
       ["frames", "Frames of one standpoint", `${frames}: accumulated to one scan.`],
-      ["stations", "Stations", `${stations}: the first one is opened, the others are registered to it in the step Stations.`],
+      ["stations", "Stations", `${stations}: the first one is opened, the others are registered to it in the step Survey.`],
     ];
   if (uploaded && scan) found.push(["new", `New project with ${them}`, "This project stays as it is."]);
   found.push([null, uploaded ? `Leave ${them} for later` : "Cancel", ""]);

@@ -1,4 +1,4 @@
-/** The tabs Acquire, Stations, Match, Solve, Judge and Export: the progress of the work, and the choice of what the dock shows. */
+/** The tabs Acquire, Survey, Match, Solve, Judge and Export: the progress of the work, and the choice of what the dock shows. */
 
 import { store } from "../../net/store.js";
 import { acquireStep } from "../../state/acquisition.js";

@@ -1,0 +1,107 @@
+"""`ladarreg batch JOBS -o OUT`."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeAlias
+
+import tyro
+
+from ..arguments import OptionalFloat, OptionalInt
+from ..batch_table import batch_table
+from ..exit_codes import ExitCode
+from ..messages import one_line
+
+if TYPE_CHECKING:
+    from ladarreg_core.jobs.run_folder import BatchResult
+
+EXAMPLES = (
+    "ladarreg batch jobs.csv -o results",
+    "# each folder is a job: a scan with its photos, or a survey:",
+    "ladarreg batch 'sites/*' -o results --workers 4",
+    "# after an interruption, the same command goes on where it was",
+)
+_Names: TypeAlias = list[str]
+_MAX_LINES = 12
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Arguments of `batch`."""
+
+    jobs: Annotated[tyro.conf.Positional[_Names], tyro.conf.arg(metavar="JOBS")]
+    """A list (CSV or JSON) with columns scan and photo, or survey, and options of register; or folders, each with one
+    job, also as a pattern."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
+    """Output folder: a new one, or that of an earlier run, which is resumed."""
+    workers: Annotated[OptionalInt, tyro.conf.arg(metavar="N")] = None
+    """Number of jobs that are done at a time; default: one for each processor core."""
+    memory_gb: Annotated[OptionalFloat, tyro.conf.arg(metavar="GB")] = None
+    """Memory that a job may use; default: that of the machine."""
+    force: bool = False
+    """Replace what OUT contains of other inputs or options, or OUT if it contains results and nothing else."""
+    quiet: bool = False
+    """Print no progress, and the verdict in one line."""
+    json: bool = False
+    """Print batch.json, and nothing else, on stdout; errors, too."""
+    debug: bool = False
+    """Print a log, and a traceback on failure."""
+
+
+def run(arguments: Arguments) -> ExitCode:
+    """Do the jobs, write their results and the summary, and print the outcomes."""
+    from ladarreg_core.errors import FormatError
+    from ladarreg_core.jobs.job_list import JobListError, read_jobs
+    from ladarreg_core.jobs.run import batch
+    from ladarreg_core.storage.manifest import visible_files
+
+    started = time.perf_counter()
+    try:
+        jobs = read_jobs(*arguments.jobs)
+    except JobListError as error:
+        if arguments.json or len(error.faults) == 1:
+            raise
+        for fault in error.faults:
+            print(f"ladarreg: {one_line(fault)}", file=sys.stderr)
+        raise FormatError(error.summary) from None
+    with batch_table(quiet=arguments.quiet or arguments.json) as table:
+        result = batch(
+            jobs, arguments.out, workers=arguments.workers, memory_gb=arguments.memory_gb, force=arguments.force,
+            report=table.show,
+        )  # fmt: skip
+    files = visible_files(arguments.out)
+    if arguments.json:
+        from ..json_output import print_json
+
+        print_json({**result.document, "output": {"folder": os.path.abspath(arguments.out), "files": files}})
+    elif arguments.quiet:
+        print(_verdict(result))
+    else:
+        print("\n".join(_lines(result)))
+        print(f"Wrote    {', '.join(files)} in {arguments.out}")
+        print(f"Took     {time.perf_counter() - started:.1f} s")
+    return ExitCode.ACCEPTED if result.accepted else ExitCode.NOT_ACCEPTED
+
+
+def _verdict(result: BatchResult) -> str:
+    return (
+        f"{result.count('accepted')} of {len(result.jobs)} jobs were accepted, {result.count('refused')} refused, "
+        f"{result.count('failed')} failed."
+    )
+
+
+def _lines(result: BatchResult) -> list[str]:
+    """Return the verdict and a line for each job that was not accepted, failures first."""
+    lines = [_verdict(result)]
+    others = [(name, one) for name, one in result.jobs.items() if one["outcome"] != "accepted"]
+    others.sort(key=lambda item: item[1]["outcome"] != "failed")
+    for name, one in others[:_MAX_LINES]:
+        said = " ".join([one["verdict"], *one["reasons"][:1]])
+        lines.append(f"{one['outcome'].capitalize():<8} {one_line(name)}: {one_line(said)}")
+    if len(others) > _MAX_LINES:
+        lines.append(f"         and {len(others) - _MAX_LINES} more: see index.html")
+    return lines

@@ -1,0 +1,161 @@
+"""A project of the workbench as a survey: its scans, photographs, cameras and known poses; and what it keeps of one."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ladarreg_core.errors import OptionError
+from ladarreg_core.export.json import plain
+from ladarreg_core.export.registered_scan import photo_id
+from ladarreg_core.frames import Rigid
+from ladarreg_core.many.photo_list import camera_groups, photo_entries
+from ladarreg_core.project.document import (
+    Adjusted,
+    AdjustedCameraEntry,
+    AdjustedPhotoEntry,
+    AdjustedScanEntry,
+    CameraGiven,
+    Document,
+    PhotoEntry,
+    PoseEntry,
+    Rows,
+    Source,
+)
+from ladarreg_core.project.results import pose_of
+from ladarreg_core.project.station_edits import scans_of, surveyed_pose
+from ladarreg_core.project.storage.folder import ProjectFolder
+from ladarreg_core.survey.adjustment import Adjustment
+from ladarreg_core.survey.parts import SurveyCamera, SurveyPhoto, SurveyScan
+from ladarreg_core.survey.survey import Survey
+
+
+def survey_of_project(document: Document, folder: ProjectFolder, photos: Collection[str] | None = None) -> Survey:
+    """Return a project as a survey; the scan that is shown is the first one, and keeps its place.
+
+    Accepted poses are where the photographs are looked for first. Photographs of one body, lens, focal length and size,
+    for which the operator gave the same camera data, share a camera.
+
+    Args:
+        document: the project.
+        folder: where its files are found.
+        photos: ids of its photographs that take part; None: all.
+
+    Raises:
+        OptionError: if it has no scan, or none of the photographs.
+    """
+    if document.scan is None:
+        raise OptionError("there is no scan; open one")
+    chosen = [one for one in document.photos if photos is None or one.id in photos]
+    if not chosen:
+        raise OptionError("there is no photograph; open some")
+    names: list[str] = []
+    for source in scans_of(document):
+        names.append(photo_id(source.name, names))
+    scans = tuple(
+        SurveyScan(
+            id=name, source=folder.source_path(source.path), index=source.index,
+            options={key: value for key, value in folder.scan_options(source).items() if key != "scan_index"},
+            world_from_scanner=surveyed_pose(document.survey, source), fixed=number == 0,
+        )
+        for number, (name, source) in enumerate(zip(names, scans_of(document), strict=True))
+    )  # fmt: skip
+    cameras, camera_of = _cameras(chosen, folder)
+    return Survey(
+        scans=scans,
+        cameras=cameras,
+        photos=tuple(
+            SurveyPhoto(
+                id=one.id, source=folder.source_path(one.source.path), camera=camera_of[one.id],
+                initial=_initial(document, one),
+            )
+            for one in chosen
+        ),
+    )  # fmt: skip
+
+
+def adjusted_entry(adjustment: Adjustment, scans: Sequence[Source], poses: Mapping[str, PoseEntry]) -> Adjusted:
+    """Return what a project keeps of an adjustment, beside the poses of its photographs.
+
+    Args:
+        adjustment: the solution of `survey_of_project`.
+        scans: the project's scans at that time.
+        poses: the entries of the poses that it gave, by the ids of the photographs.
+    """
+    return Adjusted(
+        scans=tuple(
+            AdjustedScanEntry(
+                source=source,
+                world_from_scanner=None if one.world_from_scanner is None else _rows(one.world_from_scanner),
+                sigma_m=None if one.fixed or not one.accepted else float(np.sqrt(np.trace(one.covariance[3:, 3:]))),
+                sigma_rad=None if one.fixed or not one.accepted else float(np.sqrt(np.trace(one.covariance[:3, :3]))),
+            )
+            for source, one in zip(scans, adjustment.scans.values(), strict=True)
+        ),
+        photos={
+            name: AdjustedPhotoEntry(
+                verdict=one.verdict, accepted=one.accepted, reasons=tuple(one.reasons), ties=one.ties,
+                ties_left_out=one.ties_left_out, median_px=_finite(one.median_px), partners=tuple(one.partners),
+                camera=one.camera_id, sigma_m=_finite(one.sigma_position_m) if one.accepted else None,
+                sigma_rad=_finite(one.sigma_angle_rad) if one.accepted else None,
+                pose=poses[name].arrays.name if name in poses else "",
+            )
+            for name, one in adjustment.photos.items()
+        },
+        cameras={
+            name: AdjustedCameraEntry(camera=plain(one.camera.as_fields()), sigmas=one.sigmas, photos=one.photos)
+            for name, one in adjustment.cameras.items()
+        },
+        chi2_per_dof=_finite(adjustment.chi2_per_dof),
+        sigma_px=_finite(adjustment.sigma_px) if any(one.ties for one in adjustment.photos.values()) else None,
+    )  # fmt: skip
+
+
+def _rows(pose: Rigid) -> Rows:
+    return tuple(tuple(float(value) for value in row) for row in pose.matrix)
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _initial(document: Document, photo: PhotoEntry) -> Rigid | None:
+    """Return the accepted `camera_from_world` of a photograph."""
+    pose = photo.pose
+    if pose is None or not pose.accepted:
+        return None
+    world = surveyed_pose(document.survey, document.scan)
+    if world is None and pose.world_from_scanner is not None:
+        world = Rigid.from_matrix(pose.world_from_scanner)
+    found = pose_of(pose)
+    return found if world is None else found @ world.inverse
+
+
+def _cameras(photos: Collection[PhotoEntry], folder: ProjectFolder) -> tuple[tuple[SurveyCamera, ...], dict[str, str]]:
+    """Return the cameras, and the id of each photograph's."""
+    given: dict[tuple[CameraGiven, str | None], list[PhotoEntry]] = {}
+    for one in photos:
+        given.setdefault((one.camera, one.source.temperature_unit), []).append(one)
+    cameras: list[SurveyCamera] = []
+    camera_of: dict[str, str] = {}
+    for (camera, unit), members in given.items():
+        paths = {folder.source_path(one.source.path): one.id for one in members}
+        options = {
+            "camera_name": camera.name, "focal_px": camera.focal_px, "focal_mm": camera.focal_mm,
+            "sensor_mm": camera.sensor_mm, "camera_model": camera.model, "temperature_unit": unit,
+        }  # fmt: skip
+        stated = {name: value for name, value in options.items() if value is not None}
+        file = None if camera.file is None else Path(folder.source_path(camera.file.path))
+        entries = photo_entries(paths)
+        known = {"camera": file, **stated} if file is not None else stated
+        groups = [[one.path for one in group.photos] for group in camera_groups(entries, known)]
+        groups += [[one.path] for one in entries if one.facts is None]
+        for group in groups:
+            name = f"camera-{len(cameras) + 1}"
+            cameras.append(SurveyCamera(id=name, source=file, options=stated))
+            camera_of |= {paths[path]: name for path in group}
+        for one in members:  # the same file twice has one entry
+            camera_of.setdefault(one.id, f"camera-{len(cameras)}")
+    return tuple(cameras), camera_of

@@ -1,0 +1,145 @@
+/** All photographs of the survey: how each stands, and the work on all of them together. */
+
+import { request } from "../../net/requests.js";
+import { store } from "../../net/store.js";
+import { isRunning } from "../../state/pipeline.js";
+import { ORDERS, SHOWN, rowsOf, summaryOf } from "../../state/survey.js";
+import { button, fill } from "../../ui/controls.js";
+import { element, setChildren, setText } from "../../ui/dom.js";
+import { icon } from "../../ui/icons.js";
+import { lightOf } from "../../ui/lights.js";
+import { NONE, counted, fixed } from "../../ui/numbers.js";
+
+const HEADS = [
+  ["", ""],
+  ["", "Photograph"],
+  ["", "State"],
+  ["Standard deviation of the camera's position", "σ"],
+  ["Ties with other photographs that agree, and those that do not", "Ties"],
+  ["Median residual of its ties", "px"],
+];
+
+const tiesText = ({ ties, left_out }) => ties === null ? NONE : left_out ? `${ties} · ${left_out} out` : String(ties);
+
+/** @returns {HTMLElement} */
+export const mountPhotographs = () => {
+  /** Ids of the photographs that are chosen for the work; empty: all. */
+  const chosen = new Set();
+  let order = "list", filter = "all", drawn = "";
+
+  const wanted = () => {
+    const there = new Set((store.get("photos") ?? []).map(({ id }) => id));
+    const ids = [...chosen].filter((id) => there.has(id));
+    return ids.length ? ids : null;
+  };
+  const registerAll = button({ label: "Register all", kind: "small", act: () => request("register_all", { photos: wanted() }) });
+  const adjust = button({ label: "Adjust", kind: "primary small", act: () => request("adjust", { photos: wanted() }) });
+  const orders = element("select", { class: "select small", "aria-label": "Order of the photographs" });
+  const filters = element("select", { class: "select small", "aria-label": "Which photographs are listed" });
+  orders.addEventListener("change", () => { order = orders.value; show(); });
+  filters.addEventListener("change", () => { filter = filters.value; show(); });
+  fill(orders, ORDERS, order);
+  fill(filters, SHOWN, filter);
+  const heads = element(
+    "div",
+    { class: "survey-row survey-heads dim", "aria-hidden": "true" },
+    ...HEADS.map(([title, text]) => element("span", { title }, text)),
+  );
+  const list = element("ul", { class: "survey-list", "aria-label": "Photographs of the survey" });
+  const summary = element("p", { class: "acquire-said", role: "status" });
+  const cameras = element("ul", { class: "survey-cameras dim", "aria-label": "Cameras of the survey" });
+  const count = element("span", { class: "dim figures" });
+
+  const row = (photo) => {
+    const light = lightOf(photo.light);
+    const check = element("input", {
+      type: "checkbox",
+      class: "edits",
+      checked: chosen.has(photo.id),
+      "aria-label": `Choose ${photo.name}`,
+      on: {
+        change: (event) => {
+          event.target.checked ? chosen.add(photo.id) : chosen.delete(photo.id);
+          show();
+        },
+      },
+    });
+    const name = element(
+      "button",
+      {
+        type: "button",
+        class: "survey-name clip",
+        title: `Show ${photo.name}`,
+        "aria-current": photo.id === store.shown() ? "true" : null,
+        on: { click: () => request("show_photo", { photo: photo.id }) },
+      },
+      photo.name,
+    );
+    return element(
+      "li",
+      { class: "survey-photo", title: photo.reason },
+      element(
+        "div",
+        { class: "survey-row" },
+        element("label", { class: "survey-choice" }, check),
+        name,
+        element("span", { class: `clip ${light.level}` }, icon(light.sign), " ", photo.state),
+        element("span", { class: "figures" }, photo.position),
+        element("span", { class: "figures" }, tiesText(photo)),
+        element("span", { class: "figures" }, fixed(photo.median_px, 2)),
+      ),
+      photo.accepted || !photo.reason ? null : element("p", { class: "dim survey-reason" }, photo.reason),
+    );
+  };
+
+  const show = () => {
+    const photos = store.get("photos") ?? [], survey = store.get("survey"), job = store.get("job");
+    const idle = Boolean(store.get("scan")) && !isRunning(job) && !store.readOnly;
+    const ids = wanted(), some = ids ? counted(ids.length, "chosen photograph") : "";
+    registerAll.disabled = adjust.disabled = !idle || photos.length === 0;
+    setText(registerAll, ids ? `Register ${ids.length}` : "Register all");
+    setText(adjust, ids ? `Adjust ${ids.length}` : "Adjust");
+    registerAll.title = ids
+      ? `Register ${some} from the images, one after the other`
+      : "Register all photographs that are not accepted yet from the images, one after the other";
+    adjust.title = `Solve ${some || "all photographs"}, their cameras and all scans together; one step of the history`;
+    const rows = rowsOf(photos, survey, { order, filter });
+    setText(count, photos.length ? `${photos.filter(({ state }) => state === "accepted").length} of ${photos.length} accepted` : "");
+    const key = JSON.stringify([rows, survey, store.shown(), [...chosen], store.readOnly]);
+    if (key === drawn) return;
+    drawn = key;
+    const focused = list.contains(document.activeElement) ? document.activeElement.getAttribute("aria-label") ?? document.activeElement.textContent : null;
+    setChildren(list, ...rows.map(row));
+    if (focused)
+      [...list.querySelectorAll("input, button")].find((each) => (each.getAttribute("aria-label") ?? each.textContent) === focused)?.focus();
+    heads.hidden = rows.length === 0;
+    setText(summary, photos.length ? summaryOf(survey) : "Add photographs: those of one camera, and of one place, hold each other.");
+    summary.classList.toggle("bad", Boolean(survey?.since));
+    setChildren(
+      cameras,
+      ...(survey?.cameras ?? []).map((camera) => element(
+        "li",
+        { title: camera.photos.join(", ") },
+        `${camera.id}, ${camera.width} × ${camera.height}: `,
+        camera.focal_px === null ? "as given" : `f ${fixed(camera.focal_px, 1)} px`,
+        camera.sigma_px === null ? "" : ` ± ${fixed(camera.sigma_px, 2)}`,
+        `, ${counted(camera.used, "photograph")}`,
+      )),
+    );
+  };
+  store.watch(["photos", "survey", "shown", "scan", "job", "people"], show);
+  const panel = element(
+    "section",
+    { class: "dock-part survey", "aria-label": "All photographs" },
+    element(
+      "div",
+      { class: "part-head" },
+      element("h2", {}, "All photographs"),
+      count,
+      element("div", { class: "end" }, filters, orders, element("span", { class: "edits row" }, registerAll, adjust)),
+    ),
+    element("div", { class: "part-body" }, summary, heads, list, cameras),
+  );
+  show();
+  return panel;
+};

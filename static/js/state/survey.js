@@ -1,0 +1,66 @@
+/** The survey as this page sees it: its photographs in an order, and what is said of all. No DOM here. */
+
+import { fixed } from "../ui/numbers.js";
+
+/** @type {[string, string][]} orders of the list */
+export const ORDERS = [["list", "In order"], ["worst", "Worst first"]];
+/** @type {[string, string][]} which photographs are listed */
+export const SHOWN = [["all", "All"], ["open", "Not accepted"], ["accepted", "Accepted"]];
+
+/** @typedef {{id: string, name: string, accepted: boolean, light: string | undefined, state: string, position: string,
+ *   sigma_m: number | null, ties: number | null, left_out: number, median_px: number | null, reason: string}} SurveyRow */
+
+/** @returns {SurveyRow} */
+const rowOf = (photo, found) => {
+  const current = found && !found.changed;
+  const refused = current && !found.accepted && !photo.light;
+  return {
+    id: photo.id,
+    name: photo.name,
+    accepted: photo.state === "accepted",
+    light: photo.error || refused ? "not_accepted" : photo.light,
+    state: photo.error
+      ? "cannot be read"
+      : !photo.camera ? "focal length unknown" : photo.light_words ?? (refused ? "not accepted" : "waiting"),
+    position: photo.position ? `± ${photo.position}` : "",
+    sigma_m: current ? found.sigma_m : null,
+    ties: current ? found.ties : null,
+    left_out: current ? found.ties_left_out : 0,
+    median_px: current ? found.median_px : null,
+    reason: photo.error ?? (current ? found.reasons[0] ?? "" : ""),
+  };
+};
+
+/** What stands for how bad a photograph is: those that are not accepted first, then by residual and uncertainty. */
+const badness = (row) => [row.accepted ? 0 : 1, row.median_px ?? 0, row.sigma_m ?? 0];
+
+const byBadness = (a, b) => {
+  const [first, second] = [badness(a), badness(b)];
+  const at = first.findIndex((value, k) => value !== second[k]);
+  return at < 0 ? 0 : second[at] - first[at];
+};
+
+/**
+ * @param {any[]} photos slice `photos`
+ * @param {any} survey slice `survey`, null before everything was adjusted
+ * @param {{order: string, filter: string}} chosen
+ * @returns {SurveyRow[]}
+ */
+export const rowsOf = (photos, survey, { order, filter }) => {
+  const found = new Map((survey?.photos ?? []).map((each) => [each.id, each]));
+  const rows = photos
+    .map((photo) => rowOf(photo, found.get(photo.id)))
+    .filter((row) => filter === "all" || row.accepted === (filter === "accepted"));
+  return order === "worst" ? rows.sort(byBadness) : rows;
+};
+
+/** @returns {string} what the last adjustment says of all */
+export const summaryOf = (survey) => {
+  if (!survey)
+    return "Adjust solves all photographs, their cameras and all scans together: photographs hold each other, and what contradicts the rest is taken out.";
+  if (survey.since) return survey.since;
+  const said = [`${survey.accepted} of ${survey.photos.length} photographs accepted`];
+  if (survey.sigma_px !== null) said.push(`ties to ${fixed(survey.sigma_px, 2)} px`);
+  if (survey.chi2_per_dof !== null) said.push(`χ² per degree of freedom ${fixed(survey.chi2_per_dof, 2)}`);
+  return `Adjusted together: ${said.join(", ")}.`;
+};

@@ -1,0 +1,110 @@
+"""All photographs of a project: registered one after the other, adjusted together, and a survey that is opened."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from ladarreg_core.simulate.sample import sample_survey_folder
+from testing.workbench.workbench_driver import WorkbenchDriver, kept_bench, open_bench, registered
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[WorkbenchDriver]:
+    """The sample, registered, with a blank photograph beside it."""
+    bench = kept_bench("registered", tmp_path / "project", registered)
+    blank = tmp_path / "blank.png"
+    Image.fromarray(np.full((48, 64, 3), 120, np.uint8)).save(blank)
+    bench.workbench.files.open(blank, blank.name, "photo", None, bench.client)
+    yield bench
+    bench.workbench.close()
+
+
+def done(bench: WorkbenchDriver, command: str, **fields: object) -> str:
+    bench.do(command, **fields)
+    bench.workbench.runner.wait(300)
+    job = bench.workbench.runner.job
+    assert job is not None
+    assert job.state == "done", job.message
+    return job.message
+
+
+def test_what_is_accepted_is_not_registered_again_and_what_cannot_be_is_named(bench: WorkbenchDriver) -> None:
+    before = bench.slice("poses:p1")
+    said = done(bench, "register_all")
+    assert "registered already" in said
+    assert "blank.png" in said
+    assert bench.slice("poses:p1") == before
+
+
+def test_an_adjustment_is_one_step_of_the_history(bench: WorkbenchDriver) -> None:
+    before = bench.workbench.session.document.photo("p1")
+    said = done(bench, "adjust")
+    assert "1 of 1" in said
+    assert "blank.png" in said
+    survey = bench.slice("survey")
+    (one,) = survey["photos"]
+    assert one["accepted"]
+    assert not one["changed"]
+    assert one["position"]
+    assert survey["scans"] == ["scan.npz"]
+    assert "added" in survey["since"]  # the blank one
+    photo = next(photo for photo in bench.slice("photos") if photo["id"] == "p1")
+    assert photo["light"] == "verified"
+    assert bench.slice("history")["entries"][-1]["label"].startswith("Adjust")
+    bench.do("undo")
+    assert bench.slice("survey") is None
+    assert bench.workbench.session.document.photo("p1") == before
+
+
+def test_an_adjustment_is_out_of_date_once_a_photograph_has_another_pose(bench: WorkbenchDriver) -> None:
+    done(bench, "adjust", photos=["p1"])
+    assert bench.job("auto").state == "done"
+    assert "another pose" in bench.slice("survey")["since"]
+    assert bench.slice("survey")["photos"][0]["changed"]
+
+
+def test_photographs_that_are_not_there_are_refused(bench: WorkbenchDriver) -> None:
+    assert "photograph" in bench.refused("adjust", photos=["p99"])
+    assert "photograph" in bench.refused("register_all", photos=[])
+
+
+def test_a_survey_opens_as_a_project_and_again(tmp_path: Path) -> None:
+    job = tmp_path / "job"
+    shutil.copytree(sample_survey_folder(), job)
+    for photo in sorted(job.glob("*.jpg"))[2:]:
+        photo.unlink()
+    (job / "camera.json").write_text(
+        json.dumps({"width": 576, "height": 384, "fx": 468, "fy": 468, "cx": 288, "cy": 192})
+    )
+    fields = {
+        "version": 1,
+        "scans": [{"id": "a", "path": "station1.npz"}, {"id": "b", "path": "station2.npz"}],
+        "cameras": [{"id": "given", "path": "camera.json"}, {"id": "exif"}],
+        "photos": [
+            {"id": "one", "path": "IMG_0001.jpg", "camera": "given"},
+            {"id": "two", "path": "IMG_0002.jpg", "camera": "exif"},
+        ],
+    }
+    survey = job / "survey.json"
+    survey.write_text(json.dumps(fields))
+    for _ in range(2):
+        bench = open_bench(tmp_path / "project", survey)
+        assert bench.slice("scan")["name"] == "station1.npz"
+        assert [one["name"] for one in bench.slice("stations")["stations"]] == ["station1.npz", "station2.npz"]
+        first, second = bench.slice("photos")
+        assert first["camera"]["calibrated"]
+        assert first["camera"]["fx"] == 468
+        assert not second["camera"]["calibrated"]
+        entry = bench.workbench.session.document.photos[1]
+        read_before = bench.workbench.loader.known("photo", (entry.source, entry.camera)) is not None
+        bench.workbench.close()
+    assert not read_before, "what is kept of a photograph needs none of its pixels"

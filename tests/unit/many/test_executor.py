@@ -1,0 +1,129 @@
+"""Worker processes: the task of a lost one is done again, Ctrl-C leaves nothing, and each works with one thread."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import operator
+import os
+import signal
+import sys
+import time
+from concurrent.futures import Future
+from pathlib import Path
+
+import pytest
+
+from ladarreg_core.errors import FormatError, OptionError
+from ladarreg_core.many.executor import WorkerLostError, WorkerProcesses
+
+
+class _TwoArgumentsError(FormatError):
+    """Can be pickled, but not read again."""
+
+    def __init__(self, one: str, two: str) -> None:
+        super().__init__(one + two)
+
+
+def refuse() -> None:
+    raise FormatError("no scan")
+
+
+def refuse_oddly() -> None:
+    raise _TwoArgumentsError("a", "b")
+
+
+def settings() -> tuple[str | None, int, bool]:
+    import cv2
+
+    ignored = sys.platform == "win32" or signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    return os.environ.get("OMP_NUM_THREADS"), cv2.getNumThreads(), ignored
+
+
+def test_results_and_errors_come_back_and_a_task_that_ends_its_processes_fails_alone() -> None:
+    with WorkerProcesses(1) as workers:
+        before = workers.submit(operator.mul, 6, 7)
+        lost = workers.submit(os._exit, 3)
+        refused, odd = workers.submit(refuse), workers.submit(refuse_oddly)
+        unsendable = workers.submit(operator.not_, lambda: None)
+        after = workers.submit(settings)
+    assert before.result() == 42
+    with pytest.raises(WorkerLostError, match="3 times with code 3"):
+        lost.result()
+    with pytest.raises(FormatError, match="no scan"):
+        refused.result()
+    with pytest.raises(RuntimeError, match="_TwoArgumentsError: ab"):
+        odd.result()
+    assert isinstance(unsendable.exception(), Exception)
+    assert after.result() == ("1", 1, True)
+
+
+def sleeps_at_first(seen: str) -> int:
+    """Return the process that did it: the third one to be given it; the first two sleep."""
+    with open(seen, "ab") as stream:
+        stream.write(b".")
+    if os.path.getsize(seen) < 3:
+        time.sleep(60)
+    return os.getpid()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_the_task_of_a_killed_process_is_done_by_another(tmp_path: Path) -> None:
+    seen = tmp_path / "seen"
+    with WorkerProcesses(1) as workers:
+        killed: list[int] = []
+        task = workers.submit(sleeps_at_first, str(seen))
+        for count in (1, 2):
+            while not seen.exists() or seen.stat().st_size < count:
+                time.sleep(0.01)
+            killed.append(only_worker())
+            os.kill(killed[-1], signal.SIGKILL)
+        assert task.result(60) not in killed
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_a_task_whose_processes_are_killed_says_so() -> None:
+    with (
+        WorkerProcesses(1) as workers,
+        pytest.raises(WorkerLostError, match=r"was killed 3 times \(Killed\).*fewer processes"),
+    ):
+        workers.submit(end_by_kill).result(60)
+
+
+def end_by_kill() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def only_worker() -> int:
+    """Return the worker process that runs now."""
+    (child,) = [process.pid for process in multiprocessing.active_children() if process.name == "ladarreg worker"]
+    assert child is not None
+    return child
+
+
+def interrupted_while_working(workers: WorkerProcesses) -> tuple[int, Future[None], Future[None]]:
+    pid = workers.submit(os.getpid).result()
+    futures = workers.submit(time.sleep, 60), workers.submit(time.sleep, 60)
+    with contextlib.suppress(KeyboardInterrupt), workers:
+        raise KeyboardInterrupt
+    return pid, *futures
+
+
+def test_an_interruption_ends_the_processes_at_once_and_begins_nothing_more() -> None:
+    started = time.monotonic()
+    workers = WorkerProcesses(1)
+    pid, working, waiting = interrupted_while_working(workers)
+    assert time.monotonic() - started < 30
+    assert working.cancelled() or isinstance(working.exception(), WorkerLostError)
+    assert waiting.cancelled()
+    if sys.platform != "win32":
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
+    with pytest.raises(RuntimeError, match="shut down"):
+        workers.submit(os.getpid)
+
+
+@pytest.mark.parametrize("count", [0, 1000, 1.5, True])
+def test_an_impossible_number_is_refused(count: int) -> None:
+    with pytest.raises(OptionError, match="processes"):
+        WorkerProcesses(count)
