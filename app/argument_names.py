@@ -77,6 +77,7 @@ ARGUMENTS: dict[str, Argument] = {
     "force": Argument(flag="--force", label="replace an earlier export"),
     "images": Argument(flag="--image TOPIC", words="ladarreg register --rig FILE --image"),
     "inputs": Argument(flag="--inputs"),
+    "insecure_cluster": Argument(flag="--insecure-cluster", words="ladarreg batch --insecure-cluster"),
     "kind": Argument(flag="--kind", words="ladarreg measure --kind"),
     "memory_gb": Argument(flag="--memory-gb", words="ladarreg batch --memory-gb"),
     "match_tolerance_m": Argument(flag="--match-tolerance-m", words="the setting 'Lengths of targets'"),

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from ladarreg_core.fusion.fused_model import fuse as fuse
     from ladarreg_core.inspection.notebook import views as views
     from ladarreg_core.inspection.notebook.progress import NotebookProgress as NotebookProgress
+    from ladarreg_core.jobs.cluster import cluster as cluster
     from ladarreg_core.jobs.job import Job as Job
     from ladarreg_core.jobs.job_list import read_jobs as read_jobs
     from ladarreg_core.jobs.run import BatchProgress as BatchProgress
@@ -160,6 +161,7 @@ _HOMES = {
     "audit": "survey.audit",
     "batch": "jobs.run",
     "camera_from_json": "camera",
+    "cluster": "jobs.cluster",
     "compare": "registration.comparison",
     "estimate_pose": "pose.estimate",
     "export_registration": "export.targets.folder",

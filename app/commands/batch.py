@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import sys
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import tyro
 
-from ..arguments import OptionalFloat, OptionalInt
+from ..arguments import OptionalFloat, OptionalInt, OptionalPath, OptionalStr
 from ..batch_table import batch_table
 from ..exit_codes import ExitCode
 from ..messages import one_line
@@ -24,6 +25,8 @@ EXAMPLES = (
     "# each folder is a job: a scan with its photos, or a survey:",
     "ladarreg batch 'sites/*' -o results --workers 4",
     "# after an interruption, the same command goes on where it was",
+    "# on the machines of a Dask cluster (docs/cluster.md):",
+    "ladarreg batch jobs.csv -o out --scheduler tls://node1:8786 --tls tls",
 )
 _Names: TypeAlias = list[str]
 _MAX_LINES = 12
@@ -42,6 +45,12 @@ class Arguments:
     """Number of jobs that are done at a time; default: one for each processor core."""
     memory_gb: Annotated[OptionalFloat, tyro.conf.arg(metavar="GB")] = None
     """Memory that a job may use; default: that of the machine."""
+    scheduler: Annotated[OptionalStr, tyro.conf.arg(metavar="ADDRESS")] = None
+    """Address of the scheduler of a Dask cluster that does the jobs, tls://HOST:PORT; default: this machine does."""
+    tls: Annotated[OptionalPath, tyro.conf.arg(metavar="FOLDER")] = None
+    """Folder with ca.pem, cert.pem and key.pem for the cluster; default: as Dask is configured."""
+    insecure_cluster: bool = False
+    """Allow a scheduler at tcp://HOST:PORT, without encryption and certificates."""
     force: bool = False
     """Replace what OUT contains of other inputs or options, or OUT if it contains results and nothing else."""
     quiet: bool = False
@@ -54,12 +63,14 @@ class Arguments:
 
 def run(arguments: Arguments) -> ExitCode:
     """Do the jobs, write their results and the summary, and print the outcomes."""
-    from ladarreg_core.errors import FormatError
+    from ladarreg_core.errors import FormatError, OptionError
     from ladarreg_core.jobs.job_list import JobListError, read_jobs
     from ladarreg_core.jobs.run import batch
     from ladarreg_core.storage.manifest import visible_files
 
     started = time.perf_counter()
+    if arguments.scheduler is not None and arguments.workers is not None:
+        raise OptionError("--workers is for this machine; a cluster has the workers that have joined it: omit it")
     try:
         jobs = read_jobs(*arguments.jobs)
     except JobListError as error:
@@ -68,10 +79,20 @@ def run(arguments: Arguments) -> ExitCode:
         for fault in error.faults:
             print(f"ladarreg: {one_line(fault)}", file=sys.stderr)
         raise FormatError(error.summary) from None
-    with batch_table(quiet=arguments.quiet or arguments.json) as table:
+    with ExitStack() as stack:
+        executor = None
+        if arguments.scheduler is not None:
+            from ladarreg_core.jobs.cluster import cluster
+
+            executor = stack.enter_context(
+                cluster(arguments.scheduler, tls=arguments.tls, insecure=arguments.insecure_cluster)
+            )
+        elif arguments.tls is not None or arguments.insecure_cluster:
+            raise OptionError("--tls and --insecure-cluster are for a cluster; give its --scheduler, or omit them")
+        table = stack.enter_context(batch_table(quiet=arguments.quiet or arguments.json))
         result = batch(
-            jobs, arguments.out, workers=arguments.workers, memory_gb=arguments.memory_gb, force=arguments.force,
-            report=table.show,
+            jobs, arguments.out, executor=executor, workers=arguments.workers, memory_gb=arguments.memory_gb,
+            force=arguments.force, report=table.show,
         )  # fmt: skip
     files = visible_files(arguments.out)
     if arguments.json:

@@ -1,6 +1,6 @@
 """A panorama of 28 million cells in the page, with ten clients: memory of the server, vertices and waiting times.
 
-Run it as `python -m benchmarks.panorama page_28m [--quick]`, or as `python -m benchmarks.page.panorama_page [--columns
+Run it as `python -m benchmarks.stations page_28m [--quick]`, or as `python -m benchmarks.page.panorama_page [--columns
 N] [--pictures FOLDER]`. The server runs in a process of its own, as a user starts it. Nine clients are document sockets
 that ask for what a page asks for, each in another direction; the tenth is the page in Chromium.
 """

@@ -241,6 +241,8 @@ class _Run:
                 f"it needs more memory than the {self.memory_bytes / 1e9:.1f} GB that a job may use; allow more by "
                 "`memory_gb`, or take a smaller scan or photo"
             )
+        if type(error).__name__ == "KilledWorker":  # of Dask, which is optional
+            return "each worker that was given it ended before it had finished it; their logs say why"
         return why_it_failed(error)
 
     def _states(self, job: Job) -> list[InputState]:

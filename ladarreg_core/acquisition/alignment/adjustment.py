@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.acquisition.alignment.voxel_planes import (
     MIN_ACROSS,
+    VOXELS_M,
     SharedPlanes,
     dots,
     plane_moments,
@@ -95,6 +96,7 @@ def adjust(
     gates: Sequence[tuple[float, float]] = GATES,
     start: Adjustment | None = None,
     steps: int = _STEPS_A_GATE,
+    voxels_m: Sequence[float] = VOXELS_M,
     report: Report | None = None,
 ) -> Adjustment:
     """Adjust the poses of all views by the planes that they share.
@@ -108,6 +110,7 @@ def adjust(
         gates: as `GATES`.
         start: an earlier adjustment of the same views, to begin with its result; by the first of the common parameters.
         steps: at each gate.
+        voxels_m: sides of the voxels that planes are looked for in.
         report: receives the progress; may raise `Cancelled`.
 
     Source: planes eliminated as in bundle adjustment; Triggs et al. 2000, section 6.1.
@@ -129,7 +132,9 @@ def adjust(
         cloud = _Cloud.of(views, every=_stride(views, apart))
         owner = cloud.owner
         world, rays = cloud.at(poses)
-        found = shared_planes(world, rays, owner, farthest_apart_m=apart, largest_angle_rad=float(np.radians(angle)))
+        found = shared_planes(
+            world, rays, owner, farthest_apart_m=apart, largest_angle_rad=float(np.radians(angle)), voxels_m=voxels_m
+        )
         if use_blocks is not None:
             found = found.select(use_blocks(found.block))
         groups = _Groups.of(found, owner, count)
@@ -189,12 +194,15 @@ def off_planes(
 
 
 def planes_of(
-    views: Sequence[RangeView], poses: Sequence[Rigid], *, apart_m: float, angle_rad: float
-) -> tuple[SharedPlanes, IntArray]:
+    views: Sequence[RangeView], poses: Sequence[Rigid], *, apart_m: float, angle_rad: float,
+    voxels_m: Sequence[float] = VOXELS_M,
+) -> tuple[SharedPlanes, IntArray]:  # fmt: skip
     """Return the planes that views at some poses share, and the view (N,) of each point."""
     cloud = _Cloud.of(views)
     world, rays = cloud.at(poses)
-    found = shared_planes(world, rays, cloud.owner, farthest_apart_m=apart_m, largest_angle_rad=angle_rad)
+    found = shared_planes(
+        world, rays, cloud.owner, farthest_apart_m=apart_m, largest_angle_rad=angle_rad, voxels_m=voxels_m
+    )
     return found, cloud.owner
 
 

@@ -99,7 +99,7 @@ def loops_of(count: int, fixed: int, pairs: Sequence[StationPair]) -> tuple[Loop
 
 
 def adjusted(
-    returns: dict[int, NDArray[np.float64]], fixed: int, poses: dict[int, Rigid]
+    returns: dict[int, NDArray[np.float64]], fixed: int, poses: dict[int, Rigid], voxels_m: Sequence[float]
 ) -> dict[int, tuple[Rigid, NDArray[np.float64]]]:
     """Return poses and covariances (6, 6) of (w, c) by the surfaces that all stations share.
 
@@ -107,6 +107,7 @@ def adjusted(
         returns: single returns (M, 3) of each station, m.
         fixed: the station that keeps its pose.
         poses: `world_from_scanner` of each, to a few millimetres.
+        voxels_m: sides of the voxels that planes are looked for in.
     """
     names = sorted(poses)
     stride = max(1, -(-sum(len(returns[name]) for name in names) // _MAX_POINTS))
@@ -116,7 +117,7 @@ def adjusted(
     views = [
         RangeView(returns[name][::stride], pose, np.zeros((6, 6))) for name, pose in zip(names, local, strict=True)
     ]
-    done = polish(views, local, fixed=names.index(fixed))
+    done = polish(views, local, fixed=names.index(fixed), voxels_m=voxels_m)
     out = {}
     turn = np.kron(np.eye(2), origin.rotation)
     for k, name in enumerate(names):

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.acquisition.alignment.adjustment import RangeView, adjust, off_planes, planes_of
+from ladarreg_core.acquisition.alignment.voxel_planes import VOXELS_M
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.foundations.formatting import format_angle, format_length
 from ladarreg_core.frames import Rigid, describe_direction, skew
@@ -29,6 +30,8 @@ _FIXED = 1e10  # information of a pose that does not move, 1/rad^2 and 1/m^2
 _HOPELESS = 4  # times worse than the limit: not worth a refinement
 _NEAR_M = 1.0  # what lies farther from a rough pose is no refinement of it
 _AROUND = np.array([[x, y, 0.0] for x in (-0.6, 0.0, 0.6) for y in (-0.6, 0.0, 0.6) if (x, y) != (0, 0)])  # m
+_SPACING_OF_A_ROOM_M = 0.06
+_SPARSE_VOXELS_M = (1.0, 0.5, 0.25)  # of a room's spacing; twice as large in halls
 _NOISE_SHARE = 0.8  # of the spacing of the surfels, as the tolerance of what is seen
 
 
@@ -102,14 +105,14 @@ def register_pair(
     looked = ranked[0][1]
     if looked.contradicted > _HOPELESS * o.most_contradicted or looked.agreeing < o.least_overlap / _HOPELESS:
         return _hopeless(indices, start, ranked, o)
-    views = _range_views(first, second, best)
+    views, voxels = _range_views(first, second, best), voxels_of([first, second])
     tolerance = _tolerance(first, second)
     most = 4 * first.view.surfels.spacing_m
-    checked = adjust(views, gates=_GATES, use_blocks=_used).poses[1]
+    checked = adjust(views, gates=_GATES, use_blocks=_used, voxels_m=voxels).poses[1]
     if differ(checked, best, most, 0.1):
         checked = best
-    count, ratio = _held_out(views, checked)
-    done = polish(views, [Rigid.identity(), checked], fixed=0)
+    count, ratio = _held_out(views, checked, voxels)
+    done = polish(views, [Rigid.identity(), checked], fixed=0, voxels_m=voxels)
     pose = done.poses[1]
     if differ(pose, best, most, 0.1) or done.planes == 0:
         pose = best
@@ -151,7 +154,7 @@ def check_pair(
     """
     o = options or PairOptions()
     looked = seen(first.view, second.view, pose, tolerance_m=_tolerance(first, second))
-    count, ratio = _held_out(_range_views(first, second, pose), pose)
+    count, ratio = _held_out(_range_views(first, second, pose), pose, voxels_of([first, second]))
     printed = compared_print(first.view.surfels, second.view.surfels, pose)
     evidence = PairEvidence(
         looked.agreeing, looked.contradicted, shared_planes=0, held_out_planes=count, held_out_ratio=ratio,
@@ -182,6 +185,13 @@ def about_centre(covariance: FloatArray, pose: Rigid) -> NDArray[np.float64]:
     J = np.eye(6)
     J[3:, :3] = -skew(pose.translation)
     return np.asarray(J @ covariance @ J.T)
+
+
+def voxels_of(scans: Sequence[Prepared]) -> tuple[float, ...]:
+    """Return the sides of the voxels in which scans show planes: where surfaces are far away, points are sparse."""
+    spacing = max(one.view.surfels.spacing_m for one in scans)
+    larger = 2.0 ** round(np.log2(max(spacing / _SPACING_OF_A_ROOM_M, 1.0)))
+    return VOXELS_M if larger == 1 else tuple(larger * side for side in _SPARSE_VOXELS_M)
 
 
 def _tolerance(first: Prepared, second: Prepared) -> float:
@@ -231,10 +241,10 @@ def _used(block: IntArray) -> BoolArray:
     return np.asarray(block % _HELD_OUT != 0, np.bool_)
 
 
-def _held_out(views: Sequence[RangeView], pose: Rigid) -> tuple[int, float]:
+def _held_out(views: Sequence[RangeView], pose: Rigid, voxels_m: Sequence[float]) -> tuple[int, float]:
     """Return the number of held-out planes, and how much farther both scans are from them than each from its own."""
     poses = [Rigid.identity(), pose]
-    found, owner = planes_of(views, poses, apart_m=0.1, angle_rad=float(np.radians(5.0)))
+    found, owner = planes_of(views, poses, apart_m=0.1, angle_rad=float(np.radians(5.0)), voxels_m=voxels_m)
     found = found.select(~_used(found.block))
     if not found.count:
         return 0, float("nan")

@@ -23,6 +23,7 @@ from ladarreg_core.registration.stations.pair import (
     prepare,
     register_pair,
     stated_pose,
+    voxels_of,
 )
 from ladarreg_core.registration.stations.results import Loop, PlacedStation, StationNetwork, StationPair, StationState
 from ladarreg_core.scan import Scan
@@ -172,7 +173,10 @@ def _network(
             placed = {root: (base, np.zeros((6, 6)))}
             if len(members) > 1:
                 placed = adjusted(
-                    {k: prepared[k].view.surfels.returns for k in members}, root, {k: graph[k] for k in members}
+                    {k: prepared[k].view.surfels.returns for k in members},
+                    root,
+                    {k: graph[k] for k in members},
+                    voxels_of([prepared[k] for k in members]),
                 )
         loops += loops_of(count, root, used)
         stands = (

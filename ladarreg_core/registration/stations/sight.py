@@ -14,6 +14,7 @@ from ladarreg_core.scan import Scan
 
 _MAX_CELLS = 500_000
 _FINEST_RAD = float(np.radians(0.35))
+_SPANNED = 0.6  # of a direction's cell, across a surface that is seen obliquely
 _COARSER = 1.7  # than the steps of the scan, so that no cell between returns stays empty
 
 
@@ -38,15 +39,24 @@ class RangePicture:
     """(H, W) m; infinite where nothing was measured."""
     farthest: NDArray[np.float32]
     """(H, W) m; 0 where nothing was measured."""
+    measured: NDArray[np.bool_]
+    """(H, W) whether something was measured in the direction itself, and not only beside it."""
 
     def judge(self, points: FloatArray, tolerance_m: float | FloatArray) -> NDArray[np.int8]:
-        """Return the `Sight` of points (N, 3), m, in the scanner's frame, each within its tolerance."""
+        """Return the `Sight` of points (N, 3), m, in the scanner's frame, each within its tolerance.
+
+        Far away the tolerance is at least what a direction spans. Where a surface returned nothing, what was measured
+        beside it says nothing of it.
+        """
         ranges = np.linalg.norm(points, axis=-1)
         at = _cells(points, ranges, self.nearest.shape)
         near, far = self.nearest[at], self.farthest[at]
+        within = np.maximum(tolerance_m, _SPANNED * np.pi / self.nearest.shape[0] * ranges)
         out = np.full(len(points), Sight.AGREES, np.int8)
-        out[ranges < near - tolerance_m] = Sight.CONTRADICTS
-        out[ranges > far + tolerance_m] = Sight.HIDDEN
+        behind = ranges < near - within
+        out[behind & self.measured[at]] = Sight.CONTRADICTS
+        out[behind & ~self.measured[at]] = Sight.UNKNOWN
+        out[ranges > far + within] = Sight.HIDDEN
         out[far == 0] = Sight.UNKNOWN
         return out
 
@@ -69,6 +79,7 @@ def range_picture(scan: Scan) -> RangePicture:
     return RangePicture(
         np.asarray(cv2.erode(wide[0], around), np.float32)[inner],
         np.asarray(cv2.dilate(wide[1], around), np.float32)[inner],
+        farthest > 0,
     )
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.acquisition.alignment.adjustment import RangeView, planes_of
-from ladarreg_core.acquisition.alignment.voxel_planes import MIN_ACROSS, SharedPlanes
+from ladarreg_core.acquisition.alignment.voxel_planes import MIN_ACROSS, VOXELS_M, SharedPlanes
 from ladarreg_core.foundations.arrays import FloatArray, IntArray
 from ladarreg_core.frames import Rigid
 
@@ -52,7 +52,9 @@ class Polished:
     """Typical range noise that the planes show."""
 
 
-def polish(views: Sequence[RangeView], poses: Sequence[Rigid], *, fixed: int) -> Polished:
+def polish(
+    views: Sequence[RangeView], poses: Sequence[Rigid], *, fixed: int, voxels_m: Sequence[float] = VOXELS_M
+) -> Polished:
     """Return poses to the last digit, from poses that are within a few millimetres, and their covariance.
 
     Each patch of a plane has the noise that it shows: dark, far or grazing surfaces count less.
@@ -61,11 +63,12 @@ def polish(views: Sequence[RangeView], poses: Sequence[Rigid], *, fixed: int) ->
         views: the views; their priors are not used.
         poses: their poses.
         fixed: index of the view that does not move.
+        voxels_m: sides of the voxels that planes are looked for in.
     """
     poses = list(poses)
     free = np.r_[0 : 6 * fixed, 6 * fixed + 6 : 6 * len(views)]
     for step in range(_STEPS + 1):
-        found, owner = planes_of(views, poses, apart_m=_APART_M, angle_rad=_ANGLE_RAD)
+        found, owner = planes_of(views, poses, apart_m=_APART_M, angle_rad=_ANGLE_RAD, voxels_m=voxels_m)
         equations = _equations(views, poses, found, owner)
         H, G = equations.information[np.ix_(free, free)], equations.score[:, free]
         scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-12))

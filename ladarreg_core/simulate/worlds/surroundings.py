@@ -16,6 +16,7 @@ from ladarreg_core.simulate.worlds.world import Placement, Texture, World
 
 _CORNER_M = 0.95  # of each wall's ends, kept free for what stands in the corners
 _BAY_M = 2.4  # between the doors of a corridor
+_COLUMN_M, _AISLE_M = 6.0, 4.5  # between the columns of a hall, and the width that is free along its middle
 
 
 @dataclass(frozen=True)
@@ -315,6 +316,29 @@ def _corridor(shop: Workshop) -> World:
     return _finish(shop, room)
 
 
+def _hall(shop: Workshop) -> World:
+    """A hall of a plant, some 30 x 18 x 7 m: columns, beams and machines beside an aisle along its middle."""
+    rng, p, b = shop.rng, shop.printer, shop.builder
+    room = _Room(_u(rng, 14, 16), _u(rng, 13, 15), _u(rng, 8, 10), _u(rng, 8, 10), -1.6, _u(rng, 6.5, 7.5))
+    _shell(shop, room)
+    for wall in room.walls:
+        _hang(shop, wall)
+    steel = p.plain(p.inks.muted(), metal=0.3)
+    top, wide, y = room.floor_z + room.height, room.left + room.right, (room.left - room.right) / 2
+    for x in _COLUMN_M * np.arange(-2, 3):
+        for side in (room.left - 0.4, 0.4 - room.right):
+            b.box(Placement(float(x), side, room.floor_z), (0.3, 0.3, room.height), steel)
+        b.box(Placement(float(x), y, top - 0.6), (0.25, wide, 0.5), steel)
+    for _ in range(14):
+        away = _u(rng, _AISLE_M / 2 + 1.0, min(room.left, room.right) - 1.5) * float(rng.choice([-1.0, 1.0]))
+        at = Placement(_u(rng, -12, 13), away, room.floor_z, _u(rng, 0, np.pi))
+        if rng.random() < 0.5:
+            make.stack(shop, at, _u(rng, 0.8, 1.6), _u(rng, 0.8, 2.4))
+        else:
+            b.box(at, (_u(rng, 0.8, 2.5), _u(rng, 0.8, 2.0), _u(rng, 0.8, 2.5)), p.plain(p.inks.muted()))
+    return _finish(shop, room)
+
+
 def _finish(shop: Workshop, room: _Room) -> World:
     rng = shop.rng
     if shop.heated:
@@ -338,5 +362,6 @@ SURROUNDINGS: dict[str, Callable[[Workshop], World]] = {
     "people": _furnished({_someone: 2.5, _bookcase: 2, _workplace: 1.5, _cabinet: 1, _nothing: 1}, amid=4, people=0.6),
     "plain": _plain,
     "corridor": _corridor,
+    "hall": _hall,
 }
 """The rooms by name; `plain` and `corridor` are the hardest."""

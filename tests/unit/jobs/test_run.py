@@ -8,9 +8,10 @@ import shutil
 import signal
 import sys
 from collections.abc import Callable
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -18,57 +19,14 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.errors import Cancelled, DiskFullError, ExportError, FormatError, OptionError
-from ladarreg_core.export.pictures.images import write_png
-from ladarreg_core.formats.scans.npz import write_npz_xyz
 from ladarreg_core.jobs import run, work
 from ladarreg_core.jobs.job_list import JobListError
 from ladarreg_core.jobs.run_folder import read_batch
 from ladarreg_core.jobs.work import JobTask, UnfitWorkerError, do_job, input_state, job_software
 from ladarreg_core.many.executor import WorkerProcesses
 from ladarreg_core.outputs.integrity import check_integrity
+from testing.jobs import Here, contents
 from testing.scenes.photo_set import small_photo_set, write_photo_set
-from testing.scenes.small_registration import sample_photo, sample_scan
-
-NOT_COMPARED = {"manifest.jsonl", "timing.json", ".ladarreg-manifest.json"}
-"""Of the folder of a batch itself: the order in which jobs ended, and their times."""
-
-
-class Here(Executor):
-    """Does tasks at once, in this process; `change` gets each function first."""
-
-    def __init__(self, change: Callable[[Callable[..., Any], JobTask], Any] = lambda do, task: do(task)) -> None:
-        self.change, self.tasks = change, []
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        self.tasks.append(args[0])
-        try:
-            future.set_result(self.change(fn, *args))
-        except Exception as error:
-            future.set_exception(error)
-        return future
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    found = {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    return {name: data for name, data in found.items() if name not in NOT_COMPARED}
-
-
-@pytest.fixture
-def jobs(tmp_path: Path) -> list[lr.Job]:
-    """Three pairs that are refused quickly, of one scan, and one that cannot be read."""
-    write_npz_xyz(tmp_path / "scan.npz", sample_scan())
-    camera = tmp_path / "camera.json"
-    camera.write_text(json.dumps(sample_photo().camera.as_fields()))
-    photos = [tmp_path / f"p{k}.png" for k in range(3)]
-    for k, path in enumerate(photos):
-        write_png(path, sample_photo().pixels[:, ::-1] if k else sample_photo().pixels)
-    damaged = tmp_path / "damaged.png"
-    damaged.write_bytes(photos[0].read_bytes()[:900])
-    return [
-        lr.Job(id=path.stem, scan=tmp_path / "scan.npz", photos=(path,), options={"camera": camera})
-        for path in (*photos, damaged)
-    ]
 
 
 def test_refused_and_failed_are_told_apart_and_the_folder_is_intact(jobs: list[lr.Job], tmp_path: Path) -> None:
@@ -294,12 +252,12 @@ def test_a_job_that_kills_its_workers_fails_with_its_last_words(jobs: list[lr.Jo
 
 
 @pytest.mark.long
+@pytest.mark.timeout(1200)
 def test_the_executor_makes_no_difference(tmp_path: Path) -> None:
     pytest.importorskip("embreex")
     (tmp_path / "site").mkdir()
-    photos = write_photo_set(tmp_path / "site", small_photo_set("office", seed=3, photos=3))
+    photos = write_photo_set(tmp_path / "site", small_photo_set("office", seed=3, photos=2))
     write_photo_set(tmp_path, small_photo_set("boxes", seed=5, photos=1))
-    shutil.copytree(tmp_path / "site", tmp_path / "other")
     scan = tmp_path / "site/scan.npz"
     jobs = [lr.Job(id=path.stem, scan=scan, photos=(path,)) for path in [*photos, tmp_path / "IMG_0001.jpg"][1:]]
     jobs += [lr.Job(id="several", kind="photos", scan=scan, photos=tuple(photos))]
@@ -307,11 +265,10 @@ def test_the_executor_makes_no_difference(tmp_path: Path) -> None:
     for name, workers in (("one", 1), ("three", 3)):
         result = lr.batch(jobs, tmp_path / name, workers=workers)
         found[name] = contents(tmp_path / name)
-    with ProcessPoolExecutor(2) as pool:
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:  # a fork of threads may hang
         lr.batch(jobs, tmp_path / "pool", executor=pool)
-    lr.batch(jobs, tmp_path / "here", executor=Here())
-    assert [one["outcome"] for one in result.jobs.values()] == ["accepted", "accepted", "refused", "accepted"]
-    assert len(found["one"]) > 50
-    for name in ("three", "pool", "here"):
+    assert [one["outcome"] for one in result.jobs.values()] == ["accepted", "refused", "accepted"]
+    assert len(found["one"]) > 30
+    for name in ("three", "pool"):
         assert contents(tmp_path / name).keys() == found["one"].keys()
         assert not [one for one, data in contents(tmp_path / name).items() if data != found["one"][one]], name

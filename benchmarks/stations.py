@@ -2,7 +2,7 @@
 
 Row `page_28m` is a panorama of 28 million cells in the page (benchmarks/page/panorama_page.py).
 
-Run it as `python -m benchmarks.panorama [--quick] [ROW ...]`. The rooms and seeds are kept aside: none was used for
+Run it as `python -m benchmarks.stations [--quick] [ROW ...]`. The rooms and seeds are kept aside: none was used for
 tuning.
 """
 
@@ -82,6 +82,39 @@ def different_rows(quick: bool, show: Show) -> list[Row]:
             scans += scan_stations(room, [pose], seed=k, step_deg=0.5, width_deg=width)
         wrong += _judged(f"different {k}", scans, None, show)
     return [Row("different rooms: accepted", "0", f"{len(wrong)} of {count}", not wrong)]
+
+
+def halls_rows(quick: bool, show: Show) -> list[Row]:
+    """Two stations in a hall of 30 x 18 x 7 m, 5 to 15 m apart, with .15 to .3 deg; and pairs of different halls."""
+    found: list[dict[str, Any]] = []
+    wrong: list[str] = []
+    before: Scan | None = None
+    for k in range(4 if quick else 40):
+        rng = np.random.default_rng([_FIRST_SEED, 6, k])
+        room = station_room("hall", _FIRST_SEED + 400 + k)
+        apart, along = rng.uniform(5, 15), rng.uniform(-1.5, 1.5, 2)
+        poses = [_pose(rng, [-apart / 2, along[0]]), _pose(rng, [apart / 2, along[1]])]
+        scans = scan_stations(room, poses, seed=k, step_deg=float(rng.uniform(0.15, 0.3)))
+        pair = register_pair(prepare(scans[0]), prepare(scans[1]))
+        mm, deg, distance = _error(poses[0].inverse @ poses[1], pair.first_from_second, pair.covariance)
+        found.append({"hall": k, "apart_m": apart, "verdict": pair.verdict, "mm": mm, "deg": deg,
+                      "distances": [distance], "overlap": pair.evidence.overlap,
+                      "contradicted": pair.evidence.contradicted})  # fmt: skip
+        show(json.dumps(found[-1]))
+        if before is not None:
+            wrong += _judged(f"different halls {k}", [before, scans[1]], None, show)
+        before = scans[0]
+    accepted = [one for one in found if one["verdict"] == "verified"]
+    right = [one for one in accepted if one["mm"] <= 5 and one["deg"] <= 0.05]
+    return [
+        Row("halls: verified within 5 mm, .05 deg", ">= 90 %", f"{len(right)} of {len(found)}",
+            len(right) >= 0.9 * len(found)),
+        Row("halls: verified and wrong", "0", f"{sum(one['mm'] > 30 for one in accepted)}",
+            all(one["mm"] <= 30 for one in accepted)),
+        Row("halls: Mahalanobis distance / sqrt 6, RMS", ".9 to 1.2", f"{_rms(accepted):.2f}",
+            0.9 <= _rms(accepted) <= 1.2),
+        Row("different halls: accepted", "0", f"{len(wrong)} of {len(found) - 1}", not wrong),
+    ]  # fmt: skip
 
 
 def alike_rows(quick: bool, show: Show) -> list[Row]:
@@ -240,7 +273,8 @@ def _rms(found: Sequence[dict[str, Any]]) -> float:
 
 
 ROWS: dict[str, Callable[[bool, Show], list[Row]]] = {
-    "stations": stations_rows, "different": different_rows, "alike": alike_rows, "loop": loop_rows,
+    "stations": stations_rows, "different": different_rows, "alike": alike_rows, "halls": halls_rows,
+    "loop": loop_rows,
     "covariance": covariance_rows,
     "page_28m": page_rows,
 }  # fmt: skip
