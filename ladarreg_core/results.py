@@ -20,7 +20,7 @@ from ladarreg_core.frames import Rigid, ThesisParameters, describe_direction, de
 from ladarreg_core.matches import Matches, count_picks
 from ladarreg_core.progress import Step
 
-Evidence = Literal["image", "ties", "statistics", "given", "none"]
+Evidence = Literal["image", "ties", "rig", "statistics", "given", "none"]
 ThesisStage = Literal["linear", "constrained_linear", "simplex", "simplex_outliers_removed"]
 """The columns of thesis Tables 3.2-3.5."""
 StageName = Literal[ThesisStage, "default"]
@@ -63,6 +63,7 @@ VERDICTS: dict[str, str] = {
     "image": "Accepted: verified against the image.",
     "statistics": "Accepted on matches only: the images could not judge it.",
     "ties": "Accepted: verified by ties with other photographs.",
+    "rig": "Accepted: held by its rig to a verified photograph.",
     "given": "Given, not verified: this pose was applied, not solved.",
     "none": "Accepted without evidence.",
 }
@@ -241,7 +242,7 @@ class PoseResult:
         """Return what a notebook shows: the verdict, the parameters with their sigmas, and the residuals."""
         from ladarreg_core.foundations.card import arrows, card
 
-        good = self.accepted and self.evidence in ("image", "ties") and not self.is_coarse
+        good = self.accepted and self.evidence in ("image", "ties", "rig") and not self.is_coarse
         words = verdict_words(self.accepted, self.evidence, self.diagnostics, coarse=self.is_coarse)
         facts = [("matches", "{} of {} agree".format(*count_picks(self.matches, self.inliers)))]
         if self.is_determined:

@@ -123,7 +123,7 @@ def light_of(*, accepted: bool, evidence: str, stale: str) -> Light:
         return "given"
     if not accepted:
         return "not_accepted"
-    return "verified" if evidence in ("image", "ties") else "matches_only"
+    return "verified" if evidence in ("image", "ties", "rig") else "matches_only"
 
 
 def _next_step(

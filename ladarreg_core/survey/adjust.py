@@ -12,7 +12,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
@@ -38,6 +38,7 @@ from ladarreg_core.survey.features import propose_pairs
 from ladarreg_core.survey.inputs import PhotoHeader, SurveyInputs
 from ladarreg_core.survey.placement import PhotoState, Placement
 from ladarreg_core.survey.problem import WORLD, CameraUnknowns, Problem, RelativePose, pose_difference
+from ladarreg_core.survey.rigs import Rigs, rig_factors, rigs_of, start_from_rig
 from ladarreg_core.survey.solver import Adjusted, solve
 from ladarreg_core.survey.stations import place_stations
 from ladarreg_core.survey.survey import Survey
@@ -45,6 +46,7 @@ from ladarreg_core.survey.verdicts import (
     Solution,
     TakenOut,
     count_ties,
+    is_held_by_rig,
     largest_shift,
     solve_consistent,
     without_photo,
@@ -163,12 +165,21 @@ class _Run:
         self._begin("adjust")
         first, bodies = self._adjusted(placement, cameras, self._factors(states, cameras))
         self._begin("refine")
-        factors = self._registered_again(placement, first, bodies)
-        second, bodies = self._refined(placement, first, bodies, factors)
+        self._register_again(placement, first, bodies, [k for k, one in enumerate(states) if one.pose is not None])
+        rigs = rigs_of(self.survey, states, first, bodies)
+        self._register_again(placement, first, bodies, self._started_by_rigs(rigs, states, first))
+        factors = self._factors(states, list(first.problem.cameras))
+        second, bodies = self._refined(placement, first, bodies, factors, rigs)
         self._begin("verify")
         solution, refused = self._judged(placement, second, bodies)
         adjustment = adjustment_of(
-            self.survey, placement, solution, refused, options=plain(asdict(self.options)), inputs=inputs.documents
+            self.survey,
+            placement,
+            solution,
+            refused,
+            rigs=rigs,
+            options=plain(asdict(self.options)),
+            inputs=inputs.documents,
         )
         return Solved(adjustment, tuple(states), tuple(files))
 
@@ -232,14 +243,21 @@ class _Run:
                 state.camera = self._camera_of(state, cameras)
                 state.pose = placement.pose_from_features(k)
 
-    def _registered_again(
-        self, placement: Placement, adjusted: Adjusted, bodies: Bodies
-    ) -> dict[tuple[int, int], RelativePose]:
-        """Register every photograph with its adjusted camera on all scans near it."""
+    def _started_by_rigs(self, rigs: Rigs, states: list[PhotoState], adjusted: Adjusted) -> list[int]:
+        """Give photographs without a pose that which a verified one of the same frame implies, and return them."""
+        cameras, found = self._cameras_now(adjusted), []
+        for k, state in enumerate(states):
+            if state.pose is None and (pose := start_from_rig(rigs, k, states)) is not None:
+                state.camera, state.pose = self._camera_of(state, cameras), pose
+                found.append(k)
+        return found
+
+    def _register_again(self, placement: Placement, adjusted: Adjusted, bodies: Bodies, photos: Sequence[int]) -> None:
+        """Register photographs that have a pose with their adjusted cameras on all scans near them."""
         cameras, tasks = self._cameras_now(adjusted), {}
-        for k, state in enumerate(placement.states):
-            if state.pose is None:
-                continue
+        for k in photos:
+            state = placement.states[k]
+            assert state.pose is not None
             camera = self._camera_of(state, cameras)
             for scan in placement.nearest_scans(state.pose):
                 world = placement.stations.each[scan].world_from_scanner or Rigid.identity()
@@ -251,8 +269,9 @@ class _Run:
                 )  # fmt: skip
         report = self._reporter(len(tasks))
         waiting = {self.workers.submit(registered, task): key for key, task in tasks.items()}
-        for state in placement.states:
-            state.pairs = {}
+        for k, state in enumerate(placement.states):
+            if k in photos or state.pose is None:
+                state.pairs = {}
         for future in finished(waiting, self._tick):
             k, scan = waiting[future]
             report(f"{placement.states[k].given.id} on scan {scan + 1}")
@@ -266,12 +285,11 @@ class _Run:
                     placement.states[k].pairs[scan] = result
                 elif not placement.states[k].reasons:
                     placement.states[k].reasons = result.reasons
-        cameras_list = list(adjusted.problem.cameras)
-        return self._factors(list(placement.states), cameras_list)
 
     def _refined(
-        self, placement: Placement, first: Adjusted, bodies: Bodies, factors: Mapping[tuple[int, int], RelativePose]
-    ) -> tuple[Adjusted, Bodies]:
+        self, placement: Placement, first: Adjusted, bodies: Bodies, factors: Mapping[tuple[int, int], RelativePose],
+        rigs: Rigs,
+    ) -> tuple[Adjusted, Bodies]:  # fmt: skip
         """Adjust again from the second registrations, with photographs that rest on ties alone."""
         poses = {k: one.pose for k, one in enumerate(placement.states) if one.pose is not None}
         stations = placement.stations
@@ -282,6 +300,7 @@ class _Run:
         placement.stations = replace(stations, each=moved)
         cameras = list(first.problem.cameras)
         problem, bodies = build_problem(self.survey, placement, cameras, poses, factors)
+        problem = replace(problem, relative=(*problem.relative, *rig_factors(rigs, placement.states, bodies)))
         self._laser(placement, None, bodies, problem)
         problem = _determined(with_ties(problem, bodies, placement))
         adjusted = solve(problem, tick=self._tick)
@@ -329,11 +348,11 @@ class _Run:
     def _against(self, placement: Placement, solution: Solution, photo: int, verified: set[int]) -> str:
         """Return why a photograph on ties alone is not accepted, as a sentence; empty: it is."""
         adjusted, bodies = solution.adjusted, solution.bodies
-        ties = count_ties(adjusted, bodies, photo)
-        reason = ties.reason_against(verified)
+        ties, body = count_ties(adjusted, bodies, photo), bodies.photos[photo]
+        by_rig = is_held_by_rig(adjusted, body)
+        reason = "" if by_rig else ties.reason_against(verified)
         if reason:
             return reason
-        body = bodies.photos[photo]
         pose, camera = adjusted.problem.poses[body], adjusted.problem.camera_of(body)
         sources = tuple(
             (placement.states[k].files, adjusted.problem.camera_of(at), adjusted.problem.poses[at])
@@ -350,6 +369,8 @@ class _Run:
         self._reporter(1)(f"{state.given.id} against the colours of {len(sources)} photographs")
         future = self.workers.submit(verified_by_colors, task, sources, surfaces)
         result = next(finished([future], self._tick)).result()
+        if by_rig and (result is None or not result.accepted):
+            return ""  # nothing can be compared, and nothing contradicts
         if result is None:
             return "Too little of the surface that it shows is coloured by verified photographs to compare it with."
         if not result.accepted:

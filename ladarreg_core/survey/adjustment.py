@@ -17,8 +17,9 @@ from ladarreg_core.results import COARSE_SIGMA_PX
 from ladarreg_core.survey.problem import Matrix
 from ladarreg_core.survey.solver import Adjusted
 
-SurveyEvidence = Literal["image", "ties", "none"]
+SurveyEvidence = Literal["image", "ties", "rig", "none"]
 VERSION = 1
+_HOW = {"image": "verified against the image", "ties": "verified by ties", "rig": "held by its rig"}
 COVARIANCE_IS = (
     "of (w, c): R_true = exp([w]x) R (rad), c = true minus estimated camera centre in the world (m); the "
     "uncertainty of the camera is in it"
@@ -62,6 +63,17 @@ class AdjustedCamera:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class AdjustedSensor:
+    """A sensor of a rig relative to the rig's first one."""
+
+    reference_from_sensor: Rigid
+    covariance: Matrix
+    """(6, 6) of (w, c): w about the axes of the first sensor, c in the frame of this one."""
+    frames: tuple[str, ...]
+    """Frames that it was measured in; empty: it was stated."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class AdjustedPhoto:
     """Where a photograph was taken, and how that is known."""
 
@@ -75,7 +87,7 @@ class AdjustedPhoto:
     """Id of the camera that took it."""
     evidence: SurveyEvidence
     """`image`: a scan's image verifies it; `ties`: it rests on what other photographs show of the surface, and their
-    colours verify it."""
+    colours verify it; `rig`: a verified photograph of the same frame holds it."""
     reasons: tuple[str, ...]
     scans: tuple[str, ...] = ()
     """Ids of the scans whose images verify it."""
@@ -119,7 +131,7 @@ class AdjustedPhoto:
         if not self.accepted:
             return "Not accepted: taken out." if self.moved_others_sigmas is not None else "Not accepted."
         words = "Accepted, coarse" if self.is_coarse else "Accepted"
-        return f"{words}: verified {'against the image' if self.evidence == 'image' else 'by ties'}."
+        return f"{words}: {_HOW[self.evidence]}."
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -139,6 +151,8 @@ class Adjustment:
     """Kind (`scan` or `photo`) and id of each six rows."""
     residuals: tuple[TieResidual, ...] = ()
     """The ties that disagree most."""
+    rigs: Mapping[str, Mapping[str, AdjustedSensor]] = field(default_factory=dict)
+    """By their ids and the names of their sensors."""
     folder: Path | None = None
     """Where the results were written; None: nowhere."""
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -174,6 +188,17 @@ class Adjustment:
             "scans": {name: _scan_fields(one, self.inputs.get(f"scan/{name}")) for name, one in self.scans.items()},
             "cameras": {name: _camera_fields(one) for name, one in self.cameras.items()},
             "photos": {name: self._photo_fields(name, one) for name, one in self.photos.items()},
+            "rigs": {
+                rig: {
+                    name: {
+                        "reference_from_sensor": one.reference_from_sensor.matrix.tolist(),
+                        "covariance": one.covariance.tolist(),
+                        "frames": list(one.frames),
+                    }
+                    for name, one in sensors.items()
+                }
+                for rig, sensors in self.rigs.items()
+            },
             "chi2_per_dof": _number(self.chi2_per_dof),
             "sigma_px": _number(self.sigma_px),
             "options": dict(self.options),

@@ -12,13 +12,16 @@ from ladarreg_core.survey.adjustment import (
     AdjustedCamera,
     AdjustedPhoto,
     AdjustedScan,
+    AdjustedSensor,
     Adjustment,
+    SurveyEvidence,
     TieResidual,
     scan_covariance,
 )
 from ladarreg_core.survey.build import Bodies
 from ladarreg_core.survey.placement import Placement
 from ladarreg_core.survey.problem import Matrix, projected
+from ladarreg_core.survey.rigs import Rigs
 from ladarreg_core.survey.solver import Adjusted
 from ladarreg_core.survey.survey import Survey
 from ladarreg_core.survey.verdicts import Solution, agrees_with_scan, count_ties
@@ -33,6 +36,7 @@ def adjustment_of(
     solution: Solution,
     refused: Mapping[int, tuple[str, ...]],
     *,
+    rigs: Rigs,
     options: Mapping[str, Any],
     inputs: Mapping[str, Any],
 ) -> Adjustment:
@@ -43,6 +47,7 @@ def adjustment_of(
         placement: what was found of its scans and photographs.
         solution: the adjustment of what was kept.
         refused: why photographs without a scan's evidence were not accepted, by their indices.
+        rigs: what is known of the rigs.
         options: of the registrations, JSON-ready.
         inputs: name, size and SHA-256 of the files, by kind and id.
     """
@@ -61,7 +66,7 @@ def adjustment_of(
     return Adjustment(
         scans=scans, cameras=_cameras(survey, adjusted, photos), photos=photos, chi2_per_dof=adjusted.chi2_per_dof,
         sigma_px=adjusted.sigma_px, joint=joint, joint_ids=tuple((kind, name) for kind, name, _ in order),
-        residuals=_worst_ties(adjusted, bodies, names), options=options, inputs=inputs,
+        residuals=_worst_ties(adjusted, bodies, names), rigs=_rigs(survey, rigs), options=options, inputs=inputs,
     )  # fmt: skip
 
 
@@ -93,18 +98,35 @@ def _photo(
     partners = tuple(names[one] for one in ties.partners)
     others = f"{len(partners)} other photograph{'' if len(partners) == 1 else 's'}"
     tied = f"{ties.agree} ties with {others} agree" if ties.agree else "it shares no ties"
-    reason = (
-        f"The image of {' and of '.join(scans)} verifies it; {tied}."
-        if state.by_image
-        else f"No scan's image verifies it by itself; {tied}, and the colours of the surface verify it."
-    )
+    verified = {one for one in bodies.photos if placement.states[one].by_image}
+    evidence: SurveyEvidence = "image" if state.by_image else "rig" if ties.reason_against(verified) else "ties"
+    reason = {
+        "image": f"The image of {' and of '.join(scans)} verifies it; {tied}.",
+        "ties": f"No scan's image verifies it by itself; {tied}, and the colours of the surface verify it.",
+        "rig": f"No scan's image verifies it; its rig holds it to a verified photograph of its frame; {tied}.",
+    }[evidence]
     return AdjustedPhoto(
         camera_from_world=adjusted.problem.poses[body], covariance=adjusted.covariance_of(body),
         camera=adjusted.problem.camera_of(body), camera_id=state.given.camera,
-        evidence="image" if state.by_image else "ties", reasons=(reason,), scans=scans, ties=ties.agree,
+        evidence=evidence, reasons=(reason,), scans=scans, ties=ties.agree,
         ties_left_out=ties.left_out, partners=partners, median_px=ties.median_px,
         sigma_px=_pixel_sigma(adjusted, body, _points_shown(placement, solution, k)),
     )  # fmt: skip
+
+
+def _rigs(survey: Survey, rigs: Rigs) -> dict[str, dict[str, AdjustedSensor]]:
+    """Return the sensors of each rig relative to its first one."""
+    found: dict[str, dict[str, AdjustedSensor]] = {}
+    for rig, sensors in survey.rigs.items():
+        reference, *_ = sensors
+        found[rig] = {
+            sensor: AdjustedSensor(
+                reference_from_sensor=pair.first_from_second, covariance=pair.covariance, frames=pair.frames
+            )
+            for (name, first, sensor), pair in rigs.pairs.items()
+            if name == rig and first == reference
+        }
+    return found
 
 
 def _points_shown(placement: Placement, solution: Solution, photo: int) -> Matrix:

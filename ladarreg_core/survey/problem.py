@@ -94,6 +94,10 @@ class RelativePose:
     """What it came from, for users."""
 
 
+RIG = "its rig"
+"""Name of a relative pose that comes from a rig."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Ties:
     """N observations of P points in photographs, and K on the surfaces of scans."""

@@ -10,7 +10,7 @@ import numpy as np
 from ladarreg_core.foundations.formatting import format_length
 from ladarreg_core.frames import Rigid
 from ladarreg_core.survey.build import Bodies
-from ladarreg_core.survey.problem import Problem, Ties, pose_difference
+from ladarreg_core.survey.problem import RIG, Problem, Ties, pose_difference
 from ladarreg_core.survey.solver import Adjusted, solve
 from ladarreg_core.survey.ties import spread
 
@@ -107,6 +107,14 @@ def agrees_with_scan(solution: Solution, photo: int, scan: int) -> bool:
     )
 
 
+def is_held_by_rig(adjusted: Adjusted, body: int) -> bool:
+    """Return whether a verified photograph of the same frame holds a photograph, and agrees with all else."""
+    return any(
+        one.body == body and one.name == RIG and weight >= _MIN_FACTOR_WEIGHT
+        for one, weight in zip(adjusted.problem.relative, adjusted.relative_weights, strict=True)
+    )
+
+
 def count_ties(adjusted: Adjusted, bodies: Bodies, photo: int) -> TieCount:
     """Return the ties of a photograph that agree with an adjustment, and those that do not."""
     ties = adjusted.problem.ties
@@ -178,11 +186,11 @@ def _worst(solution: Solution) -> tuple[int, str] | None:
         ties = count_ties(adjusted, bodies, photo)
         judged = ties.agree + ties.left_out
         if weights and max(weights) < _MIN_FACTOR_WEIGHT:
-            off = _contradiction(adjusted, body)
+            what, off = _contradiction(adjusted, body)
             found.append((
                 max(weights), photo,
-                f"Its image on the scan puts it {format_length(off)} away from where {ties.agree} ties with other "
-                "photographs put it: one of both is wrong.",
+                f"{what[:1].upper()}{what[1:]} puts it {format_length(off)} away from where {ties.agree} ties with "
+                "other photographs put it: one of both is wrong.",
             ))  # fmt: skip
         elif weights and judged >= _MIN_JUDGED and ties.agree < _MIN_AGREEING * judged:
             found.append((
@@ -196,9 +204,9 @@ def _worst(solution: Solution) -> tuple[int, str] | None:
     return photo, reason
 
 
-def _contradiction(adjusted: Adjusted, body: int) -> float:
-    """Return how far the adjusted pose lies from what the first relative pose of a body says, m."""
+def _contradiction(adjusted: Adjusted, body: int) -> tuple[str, float]:
+    """Return what the first relative pose of a body came from, and how far the adjusted pose lies from it, m."""
     problem = adjusted.problem
     known = next(one for one in problem.relative if one.body == body)
     base = problem.poses[known.base] if known.base >= 0 else Rigid.identity()
-    return float(np.linalg.norm((problem.poses[body] @ base.inverse).centre - known.pose.centre))
+    return known.name, float(np.linalg.norm((problem.poses[body] @ base.inverse).centre - known.pose.centre))

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -15,12 +16,15 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.formats.scans.npz import write_npz_xyz
 from ladarreg_core.foundations.arrays import ByteArray, FloatArray
 from ladarreg_core.frames import Rigid, look_along
+from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.photograph import Lighting, take_photograph
 from ladarreg_core.simulate.ray_cast import RayCaster
 from ladarreg_core.simulate.sample import sample_survey_folder
 from ladarreg_core.simulate.stations import scan_stations, station_room, upright_pose
 from ladarreg_core.simulate.worlds.world import World
+from ladarreg_core.survey.parts import RigMember, SurveyCamera, SurveyPhoto, SurveyScan
+from ladarreg_core.survey.survey import Survey
 from testing.scenes.kept import kept
 from testing.scenes.photo_set import write_phone_photo
 
@@ -113,6 +117,44 @@ def simulate_survey(
         one = _taken(other, f"elsewhere_{k + 1}.jpg", k % 2, cameras, _standpoint(other, rng), rng)
         taken.append(replace(one, camera_from_world=None))
     return SurveySet(scans, poses, taken, cameras, errors)
+
+
+def simulate_rig_survey(
+    *, frames: int, dark: Collection[tuple[str, str]] = (), seed: int = 8
+) -> tuple[Survey, dict[str, Rigid]]:
+    """Simulate a head with two cameras, unlike each other, at some places of a room, beside one scan of it.
+
+    Args:
+        frames: number of places.
+        dark: photographs in which nothing is seen, by frame and sensor.
+        seed: of the room, the places and the noise.
+
+    Returns:
+        The survey, whose rig is `head` with the sensors `left` and `right`, and the true poses by the photographs' ids.
+    """
+    rng = np.random.default_rng([seed, 412])
+    room = station_room("office", seed)
+    stands = upright_pose(_STATIONS[0], float(rng.uniform(-np.pi, np.pi)))
+    (scan,) = scan_stations(room, [stands], seed=seed, step_deg=0.2)
+    right_from_left = Rigid.from_rotvec([0.0, -0.5, 0.02], [-0.25, 0.01, 0.04])
+    photos, truth = [], {}
+    for frame in range(frames):
+        left = _standpoint(room, rng)
+        for sensor, pose, camera in (("left", left, CAMERAS[0]), ("right", right_from_left @ left, CAMERAS[1])):
+            name = f"{sensor}-{frame}"
+            pixels = take_photograph(*room, camera, pose, lighting=Lighting(), rng=rng)
+            if (str(frame), sensor) in dark:
+                pixels = np.full_like(pixels, 8)
+            truth[name] = pose @ stands
+            photo = Photo(pixels=pixels, camera=camera, name=name, calibrated=True)
+            member = RigMember(id="head", frame=str(frame), sensor=sensor)
+            photos.append(SurveyPhoto(id=name, source=photo, camera=sensor, rig=member))
+    survey = Survey(
+        scans=(SurveyScan(id="scan", source=scan),),
+        cameras=(SurveyCamera(id="left", estimate="none"), SurveyCamera(id="right", estimate="none")),
+        photos=tuple(photos), rigs={"head": {"left": None, "right": None}},
+    )  # fmt: skip
+    return survey, truth
 
 
 def write_survey_set(folder: Path, found: SurveySet) -> None:
