@@ -28,7 +28,7 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
-from typing import Any, ParamSpec, TypeVar
+from typing import IO, Any, ParamSpec, TypeVar
 
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.foundations.validation import require_int
@@ -222,10 +222,10 @@ class _Worker:
         context = get_context("spawn")
         self.connection, theirs = context.Pipe()
         self.task: _Task | None = None
-        descriptor, self._words = tempfile.mkstemp(prefix="ladarreg-worker-")
-        os.close(descriptor)
+        descriptor, self._words_file = tempfile.mkstemp(prefix="ladarreg-worker-")
+        self._words = os.fdopen(descriptor, "rb")
         self._process: SpawnProcess = context.Process(
-            target=_serve, args=(theirs, os.getpid(), self._words), name="ladarreg worker", daemon=True
+            target=_serve, args=(theirs, os.getpid(), self._words_file), name="ladarreg worker", daemon=True
         )
         try:
             with _environment(dict.fromkeys(_ONE_THREAD, "1")):
@@ -290,8 +290,9 @@ class _Worker:
 
     def _close(self) -> None:
         self.connection.close()
+        self._words.close()
         with contextlib.suppress(OSError):
-            os.unlink(self._words)
+            os.unlink(self._words_file)
 
 
 def _why_it_ended(code: int | None, attempts: int) -> str:
@@ -360,30 +361,37 @@ def _do_here(future: Future[Any], function: Callable[..., Any], args: tuple[Any,
         future.set_exception(error)
 
 
-def _last_words(file: str) -> str:
+def _last_words(stream: IO[bytes]) -> str:
     """Return the end of what a process wrote on stderr, on one line."""
     try:
-        with open(file, "rb") as stream:
-            stream.seek(max(0, os.fstat(stream.fileno()).st_size - _WORDS_BYTES))
-            text = stream.read(_WORDS_BYTES).decode("utf-8", "replace")
+        stream.seek(max(0, os.fstat(stream.fileno()).st_size - _WORDS_BYTES))
+        text = stream.read(_WORDS_BYTES).decode("utf-8", "replace")
     except OSError:
         return ""
     words = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     return words if len(words) <= _MAX_WORDS else f"... {words[-_MAX_WORDS:]}"
 
 
-def _keep_words(file: str) -> None:
-    """Have what this process and its libraries write on stderr kept in a file, a crash's stack among it."""
+def _keep_words(file: str) -> bool:
+    """Have what this process and its libraries write on stderr kept in a file, a crash's stack among it.
+
+    Returns:
+        Whether it is. The parent has the file open, so that its name is not needed any more: a killed program leaves
+        none behind.
+    """
     import faulthandler
 
     try:
         descriptor = os.open(file, os.O_WRONLY | os.O_APPEND)
         os.dup2(descriptor, 2)
         os.close(descriptor)
-    except OSError:  # a full disk: there are no words then
-        return
+    except OSError:  # there are no words then
+        return False
+    with contextlib.suppress(OSError):
+        os.unlink(file)
     with contextlib.suppress(Exception):
         faulthandler.enable(2, all_threads=False)
+    return True
 
 
 def _forget_words() -> None:
@@ -396,7 +404,7 @@ def _serve(connection: Connection, parent: int, words: str) -> None:
     """Work off the tasks of the parent, one after the other, until it closes the pipe or ends."""
     from ladarreg_core.formats.isolated.worker import end_with
 
-    _keep_words(words)
+    are_kept = _keep_words(words)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # where signals cannot be blocked
     if sys.platform == "linux":  # elsewhere it ends after its task
         end_with(parent)
@@ -406,7 +414,8 @@ def _serve(connection: Connection, parent: int, words: str) -> None:
                 function, args, kwargs = pickle.loads(connection.recv_bytes())
             except (EOFError, OSError):
                 return
-            _forget_words()
+            if are_kept:
+                _forget_words()
             connection.send_bytes(_answer(function, args, kwargs))
 
 

@@ -127,3 +127,33 @@ def test_an_interruption_ends_the_processes_at_once_and_begins_nothing_more() ->
 def test_an_impossible_number_is_refused(count: int) -> None:
     with pytest.raises(OptionError, match="processes"):
         WorkerProcesses(count)
+
+
+def say_and_die(words: str) -> None:
+    os.write(2, words.encode())
+    os._exit(3)
+
+
+def test_the_last_words_of_a_lost_process_are_told_and_leave_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with WorkerProcesses(1) as workers:
+        lost = workers.submit(say_and_die, "first\n\x1b[31mlast " + "x" * 5000)
+        quiet = workers.submit(os._exit, 4)
+        assert "code 3" in str(lost.exception())
+        assert str(lost.exception()).endswith("x" * 100)
+        assert "\x1b" not in str(lost.exception())
+        assert "last words" not in str(quiet.exception()), "those of another task"
+    assert not [*tmp_path.iterdir()]
+
+
+def nested() -> tuple[int, int]:
+    with WorkerProcesses(3) as workers:
+        return os.getpid(), workers.submit(os.getpid).result()
+
+
+def test_processes_of_a_worker_are_itself() -> None:
+    with WorkerProcesses(1) as workers:
+        first, second = workers.submit(nested).result()
+    assert first == second != os.getpid()
