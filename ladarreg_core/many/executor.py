@@ -38,6 +38,8 @@ T = TypeVar("T")
 
 _MAX_PROCESSES = 256
 _MAX_ATTEMPTS = 3
+_MAX_STARTS = 10  # processes that end before they have begun a task: it is not to blame, but there has to be an end
+_BEGUN = b"!"
 _JOIN_S = 10.0
 _START_AGAIN_S = 2.0
 _MAX_WORDS = 300  # the last ones that a process wrote
@@ -182,7 +184,8 @@ class WorkerProcesses(Executor):
                 workers.append(free)
             with self._lock:
                 task = self._tasks.popleft()
-            if (task.attempts or task.future.set_running_or_notify_cancel()) and not free.begin(task):
+            is_again = task.attempts or task.starts_lost
+            if (is_again or task.future.set_running_or_notify_cancel()) and not free.begin(task):
                 self._replace(free, workers)
         return True
 
@@ -190,7 +193,7 @@ class WorkerProcesses(Executor):
         """Give up a process that has ended, and put its task first in the queue unless it has lost too many."""
         workers.remove(worker)
         task, why = worker.lost()
-        if task.attempts < _MAX_ATTEMPTS and not self._killed:
+        if task.attempts < _MAX_ATTEMPTS and task.starts_lost < _MAX_STARTS and not self._killed:
             log.warning("a task is tried again: %s", why)
             with self._lock:
                 self._tasks.appendleft(task)
@@ -212,7 +215,9 @@ class _Task:
     args: tuple[Any, ...]
     kwargs: dict[str, Any]
     attempts: int = 0
-    """How often a process was given it."""
+    """How often a process has begun it."""
+    starts_lost: int = 0
+    """How many processes ended before they had begun it, as while they were started."""
 
 
 class _Worker:
@@ -222,6 +227,7 @@ class _Worker:
         context = get_context("spawn")
         self.connection, theirs = context.Pipe()
         self.task: _Task | None = None
+        self._has_begun = False
         descriptor, self._words_file = tempfile.mkstemp(prefix="ladarreg-worker-")
         self._words = os.fdopen(descriptor, "rb")
         self._process: SpawnProcess = context.Process(
@@ -239,8 +245,7 @@ class _Worker:
 
     def begin(self, task: _Task) -> bool:
         """Send a task; False: the process has ended."""
-        self.task = task
-        task.attempts += 1
+        self.task, self._has_begun = task, False
         try:
             message = pickle.dumps((task.function, task.args, task.kwargs))
         except Exception as error:  # whatever cannot be pickled; the process is as good as before
@@ -254,12 +259,16 @@ class _Worker:
         return True
 
     def finish(self) -> bool:
-        """Take in what the process sent, and return whether it is still there."""
+        """Take in what the process sent: that it has begun, or a result; return whether it is still there."""
         try:
             message = self.connection.recv_bytes()
         except (EOFError, OSError):
             return False
         assert self.task is not None
+        if message == _BEGUN:
+            self._has_begun = True
+            self.task.attempts += 1
+            return True
         future, self.task = self.task.future, None
         try:
             value, error = pickle.loads(message)  # of a process of this program
@@ -285,7 +294,9 @@ class _Worker:
         code, words = self._process.exitcode, _last_words(self._words)
         self._close()
         assert self.task is not None
-        why = _why_it_ended(code, self.task.attempts)
+        if not self._has_begun:
+            self.task.starts_lost += 1
+        why = _why_it_ended(code, max(1, self.task.attempts if self._has_begun else self.task.starts_lost))
         return self.task, f"{why}; its last words: {words}" if words else why
 
     def _close(self) -> None:
@@ -416,6 +427,7 @@ def _serve(connection: Connection, parent: int, words: str) -> None:
                 return
             if are_kept:
                 _forget_words()
+            connection.send_bytes(_BEGUN)
             connection.send_bytes(_answer(function, args, kwargs))
 
 

@@ -157,3 +157,34 @@ def test_processes_of_a_worker_are_itself() -> None:
     with WorkerProcesses(1) as workers:
         first, second = workers.submit(nested).result()
     assert first == second != os.getpid()
+
+
+class _EndsItsProcess:
+    """Ends the process that reads it, as a kill does while a process is started, until a file is there."""
+
+    def __init__(self, marks: Path, most: int) -> None:
+        self.marks, self.most = marks, most
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return end_process_until, (str(self.marks), self.most)
+
+
+def end_process_until(marks: str, most: int) -> int:
+    count = len(os.listdir(marks))
+    if count < most:
+        Path(marks, str(count)).touch()
+        os._exit(9)
+    return count
+
+
+@pytest.mark.parametrize(("most", "is_done"), [(5, True), (99, False)])
+def test_processes_that_end_before_they_begin_a_task_are_not_its_fault_but_not_endless(
+    tmp_path: Path, most: int, is_done: bool
+) -> None:
+    with WorkerProcesses(1) as workers:
+        future = workers.submit(operator.pos, _EndsItsProcess(tmp_path, most))
+        if is_done:
+            assert future.result() == 5
+        else:
+            with pytest.raises(WorkerLostError, match="10 times with code 9"):
+                future.result()
