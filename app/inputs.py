@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
@@ -168,6 +169,26 @@ def read_results(paths: Sequence[Path], *, trust_edited: bool = False) -> list[S
             what = "has neither a registration.json nor a project.json" if path.is_dir() else "is not a folder"
             raise OptionError(f"{path} {what}; give folders of results, or one project")
     return [read_saved_result(path, trust_edited=trust_edited) for path in paths]
+
+
+def pixels_of(words: Sequence[str]) -> list[tuple[float, float]]:
+    """Return the pixels (u, v) that --at gives.
+
+    Raises:
+        OptionError: if one is not two finite numbers.
+    """
+    from ladarreg_core.errors import OptionError
+
+    found = []
+    for text in words:
+        try:
+            u, v = (float(word) for word in text.split(","))
+        except ValueError:
+            u = v = math.nan
+        if not (math.isfinite(u) and math.isfinite(v)):
+            raise OptionError(f"--at is {text[:40]!r}; give a pixel as two numbers, such as --at 812,400")
+        found.append((u, v))
+    return found
 
 
 class ResultArguments(Protocol):

@@ -1,6 +1,7 @@
 """Measurements against the truth: whether 95 % intervals contain it, and whether points at depth edges are flagged.
 
     python -m benchmarks.measure [--rooms 20] [--draws 50] [--real 12] [--first-seed 500]
+    python -m benchmarks.measure --figure docs/pictures/rectified.png
 
 In each simulated room one photograph is registered, and its covariance taken. Each draw then puts the pose and the
 uncertain intrinsics off by a draw from it, gives every range fresh noise and every picked pixel half a pixel of error,
@@ -18,6 +19,7 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -201,13 +203,41 @@ def clustered(by_room: dict[int, list[bool]]) -> tuple[float, float, int]:
     return share, float(np.sqrt((off**2).sum() * count / max(count - 1, 1)) / total), total
 
 
+def figure(path: Path) -> None:
+    """Write a picture of the sample's photograph, of its wall rectified, and of the error of each pixel."""
+    from ladarreg_core.simulate.sample import sample_folder
+
+    scan = lr.read_scan(sample_folder() / "scan.npz")
+    photo = lr.read_photo(sample_folder() / "photo.png", camera=sample_folder() / "camera.json")
+    result = lr.register(scan, photo)
+    wall = lr.Plane.fitted(scan, MeasuredPoints.of_photo(scan, result, [[560, 170]]).xyz[0])
+    source = lr.RegisteredScan(scan, [lr.RegisteredPhoto("photo", photo, result)])
+    view = lr.rectify(source, wall, mm_per_pixel=4)
+    rows, columns = (np.flatnonzero(view.known.any(axis=k)) for k in (1, 0))
+    part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    shown = np.where(view.known[..., None], view.image, 128)[part].astype(np.uint8)
+    mm = np.nan_to_num(1000 * view.sigma_m[part])
+    top = float(np.percentile(mm[mm > 0], 98))
+    error = cv2.applyColorMap(np.clip(255 * mm / top, 0, 255).astype(np.uint8), cv2.COLORMAP_VIRIDIS)[..., ::-1].copy()
+    error[~view.known[part]] = 128
+    cv2.putText(error, f"0 to {top:.1f} mm", (10, 30), cv2.FONT_HERSHEY_SIMPLEX, 0.8, (255, 255, 255), 2, cv2.LINE_AA)
+    height = 400
+    strips = [cv2.resize(one, (round(one.shape[1] * height / one.shape[0]), height), interpolation=cv2.INTER_AREA)
+              for one in (photo.pixels, shown, error)]  # fmt: skip
+    cv2.imwrite(str(path), np.concatenate(strips, axis=1)[..., ::-1])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--rooms", type=int, default=20)
     parser.add_argument("--draws", type=int, default=50)
     parser.add_argument("--real", type=int, default=12)
     parser.add_argument("--first-seed", type=int, default=500)
+    parser.add_argument("--figure", type=Path)
     asked = parser.parse_args()
+    if asked.figure is not None:
+        figure(asked.figure)
+        return
     started = time.process_time()
     covered: dict[str, dict[int, list[bool]]] = defaultdict(lambda: defaultdict(list))
     edge, inside = defaultdict(list), defaultdict(list)

@@ -92,10 +92,16 @@ if TYPE_CHECKING:
     from ladarreg_core.survey.parts import SurveyPhoto as SurveyPhoto
     from ladarreg_core.survey.parts import SurveyScan as SurveyScan
     from ladarreg_core.survey.survey import Survey as Survey
+    from ladarreg_core.views.developable import Cylinder as Cylinder
+    from ladarreg_core.views.developable import Plane as Plane
     from ladarreg_core.views.measurement import Measurement as Measurement
     from ladarreg_core.views.measurement import measure as measure
     from ladarreg_core.views.measurement_list import write_measurements as write_measurements
     from ladarreg_core.views.points import MeasuredPoints as MeasuredPoints
+    from ladarreg_core.views.rectified import RectifiedView as RectifiedView
+    from ladarreg_core.views.rectified import rectify as rectify
+    from ladarreg_core.views.section import section as section
+    from ladarreg_core.views.view_files import write_view as write_view
 
 __version__ = VERSION
 
@@ -109,6 +115,7 @@ _HOMES = {
     "Cancelled": "errors",
     "Channels": "matching.images.kept_channels",
     "ComparedBlocks": "results",
+    "Cylinder": "views.developable",
     "EquirectangularCamera": "camera",
     "FisheyeCamera": "camera",
     "FusedModel": "fusion.fused_model",
@@ -125,10 +132,12 @@ _HOMES = {
     "PhotoPointsWithNormals": "surface.texture.photo_points",
     "PhotosResult": "many.photo_summary",
     "Pick": "matches",
+    "Plane": "views.developable",
     "PoseOptions": "pose.estimate",
     "PoseResult": "results",
     "PosedPhoto": "surface.texture.best_photo",
     "Progress": "progress",
+    "RectifiedView": "views.rectified",
     "RegisterOptions": "registration.register",
     "RegisteredPhoto": "export.registered_scan",
     "RegisteredScan": "export.registered_scan",
@@ -171,10 +180,12 @@ _HOMES = {
     "read_registration": "formats",
     "read_rig": "outputs.rig_folder",
     "read_scan": "formats",
+    "rectify": "views.rectified",
     "register": "registration.register",
     "register_photos": "many.photo_run",
     "register_rig": "registration.rig.registration",
     "register_scans": "registration.stations.registration",
+    "section": "views.section",
     "simulate_case": "simulate",
     "texture_scan": "surface.texture.registered_texture",
     "verify_pose": "registration.given",
@@ -182,6 +193,7 @@ _HOMES = {
     "with_image_check": "matching.image_check",
     "write_adjustment": "survey.outputs",
     "write_measurements": "views.measurement_list",
+    "write_view": "views.view_files",
     "xyz_of_photo": "surface.texture.photo_points",
 }
 __all__ = sorted(_HOMES)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
 import tyro
 
 from ..exit_codes import ExitCode
-from ..inputs import read_on_one_scan
+from ..inputs import pixels_of, read_on_one_scan
 from ..progress_bar import progress_bar
 
 if TYPE_CHECKING:
@@ -119,13 +118,4 @@ def _places(arguments: Arguments) -> list[Place]:
         raise OptionError("points are needed: pixels with --at, or a file with --points; give one of both")
     if arguments.points is not None:
         return read_places(arguments.points)
-    places = []
-    for text in arguments.at:
-        try:
-            u, v = (float(word) for word in text.split(","))
-        except ValueError:
-            u = v = math.nan
-        if not (math.isfinite(u) and math.isfinite(v)):
-            raise OptionError(f"--at is {text[:40]!r}; give a pixel as two numbers, such as --at 812,400")
-        places.append(Place((u, v), "photo"))
-    return places
+    return [Place(at, "photo") for at in pixels_of(arguments.at)]

@@ -1,4 +1,4 @@
-"""`ladarreg measure`: of results in the photograph and the scan, into files, and what it refuses."""
+"""`ladarreg measure` and `rectify`: of results in the photograph and the scan, into files, and what they refuse."""
 
 from __future__ import annotations
 
@@ -99,3 +99,53 @@ def test_a_refused_result_is_not_measured_in(results: Path, tmp_path: Path, caps
     lr.export_registration(tmp_path / "refused", refused, scan, photo)
     words = [str(tmp_path / "refused"), "--kind", "distance", *ON_SCREEN, "--quiet"]
     assert "refused" in said(capsys, *words, code=ExitCode.BAD_INPUT)
+
+
+def test_a_wall_and_a_plan_are_rectified(results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [
+        "rectify",
+        str(results),
+        "--at",
+        "560,170",
+        "--mm-per-pixel",
+        "10",
+        "-o",
+        str(tmp_path / "wall"),
+        "--quiet",
+    ]
+    assert main(words) == ExitCode.ACCEPTED
+    assert " mm in the median" in capsys.readouterr().out
+    document = json.loads((tmp_path / "wall" / "view.json").read_text(encoding="utf-8"))
+    assert document["surface"]["kind"] == "plane"
+    assert document["shown"] > 0.05
+    assert main(words) == ExitCode.BAD_INPUT
+    assert "--force" in capsys.readouterr().err
+    assert main([*words, "--force"]) == ExitCode.ACCEPTED
+    plan = ["rectify", str(results), "--height", "0.1", "--mm-per-pixel", "20", "-o", str(tmp_path / "plan"), "--quiet"]
+    assert main(plan) == ExitCode.ACCEPTED
+    assert (tmp_path / "plan" / "section.dxf").is_file()
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        ([], "--height"),
+        (["--at", "560,170", "--at", "5,5"], "2 times"),
+        (["--at", "560,170", "--height", "1"], "one of both"),
+        (["--at", "9999,170"], "outside the photograph"),
+        (["--at", "560,170", "--surface", "pipe"], "pipe"),
+        (["--height", "50"], "no surface"),
+        (["--height", "nan"], "height"),
+        (["--at", "560,170", "--mm-per-pixel", "0"], "positive"),
+        (["--height", "0.1", "--frame", "world"], "world"),
+        (["--height", "0.1", "--mm-per-pixel", "20", "--crs", "EPSG:25832"], "plan in the world"),
+    ],
+)
+def test_bad_surfaces_are_refused_in_a_sentence(
+    results: Path, tmp_path: Path, words: list[str], complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert main(["rectify", str(results), "-o", str(out), "--quiet", *words]) == ExitCode.BAD_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert complaint in line
+    assert not out.exists()
