@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from typing import Any
 
-    from ladarreg_core.many.cache import ContentCache
     from ladarreg_core.many.photo_summary import PhotosResult
 
 EXAMPLES = (
@@ -97,6 +96,7 @@ def flags_of(kind: type) -> list[str]:
 
 def run_photos(arguments: PhotosArguments) -> ExitCode:
     """Register the photos, write their results and the summary, and print the verdicts."""
+    from ladarreg_core.many.cache import ContentCache
     from ladarreg_core.many.photo_run import register_photos
     from ladarreg_core.storage.manifest import visible_files
 

@@ -10,7 +10,12 @@ import tyro
 
 from ..exit_codes import ExitCode
 
-EXAMPLES = ("ladarreg demo", "ladarreg demo --acquire", "ladarreg demo --port 0 --no-browser")
+EXAMPLES = (
+    "ladarreg demo",
+    "ladarreg demo --survey",
+    "ladarreg demo --acquire",
+    "ladarreg demo --port 0 --no-browser",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +30,8 @@ class Arguments:
     """Folder of the project on the sample."""
     acquire: bool = False
     """Scan all around with a simulated pan/tilt unit and line scanner instead, from an empty project."""
+    survey: bool = False
+    """Open a survey instead: two scans and ten photos of two cameras, to be adjusted together in the step Survey."""
     fresh: bool = False
     """Start over; earlier work on the sample stays in the history."""
     new_token: bool = False
@@ -38,6 +45,9 @@ def run(arguments: Arguments) -> ExitCode:
     from ..session.isolated_readers import READERS
 
     READERS.warm()  # in parallel with the imports below
+    from ladarreg_core.errors import OptionError
+    from ladarreg_core.simulate.sample import sample_survey_folder
+
     from ..gateway.options import GatewayOptions
     from ..process_resources import limit_arenas
     from ..stop_signals import StopSignals
@@ -45,10 +55,17 @@ def run(arguments: Arguments) -> ExitCode:
     from ..workbench.launch import TokenChoice, open_workbench, serve_and_close
     from ..workbench.sample import SAMPLE_NAME, register_sample, sample_files
 
+    if arguments.acquire and arguments.survey:
+        raise OptionError("--acquire and --survey are two samples; give one of them")
+    if arguments.fresh and (arguments.acquire or arguments.survey):
+        raise OptionError("--fresh starts over with the photo of the sample; give it without --acquire and --survey")
     limit_arenas()
     stop = StopSignals()
     stop.listen()
-    if arguments.acquire:
+    if arguments.survey:
+        name = f"{SAMPLE_NAME} survey"
+        workbench = open_workbench([sample_survey_folder()], project=arguments.project, name=name, check=stop.check)
+    elif arguments.acquire:
         workbench = open_workbench((), project=arguments.project, check=stop.check)
         workbench.acquisition.offered = True
     else:

@@ -67,11 +67,12 @@ class Arguments(ScanArguments):
 def run(arguments: Arguments) -> ExitCode:
     """Fuse the accepted photos and write the model."""
     from ladarreg_core.export.targets.folder import check_folder
-    from ladarreg_core.outputs.model_folder import write_model
+    from ladarreg_core.outputs.model_folder import check_formats, write_model
     from ladarreg_core.outputs.model_sources import read_model_sources
 
     started = time.perf_counter()
     formats = [name.strip() for name in arguments.to.split(",") if name.strip()]
+    check_formats(formats)
     check_folder(arguments.out, force=arguments.force, inputs=arguments.results)
     with progress_bar(quiet=arguments.quiet) as bar:
         sources: ModelSources = timed(

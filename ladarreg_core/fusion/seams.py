@@ -20,6 +20,7 @@ from ladarreg_core.surface.texture.registered_texture import Label
 
 _FILTER, _NEIGHBOURS, _BAND = 9, 7, 5  # cells
 _ROUNDS = 4
+_ROWS_AT_ONCE = 256
 _SMOOTHNESS = 2.5  # log2 of a weight, for a cell all of whose neighbours have the photograph
 _MOVED = -16.0  # log2: what moved colours a cell only where nothing else does
 _WORST = np.float32(-1e4)
@@ -84,10 +85,17 @@ def blended(
         share = cv2.blur(own.astype(np.float32), (_BAND, _BAND))
         share *= own | (sample.usable & (sample.labels == Label.SEEN))
         share[own] = np.maximum(share[own], np.float32(0.04))
-        total[here] += share[..., None] * np.stack([table[:, c][sample.color[..., c]] for c in range(3)], axis=-1)
         weight[here] += share
+        part = total[here]
+        for first in range(0, len(share), _ROWS_AT_ONCE):
+            rows = slice(first, first + _ROWS_AT_ONCE)
+            for c in range(3):
+                part[rows, :, c] += share[rows] * table[:, c][sample.color[rows, :, c]]
     none = photo == NO_PHOTO
-    total /= np.maximum(weight, np.float32(1e-6))[..., None]
-    image = np.rint(np.clip(total, 0, 255, out=total)).astype(np.uint8)
+    image = np.empty(total.shape, np.uint8)
+    for first in range(0, len(total), _ROWS_AT_ONCE):
+        rows = slice(first, first + _ROWS_AT_ONCE)
+        mean = total[rows] / np.maximum(weight[rows], np.float32(1e-6))[..., None]
+        image[rows] = np.rint(np.clip(mean, 0, 255))
     image[none] = background
     return image

@@ -97,9 +97,7 @@ def write_model(
         ShapeError: if values are not of their photograph's field of view.
         ExportError: if the folder must not be replaced or cannot be written.
     """
-    for name in formats:
-        if name not in _KINDS:
-            raise OptionError(f"{name!r:.60} is no format of a model; use one or several of {', '.join(_KINDS)}")
+    check_formats(formats)
     written: list[WrittenModel] = []
 
     def jobs() -> Sequence[FileJob]:
@@ -111,6 +109,17 @@ def write_model(
     inputs = _inputs(sources, values)
     write_folder(folder, jobs, inputs=inputs, force=force, report=part_of(report, _FUSED, 1.0))
     return written[0]
+
+
+def check_formats(formats: Sequence[str]) -> None:
+    """Refuse formats that are none of a model, to be called before long work.
+
+    Raises:
+        OptionError: if one is unknown.
+    """
+    for name in formats:
+        if name not in _KINDS:
+            raise OptionError(f"{name!r:.60} is no format of a model; use one or several of {', '.join(_KINDS)}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -133,8 +133,11 @@ class TexturedTriangles:
         return low
 
     def assign(self) -> None:
-        """Give each triangle the photograph that is best at most of its corners, if that sees all of them."""
+        """Give each triangle the photograph that is best at most of its corners, or any other that sees all of them."""
         self.owner = np.full(len(self.faces), LASER, np.int16)
+        if len(self._photos) > 1:  # where regions of three meet, none of the best ones may
+            for k in range(len(self._photos) - 1, -1, -1):
+                self.owner[at_all_corners(self._photos[k].seen, self.faces)] = k
         a, b, c = (self._best.take(self.faces[:, k]) for k in range(3))
         agree = b == c
         majority_first = np.where(agree, b, a), np.where(agree, a, b), c
