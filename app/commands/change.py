@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -60,18 +60,20 @@ def run(arguments: Arguments) -> ExitCode:
 
     started = time.perf_counter()
     files = [arguments.before, arguments.after]
+    covariance: Any = None
+    details: dict[str, Any] = {"poses": arguments.poses}
     check_folder(arguments.out, force=arguments.force, inputs=files)
     with progress_bar(quiet=arguments.quiet or arguments.json) as bar:
         before, after = (read_scan(path, report=bar.loading) for path in files)
         if arguments.poses == "keep":
-            pose, covariance, details = stated_pose(before, after), None, {"poses": "keep"}
+            pose = stated_pose(before, after)
         else:
             pair = register_scans([before, after], seed=arguments.seed, report=bar.progress).pairs[0]
             if not pair.verified:
                 _refuse(arguments, pair.reasons)
                 return ExitCode.NOT_ACCEPTED
             pose, covariance = pair.first_from_second, pair.covariance
-            details = {"poses": "register", "covariance": covariance.tolist(), "sigma_mm": pair.sigma_mm}
+            details |= {"covariance": covariance.tolist(), "sigma_mm": pair.sigma_mm}
         found = change(
             before, after, before_from_after=pose, covariance=covariance, spacing_m=arguments.spacing,
             radius_m=arguments.radius, reach_m=arguments.reach, report=bar.progress,

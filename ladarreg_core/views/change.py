@@ -185,7 +185,7 @@ class _Cloud:
     def of(scan: Scan, pose: Rigid) -> _Cloud:
         own = scan.points[scan.valid].astype(np.float64)
         rays = own / np.linalg.norm(own, axis=1, keepdims=True)
-        return _Cloud(pose @ own, rays @ pose.rotation.T, np.asarray(range_noise_m(scan, rays)))
+        return _Cloud(np.asarray(pose @ own, np.float64), rays @ pose.rotation.T, np.asarray(range_noise_m(scan, rays)))
 
     def plane_at(
         self, near: list[int], point: FloatArray, normal: FloatArray, radius: float, about: float
