@@ -29,6 +29,7 @@ COMMANDS = {
     "register-scans": "Register scans of several stations to each other.",
     "measure": "Measure in a result: lengths, angles, areas, with sigma.",
     "rectify": "Make a view of a wall, pipe or plan at a stated scale.",
+    "change": "Compare scans of two dates: what has changed, if any.",
     "export": "Hand results to other programs: COLMAP, E57, LAZ, ROS ...",
     "model": "Make one coloured model of many photos and sensors.",
     "report": "Write the report of a result or project: one HTML file.",

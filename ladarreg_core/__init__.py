@@ -92,6 +92,9 @@ if TYPE_CHECKING:
     from ladarreg_core.survey.parts import SurveyPhoto as SurveyPhoto
     from ladarreg_core.survey.parts import SurveyScan as SurveyScan
     from ladarreg_core.survey.survey import Survey as Survey
+    from ladarreg_core.views.change import Change as Change
+    from ladarreg_core.views.change import change as change
+    from ladarreg_core.views.change_files import write_change as write_change
     from ladarreg_core.views.developable import Cylinder as Cylinder
     from ladarreg_core.views.developable import Plane as Plane
     from ladarreg_core.views.measurement import Measurement as Measurement
@@ -113,6 +116,7 @@ _HOMES = {
     "BatchResult": "jobs.run_folder",
     "Camera": "camera",
     "Cancelled": "errors",
+    "Change": "views.change",
     "Channels": "matching.images.kept_channels",
     "ComparedBlocks": "results",
     "Cylinder": "views.developable",
@@ -162,6 +166,7 @@ _HOMES = {
     "batch": "jobs.run",
     "camera_from_json": "camera",
     "cluster": "jobs.cluster",
+    "change": "views.change",
     "compare": "registration.comparison",
     "estimate_pose": "pose.estimate",
     "export_registration": "export.targets.folder",
@@ -192,6 +197,7 @@ _HOMES = {
     "views": "inspection.notebook.views",
     "with_image_check": "matching.image_check",
     "write_adjustment": "survey.outputs",
+    "write_change": "views.change_files",
     "write_measurements": "views.measurement_list",
     "write_view": "views.view_files",
     "xyz_of_photo": "surface.texture.photo_points",

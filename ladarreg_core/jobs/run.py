@@ -123,6 +123,8 @@ class _Run:
     resumed: int = 0
     outcomes: dict[Outcome, int] = field(default_factory=lambda: dict.fromkeys(OUTCOMES, 0))
     remark: str = ""
+    is_full: bool = False
+    """Whether the disk was full when something was written last."""
     retry_at: float = 0.0
     page_at: float = 0.0
     page_due: bool = True
@@ -220,8 +222,7 @@ class _Run:
 
     def _record(self, job: Job, key: str, result: dict[str, Any]) -> None:
         self._patiently(lambda: self.folder.journal.add(_STAGE, job.id, key, result))
-        if time.monotonic() >= self.retry_at:
-            self.remark = ""
+        self.is_full, self.remark = False, ""
         self._note(job, result)
         said = result["reasons"][0] if result["outcome"] == "failed" else result["verdict"]
         self._tell(f"{job.id}: {result['outcome']}. {said}")
@@ -266,13 +267,13 @@ class _Run:
 
     def _wait_on(self, pool: Executor) -> None:
         """Say what the batch waits for, if anything keeps it from going on."""
-        if time.monotonic() >= self.retry_at:
+        if not self.is_full:
             self.remark = str(getattr(pool, "remark", ""))
         self._tell("waiting" if self.remark else "")
         self._write_page_if_due()
 
     def _wait_for_space(self) -> None:
-        self.retry_at = time.monotonic() + _RETRY_S
+        self.is_full, self.retry_at = True, time.monotonic() + _RETRY_S
         self.remark = f"the disk of {self.folder.folder} is full; free some space, and the batch goes on"
         self._tell("waiting")
 

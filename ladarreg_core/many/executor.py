@@ -28,7 +28,7 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
-from typing import Any, ParamSpec, TypeVar
+from typing import IO, Any, ParamSpec, TypeVar
 
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.foundations.validation import require_int
@@ -38,6 +38,8 @@ T = TypeVar("T")
 
 _MAX_PROCESSES = 256
 _MAX_ATTEMPTS = 3
+_MAX_STARTS = 10  # processes that end before they have begun a task: it is not to blame, but there has to be an end
+_BEGUN = b"!"
 _JOIN_S = 10.0
 _START_AGAIN_S = 2.0
 _MAX_WORDS = 300  # the last ones that a process wrote
@@ -182,7 +184,8 @@ class WorkerProcesses(Executor):
                 workers.append(free)
             with self._lock:
                 task = self._tasks.popleft()
-            if (task.attempts or task.future.set_running_or_notify_cancel()) and not free.begin(task):
+            is_again = task.attempts or task.starts_lost
+            if (is_again or task.future.set_running_or_notify_cancel()) and not free.begin(task):
                 self._replace(free, workers)
         return True
 
@@ -190,7 +193,7 @@ class WorkerProcesses(Executor):
         """Give up a process that has ended, and put its task first in the queue unless it has lost too many."""
         workers.remove(worker)
         task, why = worker.lost()
-        if task.attempts < _MAX_ATTEMPTS and not self._killed:
+        if task.attempts < _MAX_ATTEMPTS and task.starts_lost < _MAX_STARTS and not self._killed:
             log.warning("a task is tried again: %s", why)
             with self._lock:
                 self._tasks.appendleft(task)
@@ -212,7 +215,9 @@ class _Task:
     args: tuple[Any, ...]
     kwargs: dict[str, Any]
     attempts: int = 0
-    """How often a process was given it."""
+    """How often a process has begun it."""
+    starts_lost: int = 0
+    """How many processes ended before they had begun it, as while they were started."""
 
 
 class _Worker:
@@ -222,10 +227,11 @@ class _Worker:
         context = get_context("spawn")
         self.connection, theirs = context.Pipe()
         self.task: _Task | None = None
-        descriptor, self._words = tempfile.mkstemp(prefix="ladarreg-worker-")
-        os.close(descriptor)
+        self._has_begun = False
+        descriptor, self._words_file = tempfile.mkstemp(prefix="ladarreg-worker-")
+        self._words = os.fdopen(descriptor, "rb")
         self._process: SpawnProcess = context.Process(
-            target=_serve, args=(theirs, os.getpid(), self._words), name="ladarreg worker", daemon=True
+            target=_serve, args=(theirs, os.getpid(), self._words_file), name="ladarreg worker", daemon=True
         )
         try:
             with _environment(dict.fromkeys(_ONE_THREAD, "1")):
@@ -239,8 +245,7 @@ class _Worker:
 
     def begin(self, task: _Task) -> bool:
         """Send a task; False: the process has ended."""
-        self.task = task
-        task.attempts += 1
+        self.task, self._has_begun = task, False
         try:
             message = pickle.dumps((task.function, task.args, task.kwargs))
         except Exception as error:  # whatever cannot be pickled; the process is as good as before
@@ -254,12 +259,16 @@ class _Worker:
         return True
 
     def finish(self) -> bool:
-        """Take in what the process sent, and return whether it is still there."""
+        """Take in what the process sent: that it has begun, or a result; return whether it is still there."""
         try:
             message = self.connection.recv_bytes()
         except (EOFError, OSError):
             return False
         assert self.task is not None
+        if message == _BEGUN:
+            self._has_begun = True
+            self.task.attempts += 1
+            return True
         future, self.task = self.task.future, None
         try:
             value, error = pickle.loads(message)  # of a process of this program
@@ -285,13 +294,16 @@ class _Worker:
         code, words = self._process.exitcode, _last_words(self._words)
         self._close()
         assert self.task is not None
-        why = _why_it_ended(code, self.task.attempts)
+        if not self._has_begun:
+            self.task.starts_lost += 1
+        why = _why_it_ended(code, max(1, self.task.attempts if self._has_begun else self.task.starts_lost))
         return self.task, f"{why}; its last words: {words}" if words else why
 
     def _close(self) -> None:
         self.connection.close()
+        self._words.close()
         with contextlib.suppress(OSError):
-            os.unlink(self._words)
+            os.unlink(self._words_file)
 
 
 def _why_it_ended(code: int | None, attempts: int) -> str:
@@ -360,30 +372,37 @@ def _do_here(future: Future[Any], function: Callable[..., Any], args: tuple[Any,
         future.set_exception(error)
 
 
-def _last_words(file: str) -> str:
+def _last_words(stream: IO[bytes]) -> str:
     """Return the end of what a process wrote on stderr, on one line."""
     try:
-        with open(file, "rb") as stream:
-            stream.seek(max(0, os.fstat(stream.fileno()).st_size - _WORDS_BYTES))
-            text = stream.read(_WORDS_BYTES).decode("utf-8", "replace")
+        stream.seek(max(0, os.fstat(stream.fileno()).st_size - _WORDS_BYTES))
+        text = stream.read(_WORDS_BYTES).decode("utf-8", "replace")
     except OSError:
         return ""
     words = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     return words if len(words) <= _MAX_WORDS else f"... {words[-_MAX_WORDS:]}"
 
 
-def _keep_words(file: str) -> None:
-    """Have what this process and its libraries write on stderr kept in a file, a crash's stack among it."""
+def _keep_words(file: str) -> bool:
+    """Have what this process and its libraries write on stderr kept in a file, a crash's stack among it.
+
+    Returns:
+        Whether it is. The parent has the file open, so that its name is not needed any more: a killed program leaves
+        none behind.
+    """
     import faulthandler
 
     try:
         descriptor = os.open(file, os.O_WRONLY | os.O_APPEND)
         os.dup2(descriptor, 2)
         os.close(descriptor)
-    except OSError:  # a full disk: there are no words then
-        return
+    except OSError:  # there are no words then
+        return False
+    with contextlib.suppress(OSError):
+        os.unlink(file)
     with contextlib.suppress(Exception):
         faulthandler.enable(2, all_threads=False)
+    return True
 
 
 def _forget_words() -> None:
@@ -396,7 +415,7 @@ def _serve(connection: Connection, parent: int, words: str) -> None:
     """Work off the tasks of the parent, one after the other, until it closes the pipe or ends."""
     from ladarreg_core.formats.isolated.worker import end_with
 
-    _keep_words(words)
+    are_kept = _keep_words(words)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # where signals cannot be blocked
     if sys.platform == "linux":  # elsewhere it ends after its task
         end_with(parent)
@@ -406,7 +425,9 @@ def _serve(connection: Connection, parent: int, words: str) -> None:
                 function, args, kwargs = pickle.loads(connection.recv_bytes())
             except (EOFError, OSError):
                 return
-            _forget_words()
+            if are_kept:
+                _forget_words()
+            connection.send_bytes(_BEGUN)
             connection.send_bytes(_answer(function, args, kwargs))
 
 

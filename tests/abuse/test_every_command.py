@@ -159,6 +159,8 @@ SOUND: dict[str, list[dict[str, Any]]] = {
     "sample_line": [{"scan": LINE["scan"]}],
     "probe": [{"scan": [1, 0, 0]}],
     "run": [{"photo": "p1", "job": "linear"}],
+    "register_all": [{"photos": []}],
+    "adjust": [{"photos": ["p99"]}],
     "refine": [{"photo": "p1", "camera_from_scanner": [[1, 0, 0, 9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}],
     "job_control": [{"action": "speed", "value": 3}],
     "export_targets": [

@@ -208,6 +208,20 @@ def test_an_existing_survey_file_is_kept(job: Path, tmp_path: Path, capsys: pyte
 
 @pytest.mark.long
 @pytest.mark.slow
+def test_an_adjusted_survey_becomes_one_model(adjusted: tuple[int, Path], tmp_path: Path) -> None:
+    _, out = adjusted
+    assert main(["model", str(out), "--to", "ply", "-o", str(tmp_path / "model"), "--quiet"]) == 0
+    found = json.loads((tmp_path / "model" / "model.json").read_text(encoding="utf-8"))
+    stated = _document(out)["photos"]
+    assert {one["id"] for one in found["photos"]} == {name for name, one in stated.items() if one["accepted"]}
+    assert {one["name"] for one in found["left_out"]} == {name for name, one in stated.items() if not one["accepted"]}
+    assert found["frame"]["frame"] == ("world" if len(found["scans"]) > 1 else "scanner")
+    assert found["colored"] > 0.1
+    assert all(one["gain_sigma"] is None or max(one["gain_sigma"]) < 0.1 for one in found["photos"])
+
+
+@pytest.mark.long
+@pytest.mark.slow
 def test_the_worked_example_of_the_documentation(tmp_path: Path) -> None:
     """The commands of `docs/surveys.md` on the survey that the package contains."""
     job, out = tmp_path / "job", tmp_path / "results"

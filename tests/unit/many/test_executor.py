@@ -127,3 +127,64 @@ def test_an_interruption_ends_the_processes_at_once_and_begins_nothing_more() ->
 def test_an_impossible_number_is_refused(count: int) -> None:
     with pytest.raises(OptionError, match="processes"):
         WorkerProcesses(count)
+
+
+def say_and_die(words: str) -> None:
+    os.write(2, words.encode())
+    os._exit(3)
+
+
+def test_the_last_words_of_a_lost_process_are_told_and_leave_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with WorkerProcesses(1) as workers:
+        lost = workers.submit(say_and_die, "first\n\x1b[31mlast " + "x" * 5000)
+        quiet = workers.submit(os._exit, 4)
+        assert "code 3" in str(lost.exception())
+        assert str(lost.exception()).endswith("x" * 100)
+        assert "\x1b" not in str(lost.exception())
+        assert "last words" not in str(quiet.exception()), "those of another task"
+    assert not [*tmp_path.iterdir()]
+
+
+def nested() -> tuple[int, int]:
+    with WorkerProcesses(3) as workers:
+        return os.getpid(), workers.submit(os.getpid).result()
+
+
+def test_processes_of_a_worker_are_itself() -> None:
+    with WorkerProcesses(1) as workers:
+        first, second = workers.submit(nested).result()
+    assert first == second != os.getpid()
+
+
+class _EndsItsProcess:
+    """Ends the process that reads it, as a kill does while a process is started, until a file is there."""
+
+    def __init__(self, marks: Path, most: int) -> None:
+        self.marks, self.most = marks, most
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return end_process_until, (str(self.marks), self.most)
+
+
+def end_process_until(marks: str, most: int) -> int:
+    count = len(os.listdir(marks))
+    if count < most:
+        Path(marks, str(count)).touch()
+        os._exit(9)
+    return count
+
+
+@pytest.mark.parametrize(("most", "is_done"), [(5, True), (99, False)])
+def test_processes_that_end_before_they_begin_a_task_are_not_its_fault_but_not_endless(
+    tmp_path: Path, most: int, is_done: bool
+) -> None:
+    with WorkerProcesses(1) as workers:
+        future = workers.submit(operator.pos, _EndsItsProcess(tmp_path, most))
+        if is_done:
+            assert future.result() == 5
+        else:
+            with pytest.raises(WorkerLostError, match="10 times with code 9"):
+                future.result()
