@@ -16,10 +16,10 @@ import numpy as np
 
 from benchmarks.shared.bars import Row, table
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
+from ladarreg_core.measuring.change import change
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.stations import station_room, upright_pose
 from ladarreg_core.simulate.terrestrial import RangeNoise, dome_grid, scan_around
-from ladarreg_core.views.change import change
 
 SCENES = ("office", "desk", "boxes", "people")
 NOISE = RangeNoise(sigma_m=0.003)

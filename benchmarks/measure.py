@@ -29,6 +29,8 @@ import ladarreg_core as lr
 from benchmarks.shared.bars import Row, table
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
+from ladarreg_core.measuring.measurement import KINDS, Measurement, measure
+from ladarreg_core.measuring.points import AT_EDGE, MeasuredPoints
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
@@ -36,8 +38,6 @@ from ladarreg_core.simulate.case import SimulatedCase, case_world, simulate_case
 from ladarreg_core.simulate.ray_cast import RayCaster
 from ladarreg_core.simulate.terrestrial import RangeNoise, scan_around
 from ladarreg_core.simulate.worlds.world import World
-from ladarreg_core.views.measurement import KINDS, Measurement, measure
-from ladarreg_core.views.points import AT_EDGE, MeasuredPoints
 
 SCENES = ("office", "boxes", "desk", "people")
 POINTS = 10

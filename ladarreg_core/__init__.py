@@ -50,6 +50,19 @@ if TYPE_CHECKING:
     from ladarreg_core.matching.image_check import ImageCheck as ImageCheck
     from ladarreg_core.matching.image_check import with_image_check as with_image_check
     from ladarreg_core.matching.images.kept_channels import Channels as Channels
+    from ladarreg_core.measuring.change import Change as Change
+    from ladarreg_core.measuring.change import change as change
+    from ladarreg_core.measuring.change_files import write_change as write_change
+    from ladarreg_core.measuring.developable import Cylinder as Cylinder
+    from ladarreg_core.measuring.developable import Plane as Plane
+    from ladarreg_core.measuring.measurement import Measurement as Measurement
+    from ladarreg_core.measuring.measurement import measure as measure
+    from ladarreg_core.measuring.measurement_list import write_measurements as write_measurements
+    from ladarreg_core.measuring.points import MeasuredPoints as MeasuredPoints
+    from ladarreg_core.measuring.rectified import RectifiedView as RectifiedView
+    from ladarreg_core.measuring.rectified import rectify as rectify
+    from ladarreg_core.measuring.section import section as section
+    from ladarreg_core.measuring.view_files import write_view as write_view
     from ladarreg_core.outputs.rig_folder import read_rig as read_rig
     from ladarreg_core.photo import Photo as Photo
     from ladarreg_core.pose.estimate import PoseOptions as PoseOptions
@@ -92,19 +105,6 @@ if TYPE_CHECKING:
     from ladarreg_core.survey.parts import SurveyPhoto as SurveyPhoto
     from ladarreg_core.survey.parts import SurveyScan as SurveyScan
     from ladarreg_core.survey.survey import Survey as Survey
-    from ladarreg_core.views.change import Change as Change
-    from ladarreg_core.views.change import change as change
-    from ladarreg_core.views.change_files import write_change as write_change
-    from ladarreg_core.views.developable import Cylinder as Cylinder
-    from ladarreg_core.views.developable import Plane as Plane
-    from ladarreg_core.views.measurement import Measurement as Measurement
-    from ladarreg_core.views.measurement import measure as measure
-    from ladarreg_core.views.measurement_list import write_measurements as write_measurements
-    from ladarreg_core.views.points import MeasuredPoints as MeasuredPoints
-    from ladarreg_core.views.rectified import RectifiedView as RectifiedView
-    from ladarreg_core.views.rectified import rectify as rectify
-    from ladarreg_core.views.section import section as section
-    from ladarreg_core.views.view_files import write_view as write_view
 
 __version__ = VERSION
 
@@ -116,10 +116,10 @@ _HOMES = {
     "BatchResult": "jobs.run_folder",
     "Camera": "camera",
     "Cancelled": "errors",
-    "Change": "views.change",
+    "Change": "measuring.change",
     "Channels": "matching.images.kept_channels",
     "ComparedBlocks": "results",
-    "Cylinder": "views.developable",
+    "Cylinder": "measuring.developable",
     "EquirectangularCamera": "camera",
     "FisheyeCamera": "camera",
     "FusedModel": "fusion.fused_model",
@@ -128,20 +128,20 @@ _HOMES = {
     "Label": "surface.texture.registered_texture",
     "LadarregError": "errors",
     "Matches": "matches",
-    "MeasuredPoints": "views.points",
-    "Measurement": "views.measurement",
+    "MeasuredPoints": "measuring.points",
+    "Measurement": "measuring.measurement",
     "NotebookProgress": "inspection.notebook.progress",
     "Photo": "photo",
     "PhotoPoints": "surface.texture.photo_points",
     "PhotoPointsWithNormals": "surface.texture.photo_points",
     "PhotosResult": "many.photo_summary",
     "Pick": "matches",
-    "Plane": "views.developable",
+    "Plane": "measuring.developable",
     "PoseOptions": "pose.estimate",
     "PoseResult": "results",
     "PosedPhoto": "surface.texture.best_photo",
     "Progress": "progress",
-    "RectifiedView": "views.rectified",
+    "RectifiedView": "measuring.rectified",
     "RegisterOptions": "registration.register",
     "RegisteredPhoto": "export.registered_scan",
     "RegisteredScan": "export.registered_scan",
@@ -166,7 +166,7 @@ _HOMES = {
     "batch": "jobs.run",
     "camera_from_json": "camera",
     "cluster": "jobs.cluster",
-    "change": "views.change",
+    "change": "measuring.change",
     "compare": "registration.comparison",
     "estimate_pose": "pose.estimate",
     "export_registration": "export.targets.folder",
@@ -174,7 +174,7 @@ _HOMES = {
     "fuse": "fusion.fused_model",
     "given_pose": "registration.given",
     "intensity_picture": "surface.texture.registered_texture",
-    "measure": "views.measurement",
+    "measure": "measuring.measurement",
     "perspective_view": "surface.perspective",
     "picks_of_arrays": "matches",
     "read_camera": "formats",
@@ -185,21 +185,21 @@ _HOMES = {
     "read_registration": "formats",
     "read_rig": "outputs.rig_folder",
     "read_scan": "formats",
-    "rectify": "views.rectified",
+    "rectify": "measuring.rectified",
     "register": "registration.register",
     "register_photos": "many.photo_run",
     "register_rig": "registration.rig.registration",
     "register_scans": "registration.stations.registration",
-    "section": "views.section",
+    "section": "measuring.section",
     "simulate_case": "simulate",
     "texture_scan": "surface.texture.registered_texture",
     "verify_pose": "registration.given",
     "views": "inspection.notebook.views",
     "with_image_check": "matching.image_check",
     "write_adjustment": "survey.outputs",
-    "write_change": "views.change_files",
-    "write_measurements": "views.measurement_list",
-    "write_view": "views.view_files",
+    "write_change": "measuring.change_files",
+    "write_measurements": "measuring.measurement_list",
+    "write_view": "measuring.view_files",
     "xyz_of_photo": "surface.texture.photo_points",
 }
 __all__ = sorted(_HOMES)

@@ -27,8 +27,9 @@
   const stages = one("section[aria-label='Stages side by side']");
   const depth = one("section[aria-label='Depth error']");
   const stations = one("section[aria-label=Stations]");
+  const survey = one("section[aria-label='All photographs']");
   const owned = [
-    one(".photo-shelf"), ...all(".steps"), verdict, one("section[aria-label=Matches]"), stages, depth, stations,
+    one(".photo-shelf"), ...all(".steps"), verdict, one("section[aria-label=Matches]"), stages, depth, stations, survey,
     one("section[aria-label='How the stations fit']"), ...all(".pipeline"), ...all(".pipeline-failure"), one(".job-bar > .clip"),
     one(".job-bar + [role=status]"), one(".export-part"), one(".scan-chip"), one(".self-test"),
   ];
@@ -86,6 +87,10 @@
     stations: {
       rows: all(".station", stations).map((row) => [".station-name", ".station-state", ".station-where"].map((part) => text(part, row))),
       verdicts: leaves(one(".station-verdicts")), whole: text(".station-fit .acquire-said"),
+    },
+    survey: {
+      count: text(".part-head > .figures", survey), summary: text(".acquire-said", survey),
+      rows: all(".survey-photo .survey-row", survey).map((row) => [...row.children].slice(1).map((part) => text(part))),
     },
     notices: all(".notice").map((notice) => clean(notice.textContent)),
     rest,

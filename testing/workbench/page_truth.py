@@ -21,6 +21,7 @@ from ladarreg.session.loader import Loader
 from ladarreg_core.project.storage.folder import ProjectFolder
 from ladarreg_core.quality.verdict import LIGHT_WORDS, verdict_of
 from testing.workbench.station_truth import page_stations, server_stations
+from testing.workbench.survey_truth import page_survey
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -127,6 +128,7 @@ def page_contradictions(
         figures = [*(f"{_fixed(each, 3)} m" for each in lengths), *(f"{_fixed(degrees(each), 2)}°" for each in angles)]
         constants = [*constants, *figures]
     found = _Comparison(facts, slices).everything(constants)
+    found += page_survey(facts, slices.get("photos") or [], slices.get("survey"))
     return [*found, *page_stations(facts, slices.get("stations"))]
 
 

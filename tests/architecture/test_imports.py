@@ -50,7 +50,7 @@ FORBIDDEN = {
         "jobs",
     },
     "survey": {"jobs", "simulate", "inspection", "project", "acquisition", "thesis"},
-    "views": {"simulate", "inspection", "project", "acquisition", "thesis", "registration", "matching"},
+    "measuring": {"simulate", "inspection", "project", "acquisition", "thesis", "registration", "matching"},
     "inspection": {"formats", "simulate", "project", "registration"},
     "project": {"inspection", "simulate"},
 }

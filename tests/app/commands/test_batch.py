@@ -10,6 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from ladarreg.batch_table import batch_table, time_left
 from ladarreg.cli import main
@@ -146,18 +147,21 @@ def test_a_terminal_shows_a_table(folder: Path) -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGKILL, -signal.SIGKILL), (signal.SIGINT, ExitCode.INTERRUPTED)])
 def test_a_killed_or_interrupted_batch_goes_on_where_it_was(folder: Path, number: signal.Signals, code: int) -> None:
-    write_png("2.png", sample_photo().pixels[:, ::-1])
+    names = [f"{k}.png" for k in range(1, 9)]
+    for k, name in enumerate(names):  # so many that some are left when the signal comes
+        write_png(name, np.roll(sample_photo().pixels[:, ::-1], 5 * k, axis=1))
+    Path("jobs.csv").write_text("\n".join(["scan,photo,focal-px", *(f"scan.npz,{name},100" for name in names)]) + "\n")
     words = [sys.executable, "-m", "ladarreg", "batch", "jobs.csv", "-o", "out", "--workers", "1"]
     process = subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     assert process.stderr is not None
-    assert "(1 of 2" in process.stderr.readline()
+    assert "(1 of 8" in process.stderr.readline()
     process.send_signal(number)
     _, error = process.communicate(timeout=60)
     assert process.returncode == code
     assert "Traceback" not in error
     done = Path("out/manifest.jsonl").read_bytes()
     again = subprocess.run([*words, "--quiet"], capture_output=True, text=True, timeout=300, check=False)
-    assert again.stdout == "0 of 2 jobs were accepted, 2 refused, 0 failed.\n"
+    assert again.stdout == "0 of 8 jobs were accepted, 8 refused, 0 failed.\n"
     assert Path("out/manifest.jsonl").read_bytes().startswith(done)
 
 

@@ -17,6 +17,7 @@ from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.foundations.arrays import BoolArray, ByteArray, FloatArray, IntArray
 from ladarreg_core.foundations.validation import require_number, require_positive, require_type
+from ladarreg_core.measuring.developable import Developable
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh.grid_mesh import scan_mesh
@@ -27,7 +28,6 @@ from ladarreg_core.surface.texture.best_photo import NO_PHOTO
 from ladarreg_core.surface.texture.registered_texture import COLORED, intensity_picture
 from ladarreg_core.surface.uncertainty import surface_errors
 from ladarreg_core.surface.visibility.rasterise import rasterise_values
-from ladarreg_core.views.developable import Developable
 
 MAX_PIXELS = 100_000_000
 """Largest view."""

@@ -10,9 +10,9 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
+from ladarreg_core.measuring.change_files import write_change
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.views.change_files import write_change
 
 GRID = AzimuthElevation(110, 150, 0.008, 0.008)
 COVARIANCE = np.diag([3e-4, 3e-4, 3e-4, 2e-3, 2e-3, 2e-3]) ** 2

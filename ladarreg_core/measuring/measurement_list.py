@@ -20,11 +20,11 @@ from ladarreg_core.formats.documents.places_file import Place
 from ladarreg_core.formats.parsing.untrusted import shown_name
 from ladarreg_core.foundations.validation import require_choice
 from ladarreg_core.frames import Rigid
+from ladarreg_core.measuring.measurement import KINDS, Measurement, MeasurementKind, measure
+from ladarreg_core.measuring.points import PICKED_PX, MeasuredPoints
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.storage.atomic_write import write_bytes
-from ladarreg_core.views.measurement import KINDS, Measurement, MeasurementKind, measure
-from ladarreg_core.views.points import PICKED_PX, MeasuredPoints
 
 SUFFIXES = (".csv", ".json", ".geojson", ".dxf")
 """How the names of the files end that `write_measurements` writes."""

@@ -16,10 +16,10 @@ from PIL import Image
 import ladarreg_core as lr
 from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
+from ladarreg_core.measuring.rectified import NO_PHOTO, RectifiedView
+from ladarreg_core.measuring.section import simplified
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid
-from ladarreg_core.views.rectified import NO_PHOTO, RectifiedView
-from ladarreg_core.views.section import simplified
 
 WALL = lr.Plane.facing((3.0, 0.2, 0.1), rotation_from_rotvec((0, 0.1, 0.5)) @ np.array([-1.0, 0, 0]))
 POSE = Rigid.from_centre(look_along(WALL.origin - (0.2, -0.7, 0.2)), (0.2, -0.7, 0.2))

@@ -14,11 +14,11 @@ from ladarreg_core.export.json import software_document, write_result
 from ladarreg_core.export.targets.folder import FileJob, write_folder
 from ladarreg_core.foundations.arrays import ByteArray
 from ladarreg_core.frames import Rigid
+from ladarreg_core.measuring.change import Change
 from ladarreg_core.progress import Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.storage.atomic_write import write_bytes
 from ladarreg_core.surface.texture.registered_texture import intensity_picture
-from ladarreg_core.views.change import Change
 
 CHANGE_FILE = "change.json"
 """The file that describes a comparison; it is written first."""

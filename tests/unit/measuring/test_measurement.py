@@ -10,11 +10,11 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
+from ladarreg_core.measuring.measurement import KINDS, MeasurementKind
+from ladarreg_core.measuring.points import AT_EDGE, MeasuredPoints
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.views.measurement import KINDS, MeasurementKind
-from ladarreg_core.views.points import AT_EDGE, MeasuredPoints
 
 SQUARE = np.array([[0.0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0]])
 POSE = Rigid.from_centre(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]), (0.2, -0.6, 0.1))

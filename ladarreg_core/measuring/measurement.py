@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.foundations.validation import require_choice, require_type
-from ladarreg_core.views.points import MeasuredPoints
+from ladarreg_core.measuring.points import MeasuredPoints
 
 MeasurementKind = Literal["point", "distance", "polyline", "angle", "area", "height"]
 KINDS: tuple[MeasurementKind, ...] = get_args(MeasurementKind)

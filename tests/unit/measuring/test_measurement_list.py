@@ -12,9 +12,9 @@ import pytest
 import ladarreg_core as lr
 from ladarreg_core.formats.documents.places_file import read_places
 from ladarreg_core.frames import Rigid
+from ladarreg_core.measuring.measurement_list import NamedMeasurement, measure_places
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
-from ladarreg_core.views.measurement_list import NamedMeasurement, measure_places
 
 WORLD = Rigid.from_rotvec((0.0, 0.0, 1.2), (500_000.0, 5_400_000.0, 300.0))
 PLACES = """\ufeffMeasurement,kind,row,column,x,y,z

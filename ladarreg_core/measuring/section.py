@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.foundations.arrays import FloatArray, IntArray
+from ladarreg_core.measuring.developable import Plane
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh.grid_mesh import scan_mesh
-from ladarreg_core.views.developable import Plane
 
 _LARGEST_CELLS = 4_000_000
 

@@ -15,9 +15,9 @@ from ladarreg_core.export.json import software_document, write_result
 from ladarreg_core.export.targets.folder import FileJob, write_folder
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
+from ladarreg_core.measuring.rectified import RectifiedView
 from ladarreg_core.progress import Report
 from ladarreg_core.storage.atomic_write import write_bytes
-from ladarreg_core.views.rectified import RectifiedView
 
 VIEW_FILE = "view.json"
 """The file that describes a view; it is written first."""
