@@ -8,7 +8,16 @@ export const ORDERS = [["list", "In order"], ["worst", "Worst first"]];
 export const SHOWN = [["all", "All"], ["open", "Not accepted"], ["accepted", "Accepted"]];
 
 /** @typedef {{id: string, name: string, accepted: boolean, light: string | undefined, state: string, position: string,
- *   sigma_m: number | null, ties: number | null, left_out: number, median_px: number | null, reason: string}} SurveyRow */
+ *   sigma_m: number | null, ties: number | null, left_out: number, median_px: number | null, part: string, moved: string,
+ *   reason: string}} SurveyRow */
+
+const stateOf = (photo, refused) => {
+  if (photo.error) return "cannot be read";
+  if (!photo.camera) return "focal length unknown";
+  if (photo.part === "out") return "taken out";
+  const state = photo.light_words ?? (refused ? "not accepted" : "waiting");
+  return photo.part === "held" ? `${state}, held` : state;
+};
 
 /** @returns {SurveyRow} */
 const rowOf = (photo, found) => {
@@ -18,15 +27,15 @@ const rowOf = (photo, found) => {
     id: photo.id,
     name: photo.name,
     accepted: photo.state === "accepted",
-    light: photo.error || refused ? "not_accepted" : photo.light,
-    state: photo.error
-      ? "cannot be read"
-      : !photo.camera ? "focal length unknown" : photo.light_words ?? (refused ? "not accepted" : "waiting"),
+    light: photo.error || refused ? "not_accepted" : photo.part === "out" ? undefined : photo.light,
+    state: stateOf(photo, refused),
     position: photo.position ? `± ${photo.position}` : "",
     sigma_m: current ? found.sigma_m : null,
     ties: current ? found.ties : null,
     left_out: current ? found.ties_left_out : 0,
     median_px: current ? found.median_px : null,
+    part: photo.part ?? "free",
+    moved: current && found.accepted && found.moved ? `moved by ${found.moved} when everything was adjusted` : "",
     reason: photo.error ?? (current ? found.reasons[0] ?? "" : ""),
   };
 };
