@@ -51,6 +51,31 @@ def camera_outlines(camera: CameraModel, poses: tuple[Rigid, ...], *, depth_m: f
     return np.concatenate([camera_outline(camera, pose, depth_m=depth_m) for pose in poses])
 
 
+def distance_of_picture(
+    camera: CameraModel, camera_from_scanner: Rigid, origin: ArrayLike, direction: ArrayLike, *, depth_m: float
+) -> float | None:
+    """Return where a ray meets the picture of a frustum as `camera_outline` draws it, in lengths of its direction.
+
+    Args:
+        camera: the camera.
+        camera_from_scanner: its pose.
+        origin: (3,) where the ray begins, m, scanner frame.
+        direction: (3,) of any length.
+        depth_m: distance of the picture from the camera.
+
+    Returns:
+        None: the ray passes it, or leaves it behind.
+    """
+    start = (camera_from_scanner @ np.asarray(origin, np.float64)[None])[0]
+    along = camera_from_scanner.rotation @ np.asarray(direction, np.float64)
+    if along[2] == 0.0:
+        return None
+    distance = float((depth_m - start[2]) / along[2])
+    halves = depth_m * np.tan(np.array(field_of_view(camera)) / 2)
+    inside = bool((np.abs((start + distance * along)[:2]) <= halves).all())
+    return distance if distance > 0 and inside else None
+
+
 def dashed(segments: FloatArray, *, dashes: int) -> NDArray[np.float32]:
     """Return lines (N, 2, 3) as dashes (N * dashes, 2, 3), with a dash at both ends."""
     ends = np.arange(2 * dashes).reshape(-1, 2) / (2 * dashes - 1)
