@@ -29,6 +29,7 @@ from ladarreg_core.project.document import (
 from ladarreg_core.project.results import pose_of
 from ladarreg_core.project.station_edits import scans_of, surveyed_pose
 from ladarreg_core.project.storage.folder import ProjectFolder
+from ladarreg_core.project.stored_arrays import StoredArrays
 from ladarreg_core.survey.adjustment import Adjustment
 from ladarreg_core.survey.parts import PosePrior, SurveyCamera, SurveyPhoto, SurveyScan
 from ladarreg_core.survey.survey import Survey
@@ -118,8 +119,14 @@ def adjusted_entry(document: Document, adjustment: Adjustment, poses: Mapping[st
             for name, one in adjustment.cameras.items()
         },
         chi2_per_dof=_finite(adjustment.chi2_per_dof),
+        ties=_ties(adjustment),
         sigma_px=_finite(adjustment.sigma_px) if any(one.ties for one in adjustment.photos.values()) else None,
     )  # fmt: skip
+
+
+def _ties(adjustment: Adjustment) -> StoredArrays | None:
+    marks = {name: one.tie_marks for name, one in adjustment.photos.items() if len(one.tie_marks)}
+    return StoredArrays.of(marks) if marks else None
 
 
 def _movement(before: PhotoEntry | None, pose: PoseEntry | None) -> dict[str, Any]:

@@ -354,6 +354,8 @@ class Adjusted(msgspec.Struct, frozen=True, kw_only=True):
     """Of everything that was kept."""
     sigma_px: float | None = None
     """Noise of the ties, px; None: there were none."""
+    ties: StoredArrays | None = None
+    """Where the photographs show ties: `AdjustedPhoto.tie_marks` by their ids; None: there were none."""
 
     def scan(self, source: Source) -> AdjustedScanEntry | None:
         """Return what is known of a scan; None: it was not among them."""

@@ -110,3 +110,15 @@ def test_how_the_chosen_photographs_take_part_is_offered(survey: Page) -> None:
         survey.get_by_label(f"Choose {chosen}").uncheck()
     survey.get_by_label("Choose three.jpg").check()
     assert group.get_by_role("button", name="Hold poses").is_disabled()
+
+
+def test_what_is_drawn_of_the_ties_is_said(survey: Page) -> None:
+    said = survey.locator(".survey-ties")
+    assert not said.is_visible()
+    take = """async (slices) => (await import('/js/net/store.js')).store.take({ slices })"""
+    survey.evaluate(take, {"ties:p1": [[10, 20, 0.1, 0.2, 1]] * 40 + [[5, 5, 3, 4, 0]] * 2})
+    two_frames(survey)
+    assert said.inner_text() == "In the photograph: 42 ties, needles 20 × their residuals, crosses where left out."
+    survey.evaluate(take, {"ties:p1": [[10, 20, 0.1, 0.2, 1]] * 30})
+    two_frames(survey)
+    assert said.inner_text().startswith("In the photograph: 30 of 42 ties,")

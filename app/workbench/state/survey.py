@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from ladarreg_core.errors import LadarregError
 from ladarreg_core.foundations.formatting import format_angle, format_length
 from ladarreg_core.project.station_edits import scans_of
 
@@ -43,6 +46,19 @@ def survey_slice(document: Document, is_stale: Callable[[PhotoEntry], bool]) -> 
             len(changed), later, out, scans_changed={one.source for one in adjusted.scans} != set(scans_of(document))
         ),
     }
+
+
+def ties_slice(document: Document, entry: PhotoEntry) -> list[list[float]] | None:
+    """Return the slice `ties` of a photograph; None without any, or where it has another pose by now."""
+    adjusted, pose = document.adjusted, entry.pose
+    found = None if adjusted is None else adjusted.photos.get(entry.id)
+    if adjusted is None or adjusted.ties is None or found is None or pose is None or pose.arrays.name != found.pose:
+        return None
+    try:
+        marks = adjusted.ties.arrays().get(entry.id)
+    except LadarregError:  # the file is lost: the poses are not
+        return None
+    return None if marks is None else np.round(np.asarray(marks, np.float64), 2).tolist()
 
 
 def _photo(adjusted: Adjusted, entry: PhotoEntry, *, stale: bool) -> dict[str, Any]:

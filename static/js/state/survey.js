@@ -1,6 +1,6 @@
 /** The survey as this page sees it: its photographs in an order, and what is said of all. No DOM here. */
 
-import { fixed } from "../ui/numbers.js";
+import { counted, fixed } from "../ui/numbers.js";
 
 /** @type {[string, string][]} orders of the list */
 export const ORDERS = [["list", "In order"], ["worst", "Worst first"]];
@@ -61,6 +61,21 @@ export const rowsOf = (photos, survey, { order, filter }) => {
     .map((photo) => rowOf(photo, found.get(photo.id)))
     .filter((row) => filter === "all" || row.accepted === (filter === "accepted"));
   return order === "worst" ? rows.sort(byBadness) : rows;
+};
+
+/** By how much the residuals of ties are enlarged in the photograph. */
+export const TIE_FACTOR = 20;
+
+/**
+ * @param {number[][] | null | undefined} ties slice `ties:pID`
+ * @param {{ties: number, ties_left_out: number} | undefined} found the photograph in the slice `survey`
+ * @returns {string} what is drawn of the ties in the photograph; empty: nothing
+ */
+export const tiesSaid = (ties, found) => {
+  if (!ties?.length || !found) return "";
+  const total = found.ties + found.ties_left_out;
+  const drawn = ties.length < total ? `${ties.length} of ${total} ties` : counted(total, "tie");
+  return `In the photograph: ${drawn}, needles ${TIE_FACTOR} × their residuals${found.ties_left_out ? ", crosses where left out" : ""}.`;
 };
 
 /** @returns {string} what the last adjustment says of all */

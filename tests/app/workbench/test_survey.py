@@ -146,3 +146,32 @@ def test_a_camera_that_is_held_keeps_its_focal_length(bench: WorkbenchDriver) ->
     assert after["sigma_px"] is None
     bench.do("hold_camera", camera=after["id"], held=False)
     assert not bench.slice("survey")["cameras"][0]["held"]
+
+
+def test_ties_are_shown_where_the_photographs_show_them_and_kept(tmp_path: Path) -> None:
+    job = tmp_path / "job"
+    job.mkdir()
+    for name in ("station1.npz", "IMG_0001.jpg", "IMG_0004.jpg", "IMG_0005.jpg"):
+        shutil.copy(sample_survey_folder() / name, job / name)
+    bench = open_bench(tmp_path / "project", job)
+    assert bench.slice("ties:p1") is None
+    done(bench, "adjust")
+    rows = {one["id"]: one for one in bench.slice("survey")["photos"]}
+    tied = [name for name, one in rows.items() if one["ties"]]
+    assert tied, "none of them show the same"
+    for name in tied:
+        u, v, du, dv, agrees = np.array(bench.slice(f"ties:{name}")).T
+        photo = next(one for one in bench.slice("photos") if one["id"] == name)
+        assert (np.column_stack([u, v]) >= -0.5).all()
+        assert (np.column_stack([u, v]) <= [photo["width"], photo["height"]]).all()
+        if len(agrees) < 400:
+            assert agrees.sum() == rows[name]["ties"]
+            assert (agrees == 0).sum() == rows[name]["ties_left_out"]
+        assert np.median(np.hypot(du, dv)[agrees == 1]) == pytest.approx(rows[name]["median_px"], abs=0.02)
+    shown = bench.slice(f"ties:{tied[0]}")
+    bench.workbench.close()
+    again = open_bench(tmp_path / "project")
+    assert again.slice(f"ties:{tied[0]}") == shown
+    again.do("undo")
+    assert again.slice(f"ties:{tied[0]}") is None
+    again.workbench.close()

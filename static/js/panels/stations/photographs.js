@@ -3,7 +3,7 @@
 import { request } from "../../net/requests.js";
 import { store } from "../../net/store.js";
 import { isRunning } from "../../state/pipeline.js";
-import { ORDERS, SHOWN, rowsOf, summaryOf } from "../../state/survey.js";
+import { ORDERS, SHOWN, rowsOf, summaryOf, tiesSaid } from "../../state/survey.js";
 import { button, fill } from "../../ui/controls.js";
 import { element, setChildren, setText } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
@@ -59,6 +59,7 @@ export const mountPhotographs = () => {
     { class: "survey-parts edits row", role: "group", "aria-label": "The chosen photographs" },
     hold, release, takeOut, takeBack,
   );
+  const drawnTies = element("p", { class: "dim survey-ties" });
   const list = element("ul", { class: "survey-list", "aria-label": "Photographs of the survey" });
   const summary = element("p", { class: "acquire-said", role: "status" });
   const cameras = element("ul", { class: "survey-cameras dim", "aria-label": "Cameras of the survey" });
@@ -125,6 +126,8 @@ export const mountPhotographs = () => {
     release.hidden = !kinds.has("held");
     takeOut.hidden = kinds.has("out") && kinds.size === 1;
     takeBack.hidden = !kinds.has("out");
+    setText(drawnTies, tiesSaid(store.get(`ties:${store.shown()}`), survey?.photos.find(({ id }) => id === store.shown())));
+    drawnTies.hidden = !drawnTies.textContent;
     const rows = rowsOf(photos, survey, { order, filter });
     setText(count, photos.length ? `${photos.filter(({ state }) => state === "accepted").length} of ${photos.length} accepted` : "");
     const key = JSON.stringify([rows, survey, store.shown(), [...chosen], store.readOnly]);
@@ -160,7 +163,7 @@ export const mountPhotographs = () => {
       )),
     );
   };
-  store.watch(["photos", "survey", "shown", "scan", "job", "people"], show);
+  store.watch(["photos", "survey", "ties:*", "shown", "scan", "job", "people"], show);
   const panel = element(
     "section",
     { class: "dock-part survey", "aria-label": "All photographs" },
@@ -171,7 +174,7 @@ export const mountPhotographs = () => {
       count,
       element("div", { class: "end" }, filters, orders, element("span", { class: "edits row" }, registerAll, adjust)),
     ),
-    element("div", { class: "part-body" }, summary, parts, heads, list, cameras),
+    element("div", { class: "part-body" }, summary, drawnTies, parts, heads, list, cameras),
   );
   show();
   return panel;
