@@ -311,6 +311,7 @@ class Workbench:
             found[f"solving:{entry.id}"] = self.jobs.solving(entry.id)
             found[f"corners:{entry.id}"] = self.jobs.corners(entry.id)
             found[f"self_test:{entry.id}"] = self.jobs.self_test(entry.id)
+            found[f"audit:{entry.id}"] = self.jobs.audited(entry)
         return found
 
     def _is_stale(self, document: Document, entry: PhotoEntry) -> bool:
