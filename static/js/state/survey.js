@@ -7,7 +7,7 @@ export const ORDERS = [["list", "In order"], ["worst", "Worst first"]];
 /** @type {[string, string][]} which photographs are listed */
 export const SHOWN = [["all", "All"], ["open", "Not accepted"], ["accepted", "Accepted"]];
 
-/** @typedef {{id: string, name: string, accepted: boolean, light: string | undefined, state: string, position: string,
+/** @typedef {{id: string, name: string, rev?: string, error?: string, accepted: boolean, light: string | undefined, state: string, position: string,
  *   sigma_m: number | null, ties: number | null, left_out: number, median_px: number | null, part: string, moved: string,
  *   reason: string}} SurveyRow */
 
@@ -26,6 +26,8 @@ const rowOf = (photo, found) => {
   return {
     id: photo.id,
     name: photo.name,
+    rev: photo.rev,
+    error: photo.error,
     accepted: photo.state === "accepted",
     light: photo.error || refused ? "not_accepted" : photo.part === "out" ? undefined : photo.light,
     state: stateOf(photo, refused),

@@ -33,7 +33,8 @@ const remove = async (photo) => {
   );
 };
 
-const thumbnail = ({ id, rev, error }) =>
+/** The small picture of a photograph in a list; it is fetched once the list shows it. */
+export const thumbnail = ({ id, rev, error }) =>
   error
     ? element("span", { class: "photo-thumbnail" }, icon("bad"))
     : element("img", {

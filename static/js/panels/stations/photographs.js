@@ -9,6 +9,7 @@ import { element, setChildren, setText } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
 import { lightOf } from "../../ui/lights.js";
 import { NONE, counted, fixed } from "../../ui/numbers.js";
+import { thumbnail } from "../files/photo_list.js";
 
 const HEADS = [
   ["", ""],
@@ -83,12 +84,13 @@ export const mountPhotographs = () => {
       "button",
       {
         type: "button",
-        class: "survey-name clip",
+        class: "survey-name",
         title: `Show ${photo.name}`,
         "aria-current": photo.id === store.shown() ? "true" : null,
         on: { click: () => request("show_photo", { photo: photo.id }) },
       },
-      photo.name,
+      thumbnail(photo),
+      element("span", { class: "clip" }, photo.name),
     );
     return element(
       "li",
