@@ -9,7 +9,7 @@ import { element, setChildren, setText } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
 import { lightOf } from "../../ui/lights.js";
 import { NONE, counted, fixed } from "../../ui/numbers.js";
-import { thumbnail } from "../files/photo_list.js";
+import { thumbnail } from "../../ui/thumbnail.js";
 
 const HEADS = [
   ["", ""],
