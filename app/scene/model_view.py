@@ -11,6 +11,13 @@ from ladarreg_core.inspection.model_textures import usable_texture
 
 _MAX_HIDDEN = 100
 DETAILS = ("coarse", "standard", "dense")
+LAYERS = {
+    "fused": ("Fused", "the colours of all photographs: exposures equalised, and what moved left out"),
+    "photo_id": ("Photograph used", "which photograph colours each place, when all are fused"),
+    "seen_by": ("Seen by", "how many photographs show each place"),
+    "temperature_k": ("Temperature", "apparent temperature by the thermal photographs, kelvin"),
+}
+"""Textures made of all accepted photographs, as layers of `fusion.layers`: label and description."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +54,7 @@ class ModelChoice:
         for name, value in wanted.items():
             if name not in known or type(value) is not type(known[name]):
                 raise OptionError(f"the model has no setting {name!r} of type {type(value).__name__}")
-            if name == "texture":
+            if name == "texture" and value not in LAYERS:
                 usable_texture(value, None)  # raises with the list of textures
             if name == "detail" and value not in DETAILS:
                 raise OptionError(f"the detail is {value[:20]!r}; it must be one of {', '.join(DETAILS)}")

@@ -25,7 +25,7 @@ from ladarreg_core.inspection.model_textures import (
 )
 
 from ...gateway.protocol import Picture
-from ...scene.model_view import DETAILS
+from ...scene.model_view import DETAILS, LAYERS
 from ...session.loader import Loader
 from ...session.session import Session
 
@@ -38,12 +38,16 @@ if TYPE_CHECKING:
     from ladarreg_core.scan import Scan
     from ladarreg_core.surface.mesh.grid_block import GridBlock
     from ladarreg_core.surface.mesh.grid_mesh import Mesh
+    from ladarreg_core.surface.texture.best_photo import PosedPhoto
     from ladarreg_core.surface.texture.registered_texture import RegisteredTexture
+
+    _Seen = tuple[PoseEntry, Photo, PoseResult, str]
+    """A photograph with its pose and its name for display."""
 
 NO_PHOTO = "none"
 """Stands for the id of a photograph where there is none."""
 LEGEND_HEADER = "x-legend"
-_OF_CODES = ("label",)
+_OF_CODES = ("label", "photo_id")
 """Textures whose colours are codes, which a lossy format would blur."""
 _NEED_VISIBILITY = ("resolution", "label")
 _LOSSY_QUALITY = 84
@@ -124,8 +128,26 @@ class ModelParts:
         others = [one for one in _accepted(document) if one is not entry]
         if others and choices[0]["value"] == "colour":
             choices[0] |= {"usable": True, "said": "each place in the colours of the photograph that shows it best"}
+        choices += self._layer_choices(document)
         rev = hashlib.sha256(repr(made_of).encode()).hexdigest()[:12]
         return {"rev": rev, "accepted": bool(result is not None and result.accepted), "choices": choices}
+
+    def _layer_choices(self, document: Document) -> list[dict[str, Any]]:
+        """Return the textures made of all accepted photographs, as entries of `choices`."""
+        accepted = _accepted(document)
+        lacks = dict.fromkeys(LAYERS, "" if accepted else "needs an accepted photograph; register one")
+        if not any(self._is_thermal(entry) for entry in accepted):
+            lacks["temperature_k"] = "needs an accepted thermal photograph"
+        return [
+            {"value": name, "label": label, "usable": not lacks[name], "said": lacks[name] or said}
+            for name, (label, said) in LAYERS.items()
+        ]
+
+    def _is_thermal(self, entry: PhotoEntry) -> bool:
+        try:
+            return self._loader.header(entry).is_thermal
+        except LadarregError:  # its file has gone, which the slice `photos` states
+            return False
 
     def _result(self, entry: PhotoEntry | None) -> PoseResult | None:
         if entry is None or entry.pose is None:
@@ -142,6 +164,8 @@ class ModelParts:
             raise OptionError("there is no such photograph")
         result, kind, z_buffer = self._result(entry), query.get("kind", "intensity"), query.get("z_buffer") != "0"
         others = entry is not None and any(one is not entry for one in _accepted(document))
+        if kind in LAYERS:
+            return self._layer_of_all(document, scan, kind, longest_px)
         if kind == "colour" and z_buffer and others:
             return self._colors_of_all(document, scan, longest_px)
         if usable_texture(kind, _accepted_only(result)) != kind:
@@ -155,29 +179,33 @@ class ModelParts:
             "model", key, lambda: ((pose, photo), _picture_of(make(), longest_px, lossless=kind in _OF_CODES))
         )[1]
 
+    def _layer_of_all(self, document: Document, scan: Scan, kind: str, longest_px: int) -> Picture:
+        """Return a layer of the model that all accepted photographs are fused to."""
+        from ladarreg_core.fusion.fused_model import fuse
+        from ladarreg_core.fusion.layers import model_layers
+
+        seen_by = self._seen_by(document, scan, kind)
+        key = tuple((id(pose), id(photo)) for pose, photo, *_ in seen_by)
+
+        def make() -> tuple[object, Picture]:
+            model = self._loader.cached("model", ("fused", key), lambda: (seen_by, fuse(scan, _views(seen_by))))[1]
+            every = model_layers([model], [name for *_, name in seen_by])
+            layer = next((one for one in every if one.name == kind), None)
+            if layer is None:
+                raise OptionError(f"the texture {kind!r} needs a thermal photograph with an accepted pose")
+            return seen_by, _picture_of(layer.texture(), longest_px, lossless=kind in _OF_CODES)
+
+        return self._loader.cached("model", ("layer of all", kind, longest_px, key), make)[1]
+
     def _colors_of_all(self, document: Document, scan: Scan, longest_px: int) -> Picture:
         """Return the colours of all accepted photographs: of each place, from the one that shows it best."""
-        from ladarreg_core.surface.texture.best_photo import PosedPhoto, best_photo
+        from ladarreg_core.surface.texture.best_photo import best_photo
 
-        seen_by: list[tuple[PoseEntry, Photo, PoseResult]] = []
-        for entry in _accepted(document)[: max(1, _MAX_COLORED_CELLS // scan.ranges.size)]:
-            result = self._result(entry)
-            if entry.pose is None or result is None or _accepted_only(result) is not result:
-                continue
-            try:
-                seen_by.append((entry.pose, self._loader.photo(entry), result))
-            except LadarregError:  # its file has gone, which the slice `photos` states
-                continue
-        if not seen_by:
-            raise OptionError("the texture 'colour' needs an accepted pose")
-        key = tuple((id(pose), id(photo)) for pose, photo, _ in seen_by)
+        seen_by = self._seen_by(document, scan, "colour")
+        key = tuple((id(pose), id(photo)) for pose, photo, *_ in seen_by)
 
         def colors() -> tuple[object, RegisteredTexture]:
-            views = [
-                PosedPhoto(photo, result.camera_from_scanner, result.camera, result.joint_covariance)
-                for _, photo, result in seen_by
-            ]
-            return seen_by, best_photo(scan, views).texture
+            return seen_by, best_photo(scan, _views(seen_by)).texture
 
         def make() -> tuple[object, Picture]:
             registered = self._loader.cached("model", ("best photographs", key), colors)[1]
@@ -185,6 +213,25 @@ class ModelParts:
             return seen_by, _picture_of(texture, longest_px, lossless=False)
 
         return self._loader.cached("model", ("colors of all", longest_px, key), make)[1]
+
+    def _seen_by(self, document: Document, scan: Scan, kind: str) -> list[_Seen]:
+        """Return the accepted photographs, as many as can be taken together on a scan of this size.
+
+        Raises:
+            OptionError: if there is none.
+        """
+        seen_by: list[_Seen] = []
+        for entry in _accepted(document)[: max(1, _MAX_COLORED_CELLS // scan.ranges.size)]:
+            result = self._result(entry)
+            if entry.pose is None or result is None or _accepted_only(result) is not result:
+                continue
+            try:
+                seen_by.append((entry.pose, self._loader.photo(entry), result, entry.source.name))
+            except LadarregError:  # its file has gone, which the slice `photos` states
+                continue
+        if not seen_by:
+            raise OptionError(f"the texture {kind!r} needs an accepted pose")
+        return seen_by
 
     def _photo_part(
         self, document: Document, scan: Scan, name: str, query: Mapping[str, str], level: Detail
@@ -218,6 +265,15 @@ class ModelParts:
     def _registered(self, scan: Scan, photo: Photo, result: PoseResult) -> RegisteredTexture:
         key = ("registered", id(result), id(photo))
         return self._loader.cached("model", key, lambda: ((result, photo), registered_texture(scan, photo, result)))[1]
+
+
+def _views(seen_by: list[_Seen]) -> list[PosedPhoto]:
+    from ladarreg_core.surface.texture.best_photo import PosedPhoto
+
+    return [
+        PosedPhoto(photo, result.camera_from_scanner, result.camera, result.joint_covariance)
+        for _, photo, result, _ in seen_by
+    ]
 
 
 def _accepted(document: Document) -> list[PhotoEntry]:

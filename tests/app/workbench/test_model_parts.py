@@ -115,6 +115,31 @@ def test_textures_have_legends_and_their_own_colors(bench: WorkbenchDriver) -> N
     assert np.abs(with_z.astype(int) - without).mean() > 0.5
 
 
+@pytest.mark.slow
+def test_all_photographs_are_fused_to_layers(bench: WorkbenchDriver) -> None:
+    choices = {choice["value"]: choice for choice in bench.slice("model")["choices"]}
+    assert choices["fused"]["usable"]
+    assert not choices["temperature_k"]["usable"]
+    assert "thermal" in choices["temperature_k"]["said"]
+    colors, _ = texture(bench, "colour", photo="p1")
+    fused, legend = texture(bench, "fused", photo="p1")
+    assert legend["title"] == "Fused colour"
+    _, legend = texture(bench, "seen_by", photo="p1")
+    assert legend["most"] == "1"
+    ids, legend = texture(bench, "photo_id", photo="p1")
+    assert [entry["label"] for entry in legend["entries"]] == ["1: photo.png", "none"]  # type: ignore[attr-defined]
+    codes = np.unique(ids.reshape(-1, 3), axis=0)
+    assert len(codes) == 2, "codes are not blurred"
+    used = (ids == ids[ids.shape[0] // 2, ids.shape[1] // 2]).all(axis=-1)
+    assert 0.2 < used.mean() < 0.95
+    off = np.abs(fused.astype(int) - colors).max(axis=-1)
+    assert np.median(off[used]) <= 4, "one photograph alone keeps its colours"
+    bench.do("set_model", texture="fused")
+    assert bench.slice("model")["texture"] == "fused"
+    with pytest.raises(LadarregError, match="thermal"):
+        bench.workbench.picture("model/texture", {"kind": "temperature_k", "photo": "p1"})
+
+
 def test_what_is_not_there_is_refused(bench: WorkbenchDriver) -> None:
     for name, query in (
         ("smell", {}),
