@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from ladarreg_core.errors import OptionError
 from ladarreg_core.project.edits import with_picks, with_pose, without_origin
 from ladarreg_core.project.results import pose_entry, pose_of
 from ladarreg_core.results import STAGE_LABELS
@@ -31,6 +32,7 @@ class RegistrationJobs:
         self._workspace = workspace
         self._solve = solve
         self.self_tests: dict[str, dict[str, Any]] = {}
+        self._audits: dict[str, tuple[object, dict[str, Any]]] = {}
 
     def auto(self, inputs: Inputs, context: JobContext) -> str:
         """Register from the images alone; manual matches stay as they are."""
@@ -120,6 +122,30 @@ class RegistrationJobs:
                 break
         return SelfTest(tuple(trials)).summary()
 
+    def audit(self, inputs: Inputs, context: JobContext) -> str:
+        """Judge, by the images, the pose that a file states for the photograph, or else its current one."""
+        from ladarreg_core.survey.audit import audit
+
+        entry = inputs.entry
+        judged = inputs.stated_pose
+        name, camera = entry.stated_by or "the scan's file", None
+        if judged is None:
+            if entry.pose is None:
+                raise OptionError("there is no pose to judge: open a pose file with the photograph, or solve first")
+            current = self._workspace.loader.registration(entry.pose)
+            judged, camera, name = current.camera_from_scanner, current.camera, STAGE_LABELS[entry.pose.stage]
+        found = audit(
+            inputs.scan, inputs.photo, judged, camera=camera, options=inputs.settings.register_options,
+            report=context.step,
+        )  # fmt: skip
+        self._audits[entry.id] = audited_of(entry), {"judged": name, **found.as_fields()}
+        return found.sentence
+
+    def audited(self, entry: PhotoEntry) -> dict[str, Any] | None:
+        """Return the last audit of a photograph; None without any, or where it has another pose by now."""
+        of, found = self._audits.get(entry.id, (None, None))
+        return found if of == audited_of(entry) else None
+
     def _commit(
         self, inputs: Inputs, stage: StageId, result: Registration, context: JobContext, *, note: str = ""
     ) -> str:
@@ -138,6 +164,12 @@ class RegistrationJobs:
         label = f"Register automatically: {len(new)} matches"
         self._workspace.commit(inputs, label, kept, author=context.job.author)
         return " ".join(filter(None, [result.reasons[0] if result.reasons else "Accepted.", note]))
+
+
+def audited_of(entry: PhotoEntry) -> object:
+    """Return what an audit of a photograph is about."""
+    pose = entry.pose
+    return entry.source, entry.camera, entry.stated_pose or (None if pose is None else pose.arrays.name)
 
 
 def _picks_of(result: PoseResult) -> list[Pick]:

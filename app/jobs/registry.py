@@ -9,6 +9,7 @@ from typing import Any
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
+from ladarreg_core.project.document import PhotoEntry
 from ladarreg_core.project.history import Author
 
 from .automatic import IDLE, AutomaticSolver
@@ -79,6 +80,7 @@ class JobRegistry:
             "thesis": JobKind("Thesis chain", self._registration.thesis),
             "compare": JobKind("Compare all stages", self._registration.compare),
             "self_test": JobKind("Self-test", self._registration.self_test),
+            "audit": JobKind("Audit", self._registration.audit),
         }
 
     def run(self, name: str, photo: object, author: Author) -> str:
@@ -127,6 +129,10 @@ class JobRegistry:
     def self_test(self, photo: str) -> dict[str, Any] | None:
         """Return the present results of a photograph's self-test."""
         return self._registration.self_tests.get(photo)
+
+    def audited(self, entry: PhotoEntry) -> dict[str, Any] | None:
+        """Return the last audit of a photograph's pose, see `Audit.as_fields`; None without any."""
+        return self._registration.audited(entry)
 
     def solving(self, photo: str) -> dict[str, Any]:
         """Return the state of the automatic solving of a photograph."""

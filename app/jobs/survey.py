@@ -34,13 +34,17 @@ class _Taking:
 
     photos: list[PhotoEntry]
     left_out: list[str]
+    taken_out: list[str]
 
     @property
     def sentence(self) -> str:
         """Which were left out; empty: none."""
-        if not self.left_out:
-            return ""
-        return f"Left out, since they have no camera or cannot be read: {', '.join(self.left_out)}."
+        said = []
+        if self.left_out:
+            said.append(f"Left out, since they have no camera or cannot be read: {', '.join(self.left_out)}.")
+        if self.taken_out:
+            said.append(f"Taken out by hand: {', '.join(self.taken_out)}.")
+        return " ".join(said)
 
 
 class SurveyJobs:
@@ -76,7 +80,10 @@ class SurveyJobs:
         """
         document = self.require_photos(chosen)
         taking = self._taking(document, chosen)
-        waiting = [one for one in taking.photos if chosen is not None or not (one.pose and one.pose.accepted)]
+        waiting = [
+            one for one in taking.photos
+            if one.part != "held" and (chosen is not None or not (one.pose and one.pose.accepted))
+        ]  # fmt: skip
         accepted, failed = 0, []
         for done, entry in enumerate(waiting):
             context.progress(Progress(done, len(waiting), f"registering {entry.source.name}"))
@@ -124,9 +131,12 @@ class SurveyJobs:
         return " ".join(filter(None, [_sentence(document, solved), taking.sentence]))
 
     def _taking(self, document: Document, chosen: Sequence[str] | None) -> _Taking:
-        taking = _Taking([], [])
+        taking = _Taking([], [], [])
         for entry in document.photos:
             if chosen is not None and entry.id not in chosen:
+                continue
+            if entry.part == "out":
+                taking.taken_out.append(entry.source.name)
                 continue
             try:
                 has_camera = self._workspace.loader.header(entry).camera is not None
@@ -144,12 +154,15 @@ class SurveyJobs:
         from ladarreg_core.outputs.project_survey import adjusted_entry
 
         poses = {name: pose_entry("survey", one, clouds=before.clouds) for name, one in found.items()}
+        kept = poses | {one.id: one.pose for one in before.photos if one.part == "held" and one.pose is not None}
         adjustment = solved.adjustment
         taken_out = {
             name: one.reasons for name, one in adjustment.photos.items() if one.moved_others_sigmas is not None
         }
 
         def edited(photo: PhotoEntry) -> PhotoEntry:
+            if photo.part == "held":
+                return photo
             if photo.id in poses:
                 return with_pose(photo, poses[photo.id])
             if photo.id in taken_out and photo.pose is not None and photo.pose.accepted:
@@ -160,17 +173,22 @@ class SurveyJobs:
         def apply(document: Document) -> Document:
             for one in survey.photos:
                 now, was = document.photo(one.id), before.photo(one.id)
-                if now is None or was is None or (now.source, now.camera) != (was.source, was.camera):
+                if now is None or was is None or _given(now) != _given(was):
                     raise OptionError(_CHANGED)
             if scans_of(document) != scans_of(before):
                 raise OptionError(_CHANGED)
             for one in survey.photos:
                 document = edited_photo(document, one.id, edited)
-            return msgspec.structs.replace(document, adjusted=adjusted_entry(adjustment, scans_of(before), poses))
+            return msgspec.structs.replace(document, adjusted=adjusted_entry(before, adjustment, kept))
 
         accepted = sum(one.accepted for one in adjustment.photos.values())
         label = f"Adjust: {accepted} of {len(adjustment.photos)} photographs"
         self._workspace.session.commit(label, apply, author=context.job.author)
+
+
+def _given(photo: PhotoEntry) -> tuple[Any, ...]:
+    """Return what the result of a photograph rests on; of one that is held also its pose."""
+    return photo.source, photo.camera, photo.part, photo.camera_held, photo.pose if photo.part == "held" else None
 
 
 def _sentence(document: Document, solved: Solved) -> str:

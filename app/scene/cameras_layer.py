@@ -10,7 +10,7 @@ import numpy as np
 from ladarreg_core.export.models.viser_colors import line_colors_for_viewer
 from ladarreg_core.foundations.palette import ACCENT, OTHER_CAMERA, REFUSED, SCANNER
 from ladarreg_core.inspection.model_textures import small_picture, view_picture
-from ladarreg_core.inspection.scene_geometry import camera_outline, dashed, for_both_ends, repeated
+from ladarreg_core.inspection.scene_geometry import camera_outline, dashed, distance_of_picture, for_both_ends, repeated
 from ladarreg_core.inspection.viewpoints import field_of_view
 from ladarreg_core.surface.texture.registered_texture import intensity_picture
 
@@ -47,6 +47,7 @@ class CamerasLayer:
         self._camera: list[viser.SceneNodeHandle] = []
         self._others: dict[str, tuple[CameraShown, viser.SceneNodeHandle]] = {}
         self._drawn: tuple[object, ...] = (None, None, None)
+        self._depth_m = 0.0
 
     def draw(self, subject: Subject | None, others: Sequence[CameraShown] = (), *, visible: bool) -> None:
         """Draw the scanner, the camera, and those of other photographs."""
@@ -66,6 +67,16 @@ class CamerasLayer:
         for node in [*self._scanner, *self._camera, *(node for _, node in self._others.values())]:
             node.remove()
         self._scanner, self._camera, self._others, self._drawn = [], [], {}, (None, None, None)
+
+    def nearest(self, event: viser.SceneClickEvent) -> CameraShown | None:
+        """Return the other photograph whose picture a click hits first."""
+        hits = [
+            (distance, other) for other, node in self._others.values()
+            if node.visible and (distance := distance_of_picture(
+                other.camera, other.camera_from_scanner, event.ray_origin, event.ray_direction, depth_m=self._depth_m,
+            )) is not None
+        ]  # fmt: skip
+        return min(hits, key=lambda hit: hit[0])[1] if hits else None
 
     def _draw_scanner(self, subject: Subject) -> None:
         if subject.shown.all_around:  # a frustum would show one direction out of all
@@ -95,9 +106,10 @@ class CamerasLayer:
                 del self._others[photo]
         for photo, other in wanted.items():
             if photo not in self._others and subject is not None:
+                self._depth_m = _OTHERS_SIZE * subject.shown.frustum_depth_m
                 self._others[photo] = other, add_camera(
                     self._place, f"/cameras/{photo}", other.camera, other.camera_from_scanner, OTHER_CAMERA,
-                    _OTHERS_SIZE * subject.shown.frustum_depth_m, picture=other.picture, thickness=1.2,
+                    self._depth_m, picture=other.picture, thickness=1.2,
                 )  # fmt: skip
 
     def _draw_camera(self, subject: Subject) -> None:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ladarreg_core.inspection.viewpoints import from_pose
+
 from .cameras_layer import CamerasLayer
 from .draft_layer import DraftLayer
 from .person import Person, ViewpointName
@@ -128,6 +130,18 @@ class ClientView:
         """Pose of a camera that stands where the client looks from; None while that is not known."""
         camera = getattr(self._place, "camera", None)
         return None if camera is None else viewer_pose(camera)
+
+    def fly_to(self, camera: CameraShown) -> None:
+        """Move the client to where a photograph was taken, looking as it did."""
+        if self._subject is not None:
+            shown = self._subject.shown
+            viewpoint = from_pose(shown.scan, camera.camera, camera.camera_from_scanner)
+            self._looks, self._looked_from = "camera", viewpoint
+            _move(self._place, viewpoint, near_m=_NEAR_PER_FRUSTUM * shown.frustum_depth_m)
+
+    def clicked_camera(self, event: viser.SceneClickEvent) -> CameraShown | None:
+        """Return the other photograph whose frustum a click hits."""
+        return self._cameras.nearest(event)
 
     def clicked(self, event: viser.SceneClickEvent) -> str | None:
         """Return the id of the match that a click hits."""

@@ -68,6 +68,8 @@ class Scene3D:
         server: the server.
         on_pick: called with the id of a client and of the match that it has clicked on.
         person_of: returns the id of the workbench's client behind a client of viser.
+        on_camera: called with the id of a client and of another photograph whose frustum it has clicked on; the view
+            has been moved there.
         on_draft: called with the id of a client and the pose of the camera that it drags.
     """
 
@@ -77,9 +79,11 @@ class Scene3D:
         on_pick: Callable[[str, str], None],
         *,
         person_of: Callable[[viser.ClientHandle], str] = lambda _: ANYBODY,
+        on_camera: Callable[[str, str], None] = lambda _person, _photo: None,
         on_draft: Callable[[str, Rigid], None] = lambda _person, _pose: None,
     ) -> None:
-        self._server, self._on_pick, self._person_of, self._on_draft = server, on_pick, person_of, on_draft
+        self._server, self._person_of = server, person_of
+        self._on_pick, self._on_camera, self._on_draft = on_pick, on_camera, on_draft
         self._lock = threading.RLock()
         self._photos: Mapping[str | None, Shown] = {}
         self._stations: Sequence[StationShown] = ()
@@ -232,6 +236,10 @@ class Scene3D:
         if view is not None and pick is not None:
             self.highlight(view.person, pick)
             self._on_pick(view.person, pick)
+        camera = view.clicked_camera(event) if view is not None and pick is None else None
+        if view is not None and camera is not None:
+            view.fly_to(camera)
+            self._on_camera(view.person, camera.photo)
 
     def _dragged(self, person: str, draft: Rigid) -> None:
         with self._lock:

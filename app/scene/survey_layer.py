@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ladarreg_core.export.models.viser_colors import line_colors_for_viewer
-from ladarreg_core.foundations.palette import ACCENT
+from ladarreg_core.foundations.palette import ACCENT, OTHER_CAMERA
 from ladarreg_core.inspection.scene_geometry import for_both_ends, repeated
 
 if TYPE_CHECKING:
@@ -29,6 +29,8 @@ class SurveyShown:
     """(N, 3) RGB, by residual."""
     rings: FloatArray
     """(M, 2, 3) m: the standard deviations as ellipses, enlarged."""
+    moves: FloatArray
+    """(K, 2, 3) m: the lines of arrows of how the cameras moved, enlarged alike."""
     factor: int
     """By how much they are enlarged."""
     label_at: FloatArray
@@ -58,6 +60,7 @@ class SurveyLayer:
         for name, lines, colors, thickness in (
             ("/survey/ties", shown.ties, shown.tie_colors, 1.0),
             ("/survey/ellipses", shown.rings, repeated(ACCENT, len(shown.rings)), 1.6),
+            ("/survey/moves", shown.moves, repeated(OTHER_CAMERA, len(shown.moves)), 2.0),
         ):
             if len(lines):
                 nodes.append(

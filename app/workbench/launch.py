@@ -331,8 +331,13 @@ def _attach_scene(workbench: Workbench, server: viser.ViserServer) -> None:
             event = {"event": "placement", "photo": shown.id, "camera_from_scanner": draft.matrix.tolist()}
             workbench.tell(event, {person})
 
+    def camera_clicked(person: str, photo: str) -> None:
+        client = workbench.clients.find(person)
+        if client is not None:
+            workbench.selection.show(client, photo)
+
     person_of = partial(client_id_of, server)
-    workbench.attach_scene(Scene3D(server, clicked, person_of=person_of, on_draft=dragged))
+    workbench.attach_scene(Scene3D(server, clicked, person_of=person_of, on_camera=camera_clicked, on_draft=dragged))
 
 
 def data_folder() -> Path:

@@ -54,7 +54,7 @@ from .state.slices import (
     scan_slice,
 )
 from .state.stations import Stations
-from .state.survey import survey_slice
+from .state.survey import survey_slice, ties_slice
 
 if TYPE_CHECKING:
     from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
@@ -305,9 +305,13 @@ class Workbench:
                 loader, document, entry, exported=self.jobs.exports.exported(entry)
             )
             found[f"outline:{entry.id}"] = self._outline_slice(entry)
+            found[f"ties:{entry.id}"] = self._slices.get(
+                ("ties", document.adjusted, entry.id, entry.pose), partial(ties_slice, document, entry)
+            )
             found[f"solving:{entry.id}"] = self.jobs.solving(entry.id)
             found[f"corners:{entry.id}"] = self.jobs.corners(entry.id)
             found[f"self_test:{entry.id}"] = self.jobs.self_test(entry.id)
+            found[f"audit:{entry.id}"] = self.jobs.audited(entry)
         return found
 
     def _is_stale(self, document: Document, entry: PhotoEntry) -> bool:

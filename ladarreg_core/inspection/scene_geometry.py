@@ -20,6 +20,8 @@ _NEAR_OF_DISTANCE = 0.01
 _FACTORS = tuple(int(step * 10**power) for power in range(5) for step in (1, 2, 5))[:13]
 """By how much ellipses may be enlarged."""
 _RING_PARTS = 24
+_HEAD_LENGTH, _HEAD_WIDTH = 0.25, 0.1
+"""Of an arrow, as shares of its length."""
 
 
 def camera_outline(camera: CameraModel, camera_from_scanner: Rigid, *, depth_m: float) -> NDArray[np.float32]:
@@ -47,6 +49,31 @@ def camera_outlines(camera: CameraModel, poses: tuple[Rigid, ...], *, depth_m: f
     if not poses:
         return np.zeros((0, 2, 3), dtype=np.float32)
     return np.concatenate([camera_outline(camera, pose, depth_m=depth_m) for pose in poses])
+
+
+def distance_of_picture(
+    camera: CameraModel, camera_from_scanner: Rigid, origin: ArrayLike, direction: ArrayLike, *, depth_m: float
+) -> float | None:
+    """Return where a ray meets the picture of a frustum as `camera_outline` draws it, in lengths of its direction.
+
+    Args:
+        camera: the camera.
+        camera_from_scanner: its pose.
+        origin: (3,) where the ray begins, m, scanner frame.
+        direction: (3,) of any length.
+        depth_m: distance of the picture from the camera.
+
+    Returns:
+        None: the ray passes it, or leaves it behind.
+    """
+    start = (camera_from_scanner @ np.asarray(origin, np.float64)[None])[0]
+    along = camera_from_scanner.rotation @ np.asarray(direction, np.float64)
+    if along[2] == 0.0:
+        return None
+    distance = float((depth_m - start[2]) / along[2])
+    halves = depth_m * np.tan(np.array(field_of_view(camera)) / 2)
+    inside = bool((np.abs((start + distance * along)[:2]) <= halves).all())
+    return distance if distance > 0 and inside else None
 
 
 def dashed(segments: FloatArray, *, dashes: int) -> NDArray[np.float32]:
@@ -90,6 +117,26 @@ def error_ellipses(centres: ArrayLike, covariances: ArrayLike, *, size_m: float)
         ring = middles[:, None] + factor * at
         rings.append(np.stack([ring[:, :-1], ring[:, 1:]], axis=2).reshape(-1, 2, 3))
     return np.concatenate(rings).astype(np.float32), factor
+
+
+def arrows(starts: ArrayLike, ends: ArrayLike, *, factor: float = 1.0) -> NDArray[np.float32]:
+    """Return arrows from where something was to where it is now.
+
+    Args:
+        starts: (N, 3) where it was, m.
+        ends: (N, 3) where it is, m; the arrows' heads lie here.
+        factor: by how much the arrows are enlarged.
+
+    Returns:
+        (3 N, 2, 3) float32 a shaft and the two sides of the head of each, m; an arrow of no length is a point.
+    """
+    now = np.asarray(ends, np.float64).reshape(-1, 3)
+    along = factor * (now - np.asarray(starts, np.float64).reshape(-1, 3))
+    aside = np.cross(along, np.eye(3)[np.argmin(np.abs(along), axis=1)])  # as long as that axis is far from it
+    length = np.linalg.norm(aside, axis=1, keepdims=True)
+    aside *= np.linalg.norm(along, axis=1, keepdims=True) / np.where(length > 0, length, 1.0)
+    tails = [now - along, *(now - _HEAD_LENGTH * along + side * _HEAD_WIDTH * aside for side in (1, -1))]
+    return np.concatenate([np.stack([tail, now], axis=1) for tail in tails]).astype(np.float32)
 
 
 def faded(colors: ArrayLike, background: ArrayLike, *, share: float) -> NDArray[np.uint8]:

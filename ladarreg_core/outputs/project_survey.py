@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+import json
+from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.export.json import plain
 from ladarreg_core.export.registered_scan import photo_id
-from ladarreg_core.frames import Rigid
+from ladarreg_core.formats.cameras.camera_file import camera_from_fields
+from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.many.photo_list import camera_groups, photo_entries
 from ladarreg_core.project.document import (
     Adjusted,
@@ -22,21 +25,25 @@ from ladarreg_core.project.document import (
     PhotoEntry,
     PoseEntry,
     Rows,
-    Source,
 )
 from ladarreg_core.project.results import pose_of
 from ladarreg_core.project.station_edits import scans_of, surveyed_pose
 from ladarreg_core.project.storage.folder import ProjectFolder
+from ladarreg_core.project.stored_arrays import StoredArrays
 from ladarreg_core.survey.adjustment import Adjustment
-from ladarreg_core.survey.parts import SurveyCamera, SurveyPhoto, SurveyScan
+from ladarreg_core.survey.parts import PosePrior, SurveyCamera, SurveyPhoto, SurveyScan
 from ladarreg_core.survey.survey import Survey
+
+_HELD = np.diag([1e-5**2] * 3 + [1e-4**2] * 3)
+"""Covariance (6, 6) of a pose that is held: .6 thousandths of a degree, .1 mm."""
 
 
 def survey_of_project(document: Document, folder: ProjectFolder, photos: Collection[str] | None = None) -> Survey:
     """Return a project as a survey; the scan that is shown is the first one, and keeps its place.
 
-    Accepted poses are where the photographs are looked for first. Photographs of one body, lens, focal length and size,
-    for which the operator gave the same camera data, share a camera.
+    Accepted poses are where the photographs are looked for first; those that are held are known there. Photographs of
+    one body, lens, focal length and size, for which the operator gave the same camera data, share a camera; one that is
+    held is not estimated. Photographs that were taken out are no part of it.
 
     Args:
         document: the project.
@@ -48,7 +55,7 @@ def survey_of_project(document: Document, folder: ProjectFolder, photos: Collect
     """
     if document.scan is None:
         raise OptionError("there is no scan; open one")
-    chosen = [one for one in document.photos if photos is None or one.id in photos]
+    chosen = [one for one in document.photos if (photos is None or one.id in photos) and one.part != "out"]
     if not chosen:
         raise OptionError("there is no photograph; open some")
     names: list[str] = []
@@ -69,21 +76,23 @@ def survey_of_project(document: Document, folder: ProjectFolder, photos: Collect
         photos=tuple(
             SurveyPhoto(
                 id=one.id, source=folder.source_path(one.source.path), camera=camera_of[one.id],
-                initial=_initial(document, one),
+                initial=(initial := _initial(document, one)),
+                prior=PosePrior(pose=initial, covariance=_HELD) if one.part == "held" and initial is not None else None,
             )
             for one in chosen
         ),
     )  # fmt: skip
 
 
-def adjusted_entry(adjustment: Adjustment, scans: Sequence[Source], poses: Mapping[str, PoseEntry]) -> Adjusted:
+def adjusted_entry(document: Document, adjustment: Adjustment, poses: Mapping[str, PoseEntry]) -> Adjusted:
     """Return what a project keeps of an adjustment, beside the poses of its photographs.
 
     Args:
+        document: the project before it.
         adjustment: the solution of `survey_of_project`.
-        scans: the project's scans at that time.
-        poses: the entries of the poses that it gave, by the ids of the photographs.
+        poses: the entries of the poses that it gave or that were held, by the ids of the photographs.
     """
+    scans = scans_of(document)
     return Adjusted(
         scans=tuple(
             AdjustedScanEntry(
@@ -101,6 +110,7 @@ def adjusted_entry(adjustment: Adjustment, scans: Sequence[Source], poses: Mappi
                 camera=one.camera_id, sigma_m=_finite(one.sigma_position_m) if one.accepted else None,
                 sigma_rad=_finite(one.sigma_angle_rad) if one.accepted else None,
                 pose=poses[name].arrays.name if name in poses else "",
+                **_movement(document.photo(name), poses.get(name)),
             )
             for name, one in adjustment.photos.items()
         },
@@ -109,8 +119,27 @@ def adjusted_entry(adjustment: Adjustment, scans: Sequence[Source], poses: Mappi
             for name, one in adjustment.cameras.items()
         },
         chi2_per_dof=_finite(adjustment.chi2_per_dof),
+        ties=_ties(adjustment),
         sigma_px=_finite(adjustment.sigma_px) if any(one.ties for one in adjustment.photos.values()) else None,
     )  # fmt: skip
+
+
+def _ties(adjustment: Adjustment) -> StoredArrays | None:
+    marks = {name: one.tie_marks for name, one in adjustment.photos.items() if len(one.tie_marks)}
+    return StoredArrays.of(marks) if marks else None
+
+
+def _movement(before: PhotoEntry | None, pose: PoseEntry | None) -> dict[str, Any]:
+    """Return how far an adjustment moved the camera of a photograph, as fields of its entry."""
+    former = None if before is None else before.pose
+    if former is None or not former.accepted or pose is None:
+        return {}
+    was, now = pose_of(former), pose_of(pose)
+    return {
+        "former_centre": tuple(was.centre.tolist()),
+        "moved_m": float(np.linalg.norm(now.centre - was.centre)),
+        "moved_rad": float(np.linalg.norm(rotvec_from_rotation(now.rotation @ was.rotation.T))),
+    }
 
 
 def _rows(pose: Rigid) -> Rows:
@@ -135,12 +164,20 @@ def _initial(document: Document, photo: PhotoEntry) -> Rigid | None:
 
 def _cameras(photos: Collection[PhotoEntry], folder: ProjectFolder) -> tuple[tuple[SurveyCamera, ...], dict[str, str]]:
     """Return the cameras, and the id of each photograph's."""
-    given: dict[tuple[CameraGiven, str | None], list[PhotoEntry]] = {}
+    given: dict[tuple[CameraGiven, str | None, str], list[PhotoEntry]] = {}
     for one in photos:
-        given.setdefault((one.camera, one.source.temperature_unit), []).append(one)
+        held = json.dumps(one.camera_held, sort_keys=True)
+        given.setdefault((one.camera, one.source.temperature_unit, held), []).append(one)
     cameras: list[SurveyCamera] = []
     camera_of: dict[str, str] = {}
-    for (camera, unit), members in given.items():
+    for (camera, unit, _), members in given.items():
+        kept = members[0].camera_held
+        if kept is not None:
+            name = f"camera-{len(cameras) + 1}"
+            stated_unit = {} if unit is None else {"temperature_unit": unit}
+            cameras.append(SurveyCamera(id=name, source=camera_from_fields(kept), options=stated_unit, estimate="none"))
+            camera_of |= {one.id: name for one in members}
+            continue
         paths = {folder.source_path(one.source.path): one.id for one in members}
         options = {
             "camera_name": camera.name, "focal_px": camera.focal_px, "focal_mm": camera.focal_mm,

@@ -20,6 +20,9 @@ from ladarreg_core.results import Evidence, StageId
 VERSION = 1
 STAGES: tuple[StageId, ...] = get_args(StageId)
 """All stages in display order."""
+Part = Literal["free", "held", "out"]
+"""How a photograph takes part in an adjustment: its pose is solved for, it keeps its pose and holds the others, or it
+was taken out."""
 Numbers = tuple[float, ...]
 Rows = tuple[Numbers, ...]
 
@@ -205,6 +208,10 @@ class PhotoEntry(msgspec.Struct, frozen=True, kw_only=True):
     """Latest result of each stage."""
     shown_stage: StageId | None = None
     """Stage whose pose is the current one."""
+    part: Part = "free"
+    """How it takes part in an adjustment."""
+    camera_held: dict[str, Any] | None = None
+    """Intrinsics that adjustments keep; None: they estimate them as far as they are assumed."""
 
     @property
     def photo_options(self) -> dict[str, Any]:
@@ -301,7 +308,13 @@ class AdjustedPhotoEntry(msgspec.Struct, frozen=True, kw_only=True):
     sigma_rad: float | None = None
     """Standard deviation of its direction, rad."""
     pose: str = ""
-    """Name of the arrays of the pose that it got; empty: none."""
+    """Name of the arrays of the pose that it got, or that was held; empty: none."""
+    former_centre: Numbers | None = None
+    """Where the camera was before, m, in the frame of the scan that was shown; None: its pose was not accepted."""
+    moved_m: float | None = None
+    """How far the adjustment moved it."""
+    moved_rad: float | None = None
+    """How far the adjustment turned it."""
 
 
 class AdjustedScanEntry(msgspec.Struct, frozen=True, kw_only=True):
@@ -341,6 +354,8 @@ class Adjusted(msgspec.Struct, frozen=True, kw_only=True):
     """Of everything that was kept."""
     sigma_px: float | None = None
     """Noise of the ties, px; None: there were none."""
+    ties: StoredArrays | None = None
+    """Where the photographs show ties: `AdjustedPhoto.tie_marks` by their ids; None: there were none."""
 
     def scan(self, source: Source) -> AdjustedScanEntry | None:
         """Return what is known of a scan; None: it was not among them."""

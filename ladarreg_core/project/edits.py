@@ -16,6 +16,7 @@ from ladarreg_core.project.document import (
     STAGES,
     CameraGiven,
     Document,
+    Part,
     PhotoEntry,
     PickEntry,
     PoseEntry,
@@ -116,7 +117,42 @@ def edited_photo(document: Document, photo_id: str, edit: Callable[[PhotoEntry],
 
 def with_camera(photo: PhotoEntry, camera: CameraGiven) -> PhotoEntry:
     """Return the photograph with another camera, without the poses found with the old one."""
-    return replace(photo, camera=camera, poses=(), shown_stage=None)
+    return replace(photo, camera=camera, poses=(), shown_stage=None, camera_held=None)
+
+
+def with_part(document: Document, photo_ids: Iterable[str], part: Part) -> Document:
+    """Return the document with photographs that take part in adjustments in another way.
+
+    Raises:
+        OptionError: if one is not in the project, or is to be held but has no accepted pose.
+    """
+    ids = frozenset(photo_ids)
+    for photo in [require_photo(document, each) for each in sorted(ids)]:
+        if part == "held" and not (photo.pose and photo.pose.accepted):
+            raise OptionError(f"{photo.source.name} has no accepted pose that could be held; register it first")
+    return replace(document, photos=tuple(replace(p, part=part) if p.id in ids else p for p in document.photos))
+
+
+def with_camera_held(document: Document, camera_id: str, *, held: bool) -> Document:
+    """Return the document with a camera whose intrinsics the next adjustments keep as the last one left them, or not.
+
+    Args:
+        document: the document.
+        camera_id: id of a camera of the last adjustment.
+        held: whether they are kept.
+
+    Raises:
+        OptionError: if the last adjustment has no such camera.
+    """
+    adjusted = document.adjusted
+    camera = None if adjusted is None else adjusted.cameras.get(camera_id)
+    if adjusted is None or camera is None:
+        raise OptionError("that camera is not one of the last adjustment; adjust again")
+    takers = {name for name, photo in adjusted.photos.items() if photo.camera == camera_id}
+    kept = camera.camera if held else None
+    return replace(
+        document, photos=tuple(replace(p, camera_held=kept) if p.id in takers else p for p in document.photos)
+    )
 
 
 def with_picks(photo: PhotoEntry, picks: Iterable[Pick]) -> tuple[PhotoEntry, tuple[str, ...]]:

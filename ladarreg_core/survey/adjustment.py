@@ -99,6 +99,9 @@ class AdjustedPhoto:
     """Ids of the accepted photographs that it is tied to."""
     median_px: float = float("nan")
     """Median residual of its ties, px."""
+    tie_marks: Matrix = field(default_factory=lambda: np.zeros((0, 5)))
+    """(N, 5) where it shows ties: u, v, observed minus predicted (2), px, and 1 for one that agrees; evenly chosen of
+    all, and no part of `adjustment.json`."""
     sigma_px: float = float("nan")
     """How far what it shows may lie from where the laser's points are drawn: standard deviation, median, px."""
     moved_others_sigmas: float | None = None

@@ -24,10 +24,11 @@ from ladarreg_core.survey.problem import Matrix, projected
 from ladarreg_core.survey.rigs import Rigs
 from ladarreg_core.survey.solver import Adjusted
 from ladarreg_core.survey.survey import Survey
-from ladarreg_core.survey.verdicts import Solution, agrees_with_scan, count_ties
+from ladarreg_core.survey.verdicts import Solution, agreeing_ties, agrees_with_scan, count_ties
 
 _UNKNOWN = np.full((6, 6), np.nan)
 _MAX_SHOWN = 60
+_MAX_MARKS = 400  # ties of a photograph that are kept to be drawn
 
 
 def adjustment_of(
@@ -109,9 +110,20 @@ def _photo(
         camera_from_world=adjusted.problem.poses[body], covariance=adjusted.covariance_of(body),
         camera=adjusted.problem.camera_of(body), camera_id=state.given.camera,
         evidence=evidence, reasons=(reason,), scans=scans, ties=ties.agree,
-        ties_left_out=ties.left_out, partners=partners, median_px=ties.median_px,
+        ties_left_out=ties.left_out, partners=partners, median_px=ties.median_px, tie_marks=_tie_marks(adjusted, body),
         sigma_px=_pixel_sigma(adjusted, body, _points_shown(placement, solution, k)),
     )  # fmt: skip
+
+
+def _tie_marks(adjusted: Adjusted, body: int) -> Matrix:
+    """Return where a photograph shows ties, see `AdjustedPhoto.tie_marks`."""
+    told = (agree := agreeing_ties(adjusted)) | ~adjusted.tie_inliers  # what is left of a tie with one end says nothing
+    seen = np.isfinite(adjusted.tie_residuals_px).all(axis=1)
+    own = np.flatnonzero((adjusted.problem.ties.photo == body) & told & seen)
+    if len(own) > _MAX_MARKS:
+        own = own[np.linspace(0, len(own) - 1, _MAX_MARKS).astype(int)]
+    uv, off = adjusted.problem.ties.uv[own], adjusted.tie_residuals_px[own]
+    return np.column_stack([uv, off, agree[own]]).astype(np.float64)
 
 
 def _rigs(survey: Survey, rigs: Rigs) -> dict[str, dict[str, AdjustedSensor]]:

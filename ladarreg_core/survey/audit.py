@@ -95,8 +95,8 @@ class Audit:
                 "rotation_rad": curve(self.rotation_power),
                 "position_m": curve(self.position_power),
                 "seen_with_probability": SEEN,
-                "smallest_rotation_rad": self.smallest_rotation_rad if known else None,
-                "smallest_position_m": self.smallest_position_m if known else None,
+                "smallest_rotation_rad": _finite(self.smallest_rotation_rad),
+                "smallest_position_m": _finite(self.smallest_position_m),
             },
         }
 
@@ -210,6 +210,10 @@ def _smallest_seen(covariance: FloatArray, rows: tuple[int, int]) -> float:
         middle = (low + high) / 2
         low, high = (low, middle) if _mean_power(covariance, rows, float(np.exp(middle))) >= SEEN else (middle, high)
     return float(np.exp(high))
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
 
 
 def _evenly_spread() -> FloatArray:

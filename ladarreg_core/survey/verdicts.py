@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ladarreg_core.foundations.arrays import BoolArray
 from ladarreg_core.foundations.formatting import format_length
 from ladarreg_core.frames import Rigid
 from ladarreg_core.survey.build import Bodies
@@ -115,15 +116,20 @@ def is_held_by_rig(adjusted: Adjusted, body: int) -> bool:
     )
 
 
+def agreeing_ties(adjusted: Adjusted) -> BoolArray:
+    """Return (N,) which observations of ties agree with another one of the same point."""
+    point, kept = adjusted.problem.ties.point, adjusted.tie_inliers
+    return np.asarray(kept & (np.bincount(point[kept], minlength=len(adjusted.problem.ties.points))[point] >= 2))
+
+
 def count_ties(adjusted: Adjusted, bodies: Bodies, photo: int) -> TieCount:
     """Return the ties of a photograph that agree with an adjustment, and those that do not."""
     ties = adjusted.problem.ties
     own = ties.photo == bodies.photos[photo]
     kept = adjusted.tie_inliers
-    of_point = np.bincount(ties.point[kept], minlength=len(ties.points))
     on_surface = np.zeros(len(ties.points), np.bool_)
     on_surface[ties.on_point[adjusted.surface_weights > 0.05]] = True
-    good = own & kept & (of_point[ties.point] >= 2)
+    good = own & agreeing_ties(adjusted)
     others = np.isin(ties.point, ties.point[good]) & kept & ~own
     photo_of = bodies.photo_of
     length = np.linalg.norm(adjusted.tie_residuals_px[good], axis=1)

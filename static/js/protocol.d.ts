@@ -26,6 +26,7 @@ export interface Commands {
   follow: { client?: string | null };
   forget_project: { wanted: string };
   go_to: { n: number };
+  hold_camera: { camera: string; held: boolean };
   hover_pick: { pick?: string | null };
   job_control: { action: string; value?: number | null };
   list_projects: Record<string, never>;
@@ -55,6 +56,7 @@ export interface Commands {
   sample_line: { scan: number[][] };
   set_camera: { photo: string; focal_35mm?: number | null; focal_mm?: number | null; sensor_mm?: number | null; focal_px?: number | null; model?: "equirectangular" | null };
   set_model: { texture?: string; z_buffer?: boolean; detail?: string; cameras?: boolean; matches?: boolean; rays?: boolean; residuals?: boolean; hidden_stations?: string[] };
+  set_part: { photos: string[]; part: "free" | "held" | "out" };
   set_pick: { photo: string; pick: string; scan?: number[][] | null; photo_uv?: number[][] | null; on?: boolean | null; weight?: number | null };
   set_settings: { [NAME: string]: unknown };
   show_photo: { photo: string };

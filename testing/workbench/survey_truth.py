@@ -32,8 +32,11 @@ def _row(photo: dict[str, Any], found: dict[str, Any] | None) -> list[str]:
         state = "cannot be read"
     elif not photo["camera"]:
         state = "focal length unknown"
+    elif photo["part"] == "out":
+        state = "taken out"
     else:
         state = photo.get("light_words") or ("not accepted" if refused else "waiting")
+        state += ", held" if photo["part"] == "held" else ""
     position = f"± {photo['position']}" if photo.get("position") else ""
     if found is None:
         return [photo["name"], state, position, "–", "–"]

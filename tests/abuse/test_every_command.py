@@ -161,6 +161,12 @@ SOUND: dict[str, list[dict[str, Any]]] = {
     "run": [{"photo": "p1", "job": "linear"}],
     "register_all": [{"photos": []}],
     "adjust": [{"photos": ["p99"]}],
+    "set_part": [
+        {"photos": ["p1"], "part": "out"},
+        {"photos": ["p99"], "part": "free"},
+        {"photos": [], "part": "held"},
+    ],
+    "hold_camera": [{"camera": "camera-1", "held": True}],
     "refine": [{"photo": "p1", "camera_from_scanner": [[1, 0, 0, 9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}],
     "job_control": [{"action": "speed", "value": 3}],
     "export_targets": [

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 Reply = dict[str, Any]
 
 PhotoId = Annotated[str, Meta(title="the photograph is no longer in the project; choose another")]
+PhotoIds = Annotated[list[str], Meta(max_length=10_000, title="the photographs are a list of names")]
 StationId = Annotated[str, Meta(title="the station is no longer in the project; choose another")]
 Rays = Annotated[list[list[float]], Meta(title="a coordinate of the scan is a ray, three numbers; a line has two")]
 Pixels = Annotated[list[list[float]], Meta(title="a coordinate of a picture is two numbers; a line has two of them")]

@@ -9,13 +9,13 @@ from msgspec import UNSET, Meta, UnsetType
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project import edits
-from ladarreg_core.project.document import CameraGiven
+from ladarreg_core.project.document import CameraGiven, Part
 
 from ...scene.person import ViewpointName
 from ..state.clients import valid_name
 from ..state.settings_form import check_bounds
 from ..state.slices import clock
-from .command import Context, Positive, Reply, StepNumber, WorkbenchCommand
+from .command import Context, PhotoIds, Positive, Reply, StepNumber, WorkbenchCommand
 from .matches import PhotoCommand, step_reply
 
 if TYPE_CHECKING:
@@ -109,6 +109,40 @@ class RemovePhoto(PhotoCommand, frozen=True):
         label = f"Remove {entry.source.name}"
         return step_reply(
             context.session.commit(label, lambda d: edits.without_photo(d, entry.id), author=client.author)
+        )
+
+
+class SetPart(WorkbenchCommand, frozen=True):
+    """says how photographs take part in adjustments: `free`, `held` in their poses, or taken `out`"""
+
+    photos: PhotoIds
+    part: Annotated[Part, Meta(title="a photograph is free, held or out")]
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Set it."""
+        entries = [edits.require_photo(context.session.document, each) for each in self.photos]
+        if not entries:
+            raise OptionError("no photograph is chosen; choose some")
+        what = entries[0].source.name if len(entries) == 1 else f"{len(entries)} photographs"
+        label = {"free": "Let {} take part", "held": "Hold {}", "out": "Take out {}"}[self.part].format(what)
+        return step_reply(
+            context.session.commit(label, lambda d: edits.with_part(d, self.photos, self.part), author=client.author)
+        )
+
+
+class HoldCamera(WorkbenchCommand, frozen=True):
+    """says whether adjustments keep the intrinsics of a camera as the last one left them"""
+
+    camera: Annotated[str, Meta(title="no camera is chosen; choose one of the last adjustment")]
+    held: bool
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Set it."""
+        label = f"{'Hold' if self.held else 'Release'} {self.camera}"
+        return step_reply(
+            context.session.commit(
+                label, lambda d: edits.with_camera_held(d, self.camera, held=self.held), author=client.author
+            )
         )
 
 

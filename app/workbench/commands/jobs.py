@@ -12,7 +12,7 @@ from ladarreg_core.errors import OptionError
 from ladarreg_core.project import edits
 
 from ...jobs.export import Wanted
-from .command import Context, PhotoId, Reply, WorkbenchCommand
+from .command import Context, PhotoId, PhotoIds, Reply, WorkbenchCommand
 from .matches import PhotoCommand
 
 if TYPE_CHECKING:
@@ -31,7 +31,6 @@ _SHIFT, _TURN = (
 )
 Shift = Annotated[list[_Amount], Meta(min_length=3, max_length=3, title=_SHIFT)]
 Turn = Annotated[list[_Amount], Meta(min_length=3, max_length=3, title=_TURN)]
-PhotoIds = Annotated[list[str], Meta(max_length=10_000, title="the photographs are a list of names")]
 
 
 class Run(WorkbenchCommand, frozen=True):

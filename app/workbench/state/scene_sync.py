@@ -172,7 +172,7 @@ class SceneSync:
         self, document: Document, cameras: Sequence[CameraShown], scan_shown: ScanShown
     ) -> SurveyShown | None:
         """Return the ties between the cameras and their uncertainties; None before everything was adjusted."""
-        from ladarreg_core.inspection.scene_geometry import error_ellipses
+        from ladarreg_core.inspection.scene_geometry import arrows, error_ellipses
 
         from ...scene import SurveyShown, residual_colors
 
@@ -197,9 +197,12 @@ class SceneSync:
                 [centres[photo] for photo in known], list(known.values()),
                 size_m=_ELLIPSE_SIZE * scan_shown.frustum_depth_m,
             )  # fmt: skip
+            moved = {photo: one.former_centre for photo, one in adjusted.photos.items()
+                     if one.former_centre is not None and photo in centres}  # fmt: skip
+            moves = arrows(list(moved.values()), [centres[photo] for photo in moved], factor=factor)
             found = SurveyShown(
                 np.array([ends for ends, _ in ties]).reshape(-1, 2, 3), residual_colors([px for _, px in ties]), rings,
-                factor, rings[:, 0].max(axis=0) if len(rings) else np.zeros(3),
+                moves, factor, rings[:, 0].max(axis=0) if len(rings) else np.zeros(3),
             )  # fmt: skip
         self._survey = key, found
         return found

@@ -129,6 +129,7 @@ def photo_slice(loader: Loader, document: Document, entry: PhotoEntry) -> dict[s
 
     found: dict[str, Any] = {"id": entry.id, "name": entry.source.name, "camera": None, "notes": [], "state": "empty"}
     found["rev"] = photo_revision(entry)
+    found["part"] = entry.part
     try:
         header = loader.header(entry)
         camera = header.camera

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from ladarreg_core.errors import LadarregError
 from ladarreg_core.foundations.formatting import format_angle, format_length
 from ladarreg_core.project.station_edits import scans_of
 
 from ...argument_names import as_fields
 
 if TYPE_CHECKING:
-    from ladarreg_core.project.document import Adjusted, Document, PhotoEntry
+    from ladarreg_core.project.document import Adjusted, AdjustedPhotoEntry, Document, PhotoEntry
 
 
 def survey_slice(document: Document, is_stale: Callable[[PhotoEntry], bool]) -> dict[str, Any] | None:
@@ -28,7 +31,10 @@ def survey_slice(document: Document, is_stale: Callable[[PhotoEntry], bool]) -> 
         _photo(adjusted, entry, stale=is_stale(entry)) for entry in document.photos if entry.id in adjusted.photos
     ]
     changed = {photo["id"] for photo in photos if photo["changed"]}
-    later = [entry.source.name for entry in document.photos if entry.id not in adjusted.photos]
+    later = [
+        entry.source.name for entry in document.photos if entry.id not in adjusted.photos and entry.part != "out"
+    ]  # fmt: skip
+    out = sum(entry.part == "out" for entry in document.photos if entry.id in adjusted.photos)
     return {
         "accepted": sum(photo["accepted"] for photo in photos),
         "photos": photos,
@@ -37,9 +43,22 @@ def survey_slice(document: Document, is_stale: Callable[[PhotoEntry], bool]) -> 
         "chi2_per_dof": adjusted.chi2_per_dof,
         "sigma_px": adjusted.sigma_px,
         "since": _since(
-            len(changed), later, scans_changed={one.source for one in adjusted.scans} != set(scans_of(document))
+            len(changed), later, out, scans_changed={one.source for one in adjusted.scans} != set(scans_of(document))
         ),
     }
+
+
+def ties_slice(document: Document, entry: PhotoEntry) -> list[list[float]] | None:
+    """Return the slice `ties` of a photograph; None without any, or where it has another pose by now."""
+    adjusted, pose = document.adjusted, entry.pose
+    found = None if adjusted is None else adjusted.photos.get(entry.id)
+    if adjusted is None or adjusted.ties is None or found is None or pose is None or pose.arrays.name != found.pose:
+        return None
+    try:
+        marks = adjusted.ties.arrays().get(entry.id)
+    except LadarregError:  # the file is lost: the poses are not
+        return None
+    return None if marks is None else np.round(np.asarray(marks, np.float64), 2).tolist()
 
 
 def _photo(adjusted: Adjusted, entry: PhotoEntry, *, stale: bool) -> dict[str, Any]:
@@ -60,13 +79,27 @@ def _photo(adjusted: Adjusted, entry: PhotoEntry, *, stale: bool) -> dict[str, A
         "sigma_m": found.sigma_m,
         "position": None if found.sigma_m is None else format_length(found.sigma_m),
         "angle": None if found.sigma_rad is None else format_angle(found.sigma_rad),
+        "moved": _moved(found),
         "changed": found.accepted and (stale or not same),
     }
+
+
+def _moved(found: AdjustedPhotoEntry) -> str | None:
+    """Return how far the camera moved, where that is more than is known of its place."""
+    if found.moved_m is None or found.moved_rad is None or found.sigma_m is None or found.sigma_rad is None:
+        return None
+    if found.moved_m <= found.sigma_m and found.moved_rad <= found.sigma_rad:
+        return None
+    return f"{format_length(found.moved_m)}, {format_angle(found.moved_rad)}"
 
 
 def _camera(adjusted: Adjusted, document: Document, name: str) -> dict[str, Any]:
     found = adjusted.cameras[name]
     names = {entry.id: entry.source.name for entry in document.photos}
+    held = [
+        entry.camera_held is not None for entry in document.photos
+        if (one := adjusted.photos.get(entry.id)) and one.camera == name
+    ]  # fmt: skip
     taken = [entry.id for entry in document.photos if (one := adjusted.photos.get(entry.id)) and one.camera == name]
     return {
         "id": name,
@@ -76,10 +109,11 @@ def _camera(adjusted: Adjusted, document: Document, name: str) -> dict[str, Any]
         "height": found.camera.get("height"),
         "photos": [names[one] for one in taken],
         "used": len(found.photos),
+        "held": bool(held) and all(held),
     }
 
 
-def _since(changed: int, later: list[str], *, scans_changed: bool) -> str:
+def _since(changed: int, later: list[str], out: int, *, scans_changed: bool) -> str:
     """Return what has changed since, as a sentence; empty: nothing."""
     causes = []
     if scans_changed:
@@ -88,6 +122,8 @@ def _since(changed: int, later: list[str], *, scans_changed: bool) -> str:
         causes.append(f"{changed} photograph{' has' if changed == 1 else 's have'} another pose")
     if later:
         causes.append(f"{len(later)} photograph{' was' if len(later) == 1 else 's were'} added")
+    if out:
+        causes.append(f"{out} photograph{' was' if out == 1 else 's were'} taken out")
     if not causes:
         return ""
     return f"{', '.join(causes)[:1].upper()}{', '.join(causes)[1:]} since: adjust again."

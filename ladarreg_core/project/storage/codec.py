@@ -79,7 +79,8 @@ def arrays_of(document: Document) -> dict[str, StoredArrays]:
     """Return all arrays of a document by name."""
     photos = [*document.photos, *(photo for station in document.stations for photo in station.photos)]
     poses: list[PoseEntry] = [pose for photo in photos for pose in photo.poses]
-    return {pose.arrays.name: pose.arrays for pose in poses}
+    ties = None if document.adjusted is None else document.adjusted.ties
+    return {pose.arrays.name: pose.arrays for pose in poses} | ({} if ties is None else {ties.name: ties})
 
 
 def _decoder_hook(find: FindArrays) -> Callable[[type, Any], Any]:

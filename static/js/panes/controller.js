@@ -119,6 +119,11 @@ export class Controller {
     return this.#corners[side];
   }
 
+  /** @returns {number[][]} ties of the photograph with others; they are shown while the operator works on all of them */
+  get ties() {
+    return this.view.get().step === "stations" ? this.store.get(`ties:${this.store.shown()}`) ?? [] : [];
+  }
+
   /** @returns {boolean} whether detected corners are shown */
   get showsCorners() {
     return this.view.get().corners !== false;

@@ -84,7 +84,7 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
     showNotes();
   };
   store.watch(["scan", "photos", "shown", "poses:*"], showSlices);
-  store.watch(["picks:*", "judged:*", "corners:*"], () => {
+  store.watch(["picks:*", "judged:*", "corners:*", "ties:*"], () => {
     controller.forgetArrived();
     controller.changed();
   });
@@ -118,7 +118,7 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
     }
     if (changed.has("selected")) controller.hint();
     if (["hovered", "selected", "end", "loupe", "snap"].some((name) => changed.has(name))) controller.redraw("live");
-    if (["corners", "marks", "placement"].some((name) => changed.has(name))) controller.redraw("matches");
+    if (["corners", "marks", "placement", "step"].some((name) => changed.has(name))) controller.redraw("matches");
   });
   applyFilters(view.get());
   showSlices();

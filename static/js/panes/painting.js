@@ -4,7 +4,7 @@ import { drawCompare } from "./compare.js";
 import * as overlay from "./match_layer.js";
 import { drawPicture } from "./picture_layer.js";
 import { drawTick } from "./prediction.js";
-import { drawCorners, drawFrame } from "./symbols.js";
+import { drawCorners, drawFrame, drawTies } from "./symbols.js";
 import { SMOOTH_BELOW, toScreen } from "./viewport.js";
 
 const PULSE_MS = 1400;
@@ -76,6 +76,7 @@ export class Painting {
     return {
       viewport: { ...viewport }, size, look,
       corners: this.#sideOf.extent && controller.showsCorners ? controller.corners(this.#side) : [],
+      ties: this.#side === "photo" && shown ? controller.ties : [],
       residuals: !this.#preview.predicted,
       laidOut: overlay.layOut(viewport, size, marks, look),
     };
@@ -89,7 +90,7 @@ export class Painting {
     const [before, now] = [this.#shown, this.#matchesIn(viewport, size)];
     this.#shown = now;
     const sameView = before && ["zoom", "x", "y"].every((name) => before.viewport[name] === viewport[name]);
-    if (!sameView || before.look !== now.look || before.residuals !== now.residuals) return null;
+    if (!sameView || before.look !== now.look || before.residuals !== now.residuals || before.ties !== now.ties) return null;
     if (before.size[0] !== size[0] || before.size[1] !== size[1] || before.corners.length !== now.corners.length) return null;
     if (before.corners.some(([u, v], k) => u !== now.corners[k][0] || v !== now.corners[k][1])) return null;
     return overlay.changedBoxes(before.laidOut, now.laidOut, now.look);
@@ -105,7 +106,8 @@ export class Painting {
     this.#drawMatches(context, this.#matchesIn(viewport, size));
   }
 
-  #drawMatches(context, { viewport, size, look, corners, residuals, laidOut }, boxes = null) {
+  #drawMatches(context, { viewport, size, look, corners, ties, residuals, laidOut }, boxes = null) {
+    if (ties.length) drawTies(context, viewport, size, ties, look);
     if (corners.length) drawCorners(context, viewport, size, corners, look);
     overlay.drawMatches(context, laidOut, look, { residuals, boxes });
   }

@@ -1,5 +1,6 @@
 /** Symbols drawn over a picture: strokes with a halo, stamped rings and crosses, match numbers, corners, crosshair. */
 
+import { TIE_FACTOR } from "../state/survey.js";
 import { colourOf } from "./colors.js";
 import { toScreen } from "./viewport.js";
 
@@ -191,6 +192,36 @@ export const drawCorners = (context, viewport, size, corners, look) => {
   context.lineWidth = look.scale;
   context.strokeStyle = look.dim;
   context.stroke(path);
+};
+
+const LONGEST_PX = 40;
+
+/**
+ * Draw ties with other photographs: a dot and a needle of its residual for each that agrees, a cross for each that was
+ * left out.
+ */
+export const drawTies = (context, viewport, size, ties, look) => {
+  const agree = new Path2D(), out = new Path2D();
+  const [dot, cross] = [2 * look.scale, 3.5 * look.scale];
+  for (const [u, v, du, dv, agrees] of ties) {
+    const [x, y] = toScreen(viewport, [u, v]);
+    if (x < -LONGEST_PX || y < -LONGEST_PX || x > size[0] + LONGEST_PX || y > size[1] + LONGEST_PX) continue;
+    if (agrees) {
+      const length = TIE_FACTOR * viewport.zoom * Math.hypot(du, dv);
+      const share = length > LONGEST_PX ? LONGEST_PX / length : 1;
+      agree.moveTo(x + dot, y);
+      agree.arc(x, y, dot, 0, TAU);
+      agree.moveTo(x, y);
+      agree.lineTo(x + share * TIE_FACTOR * viewport.zoom * du, y + share * TIE_FACTOR * viewport.zoom * dv);
+    } else {
+      out.moveTo(x - cross, y - cross);
+      out.lineTo(x + cross, y + cross);
+      out.moveTo(x - cross, y + cross);
+      out.lineTo(x + cross, y - cross);
+    }
+  }
+  strokeHaloed(context, agree, look, { colour: look.matches[1], width: 1.25 });
+  strokeHaloed(context, out, look, { colour: look.warn, width: 1.25 });
 };
 
 /** Draw a crosshair. */

@@ -1,14 +1,23 @@
 /** The survey as this page sees it: its photographs in an order, and what is said of all. No DOM here. */
 
-import { fixed } from "../ui/numbers.js";
+import { counted, fixed } from "../ui/numbers.js";
 
 /** @type {[string, string][]} orders of the list */
 export const ORDERS = [["list", "In order"], ["worst", "Worst first"]];
 /** @type {[string, string][]} which photographs are listed */
 export const SHOWN = [["all", "All"], ["open", "Not accepted"], ["accepted", "Accepted"]];
 
-/** @typedef {{id: string, name: string, accepted: boolean, light: string | undefined, state: string, position: string,
- *   sigma_m: number | null, ties: number | null, left_out: number, median_px: number | null, reason: string}} SurveyRow */
+/** @typedef {{id: string, name: string, rev?: string, error?: string, accepted: boolean, light: string | undefined, state: string, position: string,
+ *   sigma_m: number | null, ties: number | null, left_out: number, median_px: number | null, part: string, moved: string,
+ *   reason: string}} SurveyRow */
+
+const stateOf = (photo, refused) => {
+  if (photo.error) return "cannot be read";
+  if (!photo.camera) return "focal length unknown";
+  if (photo.part === "out") return "taken out";
+  const state = photo.light_words ?? (refused ? "not accepted" : "waiting");
+  return photo.part === "held" ? `${state}, held` : state;
+};
 
 /** @returns {SurveyRow} */
 const rowOf = (photo, found) => {
@@ -17,16 +26,18 @@ const rowOf = (photo, found) => {
   return {
     id: photo.id,
     name: photo.name,
+    rev: photo.rev,
+    error: photo.error,
     accepted: photo.state === "accepted",
-    light: photo.error || refused ? "not_accepted" : photo.light,
-    state: photo.error
-      ? "cannot be read"
-      : !photo.camera ? "focal length unknown" : photo.light_words ?? (refused ? "not accepted" : "waiting"),
+    light: photo.error || refused ? "not_accepted" : photo.part === "out" ? undefined : photo.light,
+    state: stateOf(photo, refused),
     position: photo.position ? `± ${photo.position}` : "",
     sigma_m: current ? found.sigma_m : null,
     ties: current ? found.ties : null,
     left_out: current ? found.ties_left_out : 0,
     median_px: current ? found.median_px : null,
+    part: photo.part ?? "free",
+    moved: current && found.accepted && found.moved ? `moved by ${found.moved} when everything was adjusted` : "",
     reason: photo.error ?? (current ? found.reasons[0] ?? "" : ""),
   };
 };
@@ -52,6 +63,21 @@ export const rowsOf = (photos, survey, { order, filter }) => {
     .map((photo) => rowOf(photo, found.get(photo.id)))
     .filter((row) => filter === "all" || row.accepted === (filter === "accepted"));
   return order === "worst" ? rows.sort(byBadness) : rows;
+};
+
+/** By how much the residuals of ties are enlarged in the photograph. */
+export const TIE_FACTOR = 20;
+
+/**
+ * @param {number[][] | null | undefined} ties slice `ties:pID`
+ * @param {{ties: number, ties_left_out: number} | undefined} found the photograph in the slice `survey`
+ * @returns {string} what is drawn of the ties in the photograph; empty: nothing
+ */
+export const tiesSaid = (ties, found) => {
+  if (!ties?.length || !found) return "";
+  const total = found.ties + found.ties_left_out;
+  const drawn = ties.length < total ? `${ties.length} of ${total} ties` : counted(total, "tie");
+  return `In the photograph: ${drawn}, needles ${TIE_FACTOR} × their residuals${found.ties_left_out ? ", crosses where left out" : ""}.`;
 };
 
 /** @returns {string} what the last adjustment says of all */

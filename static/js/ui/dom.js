@@ -24,6 +24,22 @@ const present = (children) => children.flat().filter(
   (child) => child !== null && child !== undefined && child !== false,
 );
 
+const SVG = "http://www.w3.org/2000/svg";
+
+/**
+ * Create an element of a drawing.
+ * @param {string} name of SVG
+ * @param {Record<string, any>} [attributes]
+ * @param {...(Node | string)} children
+ * @returns {any}
+ */
+export const shape = (name, attributes = {}, ...children) => {
+  const node = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, String(value));
+  node.append(...children);
+  return node;
+};
+
 /**
  * Replace the children of an element.
  * @param {Element} parent

@@ -19,7 +19,7 @@ from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 
 DATA_KEYED = ("by_pick", "predicted", "lines", "camera_sigmas", "absent")
 """Fields whose keys are data: ids of picks, names of parameters."""
-NEVER_HERE = {"embedded", "corners:pID", "self_test:pID", "served", "stations", "survey"}
+NEVER_HERE = {"audit:pID", "embedded", "corners:pID", "self_test:pID", "served", "stations", "survey", "ties:pID"}
 """Slices that are null in this project."""
 
 

@@ -144,6 +144,26 @@ def test_the_frusta_of_all_accepted_photographs_stay(server: viser.ViserServer, 
     assert before._impl.removed
 
 
+def test_a_click_on_a_frustum_flies_to_its_photograph(server: viser.ViserServer) -> None:
+    server.scene.reset()
+    chosen: list[tuple[str, str]] = []
+    scene = Scene3D(server, lambda _person, _pick: None, on_camera=lambda *of: chosen.append(of))
+    viewer = Viewer(server)
+    scene.add_view(1, viewer, "ann")  # type: ignore[arg-type]
+    scene.set_people({"ann": Person("p1")})
+    other = CameraShown("p2", CAMERA, pose().camera_from_scanner, np.full((20, 30, 3), 90, np.uint8))
+    scene.show(shown(pose()), [other])
+    frustum = drawn(scene, server)["/cameras/p2"]
+    forward = other.camera_from_scanner.rotation[2]
+    at = other.camera_from_scanner.centre + frustum.scale * frustum.compute_canonical_frustum_size()[2] * forward
+    click(server, [-3.0, 1.0, 0.0])
+    assert not chosen
+    click(server, list(at))
+    assert chosen == [("ann", "p2")]
+    assert viewer.camera.position == pytest.approx(other.camera_from_scanner.centre)
+    scene.close()
+
+
 def test_nodes_have_their_names(server: viser.ViserServer, scene: Scene3D) -> None:
     scene.show(shown(None))
     nodes = drawn(scene, server)

@@ -108,3 +108,70 @@ def test_a_survey_opens_as_a_project_and_again(tmp_path: Path) -> None:
         read_before = bench.workbench.loader.known("photo", (entry.source, entry.camera)) is not None
         bench.workbench.close()
     assert not read_before, "what is kept of a photograph needs none of its pixels"
+
+
+def test_a_pose_that_is_held_stays_and_one_that_was_taken_out_takes_no_part(bench: WorkbenchDriver) -> None:
+    pose = bench.workbench.session.document.photo("p1").pose
+    assert bench.refused("set_part", photos=["p2"], part="held").startswith("Blank.png has no accepted pose")
+    bench.do("set_part", photos=["p1"], part="held")
+    done(bench, "adjust")
+    photo = bench.workbench.session.document.photo("p1")
+    assert photo.pose == pose
+    (one,) = bench.slice("survey")["photos"]
+    assert one["accepted"]
+    assert not one["changed"]
+    assert one["moved"] is None
+    bench.do("set_part", photos=["p1"], part="out")
+    assert next(one for one in bench.slice("photos") if one["id"] == "p1")["part"] == "out"
+    assert bench.slice("survey")["since"] == ("1 photograph was added, 1 photograph was taken out since: adjust again.")
+    bench.do("adjust")
+    bench.workbench.runner.wait(300)
+    assert "Taken out by hand: photo.png" in bench.workbench.runner.job.message
+    bench.do("undo")
+    assert bench.workbench.session.document.photo("p1").part == "held"
+
+
+def test_a_camera_that_is_held_keeps_its_focal_length(bench: WorkbenchDriver) -> None:
+    assert "adjust again" in bench.refused("hold_camera", camera="camera-1", held=True)
+    bench.do("set_camera", photo="p1", focal_35mm=27)
+    bench.job("auto")
+    done(bench, "adjust", photos=["p1"])
+    (before,) = bench.slice("survey")["cameras"]
+    assert before["sigma_px"]
+    bench.do("hold_camera", camera=before["id"], held=True)
+    assert bench.slice("survey")["cameras"][0]["held"]
+    done(bench, "adjust", photos=["p1"])
+    (after,) = bench.slice("survey")["cameras"]
+    assert after["focal_px"] == before["focal_px"]
+    assert after["sigma_px"] is None
+    bench.do("hold_camera", camera=after["id"], held=False)
+    assert not bench.slice("survey")["cameras"][0]["held"]
+
+
+def test_ties_are_shown_where_the_photographs_show_them_and_kept(tmp_path: Path) -> None:
+    job = tmp_path / "job"
+    job.mkdir()
+    for name in ("station1.npz", "IMG_0001.jpg", "IMG_0004.jpg", "IMG_0005.jpg"):
+        shutil.copy(sample_survey_folder() / name, job / name)
+    bench = open_bench(tmp_path / "project", job)
+    assert bench.slice("ties:p1") is None
+    done(bench, "adjust")
+    rows = {one["id"]: one for one in bench.slice("survey")["photos"]}
+    tied = [name for name, one in rows.items() if one["ties"]]
+    assert tied, "none of them show the same"
+    for name in tied:
+        u, v, du, dv, agrees = np.array(bench.slice(f"ties:{name}")).T
+        photo = next(one for one in bench.slice("photos") if one["id"] == name)
+        assert (np.column_stack([u, v]) >= -0.5).all()
+        assert (np.column_stack([u, v]) <= [photo["width"], photo["height"]]).all()
+        if len(agrees) < 400:
+            assert agrees.sum() == rows[name]["ties"]
+            assert (agrees == 0).sum() == rows[name]["ties_left_out"]
+        assert np.median(np.hypot(du, dv)[agrees == 1]) == pytest.approx(rows[name]["median_px"], abs=0.02)
+    shown = bench.slice(f"ties:{tied[0]}")
+    bench.workbench.close()
+    again = open_bench(tmp_path / "project")
+    assert again.slice(f"ties:{tied[0]}") == shown
+    again.do("undo")
+    assert again.slice(f"ties:{tied[0]}") is None
+    again.workbench.close()

@@ -15,14 +15,16 @@ from ladarreg_core.export.models.viser_colors import line_colors_for_viewer, sho
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, look_along
 from ladarreg_core.inspection.scene_geometry import (
     Marks,
+    arrows,
     camera_outline,
     camera_outlines,
     dashed,
+    distance_of_picture,
     faded,
     rays_to,
     spread,
 )
-from ladarreg_core.inspection.viewpoints import from_pose, inside, is_all_around, overview
+from ladarreg_core.inspection.viewpoints import field_of_view, from_pose, inside, is_all_around, overview
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid
 from tests.properties.strategies import poses
@@ -81,6 +83,31 @@ def test_a_click_selects_the_mark_nearest_to_its_ray(wanted: int, aside: float, 
     assert marks.nearest_to_ray(eye, 7 * (points[wanted] - eye), radius_m=0.02) == wanted
     assert marks.nearest_to_ray(eye, eye - points[wanted], radius_m=0.02) is None, "behind the eye"
     assert marks.nearest_to_ray(eye, (0.0, 0.0, 1.0), radius_m=0.02) is None
+
+
+@given(poses())
+def test_a_click_hits_a_picture_only_within_its_outline(pose: Rigid) -> None:
+    corners = np.array([[-1.0, -1.0], [1.0, 1.0]]) * np.tan(np.array(field_of_view(CAMERA)) / 2)
+    eye = (pose.inverse @ np.array([[0.4, -0.3, -2.0]]))[0]
+    for share, hit in ((0.0, True), (0.97, True), (1.03, False)):
+        for corner in corners:
+            at = (pose.inverse @ np.array([[*(share * 1.5 * corner), 1.5]]))[0]
+            for factor in (1.0, 0.25):
+                found = distance_of_picture(CAMERA, pose, eye, factor * (at - eye), depth_m=1.5)
+                assert found == (pytest.approx(1 / factor) if hit else None)
+            assert distance_of_picture(CAMERA, pose, eye, eye - at, depth_m=1.5) is None, "it lies behind"
+
+
+def test_an_arrow_ends_where_something_is_now() -> None:
+    was, now = np.array([[0.0, 0, 0], [1.0, 2, 3]]), np.array([[0.1, 0.2, -0.1], [1.0, 2, 3]])
+    lines = arrows(was, now, factor=10)
+    assert lines.shape == (6, 2, 3)
+    assert np.allclose(lines[:, 1], np.tile(now, (3, 1)))
+    assert np.allclose(lines[0, 0], now[0] - 10 * (now[0] - was[0]))
+    heads = np.linalg.norm(lines[[2, 4], 0] - lines[[2, 4], 1], axis=1)
+    assert heads == pytest.approx([heads[0]] * 2)
+    assert 0 < heads[0] < 0.4 * np.linalg.norm(lines[0, 0] - lines[0, 1])
+    assert np.isfinite(lines).all()
 
 
 def test_small_helpers() -> None:

@@ -1,16 +1,9 @@
 /** A small dial of the unit's position: pan seen from above, tilt from the side, each with its limits. */
 
-import { element, setText } from "../../ui/dom.js";
+import { element, setText, shape } from "../../ui/dom.js";
 
-const SVG = "http://www.w3.org/2000/svg";
 const RADIUS = 34;
 const CENTRE = 40;
-
-const shape = (name, attributes) => {
-  const node = document.createElementNS(SVG, name);
-  for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, String(value));
-  return node;
-};
 
 /** @returns {[number, number]} a point on the dial; 0 degrees is up for pan and to the right for tilt */
 const at = (degrees, radius, upright) => {

@@ -9,6 +9,7 @@ import { lightOf } from "../../ui/lights.js";
 import { notice } from "../../ui/notices.js";
 import { counted } from "../../ui/numbers.js";
 import { popoverOf } from "../../ui/popover.js";
+import { thumbnail } from "../../ui/thumbnail.js";
 import { mountCameraForm } from "./camera_form.js";
 import { openFiles } from "./files.js";
 
@@ -32,16 +33,6 @@ const remove = async (photo) => {
     { label: "Undo", act: () => request("undo", { n: removed.n }) },
   );
 };
-
-const thumbnail = ({ id, rev, error }) =>
-  error
-    ? element("span", { class: "photo-thumbnail" }, icon("bad"))
-    : element("img", {
-      class: "photo-thumbnail",
-      src: `picture/photo/${encodeURIComponent(id)}?rev=${encodeURIComponent(rev ?? id)}&form=small`,
-      alt: "",
-      loading: "lazy",
-    });
 
 /** One photograph in the list. */
 const entry = (photo, close) => {

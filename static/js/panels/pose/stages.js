@@ -7,6 +7,7 @@ import { element, setChildren } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
 import { lightOf } from "../../ui/lights.js";
 import { duration, fixed, NONE, parameterName, typeset } from "../../ui/numbers.js";
+import { auditReport } from "./audit.js";
 
 const FIGURES = [
   ["matches that agree", (stage) => (stage.matches === undefined ? NONE : `${stage.inliers} of ${stage.matches}`)],
@@ -102,6 +103,12 @@ export const mountStages = () => {
           title: "Register photographs simulated from this scan and compare with the true poses: estimates what to expect",
           act: () => requestForPhoto("run", { job: "self_test" }),
         }),
+        button({
+          label: "Audit",
+          kind: "small edits",
+          title: "Judge the pose that a file states for the photograph, or else the current one: is it still right, and how small an error would the images show?",
+          act: () => requestForPhoto("run", { job: "audit" }),
+        }),
       ),
     ),
     body,
@@ -114,7 +121,8 @@ export const mountStages = () => {
   const show = () => {
     const poses = store.posesOf();
     const found = store.get(`self_test:${store.shown()}`);
-    const text = JSON.stringify([poses?.shown, poses?.stages, found]);
+    const audited = store.get(`audit:${store.shown()}`);
+    const text = JSON.stringify([poses?.shown, poses?.stages, found, audited]);
     if (text === drawn) return;
     drawn = text;
     setChildren(
@@ -124,12 +132,13 @@ export const mountStages = () => {
         { class: "empty" },
         "Each method becomes a column here; Compare all runs them in sequence.",
       ),
+      audited ? auditReport(audited) : null,
       found ? selfTest(found) : null,
     );
     scrollToShown();
   };
   new ResizeObserver(scrollToShown).observe(body); // it has no width while another step is shown
-  store.watch(["poses:*", "self_test:*", "shown"], show);
+  store.watch(["poses:*", "self_test:*", "audit:*", "shown"], show);
   show();
   return part;
 };

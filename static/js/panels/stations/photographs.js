@@ -3,12 +3,13 @@
 import { request } from "../../net/requests.js";
 import { store } from "../../net/store.js";
 import { isRunning } from "../../state/pipeline.js";
-import { ORDERS, SHOWN, rowsOf, summaryOf } from "../../state/survey.js";
+import { ORDERS, SHOWN, rowsOf, summaryOf, tiesSaid } from "../../state/survey.js";
 import { button, fill } from "../../ui/controls.js";
 import { element, setChildren, setText } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
 import { lightOf } from "../../ui/lights.js";
 import { NONE, counted, fixed } from "../../ui/numbers.js";
+import { thumbnail } from "../../ui/thumbnail.js";
 
 const HEADS = [
   ["", ""],
@@ -45,6 +46,21 @@ export const mountPhotographs = () => {
     { class: "survey-row survey-heads dim", "aria-hidden": "true" },
     ...HEADS.map(([title, text]) => element("span", { title }, text)),
   );
+  const setPart = (part) => () => request("set_part", { photos: wanted() ?? [], part });
+  const release = button({ label: "Release", kind: "small", act: setPart("free"),
+    title: "Let the chosen photographs' poses be solved for again" });
+  const hold = button({ label: "Hold poses", kind: "small", act: setPart("held"),
+    title: "Keep the chosen photographs' poses as they are: adjustments move everything else" });
+  const takeOut = button({ label: "Take out", kind: "small", act: setPart("out"),
+    title: "Leave the chosen photographs out of adjustments; what moves is said after the next one" });
+  const takeBack = button({ label: "Take back", kind: "small", act: setPart("free"),
+    title: "Let the chosen photographs take part in adjustments again" });
+  const parts = element(
+    "div",
+    { class: "survey-parts edits row", role: "group", "aria-label": "The chosen photographs" },
+    hold, release, takeOut, takeBack,
+  );
+  const drawnTies = element("p", { class: "dim survey-ties" });
   const list = element("ul", { class: "survey-list", "aria-label": "Photographs of the survey" });
   const summary = element("p", { class: "acquire-said", role: "status" });
   const cameras = element("ul", { class: "survey-cameras dim", "aria-label": "Cameras of the survey" });
@@ -68,16 +84,17 @@ export const mountPhotographs = () => {
       "button",
       {
         type: "button",
-        class: "survey-name clip",
+        class: "survey-name",
         title: `Show ${photo.name}`,
         "aria-current": photo.id === store.shown() ? "true" : null,
         on: { click: () => request("show_photo", { photo: photo.id }) },
       },
-      photo.name,
+      thumbnail(photo),
+      element("span", { class: "clip" }, photo.name),
     );
     return element(
       "li",
-      { class: "survey-photo", title: photo.reason },
+      { class: `survey-photo ${photo.part === "out" ? "out" : ""}`.trim(), title: photo.reason },
       element(
         "div",
         { class: "survey-row" },
@@ -89,6 +106,7 @@ export const mountPhotographs = () => {
         element("span", { class: "figures" }, fixed(photo.median_px, 2)),
       ),
       photo.accepted || !photo.reason ? null : element("p", { class: "dim survey-reason" }, photo.reason),
+      photo.moved ? element("p", { class: "dim survey-reason" }, photo.moved) : null,
     );
   };
 
@@ -103,6 +121,15 @@ export const mountPhotographs = () => {
       ? `Register ${some} from the images, one after the other`
       : "Register all photographs that are not accepted yet from the images, one after the other";
     adjust.title = `Solve ${some || "all photographs"}, their cameras and all scans together; one step of the history`;
+    const kinds = new Set(photos.filter(({ id }) => ids?.includes(id)).map(({ part }) => part));
+    parts.hidden = !ids || store.readOnly;
+    hold.hidden = kinds.has("out") || (kinds.has("held") && kinds.size === 1);
+    hold.disabled = photos.some(({ id, state }) => ids?.includes(id) && state !== "accepted");
+    release.hidden = !kinds.has("held");
+    takeOut.hidden = kinds.has("out") && kinds.size === 1;
+    takeBack.hidden = !kinds.has("out");
+    setText(drawnTies, tiesSaid(store.get(`ties:${store.shown()}`), survey?.photos.find(({ id }) => id === store.shown())));
+    drawnTies.hidden = !drawnTies.textContent;
     const rows = rowsOf(photos, survey, { order, filter });
     setText(count, photos.length ? `${photos.filter(({ state }) => state === "accepted").length} of ${photos.length} accepted` : "");
     const key = JSON.stringify([rows, survey, store.shown(), [...chosen], store.readOnly]);
@@ -124,10 +151,21 @@ export const mountPhotographs = () => {
         camera.focal_px === null ? "as given" : `f ${fixed(camera.focal_px, 1)} px`,
         camera.sigma_px === null ? "" : ` ± ${fixed(camera.sigma_px, 2)}`,
         `, ${counted(camera.used, "photograph")}`,
+        store.readOnly || camera.focal_px === null ? null : element(
+          "label",
+          { class: "check edits", title: "Adjustments keep this camera's intrinsics as they are now" },
+          element("input", {
+            type: "checkbox",
+            checked: camera.held,
+            "aria-label": `Hold ${camera.id}`,
+            on: { change: (event) => request("hold_camera", { camera: camera.id, held: event.target.checked }) },
+          }),
+          "hold",
+        ),
       )),
     );
   };
-  store.watch(["photos", "survey", "shown", "scan", "job", "people"], show);
+  store.watch(["photos", "survey", "ties:*", "shown", "scan", "job", "people"], show);
   const panel = element(
     "section",
     { class: "dock-part survey", "aria-label": "All photographs" },
@@ -138,7 +176,7 @@ export const mountPhotographs = () => {
       count,
       element("div", { class: "end" }, filters, orders, element("span", { class: "edits row" }, registerAll, adjust)),
     ),
-    element("div", { class: "part-body" }, summary, heads, list, cameras),
+    element("div", { class: "part-body" }, summary, drawnTies, parts, heads, list, cameras),
   );
   show();
   return panel;
