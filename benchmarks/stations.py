@@ -25,9 +25,11 @@ from ladarreg_core.registration.stations.pair import prepare, register_pair
 from ladarreg_core.registration.stations.registration import register_scans
 from ladarreg_core.registration.stations.search import search
 from ladarreg_core.registration.stations.surfels import surfels_of
+from ladarreg_core.registration.stations.target_pose import register_targets
+from ladarreg_core.registration.stations.targets import fit_target
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.alike import alike_corridor, equal_rooms, symmetric_room
-from ladarreg_core.simulate.stations import scan_stations, station_room, upright_pose
+from ladarreg_core.simulate.stations import scan_stations, station_room, upright_pose, with_spheres
 
 _SCENES = ("office", "boxes", "people", "desk", "plain")
 _FIRST_SEED = 7000
@@ -202,6 +204,56 @@ def covariance_rows(quick: bool, show: Show) -> list[Row]:
     return rows
 
 
+def targets_rows(quick: bool, show: Show) -> list[Row]:
+    """Six spheres with surveyed coordinates around each station; then one is moved, and two names are exchanged."""
+    count, radius, sigma_m = 10 if quick else 100, 0.0725, 0.001
+    azimuth, elevation = np.radians(np.arange(40, -40, -0.1)), np.radians(np.arange(16, -16, -0.1))
+    walls = 6.0 / (np.cos(elevation)[:, None] * np.cos(azimuth))
+    ratios: list[float] = []
+    found: list[dict[str, Any]] = []
+    moved, exchanged = 0, 0
+    for k in range(count):
+        rng = np.random.default_rng([_FIRST_SEED, 7, k])
+        noise_m, pose = float(rng.uniform(0.001, 0.003)), _pose(rng, rng.uniform(-2, 2, 2))
+        bearings = np.radians(np.linspace(-33, 33, 6) + rng.uniform(-3, 3, 6))
+        distances, heights = rng.uniform(2, 5, 6), rng.uniform(-0.2, 0.2, 6)
+        own = distances[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings), heights])
+        empty = Scan.from_grid(
+            ranges=walls + rng.normal(0, noise_m, walls.shape), azimuth_rad=azimuth, elevation_rad=elevation
+        )
+        scan = with_spheres(empty, own, radius, noise_m=noise_m, seed=k)
+        targets = {}
+        for n, center in enumerate(own):
+            row, column = np.unravel_index(np.argmax(scan.rays @ center), scan.shape)
+            targets[f"S{n}"] = fit_target(scan, (int(row), int(column)), radius_m=radius)
+            ratios.append(float(np.linalg.norm(targets[f"S{n}"].center - center)) / noise_m)
+        coordinates = {f"S{n}": pose @ center + rng.normal(0, sigma_m, 3) for n, center in enumerate(own)}
+        placed = register_targets(targets, coordinates, sigma_m=sigma_m)
+        mm, deg, distance = _error(pose, placed.world_from_scanner, placed.covariance)
+        found.append({"targets": k, "mm": mm, "deg": deg, "distances": [distance], "left_out": placed.left_out})
+        show(json.dumps(found[-1]))
+        away = coordinates | {"S2": coordinates["S2"] + 0.02 * _direction(rng)}
+        moved += register_targets(targets, away, sigma_m=sigma_m).left_out == ("S2",)
+        swapped = coordinates | {"S1": coordinates["S4"], "S4": coordinates["S1"]}
+        exchanged += register_targets(targets, swapped, sigma_m=sigma_m).left_out == ("S1", "S4")
+    middle, most = np.median(ratios), np.percentile(ratios, 95)
+    return [
+        Row("spheres: error of the center / range noise, median (95 %)", "<= .3", f"{middle:.2f} ({most:.2f})",
+            bool(most <= 0.3)),
+        Row("targets: Mahalanobis distance / sqrt 6 of the poses, RMS", ".9 to 1.2", f"{_rms(found):.2f}",
+            0.9 <= _rms(found) <= 1.2),
+        Row("targets: left out though right", "reported", f"{sum(bool(one['left_out']) for one in found)} of {count}",
+            True),
+        Row("one target moved by 20 mm: found", "all", f"{moved} of {count}", moved == count),
+        Row("two names exchanged: found", "all", f"{exchanged} of {count}", exchanged == count),
+    ]  # fmt: skip
+
+
+def _direction(rng: np.random.Generator) -> FloatArray:
+    direction = rng.normal(size=3)
+    return np.asarray(direction / np.linalg.norm(direction))
+
+
 def _two_stations(k: int, show: Show, *, wide: bool) -> dict[str, Any]:
     rng = np.random.default_rng([_FIRST_SEED, 1, k])
     room = station_room(_SCENES[k % 5], _FIRST_SEED + k)
@@ -276,6 +328,7 @@ ROWS: dict[str, Callable[[bool, Show], list[Row]]] = {
     "stations": stations_rows, "different": different_rows, "alike": alike_rows, "halls": halls_rows,
     "loop": loop_rows,
     "covariance": covariance_rows,
+    "targets": targets_rows,
     "page_28m": page_rows,
 }  # fmt: skip
 """The rows of this module."""

@@ -81,6 +81,10 @@ if TYPE_CHECKING:
     from ladarreg_core.registration.stations.registration import register_scans as register_scans
     from ladarreg_core.registration.stations.results import StationNetwork as StationNetwork
     from ladarreg_core.registration.stations.results import StationPair as StationPair
+    from ladarreg_core.registration.stations.target_pose import TargetRegistration as TargetRegistration
+    from ladarreg_core.registration.stations.target_pose import register_targets as register_targets
+    from ladarreg_core.registration.stations.targets import SurveyTarget as SurveyTarget
+    from ladarreg_core.registration.stations.targets import fit_target as fit_target
     from ladarreg_core.results import ComparedBlocks as ComparedBlocks
     from ladarreg_core.results import PoseResult as PoseResult
     from ladarreg_core.results import Registration as Registration
@@ -159,6 +163,8 @@ _HOMES = {
     "SurveyCamera": "survey.parts",
     "SurveyPhoto": "survey.parts",
     "SurveyScan": "survey.parts",
+    "SurveyTarget": "registration.stations.targets",
+    "TargetRegistration": "registration.stations.target_pose",
     "ThesisParameters": "frames",
     "View": "surface.perspective",
     "adjust": "survey.adjust",
@@ -171,6 +177,7 @@ _HOMES = {
     "estimate_pose": "pose.estimate",
     "export_registration": "export.targets.folder",
     "export_to": "export.targets.pipeline",
+    "fit_target": "registration.stations.targets",
     "fuse": "fusion.fused_model",
     "given_pose": "registration.given",
     "intensity_picture": "surface.texture.registered_texture",
@@ -190,6 +197,7 @@ _HOMES = {
     "register_photos": "many.photo_run",
     "register_rig": "registration.rig.registration",
     "register_scans": "registration.stations.registration",
+    "register_targets": "registration.stations.target_pose",
     "section": "measuring.section",
     "simulate_case": "simulate",
     "texture_scan": "surface.texture.registered_texture",

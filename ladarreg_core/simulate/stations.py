@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -81,3 +82,32 @@ def scan_stations(
             ranges = np.where(apart, share * ranges + (1 - share) * other, ranges).astype(np.float32)
         scans.append(Scan(geometry=grid, ranges=ranges, intensity=intensity, name=f"station {k + 1}"))
     return scans
+
+
+def with_spheres(
+    scan: Scan, centers: FloatArray, radius_m: float, *, noise_m: float, mixed: bool = True, seed: int = 0
+) -> Scan:
+    """Return a scan with survey spheres in front of what it saw.
+
+    Args:
+        scan: the scan.
+        centers: (N, 3) in the scanner's frame, m.
+        radius_m: radius of all of them, m.
+        noise_m: standard deviation of the ranges on the spheres, m.
+        mixed: whether the ranges of cells that the rim crosses are between the sphere's and those behind it.
+        seed: random seed.
+    """
+    rng = np.random.default_rng(seed)
+    rays, ranges = scan.rays.astype(np.float64), scan.ranges.astype(np.float64)
+    half = float(max(scan.geometry.step_rad)) / 2
+    for center in np.asarray(centers, np.float64):
+        along = rays @ center
+        apart = np.linalg.norm(rays * along[..., None] - center, axis=-1)
+        hit = (apart < radius_m) & (along > 0)
+        front = along - np.sqrt(np.where(hit, radius_m**2 - apart**2, 0.0))
+        hit &= ~(front > ranges)
+        share = np.clip((radius_m - apart) / (2 * half * along.clip(1e-9)), 0.0, 1.0) if mixed else 1.0
+        seen = front + rng.normal(0, noise_m, ranges.shape)
+        behind = np.where(np.isfinite(ranges), ranges, seen)
+        ranges = np.where(hit, share * seen + (1 - share) * behind, ranges)
+    return replace(scan, ranges=ranges.astype(np.float32))

@@ -1,0 +1,163 @@
+"""Spheres found in scans, and the pose of a scanner by them."""
+
+import json
+
+import numpy as np
+import pytest
+
+import ladarreg_core as lr
+from ladarreg_core.errors import DegenerateGeometryError, OptionError
+from ladarreg_core.frames import rotvec_from_rotation
+from ladarreg_core.simulate.stations import with_spheres
+
+_RADIUS, _NOISE = 0.0725, 0.002
+_NAMES = ("A", "B", "C", "D", "E", "F")
+_WORLD = np.array(
+    [[4.0, 1.0, 0.5], [4.5, -1.2, 0.2], [3.5, 0.2, -0.5], [5.0, 2.0, -0.2], [4.2, -2.2, 0.7], [3.2, -0.8, -0.3]]
+)
+
+
+def _empty_scan(wall_m: float = 6.0) -> lr.Scan:
+    azimuth, elevation = np.radians(np.arange(40, -40, -0.15)), np.radians(np.arange(16, -16, -0.15))
+    cosines = np.cos(elevation)[:, None] * np.cos(azimuth)
+    noise = np.random.default_rng(1).normal(0, _NOISE, cosines.shape)
+    return lr.Scan.from_grid(ranges=wall_m / cosines + noise, azimuth_rad=azimuth, elevation_rad=elevation)
+
+
+def _pick(scan: lr.Scan, center: np.ndarray, beside_m: float = 0.0) -> tuple[int, int]:
+    toward = center + np.array([0, beside_m, 0])
+    at = np.argmax(scan.rays @ (toward / np.linalg.norm(toward)))
+    row, column = np.unravel_index(at, scan.shape)
+    return int(row), int(column)
+
+
+@pytest.fixture(scope="module")
+def pose() -> lr.Rigid:
+    return lr.Rigid.from_rotvec([0.02, -0.01, 0.15], [0.3, -0.4, 0.1])
+
+
+@pytest.fixture(scope="module")
+def targets(pose: lr.Rigid) -> dict[str, lr.SurveyTarget]:
+    own = pose.inverse @ _WORLD
+    scan = with_spheres(_empty_scan(), own, _RADIUS, noise_m=_NOISE)
+    return {
+        name: lr.fit_target(scan, _pick(scan, center), radius_m=_RADIUS)
+        for name, center in zip(_NAMES, own, strict=True)
+    }
+
+
+def test_centers_of_spheres_are_right_and_their_covariances_true(targets, pose):
+    squares = []
+    for name, center in zip(_NAMES, pose.inverse @ _WORLD, strict=True):
+        error = targets[name].center - center
+        assert np.linalg.norm(error) < 0.75 * _NOISE
+        assert targets[name].rms_m == pytest.approx(_NOISE, rel=0.35)
+        squares.append(error @ np.linalg.solve(targets[name].covariance, error) / 3)
+    assert 0.2 < np.mean(squares) < 2.5
+
+
+@pytest.mark.parametrize("beside_m", [-0.05, 0.03, 0.055])
+def test_the_pick_need_not_be_in_the_middle(beside_m):
+    center = np.array([3.0, 0.4, 0.1])
+    scan = with_spheres(_empty_scan(), center[None], _RADIUS, noise_m=_NOISE, seed=3)
+    middle = lr.fit_target(scan, _pick(scan, center), radius_m=_RADIUS)
+    beside = lr.fit_target(scan, _pick(scan, center, beside_m), radius_m=_RADIUS)
+    assert np.allclose(beside.center, middle.center, atol=1e-4)
+
+
+def test_a_sphere_close_to_a_wall_is_not_drawn_to_it():
+    center = np.array([3.0, 0.4, 0.1])
+    scan = with_spheres(_empty_scan(3.1), center[None], _RADIUS, noise_m=_NOISE, seed=4)
+    assert np.linalg.norm(lr.fit_target(scan, _pick(scan, center), radius_m=_RADIUS).center - center) < 0.75 * _NOISE
+
+
+def test_a_wall_is_no_sphere():
+    with pytest.raises(DegenerateGeometryError, match="pick a cell on the sphere"):
+        lr.fit_target(_empty_scan(), (100, 200), radius_m=_RADIUS)
+
+
+@pytest.mark.parametrize("radius_m", [0.05, 0.1])
+def test_a_wrong_radius_is_refused(radius_m):
+    center = np.array([3.0, 0.4, 0.1])
+    scan = with_spheres(_empty_scan(), center[None], _RADIUS, noise_m=_NOISE)
+    with pytest.raises(DegenerateGeometryError, match="radius"):
+        lr.fit_target(scan, _pick(scan, center), radius_m=radius_m)
+
+
+@pytest.mark.parametrize("pick", [(-1, 3), (3, 99_999), (1.5, 2), (1,), None])
+def test_a_pick_outside_of_the_scan_is_refused(pick):
+    with pytest.raises(OptionError):
+        lr.fit_target(_empty_scan(), pick, radius_m=_RADIUS)
+
+
+@pytest.mark.parametrize("radius_m", [0, -1, float("nan"), "x"])
+def test_an_impossible_radius_is_refused(radius_m):
+    with pytest.raises(OptionError):
+        lr.fit_target(_empty_scan(), (5, 5), radius_m=radius_m)
+
+
+def _distance(found: lr.TargetRegistration, pose: lr.Rigid) -> float:
+    turn = rotvec_from_rotation(pose.rotation @ found.world_from_scanner.rotation.T)
+    error = np.concatenate([turn, pose.translation - found.world_from_scanner.translation])
+    return float(np.sqrt(error @ np.linalg.solve(found.covariance, error) / 6))
+
+
+def test_the_pose_by_surveyed_coordinates(targets, pose):
+    found = lr.register_targets(targets, dict(zip(_NAMES, _WORLD, strict=True)))
+    assert found.world_from_scanner.distance_to(pose) < 0.002
+    assert _distance(found, pose) < 2.2
+    assert found.left_out == ()
+    assert found.dof == 12
+    assert json.loads(json.dumps(found.as_fields()))["targets"][0]["name"] == "A"
+
+
+def test_the_pose_of_a_scan_relative_to_another(targets, pose):
+    other = lr.Rigid.from_rotvec([0, 0, -0.2], [-0.2, 0.3, 0])
+    own = other.inverse @ _WORLD
+    scan = with_spheres(_empty_scan(), own, _RADIUS, noise_m=_NOISE, seed=9)
+    second = {
+        name: lr.fit_target(scan, _pick(scan, center), radius_m=_RADIUS)
+        for name, center in zip(_NAMES, own, strict=True)
+    }
+    found = lr.register_targets(second, targets)
+    assert _distance(found, pose.inverse @ other) < 2.2
+
+
+def test_a_moved_target_is_left_out(targets, pose):
+    coordinates = dict(zip(_NAMES, _WORLD, strict=True)) | {"C": _WORLD[2] + [0, 0.03, 0]}
+    found = lr.register_targets(targets, coordinates)
+    assert found.left_out == ("C",)
+    assert found.residuals_m["C"] == pytest.approx([0, 0.03, 0], abs=0.004)
+    assert _distance(found, pose) < 2.2
+
+
+def test_exchanged_names_are_left_out(targets, pose):
+    coordinates = dict(zip(_NAMES, _WORLD, strict=True)) | {"A": _WORLD[1], "B": _WORLD[0]}
+    found = lr.register_targets(targets, coordinates)
+    assert found.left_out == ("A", "B")
+    assert _distance(found, pose) < 2.2
+
+
+def test_contradictions_that_cannot_be_resolved_are_refused(targets):
+    three = {name: targets[name] for name in "ABC"}
+    coordinates = dict(zip(_NAMES, _WORLD, strict=True)) | {"C": _WORLD[2] + [0, 0.05, 0.3]}
+    with pytest.raises(DegenerateGeometryError, match="cannot be decided"):
+        lr.register_targets(three, coordinates)
+
+
+def test_too_few_or_collinear_targets_are_refused(targets):
+    coordinates = dict(zip(_NAMES, _WORLD, strict=True))
+    with pytest.raises(DegenerateGeometryError, match="2 of 2 targets"):
+        lr.register_targets({name: targets[name] for name in "AB"}, coordinates)
+    line = {
+        name: lr.SurveyTarget(np.array([k, 1.0, 0.0]), 1e-6 * np.eye(3), _RADIUS, _NOISE, 50, 0)
+        for k, name in enumerate("ABC")
+    }
+    with pytest.raises(DegenerateGeometryError, match="on a line"):
+        lr.register_targets(line, {name: target.center for name, target in line.items()})
+
+
+def test_coordinates_that_are_none_are_refused(targets):
+    coordinates = dict(zip(_NAMES, _WORLD, strict=True)) | {"B": [1, np.nan, 2]}
+    with pytest.raises(OptionError, match="target B"):
+        lr.register_targets(targets, coordinates)
