@@ -231,13 +231,14 @@ class _Fit(NamedTuple):
 def _variances(fits: Sequence[_Fit]) -> NDArray[np.float64]:
     """Return the variance of each height: by the noise that all fits of a scan show together, and their own roughness.
 
-    Two scans sample other parts of a rough surface, so that its roughness does not average out.
+    Two scans sample other parts of a rough surface. Neighbouring points of it are alike, distant ones are not: its
+    roughness is taken to average out with the fourth root of the number of points, more slowly than noise.
     """
     variance, noise, chi2, dof = np.array([one[1:] for one in fits], np.float64).reshape(-1, 4).T
     scale = float(np.median(chi2 / dof))
     ratio = chi2 / dof / scale
     rough = np.where(ratio > 1 + _ROUGH_SIGMAS * np.sqrt(2 / dof), ratio - 1, 0.0)
-    return np.asarray(scale * (variance + rough * noise))
+    return np.asarray(scale * (variance + rough * noise / np.sqrt(dof + 3)))
 
 
 def _seen_heights(
