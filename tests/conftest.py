@@ -30,7 +30,7 @@ settings.load_profile("ladarreg")
 
 FIRST = ("tests/architecture/test_types.py", "tests/e2e/", "tests/page/", "tests/app/scene/", "tests/abuse/")
 """What takes longest, or shares one browser and one workbench, which most workers then need not start."""
-_SHARES = 5
+_SHARES = 10
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -11,7 +11,7 @@ from benchmarks.structure import CHECKOUT, Calls, imported, largest_package, uns
 from ladarreg_core.frames import Rigid
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_option_that_nothing_sets_is_documented() -> None:
     pages = "".join(path.read_text(encoding="utf-8") for path in (CHECKOUT / "docs").glob("*.md"))
     unset = {f"{options}.{field}" for options, fields in unset_options().items() for field in fields}

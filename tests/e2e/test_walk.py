@@ -73,7 +73,7 @@ def test_a_short_walk(walk: Walk) -> None:
     walk.finish(15)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_walk_where_the_images_cannot_judge(walk: Walk, tmp_path: Path) -> None:
     """A photograph of fog: matches alone accept, in a colour of their own, everywhere; and never green."""
     fog = tmp_path / "fog.png"

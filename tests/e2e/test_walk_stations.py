@@ -15,7 +15,7 @@ pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`"
 MIN_STATES = 14
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.timeout(900)
 def test_a_walk_through_stations(walk: Walk, tmp_path: Path) -> None:
     from testing.scenes.station_scans import write_station_scans

@@ -138,7 +138,8 @@ def test_a_page_that_reconnects_takes_its_place_before_the_old_connection_has_en
     assert clients.present == []
 
 
-def test_a_reloaded_page_waits_for_its_old_connection_to_end() -> None:
+def test_a_reloaded_page_waits_for_its_old_connection_to_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ladarreg.workbench.state.clients._RELOAD_S", 60.0)
     clients = clients_alone()
     first = clients.join(Visitor("a", tab="browser tab", page="1"))
     waiting = threading.Timer(0.05, clients.leave, [first])

@@ -33,6 +33,7 @@ def scanned(pose: Rigid, rng: np.random.Generator, *, panel_m: float = 0.0, nois
     return Scan(GRID, ranges, np.full(GRID.shape, 100.0))
 
 
+@pytest.mark.long
 def test_where_nothing_has_changed_one_point_in_twenty_is_significant() -> None:
     rng = np.random.default_rng(4)
     shares, controls = [], []

@@ -150,7 +150,7 @@ def test_a_plan_in_the_world_has_its_coordinates_and_reference_system(tmp_path: 
     assert (view.photo == NO_PHOTO).all()  # of the laser alone
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_error_map_is_the_spread_of_what_errors_of_the_pose_do() -> None:
     photo, rng = painted(WALL, POSE), np.random.default_rng(3)
     extent = (-0.45, -0.25, 0.45, 0.25)

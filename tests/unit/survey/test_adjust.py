@@ -23,7 +23,7 @@ def case() -> SimulatedCase:
     return lr.simulate_case("office", seed=2)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_one_photograph_on_one_scan_is_registered_as_by_itself(case: SimulatedCase) -> None:
     photo = replace(case.photo, name="photo")
     survey = lr.Survey.of([case.scan], [photo])
@@ -64,7 +64,7 @@ def test_a_survey_stops_in_the_middle_of_a_registration(case: SimulatedCase) -> 
     assert not any("on scan" in one.label for one in told)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_survey_in_which_nothing_fits_says_so(case: SimulatedCase) -> None:
     other = lr.simulate_case("boxes", seed=77)
     blank = replace(case.photo, pixels=np.full_like(case.photo.pixels, 120), name="blank")

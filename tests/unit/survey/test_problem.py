@@ -147,6 +147,7 @@ def test_without_noise_the_truth_is_found() -> None:
     np.testing.assert_allclose(found.problem.cameras[0].values, truth.cameras[0].values, atol=1e-3)
 
 
+@pytest.mark.long
 def test_a_general_solver_finds_the_same_minimum() -> None:
     _, problem = room(4, photos=3, points=40)
     _, _, size = problem.columns
@@ -186,6 +187,7 @@ def test_wrong_ties_and_a_wrong_image_lose_their_weight() -> None:
         assert pose.distance_to(true) < 0.02
 
 
+@pytest.mark.long
 def test_the_covariance_is_that_of_the_errors() -> None:
     distances, cameras = [], []
     for seed in range(40):
