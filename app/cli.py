@@ -27,6 +27,7 @@ COMMANDS = {
     "compare": "Compare the thesis's stages with the default method.",
     "panorama": "Compose the pieces of a pan/tilt run as one scan.",
     "register-scans": "Register scans of several stations to each other.",
+    "targets": "Place a scanner by survey spheres, as a surveyor signs it.",
     "measure": "Measure in a result: lengths, angles, areas, with sigma.",
     "rectify": "Make a view of a wall, pipe or plan at a stated scale.",
     "change": "Compare scans of two dates: what has changed, if any.",

@@ -40,6 +40,12 @@ class TargetRegistration:
     dof: int
     """Degrees of freedom: 3 n - 6."""
 
+    @property
+    def sigmas(self) -> tuple[float, float]:
+        """Standard deviations of position, m, and direction, rad, over all axes."""
+        variances = np.diag(self.covariance)
+        return float(np.sqrt(variances[3:].sum())), float(np.sqrt(variances[:3].sum()))
+
     def as_fields(self) -> dict[str, Any]:
         """Return the statement of the registration as plain values, for a JSON file."""
         return {

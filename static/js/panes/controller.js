@@ -12,6 +12,7 @@ import { centredOn } from "./viewport.js";
 /** A pair that was sent stays drawn until its slice arrives, this long at most. */
 const SENT_SHOWN_MS = 2000;
 const MARK_SHOWN_MS = 6000;
+const NO_TIES = []; // always the same, so that nothing seems to have changed
 
 /** Controller of the two image panes. */
 export class Controller {
@@ -121,7 +122,7 @@ export class Controller {
 
   /** @returns {number[][]} ties of the photograph with others; they are shown while the operator works on all of them */
   get ties() {
-    return this.view.get().step === "stations" ? this.store.get(`ties:${this.store.shown()}`) ?? [] : [];
+    return this.view.get().step === "stations" ? this.store.get(`ties:${this.store.shown()}`) ?? NO_TIES : NO_TIES;
   }
 
   /** @returns {boolean} whether detected corners are shown */

@@ -9,6 +9,7 @@ import { SMOOTH_BELOW, toScreen } from "./viewport.js";
 
 const PULSE_MS = 1400;
 const STILL_OUTLINE = 0.22;
+const NOTHING = [];
 
 /** @returns {number} opacity of the outline around a side that waits for its partner */
 export const outlineAt = (now_ms, moves) => (moves ? 0.2 + 0.16 * Math.sin((2 * Math.PI * now_ms) / PULSE_MS) : STILL_OUTLINE);
@@ -76,7 +77,7 @@ export class Painting {
     return {
       viewport: { ...viewport }, size, look,
       corners: this.#sideOf.extent && controller.showsCorners ? controller.corners(this.#side) : [],
-      ties: this.#side === "photo" && shown ? controller.ties : [],
+      ties: this.#side === "photo" && shown ? controller.ties : NOTHING,
       residuals: !this.#preview.predicted,
       laidOut: overlay.layOut(viewport, size, marks, look),
     };

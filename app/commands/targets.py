@@ -1,0 +1,95 @@
+"""`ladarreg targets SCAN TARGETS -o OUT`."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from ..exit_codes import ExitCode
+from ..progress_bar import progress_bar
+
+EXAMPLES = (
+    "ladarreg targets hall.e57 spheres.csv --radius .0725 -o station",
+    "# coordinates by a total station that is good to 2 mm:",
+    "ladarreg targets hall.npz spheres.csv --radius .1 --sigma .002 -o station",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Arguments of `targets`."""
+
+    scan: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCAN")]
+    """The scan."""
+    targets: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TARGETS")]
+    """CSV with a line a sphere: name, row and column of a cell on it, and its surveyed x, y, z in metres."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
+    """Output folder; an existing one is refused, but see --force."""
+    radius: Annotated[float | None, tyro.conf.arg(metavar="M")] = None
+    """Radius of the spheres, where the file has no column radius_m."""
+    sigma: Annotated[float, tyro.conf.arg(metavar="M")] = 0.001
+    """Standard deviation of the surveyed coordinates."""
+    force: bool = False
+    """Replace OUT if it contains an earlier statement and nothing else; any other folder is never touched."""
+    json: bool = False
+    """Print the statement as JSON, and nothing else, on stdout; errors, too."""
+    quiet: bool = False
+    """Print no progress."""
+    debug: bool = False
+    """Print a log, and a traceback on failure."""
+
+
+def run(arguments: Arguments) -> ExitCode:
+    """Fit the spheres, place the scanner, and write the statement."""
+    from ladarreg_core.errors import LadarregError, OptionError
+    from ladarreg_core.export.targets.folder import check_folder
+    from ladarreg_core.formats import read_scan
+    from ladarreg_core.formats.documents.targets_file import read_targets
+    from ladarreg_core.outputs.target_statement import write_target_statement
+    from ladarreg_core.registration.stations.target_pose import register_targets
+    from ladarreg_core.registration.stations.targets import fit_target
+
+    started = time.perf_counter()
+    files = [arguments.scan, arguments.targets]
+    check_folder(arguments.out, force=arguments.force, inputs=files)
+    entries = read_targets(arguments.targets)
+    radii = {one.name: one.radius_m if one.radius_m is not None else arguments.radius for one in entries}
+    unknown = [name for name, radius in radii.items() if radius is None]
+    if unknown:
+        raise OptionError(f"the radius of {', '.join(unknown[:5])} is not known; give it with --radius")
+    with progress_bar(quiet=arguments.quiet or arguments.json) as bar:
+        scan = read_scan(arguments.scan, report=bar.loading)
+        targets = {}
+        for one in entries:
+            try:
+                targets[one.name] = fit_target(scan, one.pick, radius_m=radii[one.name] or 0.0)
+            except LadarregError as error:
+                raise type(error)(f"target {one.name}: {error}") from None
+        found = register_targets(
+            targets, {one.name: one.coordinates for one in entries}, sigma_m=arguments.sigma
+        )  # fmt: skip
+        details = {"scan": arguments.scan.name, "coordinates_sigma_m": arguments.sigma}
+        document = write_target_statement(
+            arguments.out, found, targets, details=details, inputs=files, force=arguments.force
+        )
+    if arguments.json:
+        from ..json_output import print_json
+
+        print_json(document)
+        return ExitCode.ACCEPTED
+    from ladarreg_core.foundations.formatting import format_angle, format_length
+
+    position_m, angle_rad = found.sigmas
+    x, y, z = found.world_from_scanner.translation
+    print(f"Scanner  at {x:.4f}, {y:.4f}, {z:.4f} m, within {format_length(position_m)}, {format_angle(angle_rad)}")
+    for one in document["targets"]:
+        dx, dy, dz = (1000 * value for value in one["residual_m"])
+        print(f"Target   {one['name']}: {dx:+.1f} {dy:+.1f} {dz:+.1f} mm{'' if one['used'] else ', left out'}")
+    print(f"Fit      chi squared {found.chi2:.1f} at {found.dof} degrees of freedom")
+    print(f"Wrote    targets.json, targets.csv in {arguments.out}")
+    print(f"Took     {time.perf_counter() - started:.1f} s")
+    return ExitCode.ACCEPTED

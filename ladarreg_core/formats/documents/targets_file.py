@@ -1,0 +1,86 @@
+"""Files of survey targets: where each was picked in a scan, and its surveyed coordinates; CSV."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from ladarreg_core.errors import FormatError
+from ladarreg_core.formats.parsing.csv_table import read_csv_table
+from ladarreg_core.formats.parsing.untrusted import one_line, reading
+
+_PICK, _PLACE = ("row", "column"), ("x", "y", "z")
+_RADIUS = "radius_m"
+_MAX_BYTES = 4 << 20
+_NEEDS = "a CSV with the columns name, row, column, x, y, z and, where targets differ, radius_m"
+_MAX_SHOWN = 8
+
+
+@dataclass(frozen=True, slots=True)
+class TargetEntry:
+    """A line of the file."""
+
+    name: str
+    """Its name, which is unique."""
+    pick: tuple[int, int]
+    """Row and column of a cell on it."""
+    coordinates: tuple[float, float, float]
+    """Surveyed, m."""
+    radius_m: float | None = None
+    """Of the sphere; None: not said."""
+
+
+def read_targets(path: str | Path) -> list[TargetEntry]:
+    """Read a file of survey targets.
+
+    Raises:
+        FormatError: if it is no such file; all faults of its lines are listed.
+    """
+    with reading(path) as file:
+        header, rows = read_csv_table(file, most_bytes=_MAX_BYTES, needs=_NEEDS)
+        missing = [name for name in ("name", *_PICK, *_PLACE) if name not in header]
+        unknown = [name for name in header if name not in ("name", *_PICK, *_PLACE, _RADIUS)]
+        if missing or unknown or len(set(header)) != len(header):
+            raise FormatError(f"its first line is {one_line(','.join(header), 60)!r}; give {_NEEDS}")
+        faults: list[str] = []
+        found = [
+            entry for number, row in enumerate(rows, start=1)
+            if (entry := _entry(number, dict(zip(header, row, strict=False)), len(row) - len(header), faults))
+        ]  # fmt: skip
+        faults += [f"{count} targets are called {name}" for name, count in Counter(one.name for one in found).items()
+                   if count > 1]  # fmt: skip
+        if not rows:
+            faults.append("it has no targets; each line after the first gives one")
+        if faults:
+            more = f"; and {len(faults) - _MAX_SHOWN} more" if len(faults) > _MAX_SHOWN else ""
+            raise FormatError(f"{'; '.join(faults[:_MAX_SHOWN])}{more}")
+        return found
+
+
+def _entry(number: int, cells: dict[str, str], surplus: int, faults: list[str]) -> TargetEntry | None:
+    name = cells.get("name", "")
+    called = f"target {number}" if not name else f"target {one_line(name, 30)}"
+    if surplus > 0 or not name:
+        faults.append(f"{called} has {'too many cells' if surplus > 0 else 'no name'}")
+        return None
+    values = {key: _number(cells.get(key, "")) for key in (*_PICK, *_PLACE)}
+    wrong = [key for key, value in values.items() if value is None or (key in _PICK and (value < 0 or value % 1))]
+    radius = _number(cells[_RADIUS]) if cells.get(_RADIUS) else None
+    if cells.get(_RADIUS) and (radius is None or radius <= 0):
+        wrong.append(_RADIUS)
+    if wrong:
+        given = ", ".join(f"{key} {one_line(cells.get(key, '') or 'empty', 20)}" for key in wrong)
+        faults.append(f"{called} has {given}; rows and columns are whole numbers from 0, lengths are in metres")
+        return None
+    row, column, x, y, z = (value for value in values.values() if value is not None)
+    return TargetEntry(name, (int(row), int(column)), (x, y, z), radius)
+
+
+def _number(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
