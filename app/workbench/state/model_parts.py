@@ -134,7 +134,11 @@ class ModelParts:
 
     def _layer_choices(self, document: Document) -> list[dict[str, Any]]:
         """Return the textures made of all accepted photographs, as entries of `choices`."""
-        accepted = _accepted(document)
+        results = {entry.id: self._result(entry) for entry in _accepted(document)}
+        accepted = [
+            entry for entry in _accepted(document)
+            if (result := results[entry.id]) is not None and _accepted_only(result) is result
+        ]  # fmt: skip
         lacks = dict.fromkeys(LAYERS, "" if accepted else "needs an accepted photograph; register one")
         if not any(self._is_thermal(entry) for entry in accepted):
             lacks["temperature_k"] = "needs an accepted thermal photograph"
