@@ -69,9 +69,7 @@ def run(arguments: Arguments) -> ExitCode:
                 targets[one.name] = fit_target(scan, one.pick, radius_m=radii[one.name] or 0.0)
             except LadarregError as error:
                 raise type(error)(f"target {one.name}: {error}") from None
-        found = register_targets(
-            targets, {one.name: one.coordinates for one in entries}, sigma_m=arguments.sigma
-        )  # fmt: skip
+        found = register_targets(targets, {one.name: one.coordinates for one in entries}, sigma_m=arguments.sigma)
         details = {"scan": arguments.scan.name, "coordinates_sigma_m": arguments.sigma}
         document = write_target_statement(
             arguments.out, found, targets, details=details, inputs=files, force=arguments.force

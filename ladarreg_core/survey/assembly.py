@@ -117,9 +117,10 @@ def _photo(
 
 def _tie_marks(adjusted: Adjusted, body: int) -> Matrix:
     """Return where a photograph shows ties, see `AdjustedPhoto.tie_marks`."""
-    told = (agree := agreeing_ties(adjusted)) | ~adjusted.tie_inliers  # what is left of a tie with one end says nothing
+    agree = agreeing_ties(adjusted)
+    counted = agree | ~adjusted.tie_inliers  # not those whose only partners were left out, as in `count_ties`
     seen = np.isfinite(adjusted.tie_residuals_px).all(axis=1)
-    own = np.flatnonzero((adjusted.problem.ties.photo == body) & told & seen)
+    own = np.flatnonzero((adjusted.problem.ties.photo == body) & counted & seen)
     if len(own) > _MAX_MARKS:
         own = own[np.linspace(0, len(own) - 1, _MAX_MARKS).astype(int)]
     uv, off = adjusted.problem.ties.uv[own], adjusted.tie_residuals_px[own]

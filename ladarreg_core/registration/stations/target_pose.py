@@ -29,7 +29,7 @@ class TargetRegistration:
     world_from_scanner: Rigid
     """The pose, in the frame of the coordinates."""
     covariance: NDArray[np.float64]
-    """(6, 6) of (w, c): R_true = exp([w]x) R, c = C_true - C; w in rad, C the scanner's center, m, both in the frame
+    """(6, 6) of (w, c): R_true = exp([w]x) R, c = C_true - C; w in rad, C the scanner's centre, m, both in the frame
     of the coordinates."""
     residuals_m: dict[str, NDArray[np.float64]]
     """(3,) of each target that has coordinates: these less where the scan puts it, in their frame, m."""
@@ -121,7 +121,7 @@ def _known(
     point = read_only(value, np.float64, (3,), f"the coordinates of target {name}")
     if not np.isfinite(point).all():
         raise OptionError(
-            f"the coordinates of target {name} are {point.tolist()}; give three finite numbers, in meters"
+            f"the coordinates of target {name} are {point.tolist()}; give three finite numbers, in metres"
         )
     return point, sigma_m**2 * np.eye(3)
 

@@ -1,4 +1,4 @@
-"""`fit_target`: the center of a survey sphere in a scan."""
+"""`fit_target`: the centre of a survey sphere in a scan."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from ladarreg_core.foundations.formatting import format_length
 from ladarreg_core.foundations.validation import require_int, require_positive, require_type
 from ladarreg_core.scan import Scan
 
-_MIN_CELLS = 12
+_MIN_CELLS = 12  # on the face of a sphere
 _MAX_INCIDENCE_COS = 0.5  # cells that the beam meets more obliquely than 60 degrees are mixed with what is behind
 _OUTLIER_SIGMAS = 4.0
-_MIN_SHARE = 0.7
+_MIN_SHARE = 0.7  # of the cells on its face that fit
 _MAX_RMS_SHARE = 0.1  # of the radius: a flat surface is further from any sphere
-_RADIUS_SHARE, _RADIUS_SIGMAS = 0.1, 4.0
+_RADIUS_SHARE, _RADIUS_SIGMAS = 0.1, 4.0  # by which the radius may differ if it were free, the larger of both
 _ROUNDS = 30
 
 

@@ -1,5 +1,7 @@
 /** The icons of the page, on a grid of 16; they consist of strokes, so that they take the colour of the text. */
 
+import { shape } from "./dom.js";
+
 const SHAPES = {
   undo: "M6 3 2.5 6.5 6 10M3 6.5h6.5a4 4 0 0 1 0 8H6",
   redo: "M10 3l3.5 3.5L10 10M13 6.5H6.5a4 4 0 0 0 0 8H10",
@@ -43,19 +45,9 @@ const SHAPES = {
   link: "M6.5 9.5 9.5 6.5M7 4.5l1.8-1.8a2.7 2.7 0 0 1 3.8 3.8L10.9 8.3M9 11.5l-1.8 1.8a2.7 2.7 0 0 1-3.8-3.8L5.1 7.7",
 };
 
-const SVG = "http://www.w3.org/2000/svg";
-
 /**
  * @param {string} name
  * @returns {SVGElement} hidden from screen readers, since the text beside it has the same meaning
  */
-export const icon = (name) => {
-  const svg = document.createElementNS(SVG, "svg");
-  svg.setAttribute("viewBox", "0 0 16 16");
-  svg.setAttribute("aria-hidden", "true");
-  svg.setAttribute("class", `icon icon-${name}`);
-  const path = document.createElementNS(SVG, "path");
-  path.setAttribute("d", SHAPES[name]);
-  svg.append(path);
-  return svg;
-};
+export const icon = (name) =>
+  shape("svg", { viewBox: "0 0 16 16", "aria-hidden": "true", class: `icon icon-${name}` }, shape("path", { d: SHAPES[name] }));

@@ -1,4 +1,4 @@
-"""The audit of a pose in the workbench: right, wrong or nobody can tell, of that which a file states or is shown."""
+"""The audit of a pose in the workbench: that a file states, or else the current one: right, wrong, undecidable."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ const MM = 1000, DEGREES = 180 / Math.PI;
 const OUTCOMES = {
   right: ["tick", "ok", "The pose is right"],
   wrong: ["warn", "bad", "The pose is wrong"],
-  undecidable: ["info", "none", "Nobody can tell"],
+  undecidable: ["info", "none", "Undecidable: the images verify nothing near it"],
 };
 
 const sizeText = (size) => String(Number(size.toPrecision(2)));
