@@ -16,9 +16,9 @@ from ladarreg_core.errors import ExportError, LadarregError, OptionError
 from ladarreg_core.export.json import plain, write_document, write_result
 from ladarreg_core.foundations.validation import require_int
 from ladarreg_core.jobs.job import Job
-from ladarreg_core.jobs.job_list import JobListError, faults_of_jobs, read_jobs, survey_inputs
+from ladarreg_core.jobs.job_list import JobListError, faults_of_jobs, list_bytes, read_jobs, survey_inputs
 from ladarreg_core.jobs.page import write_batch_page
-from ladarreg_core.jobs.run_folder import JOBS_RUN, OUTCOMES, TIMES_FILE, VERSION, BatchResult, Outcome
+from ladarreg_core.jobs.run_folder import JOBS_RUN, LIST_FILE, OUTCOMES, TIMES_FILE, VERSION, BatchResult, Outcome
 from ladarreg_core.jobs.work import InputState, JobTask, UnfitWorkerError, do_job, input_state, job_software
 from ladarreg_core.many.cache import ContentCache
 from ladarreg_core.many.executor import WorkerProcesses, usable_cores
@@ -26,7 +26,7 @@ from ladarreg_core.many.failures import lacks_memory, why_it_failed
 from ladarreg_core.many.folder import PAGE_FILE, BatchFolder
 from ladarreg_core.many.memory_limit import memory_of_machine
 from ladarreg_core.progress import Progress
-from ladarreg_core.storage.atomic_write import is_disk_full
+from ladarreg_core.storage.atomic_write import is_disk_full, write_bytes
 
 _STAGE = "job"
 _IN_HAND = 512  # jobs that an executor of unknown size is given at a time
@@ -63,9 +63,9 @@ def batch(
     """Do many jobs, each as the single command does it, and write their results into one folder.
 
     The folder has `jobs/ID` with what the command writes, without times; `batch.json`, the page `index.html`,
-    `timing.json`, and `manifest.jsonl`, by which a batch that was stopped goes on when it is called again. What failed
-    is tried again then. The results are the same whatever executes the jobs. On systems that spawn processes, as all do
-    here, a program calls this below `if __name__ == "__main__":`.
+    `jobs.json` with the list of the jobs, `timing.json`, and `manifest.jsonl`, by which a batch that was stopped goes
+    on when it is called again. What failed is tried again then. The results are the same whatever executes the jobs. On
+    systems that spawn processes, as all do here, a program calls this below `if __name__ == "__main__":`.
 
     Args:
         jobs: the jobs, or a file that lists them, see `read_jobs`.
@@ -159,6 +159,7 @@ class _Run:
         running: dict[Future[Any], tuple[Job, str]] = {}
         ended: queue.SimpleQueue[Future[Any]] = queue.SimpleQueue()
         self._tell("starting")
+        self._write_list()
         self._write_page()
         try:
             while to_do or running:
@@ -287,6 +288,12 @@ class _Run:
                     raise
             self._wait_for_space()
             time.sleep(_RETRY_S)
+
+    def _write_list(self) -> None:
+        """Write down what the jobs are made of, so that the batch can be looked at and continued from its folder."""
+        data, path = list_bytes(self.jobs, self.folder.folder), self.folder.folder / LIST_FILE
+        if not path.is_file() or path.read_bytes() != data:
+            self._patiently(lambda: self.folder.write({LIST_FILE: lambda aside: write_bytes(aside, data)}))
 
     def _write_page_if_due(self) -> None:
         if self.page_due and time.monotonic() >= self.page_at:
