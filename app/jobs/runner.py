@@ -14,8 +14,7 @@ from ladarreg_core.errors import Cancelled, LadarregError, OptionError
 from ladarreg_core.progress import Progress, Step
 from ladarreg_core.project.history import Author
 
-from ..argument_names import as_fields
-from ..messages import internal_error
+from ..messages import internal_error, sentence
 
 log = logging.getLogger(__name__)
 State = Literal["running", "paused", "done", "failed", "stopped"]
@@ -242,14 +241,9 @@ class JobRunner:
         except Cancelled:
             context.end("stopped", "Stopped; nothing was changed.")
         except LadarregError as error:
-            context.end("failed", _sentence(str(error)))
+            context.end("failed", sentence(str(error)))
         except MemoryError:
             context.end("failed", "Not enough memory; use a smaller scan or photograph.")
         except Exception as error:
             log.exception("job %s", job.kind)
             context.end("failed", internal_error(error, go_on="nothing was changed, try again"))
-
-
-def _sentence(text: str) -> str:
-    text = as_fields(text)
-    return f"{text[:1].upper()}{text[1:]}" + ("" if text.endswith((".", "!", "?")) else ".")

@@ -26,7 +26,7 @@ class ListedJob:
     folder: Path
     """Where its results are, if there are any."""
     found: Mapping[str, Any] | None
-    """`outcome`, `verdict`, `reasons`, `sigma`, `thumbnail` (a data URL); None: it has not been done yet."""
+    """`outcome`, `verdict`, `reasons`, `sigma`, `thumbnail` (JPEG, Base64); None: it has not been done yet."""
 
     def poses(self) -> dict[str, Path]:
         """Return the result file of each photograph that was accepted, by the photograph's file name.
