@@ -435,7 +435,9 @@ def _reasons_to_ask(workbench: Workbench, client: Client) -> list[str]:
     reasons = []
     job = workbench.runner.job
     if job is not None and job.runs:
-        reasons.append(f"“{job.label}” is running and would be stopped.")
+        more = len(workbench.runner.waiting)
+        also = f", and {more} more {'waits' if more == 1 else 'wait'}" if more else ""
+        reasons.append(f"“{job.label}” is running and would be stopped{also}.")
     others = [each.name for each in workbench.clients.present if each is not client]
     if others and not workbench.is_empty:
         names = ", ".join(others[:3]) + (f" and {len(others) - 3} more" if len(others) > 3 else "")

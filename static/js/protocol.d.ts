@@ -28,7 +28,7 @@ export interface Commands {
   go_to: { n: number };
   hold_camera: { camera: string; held: boolean };
   hover_pick: { pick?: string | null };
-  job_control: { action: string; value?: number | null };
+  job_control: { action: string; value?: number | null; job?: string | null };
   list_jobs: { outcome?: "failed" | "refused" | "waiting" | "accepted" | null; words?: string };
   list_projects: Record<string, never>;
   list_served: Record<string, never>;

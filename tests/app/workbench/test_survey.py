@@ -112,7 +112,7 @@ def test_a_survey_opens_as_a_project_and_again(tmp_path: Path) -> None:
 
 def test_a_pose_that_is_held_stays_and_one_that_was_taken_out_takes_no_part(bench: WorkbenchDriver) -> None:
     pose = bench.workbench.session.document.photo("p1").pose
-    assert bench.refused("set_part", photos=["p2"], part="held").startswith("Blank.png has no accepted pose")
+    assert bench.refused("set_part", photos=["p2"], part="held").startswith("blank.png has no accepted pose")
     bench.do("set_part", photos=["p1"], part="held")
     done(bench, "adjust")
     photo = bench.workbench.session.document.photo("p1")

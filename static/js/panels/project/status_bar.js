@@ -1,6 +1,7 @@
 /** The status bar: readout under the cursor, hint of the current tool, job, saving, connection. */
 
 import { connectionState, connectNow, onConnection } from "../../net/connection.js";
+import { request } from "../../net/requests.js";
 import { store } from "../../net/store.js";
 import { isRunning, PIPELINE, shareDone } from "../../state/pipeline.js";
 import { view } from "../../state/view.js";
@@ -24,6 +25,7 @@ const JUDGES = new Set([...PIPELINE.filter(({ stage }) => stage).map(({ job }) =
 /** A finished job has no tick: whether its result is good is for the verdict to say. */
 const ENDS = { done: ["info", "dim"], failed: ["bad", "bad"], stopped: ["stop", "warn"] };
 const LONG_S = 2;
+const MOST_SHOWN = 2;
 
 const rangeText = (range) => (range === undefined ? "" : range === null ? "no return" : `${fixed(range, 3)} m`);
 
@@ -45,7 +47,8 @@ const jobBar = () => {
   const sign = element("span", { class: "sign" });
   const text = element("span", { class: "clip" });
   const bar = element("progress", { max: 1 });
-  const box = element("div", { class: "job-bar", role: "group", "aria-label": "Job" }, sign, text, bar, jobControls());
+  const waiting = element("span", { class: "job-waiting" });
+  const box = element("div", { class: "job-bar", role: "group", "aria-label": "Job" }, sign, text, bar, jobControls(), waiting);
   const announcement = element("span", { class: "visually-hidden", role: "status" }); // at the start and the end
   const setSign = (shape, level) => {
     if (sign.dataset.shape !== shape) setChildren(sign, icon(shape));
@@ -73,9 +76,34 @@ const jobBar = () => {
       ),
     ].join("\n");
   };
+  let listed = "";
+  /** The jobs that begin after this one; each can be taken back. */
+  const showWaiting = (jobs) => {
+    const names = new Map((store.get("photos") ?? []).map(({ id, name }) => [id, name]));
+    const key = JSON.stringify([jobs, [...names], store.readOnly]);
+    if (key === listed) return;
+    listed = key;
+    const chip = ({ id, label, photo, author }) => {
+      const what = [label, names.get(photo)].filter(Boolean).join(", ");
+      const title = `${what}: waits${author ? `, started by ${author}` : ""}`;
+      return store.readOnly
+        ? element("span", { class: "clip", title }, what)
+        : button({
+          label: `Do not begin: ${what}`,
+          title: `${title}; click to take it back`,
+          text: what,
+          icon: "close",
+          kind: "small plain clip",
+          act: () => request("job_control", { action: "stop", job: id }),
+        });
+    };
+    const more = jobs.length - MOST_SHOWN;
+    setChildren(waiting, jobs.length ? "then " : "", ...jobs.slice(0, MOST_SHOWN).map(chip), more > 0 ? ` and ${more} more` : "");
+  };
   const show = () => {
     const job = store.get("job");
     const busy = isRunning(job);
+    showWaiting(busy ? job.waiting ?? [] : []);
     // a finished job goes with what it worked on
     const open = job?.photo ? (store.get("photos") ?? []).some(({ id }) => id === job.photo) : store.get("scan");
     const own = !job?.photo || job.photo === store.shown();
