@@ -25,7 +25,6 @@ const JUDGES = new Set([...PIPELINE.filter(({ stage }) => stage).map(({ job }) =
 /** A finished job has no tick: whether its result is good is for the verdict to say. */
 const ENDS = { done: ["info", "dim"], failed: ["bad", "bad"], stopped: ["stop", "warn"] };
 const LONG_S = 2;
-const MOST_SHOWN = 2;
 
 const rangeText = (range) => (range === undefined ? "" : range === null ? "no return" : `${fixed(range, 3)} m`);
 
@@ -87,18 +86,24 @@ const jobBar = () => {
       const what = [label, names.get(photo)].filter(Boolean).join(", ");
       const title = `${what}: waits${author ? `, started by ${author}` : ""}`;
       return store.readOnly
-        ? element("span", { class: "clip", title }, what)
+        ? element("span", { class: "clip", title }, names.get(photo) ?? label)
         : button({
           label: `Do not begin: ${what}`,
           title: `${title}; click to take it back`,
-          text: what,
+          text: names.get(photo) ?? label,
           icon: "close",
-          kind: "small plain clip",
+          kind: "small plain",
           act: () => request("job_control", { action: "stop", job: id }),
         });
     };
-    const more = jobs.length - MOST_SHOWN;
-    setChildren(waiting, jobs.length ? "then " : "", ...jobs.slice(0, MOST_SHOWN).map(chip), more > 0 ? ` and ${more} more` : "");
+    const later = jobs.slice(1);
+    const title = later.map(({ label, photo }) => [label, names.get(photo)].filter(Boolean).join(", ")).join("\n");
+    setChildren(
+      waiting,
+      jobs.length ? "then " : "",
+      ...jobs.slice(0, 1).map(chip),
+      later.length ? element("span", { class: "dim", title }, `and ${later.length} more`) : null,
+    );
   };
   const show = () => {
     const job = store.get("job");
