@@ -55,7 +55,12 @@ def test_an_adjustment_is_one_step_of_the_history(bench: WorkbenchDriver) -> Non
     assert one["accepted"]
     assert not one["changed"]
     assert one["position"]
-    assert survey["scans"] == ["scan.npz"]
+    assert survey["scans"] == [{"name": "scan.npz", "state": "fixed", "position": None, "angle": None}]
+    for camera in survey["cameras"]:
+        residuals = [one["median_px"] for one in survey["photos"] if one["camera"] == camera["id"] and one["accepted"]]
+        known = [px for px in residuals if px is not None]
+        assert camera["median_px"] == (None if not known else float(np.median(known)))
+        assert camera["worst"] is None if not known else camera["worst"]["median_px"] == max(known)
     assert "added" in survey["since"]  # the blank one
     photo = next(photo for photo in bench.slice("photos") if photo["id"] == "p1")
     assert photo["light"] == "verified"
