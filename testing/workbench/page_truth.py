@@ -129,7 +129,7 @@ def page_contradictions(
         constants = [*constants, *figures]
     found = _Comparison(facts, slices).everything(constants)
     found += page_survey(facts, slices.get("photos") or [], slices.get("survey"))
-    return [*found, *page_stations(facts, slices.get("stations"))]
+    return [*found, *page_stations(facts, slices.get("stations"), slices.get("survey"))]
 
 
 class _Comparison:
