@@ -248,7 +248,7 @@ class Crashing(WorkerProcesses):
 def test_a_job_that_kills_its_workers_fails_with_its_last_words(jobs: list[lr.Job], tmp_path: Path) -> None:
     with Crashing(2) as workers:
         result = lr.batch(jobs[:3], tmp_path / "out", executor=workers)
-    assert "killed 3 times" in result.jobs["p1"]["reasons"][0]
+    assert "the last time when no other job ran: its process was killed" in result.jobs["p1"]["reasons"][0]
     assert "last words: out of luck" in result.jobs["p1"]["reasons"][0]
     assert [result.jobs[name]["outcome"] for name in ("p0", "p2")] == ["refused", "refused"]
 
