@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ladarreg_core.acquisition.composition.panorama import Panorama
-from ladarreg_core.acquisition.runs.run_folder import PLAN, summary
+from ladarreg_core.acquisition.runs.piece_list import PLAN_FILE
+from ladarreg_core.acquisition.runs.run_folder import summary
 from ladarreg_core.errors import OptionError
 from ladarreg_core.formats import read_photo
 from ladarreg_core.formats.parsing.untrusted import shown_name
@@ -74,7 +75,7 @@ def photo_poses(
 
 def _positions(run_folder: str | Path, base: Rigid | None) -> dict[Path, Rigid]:
     """Return `world_from_unit` of the part of the unit that pans and tilts, for each photograph."""
-    if not (Path(run_folder) / PLAN).is_file():
+    if not (Path(run_folder) / PLAN_FILE).is_file():
         return {}
     run = summary(run_folder)
     level = run.plan.base if base is None else base
@@ -82,7 +83,7 @@ def _positions(run_folder: str | Path, base: Rigid | None) -> dict[Path, Rigid]:
 
 
 def _stated_mount(run_folder: str | Path) -> Rigid | None:
-    if not (Path(run_folder) / PLAN).is_file():
+    if not (Path(run_folder) / PLAN_FILE).is_file():
         return None
     camera = summary(run_folder).plan.camera
     return None if camera is None else camera.mount
