@@ -12,7 +12,7 @@ from ...argument_names import as_fields
 from ...decoding import quoted
 from ...gateway.protocol import READ_ONLY
 from ...messages import internal_error
-from . import acquisition, edits, files, jobs, matches, people, stations
+from . import acquisition, edits, files, jobs, matches, measuring, people, stations
 from .command import Command, Context, Reply, WorkbenchCommand, commands_in
 from .former import present_form
 from .projects import PROJECT_COMMANDS
@@ -26,7 +26,7 @@ _MAX_SENTENCE = 600
 COMMANDS: dict[str, type[WorkbenchCommand]] = {
     name: command
     for module in (
-        matches, edits, files, people, jobs, stations, acquisition,
+        matches, measuring, edits, files, people, jobs, stations, acquisition,
     )
     for name, command in commands_in(vars(module), WorkbenchCommand).items()
 }  # fmt: skip

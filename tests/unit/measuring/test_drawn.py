@@ -1,0 +1,3 @@
+"""How measurements are drawn in pictures."""
+
+from __future__ import annotations
