@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,7 +49,11 @@ def drawn_from_scanner(measurement: Measurement) -> DrawnMeasurement:
 
 
 def drawn_in_photo(
-    measurement: Measurement, registration: PoseResult, occluder: Occluder | None = None
+    measurement: Measurement,
+    registration: PoseResult,
+    occluder: Occluder | None = None,
+    *,
+    seen: Sequence[bool] | None = None,
 ) -> DrawnMeasurement:
     """Return a measurement, whose points are in the scanner frame, as pixels of a registered photograph.
 
@@ -58,15 +63,17 @@ def drawn_in_photo(
         measurement: the measurement.
         registration: the result for the photograph.
         occluder: the surface as this camera sees it; None: nothing is hidden.
+        seen: (N,) which points are known to be seen, as they were picked in this photograph; None: none.
     """
     xyz, lines = measurement.points.xyz, lines_of(measurement)
     ends = _pixels(registration, xyz)
-    seen = np.isfinite(ends[:, 0]) & _unhidden(xyz, occluder)
-    ends[~seen] = np.nan
+    known = np.zeros(len(xyz), np.bool_) if seen is None else np.asarray(seen, np.bool_)
+    ends[~(known | _unhidden(xyz, occluder))] = np.nan
     along = _pixels(registration, _along(lines))
     if len(lines):
         tips = lines.reshape(-1, 3)
-        visible = np.isfinite(_pixels(registration, tips)[:, 0]) & _unhidden(tips, occluder)
+        of_point = (tips[:, None] == xyz[known]).all(axis=2).any(axis=1)
+        visible = np.isfinite(_pixels(registration, tips)[:, 0]) & (of_point | _unhidden(tips, occluder))
         along[~visible.reshape(-1, 2).any(axis=1)] = np.nan
         # around a panorama's seam a line leaves the picture at one border and returns at the other
         jumps = np.abs(np.diff(along[..., 0], axis=1)) > registration.camera.width / 2

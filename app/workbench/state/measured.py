@@ -11,18 +11,17 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from ladarreg_core.errors import DegenerateGeometryError, LadarregError, OptionError
+from ladarreg_core.errors import LadarregError, OptionError
 
 from ...argument_names import as_fields
 from ...session.loader import Loader
+from ...session.measured import Picked, measured_places, photos_of, stale_poses
 from ...session.session import Session
 
 if TYPE_CHECKING:
-    from ladarreg_core.frames import Rigid
     from ladarreg_core.measuring.drawn import DrawnMeasurement
     from ladarreg_core.measuring.measurement_list import NamedMeasurement
-    from ladarreg_core.project.document import Document, MeasuredPlace, MeasurementEntry, PhotoEntry
-    from ladarreg_core.results import PoseResult
+    from ladarreg_core.project.document import Document, MeasuredPlace, MeasurementEntry, MeasurementKind, PhotoEntry
     from ladarreg_core.scan import Scan
     from ladarreg_core.surface.visibility.visible_points import Occluder
 
@@ -67,42 +66,31 @@ class Measured:
             {
                 "id": entry.id,
                 **self._fields(document, entry.places, value),
-                **self._drawing(scan, value, seen),
+                **self._drawing(scan, entry.places, value, seen),
             }
             for entry, value in zip(document.measurements, found, strict=True)
         ]
 
-    def preview(self, kind: str, places: Sequence[MeasuredPlace]) -> dict[str, Any]:
+    def preview(self, kind: MeasurementKind, places: Sequence[MeasuredPlace]) -> dict[str, Any]:
         """Return the value of points that are being picked, or why they cannot be measured.
 
         Raises:
             OptionError: if there is no scan.
         """
         document, scan = self._present()
-        found = self._of_places(document, scan, kind, places)
+        (found,) = self._of_places(document, scan, [(kind, places)])
         return self._fields(document, places, found)
 
-    def check(self, kind: str, places: Sequence[MeasuredPlace]) -> None:
+    def check(self, kind: MeasurementKind, places: Sequence[MeasuredPlace]) -> None:
         """Refuse what cannot be measured.
 
         Raises:
             OptionError: with the reason.
         """
         document, scan = self._present()
-        found = self._of_places(document, scan, kind, places)
+        (found,) = self._of_places(document, scan, [(kind, places)])
         if found.measurement is None:
             raise OptionError(found.refusal)
-
-    def listed(self, document: Document, scan: Scan, world_from_scanner: Rigid | None) -> list[NamedMeasurement]:
-        """Return all measurements for files, in the frame of the scanner or of the world."""
-        from ladarreg_core.measuring.measurement_list import in_frame
-
-        values = self._measured(document, scan, document.measurements)
-        titles = [entry.title for entry in document.measurements]
-        return [
-            in_frame(one, world_from_scanner, name=title, more_flags=self._notes(document, entry.places))
-            for entry, one, title in zip(document.measurements, values, titles, strict=True)
-        ]
 
     def shown(self) -> MeasuredShown | None:
         """Return what is drawn of measurements in space; None: nothing."""
@@ -143,49 +131,24 @@ class Measured:
         return document, scan
 
     def _measured(self, document: Document, scan: Scan, entries: Sequence[MeasurementEntry]) -> list[NamedMeasurement]:
-        return [self._of_places(document, scan, entry.kind, entry.places) for entry in entries]
+        return self._of_places(document, scan, [(entry.kind, entry.places) for entry in entries])
 
-    def _of_places(
-        self, document: Document, scan: Scan, kind: str, places: Sequence[MeasuredPlace]
-    ) -> NamedMeasurement:
-        poses = tuple((photo, _pose_name(document.photo(photo))) for photo in _photos_of(places))
-        key = (document.scan, kind, tuple(places), poses)
-        return self._kept(self._values, key, partial(self._measure, document, scan, kind, places))
-
-    def _measure(self, document: Document, scan: Scan, kind: str, places: Sequence[MeasuredPlace]) -> NamedMeasurement:
-        from ladarreg_core.formats.documents.places_file import Place
-        from ladarreg_core.measuring.measurement_list import NamedMeasurement, measure_places
-
-        names = ["the point"] if len(places) == 1 else [f"point {k}" for k in range(1, len(places) + 1)]
-        listed = [
-            Place(one.at, "photo" if one.photo else "ray", one.photo, "m", kind, name)
-            for one, name in zip(places, names, strict=True)
+    def _of_places(self, document: Document, scan: Scan, wanted: Sequence[Picked]) -> list[NamedMeasurement]:
+        """Return what was measured; all that is not known yet is measured together, which takes hardly longer."""
+        keys = [
+            (document.scan, kind, tuple(places), tuple(_known(document.photo(each)) for each in photos_of(places)))
+            for kind, places in wanted
         ]
-        try:
-            photos = {photo: self._registration(document, photo) for photo in _photos_of(places)}
-            return measure_places(scan, photos, listed)[0]
-        except (DegenerateGeometryError, OptionError) as error:
-            return NamedMeasurement("m", kind, None, str(error))  # type: ignore[arg-type]
-
-    def _registration(self, document: Document, photo: str) -> PoseResult:
-        entry = document.photo(photo)
-        if entry is None:
-            raise OptionError("its photograph is no longer in the project; remove the measurement, or undo")
-        if entry.pose is None or not entry.pose.accepted:
-            raise OptionError(
-                f"{entry.source.name} has no accepted pose, by which its pixels could be measured: solve it first, or "
-                "pick in the scan"
-            )
-        try:
-            return self._loader.registration(entry.pose)
-        except LadarregError as error:
-            raise OptionError(str(error)) from None
+        with self._lock:
+            new = {key: one for key, one in zip(keys, wanted, strict=True) if key not in self._values}
+            made = dict(zip(new, measured_places(self._loader, document, scan, list(new.values())), strict=True))
+            return [self._kept(self._values, key, lambda key=key: made[key]) for key in keys]
 
     def _fields(self, document: Document, places: Sequence[MeasuredPlace], found: NamedMeasurement) -> dict[str, Any]:
         measured = found.measurement
         if measured is None:
             return {"value": "", "interval": "", "notes": [], "refusal": _sentence(found.refusal)}
-        notes = [*measured.flags, *self._notes(document, places)]
+        notes = [*measured.flags, *stale_poses(self._loader, document, places)]
         return {
             "value": _typeset(measured.described),
             "interval": _typeset(measured.described_interval),
@@ -193,17 +156,9 @@ class Measured:
             "refusal": "",
         }
 
-    def _notes(self, document: Document, places: Sequence[MeasuredPlace]) -> list[str]:
-        """Return which poses are out of date."""
-        entries = [entry for photo in _photos_of(places) if (entry := document.photo(photo)) is not None]
-        stale = [
-            (entry, why)
-            for entry in entries
-            if entry.pose is not None and (why := self._loader.stale(document, entry, entry.pose))
-        ]
-        return [f"the pose of {entry.source.name} is out of date: {why}" for entry, why in stale]
-
-    def _drawing(self, scan: Scan, found: NamedMeasurement, photos: Sequence[PhotoEntry]) -> dict[str, Any]:
+    def _drawing(
+        self, scan: Scan, places: Sequence[MeasuredPlace], found: NamedMeasurement, photos: Sequence[PhotoEntry]
+    ) -> dict[str, Any]:
         measured = found.measurement
         if measured is None:
             return {"drawn": None, "in_photo": {}}
@@ -215,13 +170,13 @@ class Measured:
         for photo in photos:
             key = (id(found), photo.id, _pose_name(photo))
             if key[-1]:
-                _, picture = self._kept(self._drawn, key, partial(self._in_photo, scan, found, photo))
+                _, picture = self._kept(self._drawn, key, partial(self._in_photo, scan, places, found, photo))
                 if picture is not None:
                     pictures[photo.id] = picture
         return {"drawn": drawn, "in_photo": pictures}
 
     def _in_photo(
-        self, scan: Scan, found: NamedMeasurement, photo: PhotoEntry
+        self, scan: Scan, places: Sequence[MeasuredPlace], found: NamedMeasurement, photo: PhotoEntry
     ) -> tuple[NamedMeasurement, dict[str, Any] | None]:
         from ladarreg_core.measuring.drawn import drawn_in_photo, may_be_drawn
         from ladarreg_core.surface.visibility.visible_points import Occluder
@@ -238,7 +193,8 @@ class Measured:
             self._occluders, (id(scan), _pose_name(photo)),
             lambda: Occluder(scan, registration.camera, registration.camera_from_scanner), most=_OCCLUDERS,
         )  # fmt: skip
-        return found, _rows(drawn_in_photo(found.measurement, registration, occluder), 2)
+        seen = [one.photo == photo.id for one in places]
+        return found, _rows(drawn_in_photo(found.measurement, registration, occluder, seen=seen), 2)
 
     def _kept(self, kept: OrderedDict[Hashable, T], key: Hashable, make: Callable[[], T], *, most: int = _KEPT) -> T:
         with self._lock:
@@ -262,13 +218,13 @@ def measurement_entry(entry: MeasurementEntry) -> dict[str, Any]:
     }
 
 
-def _photos_of(places: Sequence[MeasuredPlace]) -> list[str]:
-    return list(dict.fromkeys(one.photo for one in places if one.photo))
-
-
-def _pose_name(entry: PhotoEntry | None) -> str:
+def _pose_name(entry: PhotoEntry) -> str:
     """Return what changes with the pose by which a photograph is measured; empty: none."""
-    return "" if entry is None or entry.pose is None or not entry.pose.accepted else entry.pose.arrays.name
+    return "" if entry.pose is None or not entry.pose.accepted else entry.pose.arrays.name
+
+
+def _known(entry: PhotoEntry | None) -> str | None:
+    return None if entry is None else _pose_name(entry)
 
 
 def _rows(drawn: DrawnMeasurement, digits: int) -> dict[str, Any]:

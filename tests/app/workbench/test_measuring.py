@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
+import shutil
+import zipfile
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from ladarreg.cli import main
 
 import ladarreg_core as lr
 from ladarreg_core.project.measurement_edits import MAX_MEASUREMENTS
@@ -169,10 +175,9 @@ def test_each_is_a_step_that_is_undone_and_redone(bench: WorkbenchDriver) -> Non
 def test_measurements_follow_the_pose(bench: WorkbenchDriver) -> None:
     entry = bench.workbench.session.document.photos[0]
     width, height = bench.slice("photos")[0]["width"], bench.slice("photos")[0]["height"]
-    candidates = [
-        {"photo": "p1", "uv": [width * x, height * y]} for x in np.linspace(0.2, 0.8, 5) for y in (0.3, 0.5, 0.7)
-    ]
-    places = [one for one in candidates if not bench.do("measure", kind="point", places=[one])["refusal"]][:2]
+    candidates = ({"photo": "p1", "uv": [width * x, height * y]} for x in (0.3, 0.5, 0.7) for y in (0.5, 0.7))
+    sound = (one for one in candidates if not bench.do("measure", kind="point", places=[one])["refusal"])
+    places = [next(sound), next(sound)]
     made = bench.do("add_measurement", kind="distance", places=places)["measurement"]
     before = measured_of(bench, made)["value"]
     bench.do("set_camera", photo="p1", focal_px=700)
@@ -213,6 +218,32 @@ def test_two_people_undo_their_own(bench: WorkbenchDriver) -> None:
         assert "Ann changed the measurement" in bench.refused("undo")
     finally:
         bench.workbench.leave(other.client)
+
+
+def test_the_list_is_exported_from_page_and_command(
+    bench: WorkbenchDriver, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "nothing was measured" in bench.refused("export", targets=["measurements"], photos=[])
+    places = surface_rays(bench, *smooth_cells(bench, 2))
+    made = bench.do("add_measurement", kind="distance", places=places)["measurement"]
+    bench.do("rename_measurement", measurement=made, name="Beam")
+    value = measured_of(bench, made)["value"]
+    bench.do("export", targets=["measurements"], photos=[])
+    bench.workbench.runner.wait(60)
+    path, _ = bench.workbench.export_file("all") or (tmp_path, "")
+    with zipfile.ZipFile(path) as packed:
+        names = {name for name in packed.namelist() if name.startswith("measurements")}
+        rows = list(csv.DictReader(io.StringIO(packed.read("measurements.csv").decode())))
+    assert names == {f"measurements{suffix}" for suffix in (".csv", ".json", ".geojson", ".dxf")}
+    assert [row["name"] for row in rows] == ["Beam"]
+    assert f"{float(rows[0]['value']):.4f}"[:5] == value[:5]
+    table = bench.do("export_targets", photos=[])
+    assert {one["name"]: one["refusal"] for one in table["targets"]}["measurements"] is None
+    copy = tmp_path / "copy"
+    shutil.copytree(bench.workbench.session.folder.path, copy, ignore=shutil.ignore_patterns("lock"))
+    assert main(["export", str(copy), "--to", "measurements", "-o", str(tmp_path / "out")]) == 0
+    assert (tmp_path / "out" / "measurements.csv").read_text().splitlines()[1].startswith("Beam,distance,")
+    assert "inside" not in capsys.readouterr().err
 
 
 def test_there_is_a_limit(bench: WorkbenchDriver) -> None:
