@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 from ladarreg_core.formats.cameras.camera_file import read_camera
 from ladarreg_core.simulate.case import case_world
 from ladarreg_core.simulate.sample import SCENE, SEED, sample_folder
+from testing.workbench.audits import layout_faults
+from testing.workbench.measured_truth import page_measurements
 from testing.workbench.operator import Operator, at_work
+from testing.workbench.page_truth import facts_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -138,6 +141,30 @@ def test_a_distance_is_clicked_and_its_interval_contains_the_truth(measurer: Ope
     assert saved.value.suggested_filename.endswith(".zip")
     page.get_by_role("button", name="Remove Desk").click()
     measurer.wait(lambda: measurer.slice("measurements") == [], "an empty list")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_the_list_and_the_bar_fit(measurer: Operator, theme: str) -> None:
+    page = measurer.page
+    page.evaluate("(theme) => { document.documentElement.dataset.theme = theme; }", theme)
+    measurer.step("Judge")
+    page.keyboard.press("d")
+    scan = pixels_on_surfaces(measurer, "scan")
+    for kind, count in (("distance", 2), ("area", 3), ("point", 1)):
+        places = [{"ray": ray_of(measurer, uv).tolist()} for uv in scan[:count]]
+        assert measurer.socket.ask("add_measurement", kind=kind, places=places)["ok"]
+    only_measured(measurer, 3)
+    page.locator(".measurement-value", has_text="±").nth(2).wait_for()
+    click(measurer, "scan", scan[0])
+    found = []
+    for width in (1280, 1440):
+        page.set_viewport_size({"width": width, "height": 800})
+        measurer.shot(f"{width}-{theme}")
+        found += [f"{width}: {fault}" for fault in layout_faults(page)]
+    assert not found
+    slices = {name: measurer.slice(name) for name in ("measurements", "measured")}
+    assert page_measurements(facts_of(page), slices["measurements"], slices["measured"]) == []
 
 
 @pytest.mark.slow

@@ -70,7 +70,7 @@ export const drawMeasured = (context, viewport, marks, chosen, look) => {
   for (const mark of marks) {
     const width = mark.id === chosen ? CHOSEN_WIDTH : WIDTH;
     strokeHaloed(context, trace(viewport, mark.lines), look, { colour: look.ink, width });
-    const ends = mark.ends.map((uv) => toScreen(viewport, uv));
+    const ends = mark.ends.map(([u, v]) => toScreen(viewport, [u, v]));
     stamp(context, look, ends, { colour: look.ink, halo: look.halo, radius: mark.id === chosen ? 4.5 : 3, width: 1.5, dot: 0.75 });
   }
   for (const mark of marks) {
@@ -88,6 +88,6 @@ export const drawPicked = (context, viewport, runs, pointer, look) => {
   const lines = runs.map((run, k) => (pointer && k === runs.length - 1 ? [...run, pointer] : run));
   context.lineCap = "round";
   strokeHaloed(context, trace(viewport, lines), look, { colour: look.ink, width: WIDTH, dash: [6, 5] });
-  const ends = runs.flat().filter(Boolean).map((uv) => toScreen(viewport, uv));
+  const ends = runs.flat().filter(Boolean).map(([u, v]) => toScreen(viewport, [u, v]));
   stamp(context, look, ends, { colour: look.ink, halo: look.halo, radius: 4, width: 1.5, dot: 1 });
 };

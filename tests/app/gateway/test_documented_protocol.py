@@ -96,7 +96,7 @@ def keys_of(value: Any) -> set[str]:
         return set()
     found = set(value)
     for name, part in value.items():
-        found |= keys_of(list(part.values()) if name in DATA_KEYED else part)
+        found |= keys_of(list(part.values()) if name in DATA_KEYED and isinstance(part, dict) else part)
     return found
 
 
