@@ -122,8 +122,8 @@ def run(arguments: Arguments) -> ExitCode:
             sources = [_of_stations(arguments, first)]
         else:
             sources = [_of_results(arguments, targets, bar)]
-        for source in photographed(sources):
-            for one in source.scans:
+        for handed in photographed(sources):
+            for one in handed.scans:
                 suit_heap(one.scan)
         export_to(
             arguments.out,
@@ -139,10 +139,10 @@ def run(arguments: Arguments) -> ExitCode:
         if isinstance(source, StationScans) and source.mark:
             print(f"Poses    {source.mark}: the folder was changed after it was written")
     if not arguments.quiet:
-        for source in photographed(sources):
-            for photo in (*source.photos, *source.refused):
+        for handed in photographed(sources):
+            for photo in (*handed.photos, *handed.refused):
                 print(f"Photo    {photo.id}: {_state(photo)}")
-            print(f"Frame    {source.frame.sentence}")
+            print(f"Frame    {handed.frame.sentence}")
         print(f"Wrote    {', '.join(target.name for target in targets)} in {arguments.out}")
         print(f"Took     {time.perf_counter() - started:.1f} s")
     return ExitCode.ACCEPTED

@@ -10,6 +10,7 @@ from msgspec import Meta
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project import measurement_edits
 from ladarreg_core.project.document import MeasuredPlace, MeasurementKind
+from ladarreg_core.project.edits import require_photo
 from ladarreg_core.project.measurement_edits import MAX_PLACES
 
 from .command import Context, Reply, WorkbenchCommand
@@ -66,7 +67,7 @@ class AddMeasurement(OfPlaces, frozen=True):
         places = self.picked()
         for one in places:
             if one.photo:
-                measurement_edits.require_photo(context.session.document, one.photo)
+                require_photo(context.session.document, one.photo)
         context.measured.check(self.kind, places)
         made = ""
 

@@ -142,7 +142,7 @@ class Measured:
         with self._lock:
             new = {key: one for key, one in zip(keys, wanted, strict=True) if key not in self._values}
             made = dict(zip(new, measured_places(self._loader, document, scan, list(new.values())), strict=True))
-            return [self._kept(self._values, key, lambda key=key: made[key]) for key in keys]
+            return [self._kept(self._values, key, partial(made.__getitem__, key)) for key in keys]
 
     def _fields(self, document: Document, places: Sequence[MeasuredPlace], found: NamedMeasurement) -> dict[str, Any]:
         measured = found.measurement

@@ -48,7 +48,8 @@ const labelAt = (viewport, { ends, lines }) => {
   return uv ? toScreen(viewport, uv) : null;
 };
 
-const write = (context, look, colour, text, [x, y]) => {
+const write = (context, look, colour, text, at) => {
+  const [x, y] = at;
   context.font = look.font;
   context.textAlign = "center";
   context.textBaseline = "bottom";

@@ -61,7 +61,7 @@ export const mountMeasurements = () => {
     const said = one.refusal ? [one.refusal] : one.notes;
     return element(
       "li",
-      { class: "measurement", "data-measurement": one.id, on: { click: () => view.set({ measurement: one.id }) } },
+      { class: `measurement ${one.kind}`, "data-measurement": one.id, on: { click: () => view.set({ measurement: one.id }) } },
       element(
         "div",
         { class: "measurement-line" },
