@@ -7,7 +7,7 @@ import textwrap
 import unicodedata
 from typing import TYPE_CHECKING
 
-from .argument_names import as_flags
+from .argument_names import as_fields, as_flags
 
 if TYPE_CHECKING:
     from ladarreg_core.export.comparison.table import Table
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from ladarreg_core.scan import Scan
 
 _HEAD_WIDTH = 16
+_MAX_SENTENCE = 600
 _MAX_FINDINGS = 4
 _MAX_LENGTHS = 40
 _IN_REASONS = {"matches", "inliers", "residuals", "lengths"}
@@ -33,6 +34,16 @@ def one_line(text: str) -> str:
     """Return the text on one line for the terminal: arguments as options, control characters (of names) escaped."""
     words = " ".join(as_flags(text).split())
     return "".join(c if unicodedata.category(c)[0] != "C" else c.encode("unicode_escape").decode() for c in words)
+
+
+def sentence(text: str) -> str:
+    """Return a text for the page with a full stop and, unless it begins with a file's name, a capital letter."""
+    words = " ".join(as_fields(text).split())
+    if len(words) > _MAX_SENTENCE:
+        words = f"{words[:_MAX_SENTENCE]}..."
+    begin, _, _ = words.partition(" ")
+    is_name = "." in begin.strip(".:;,") or "/" in begin or "_" in begin
+    return (words if is_name else f"{words[:1].upper()}{words[1:]}") + ("" if words.endswith((".", "!", "?")) else ".")
 
 
 def internal_error(error: BaseException, *, go_on: str) -> str:

@@ -30,29 +30,32 @@ settings.load_profile("ladarreg")
 
 FIRST = ("tests/architecture/test_types.py", "tests/e2e/", "tests/page/", "tests/app/scene/", "tests/abuse/")
 """What takes longest, or shares one browser and one workbench, which most workers then need not start."""
-_SHARES = 10
+_SHARES = {"long": 10, "slow": 3}
+"""Of the tests with a mark, a text draws one in so many; what is marked long and slow counts as long."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the choice of tests marked long."""
     parser.addoption(
         "--long", default="none", metavar="none|all|share:TEXT",
-        help=f"tests marked long: none of them, all, or the share of 1 in {_SHARES} that a text chooses, such as the "
-        "commit's hash",
+        help=f"tests marked long: none of them, all, or the share of 1 in {_SHARES['long']} that a text draws, such as "
+        f"the commit's hash, and then also only 1 in {_SHARES['slow']} of those marked slow",
     )  # fmt: skip
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out tests marked long that were not asked for; begin with those that should not be left to the end."""
+    """Leave out tests that were not asked for or not drawn; begin with those that should not be left to the end."""
     which = str(config.getoption("--long"))
     if which not in ("none", "all") and not which.startswith("share:"):
         raise pytest.UsageError(f"--long is {which!r}; give none, all, or share:TEXT")
 
     def runs(item: pytest.Item) -> bool:
-        if which == "all" or item.get_closest_marker("long") is None:
+        mark = next((each for each in _SHARES if item.get_closest_marker(each) is not None), None)
+        if mark is None or which == "all":
             return True
-        drawn = zlib.crc32(f"{item.nodeid} {which.removeprefix('share:')}".encode())
-        return which != "none" and drawn % _SHARES == 0
+        if which == "none":
+            return mark != "long"
+        return zlib.crc32(f"{item.nodeid} {which.removeprefix('share:')}".encode()) % _SHARES[mark] == 0
 
     left_out = [item for item in items if not runs(item)]
     items[:] = [item for item in items if runs(item)]

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 EXAMPLES = (
     "ladarreg panorama run -o panorama",
     "ladarreg panorama run -o panorama --calibrate-mount --refine",
+    "ladarreg panorama run -o panorama --base hanging",
     "# scans of any format with the angles of any pan/tilt unit:",
     "ladarreg panorama pieces.csv -o panorama --mount 0,0,0.08,0,0,0",
 )
@@ -36,6 +37,9 @@ class Arguments:
     mount: Annotated[str | None, tyro.conf.arg(metavar="X,Y,Z,R,P,Y")] = None
     """Where the scanner is on the unit: m from where the axes cross, then roll, pitch and yaw in degrees; or a JSON
     file with xyz_m and rpy_deg, a plan or a panorama.json. Default: that of the plan."""
+    base: Annotated[str | None, tyro.conf.arg(metavar="BASE")] = None
+    """How the unit itself is turned: upright, hanging, or roll,pitch,yaw in degrees, as an inclinometer on it measures
+    roll and pitch. The panorama is level. Default: mount.base of the plan, else upright."""
     calibrate_mount: bool = False
     """Estimate the mount from surfaces that were seen twice."""
     refine: bool = False
@@ -63,8 +67,9 @@ def run(arguments: Arguments) -> ExitCode:
     check_folder(arguments.out, force=arguments.force, inputs=[arguments.run])
     with progress_bar(quiet=arguments.quiet or arguments.json) as bar:
         made = compose(
-            arguments.run, mount=_mount(arguments.mount), calibrate_mount=arguments.calibrate_mount,
-            refine=arguments.refine, partial=arguments.partial, report=bar.progress,
+            arguments.run, mount=_mount(arguments.mount), base=_base(arguments.base),
+            calibrate_mount=arguments.calibrate_mount, refine=arguments.refine, partial=arguments.partial,
+            report=bar.progress,
         )  # fmt: skip
         write_panorama(arguments.out, made, inputs=[arguments.run], force=arguments.force, report=bar.progress)
     if arguments.json:
@@ -86,3 +91,11 @@ def _mount(text: str | None) -> Rigid | None:
     from ladarreg_core.acquisition.composition.panorama import mount_of_text
 
     return mount_of_text(text)
+
+
+def _base(text: str | None) -> Rigid | None:
+    if text is None:
+        return None
+    from ladarreg_core.acquisition.mount_fields import base_of_text
+
+    return base_of_text(text)

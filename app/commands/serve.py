@@ -1,4 +1,4 @@
-"""`ladarreg serve [PROJECT | SURVEY | SCAN PHOTO ...]`."""
+"""`ladarreg serve [PROJECT | SURVEY | BATCH | SCAN PHOTO ...]`."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ EXAMPLES = (
     "ladarreg serve room.e57 photo.jpg --focal-px 2900",
     "ladarreg serve sweep1.pcd sweep2.pcd photo.png",
     "ladarreg serve job/survey.json",
+    "ladarreg serve results  # of ladarreg batch",
     "# for others on the network, see docs/remote.md:",
     "ladarreg serve my-project --host 0.0.0.0 --certfile a.pem --keyfile b.pem",
 )
@@ -33,10 +34,11 @@ class Arguments(CameraArguments):
     """Arguments of `serve`."""
 
     inputs: Annotated[
-        tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="[PROJECT | SURVEY | SCAN PHOTO ...]")
+        tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="[PROJECT | SURVEY | BATCH | SCAN PHOTO ...]")
     ] = ()
     """A project folder; a survey.json or a folder with scans and photos, which become stations and photographs of a
-    project; or a scan and photos, where further scans are accumulated with the first."""
+    project; the folder of a batch, whose jobs are listed; or a scan and photos, where further scans are accumulated
+    with the first."""
     project: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder of a project that is started with a scan and photos."""
     matches: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
@@ -124,10 +126,12 @@ def _reading(arguments: Arguments) -> Reading:
 
     from ..workbench.given_files import Reading
 
-    files = {name: getattr(arguments, name) for name in ("camera", "matches", "initial")}
-    for path in files.values():
+    files: dict[str, Path | None] = {}
+    for name in ("camera", "matches", "initial"):
+        path = getattr(arguments, name)
         if path is not None and not path.exists():
             raise OptionError(f"{path}: no such file; give another")
+        files[name] = None if path is None else Path(os.path.abspath(path))
     names = {"camera_name": "name", "camera_model": "model"}
     camera = {
         names.get(name, name): value
@@ -138,7 +142,9 @@ def _reading(arguments: Arguments) -> Reading:
         scan_options=ScanOptions(**arguments.scan_options).given(),
         camera_options=camera,
         temperature_unit=arguments.temperature_unit,
-        **{name: None if path is None else Path(os.path.abspath(path)) for name, path in files.items()},
+        camera=files["camera"],
+        matches=files["matches"],
+        initial=files["initial"],
     )
 
 
@@ -146,14 +152,15 @@ def _serve(arguments: Arguments, token: str | None, options: GatewayOptions) -> 
     from ..process_resources import limit_arenas
     from ..stop_signals import StopSignals
     from ..workbench.acquisition.watchable import Watchable
-    from ..workbench.launch import TokenChoice, open_workbench, serve_and_close
+    from ..workbench.launch import TokenChoice, batch_given, open_workbench, serve_and_close
 
     limit_arenas()
     stop = StopSignals()
     stop.listen()
     watchable = Watchable(arguments.watch, arguments.video_device)
+    batch = batch_given(arguments.inputs)
     workbench = open_workbench(
-        arguments.inputs,
+        () if batch else arguments.inputs,
         project=arguments.project,
         reading=_reading(arguments),
         folder=arguments.folder,
@@ -165,6 +172,7 @@ def _serve(arguments: Arguments, token: str | None, options: GatewayOptions) -> 
     tokens = TokenChoice(chosen=token, renew=arguments.new_token)
     serve_and_close(
         workbench,
+        batch=batch,
         tokens=tokens,
         options=options,
         browser=not arguments.no_browser,

@@ -1,1 +1,1 @@
-"""Long-running work, one job at a time: matching, solving, registration, self-test, export."""
+"""Long-running work, one job after the other: matching, solving, registration, self-test, export."""

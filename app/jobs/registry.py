@@ -87,7 +87,7 @@ class JobRegistry:
         """Start a job and return its id.
 
         Raises:
-            LadarregError: if there is no such job, an input is missing, or another job is running.
+            LadarregError: if there is no such job, an input is missing, or too many jobs are waiting.
         """
         kind = self._kinds.get(name)
         if kind is None:
@@ -144,13 +144,14 @@ class JobRegistry:
             self._automatic.close()
 
     def _start(self, name: str, kind: JobKind, photo: object, author: Author) -> str:
-        inputs = self._workspace.inputs(photo)  # raises at once if an input is missing
+        now = self._workspace.inputs(photo)  # raises at once if an input is missing
+        entry = now.entry
 
         def work(context: JobContext) -> str:
-            return kind.work(inputs, context)
+            return kind.work(self._workspace.inputs(entry.id) if context.job.waited else now, context)
 
         return self._runner.start(
-            name, work, label=kind.label, photo=inputs.entry.id, author=author, can=kind.can, speed=kind.speed
+            name, work, label=kind.label, photo=entry.id, author=author, can=kind.can, speed=kind.speed
         )
 
     def _constrained(self, solve: SolveJobs) -> Work:

@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from ladarreg_core.errors import LadarregError, OptionError
+from ladarreg_core.jobs.run_folder import JOBS_RUN
+from ladarreg_core.many.folder import is_batch_folder
 from ladarreg_core.project.storage.duplicate import duplicate_project
 from ladarreg_core.project.storage.folder import ProjectFolder, is_project
 from ladarreg_core.storage.atomic_write import files_below
@@ -25,6 +27,7 @@ from ..gateway.protocol import Picture, Visitor
 from ..gateway.uploads import remove_partial_uploads
 from ..jobs.export import Ending
 from ..session.session import Change, now
+from .batch_jobs import BatchJobs, register_unsolved
 from .commands.command import Reply
 from .commands.projects import PROJECT_COMMANDS
 from .commands.registry import answer_command, reply_to
@@ -68,6 +71,7 @@ class Desk:
         open_workbench: opens others.
         data: folder of the user's data.
         anywhere: whether pages may open any project folder of this machine, not only those of the list.
+        batch: the batch whose jobs are listed; None: none yet.
         on_open: called with each further workbench before pages see it.
         on_close: called with each workbench that was replaced, once it is closed.
     """
@@ -79,10 +83,12 @@ class Desk:
         open_workbench: OpenWorkbench,
         data: Path,
         anywhere: bool,
+        batch: BatchJobs | None = None,
         on_open: Callable[[Workbench], None] = lambda workbench: None,
         on_close: Callable[[Workbench], None] = lambda workbench: None,
     ) -> None:
         self._workbench = workbench
+        self._batch = batch
         self._open, self._data = open_workbench, data
         self._on_open, self._on_close = on_open, on_close
         self._anywhere = anywhere
@@ -141,12 +147,12 @@ class Desk:
         return answer_command(PROJECT_COMMANDS, message, client, lambda found: found.execute(self, client))
 
     def picture(self, path: str, query: Mapping[str, str]) -> Picture:
-        """Return an image of the open project, or the one of another project (`project/ID`)."""
+        """Return an image of the open project, or the one of another project or a job (`project/ID`)."""
         kind, _, key = path.partition("/")
-        if kind == "project":
-            data = self.recent.picture(key)
-            if data is None:
-                raise OptionError("there is no picture of this project")
+        if kind in ("project", "job"):
+            data = self.recent.picture(key) if kind == "project" else self._batch and self._batch.picture(key)
+            if not data:
+                raise OptionError(f"there is no picture of this {kind}")
             return Picture(data, "image/jpeg", f"{key}-{len(data)}-{hash(data) & 0xFFFFFFFF:x}")
         with self._call() as workbench:
             return workbench.picture(path, query)
@@ -178,7 +184,7 @@ class Desk:
         """Return the recent projects for pages."""
         session = self._workbench.session
         projects = self.recent.listed(session.folder.path, session.document.name, with_paths=self._anywhere)
-        return {"projects": projects, "anywhere": self._anywhere}
+        return {"projects": projects, "anywhere": self._anywhere, "batch": self._batch is not None}
 
     def find(self, wanted: object) -> Path | None:
         """Return the folder of a project of the list; None if it is not in it."""
@@ -209,12 +215,47 @@ class Desk:
             return {"opened": self._workbench.project_id}
         if not is_project(folder):
             named = folder if self._anywhere else folder.name
-            raise OptionError(f"{named} is not a project: it has no project.json; give the folder of a project")
+            raise OptionError(
+                f"{named} is not a project: it has no project.json; give the folder of a project or a batch"
+            )
         clients = self._workbench.clients
         return self._switch(lambda: self._open((), project=folder, clients=clients), client, sure=sure)
 
+    def listed_jobs(self, outcome: str | None, words: str) -> Reply:
+        """Return the jobs of the batch for pages; arguments as of `BatchJobs.listed`.
+
+        Raises:
+            OptionError: if there is no batch.
+        """
+        return self._require_batch().listed(outcome, words)
+
+    def open_job(self, wanted: str, client: Client, *, sure: bool) -> Reply:
+        """Open a job of the batch as a project, which is begun, and its photographs registered, unless there is one."""
+        files, project, reading = self._require_batch().opening(wanted)
+        if project == self._workbench.session.folder.path:
+            return {"opened": self._workbench.project_id}
+        clients, is_new = self._workbench.clients, not is_project(project)
+
+        def opened() -> Workbench:
+            try:
+                return self._open(files, project=project, name=wanted, reading=reading, clients=clients)
+            except BaseException:
+                if is_new:  # there is no work in it
+                    shutil.rmtree(project, ignore_errors=True)
+                raise
+
+        reply = self._switch(opened, client, sure=sure)
+        if "asks" not in reply:
+            register_unsolved(self._workbench)
+        return reply
+
+    def _require_batch(self) -> BatchJobs:
+        if self._batch is None:
+            raise OptionError("no batch is open; start the workbench on its folder: ladarreg serve FOLDER")
+        return self._batch
+
     def open_path(self, text: str, client: Client, *, sure: bool) -> Reply:
-        """Open a project by the path of its folder.
+        """Open a project by the path of its folder; of a batch, its list.
 
         Raises:
             OptionError: if it is not a path of this machine, or pages may not open it.
@@ -223,6 +264,9 @@ class Desk:
         known = self.recent.find(project_id(folder)) is not None
         if not (self._anywhere or known or folder.resolve().is_relative_to((self._data / "projects").resolve())):
             raise OptionError("the workbench can be reached from other machines: only projects of the list are opened")
+        if self._anywhere and is_batch_folder(folder, JOBS_RUN):
+            self._batch = BatchJobs(folder, self._data / "projects")
+            return {"batch": folder.name}
         return self.open(folder, client, sure=sure)
 
     def open_sample(self, client: Client, *, sure: bool) -> Reply:
@@ -391,7 +435,9 @@ def _reasons_to_ask(workbench: Workbench, client: Client) -> list[str]:
     reasons = []
     job = workbench.runner.job
     if job is not None and job.runs:
-        reasons.append(f"“{job.label}” is running and would be stopped.")
+        more = len(workbench.runner.waiting)
+        also = f", and {more} more {'waits' if more == 1 else 'wait'}" if more else ""
+        reasons.append(f"“{job.label}” is running and would be stopped{also}.")
     others = [each.name for each in workbench.clients.present if each is not client]
     if others and not workbench.is_empty:
         names = ", ".join(others[:3]) + (f" and {len(others) - 3} more" if len(others) > 3 else "")

@@ -44,6 +44,8 @@ class Reading:
     """Matches of the photographs."""
     initial: Path | None = None
     """Initial pose of the photographs."""
+    initials: Mapping[str, Path] = field(default_factory=dict)
+    """Initial poses of photographs that have one of their own, by file name."""
 
     @property
     def is_empty(self) -> bool:
@@ -215,17 +217,17 @@ def _set_initial(workbench: Workbench, entry: PhotoEntry, photo: Path, reading: 
 
     session = workbench.session
     scan = workbench.loader.scan(session.document)
-    if reading.initial is None or scan is None:
+    file = reading.initials.get(photo.name, reading.initial)
+    if file is None or scan is None:
         return
-    stated_by = reading.initial.name
-    pose = READERS.run(read_initial, reading.initial, scan.world_from_scanner, picture=photo.name)
+    pose = READERS.run(read_initial, file, scan.world_from_scanner, picture=photo.name)
     rows = tuple(tuple(map(float, row)) for row in pose.matrix)
     if rows == entry.stated_pose:
         return
     session.commit(
         f"Initial pose of {entry.source.name}",
         lambda d: edits.edited_photo(
-            d, entry.id, lambda p: msgspec.structs.replace(p, stated_pose=rows, stated_by=stated_by)
+            d, entry.id, lambda p: msgspec.structs.replace(p, stated_pose=rows, stated_by=file.name)
         ),
         author=NOBODY,
     )

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from ..gateway.options import GatewayOptions
     from ..gateway.tokens import Tokens
     from ..gateway.viser_backend import ViserAddress
+    from .batch_jobs import BatchJobs
     from .state.clients import Clients
     from .workbench import Workbench
 
@@ -170,9 +171,26 @@ class TokenChoice:
     """Replace the kept tokens."""
 
 
+def batch_given(inputs: Sequence[Path]) -> BatchJobs | None:
+    """Return the batch whose folder is given in place of files; None: something else is.
+
+    Raises:
+        FormatError: if it does not record its list.
+    """
+    from ladarreg_core.jobs.run_folder import JOBS_RUN
+    from ladarreg_core.many.folder import is_batch_folder
+
+    from .batch_jobs import BatchJobs
+
+    if len(inputs) != 1 or not is_batch_folder(inputs[0], JOBS_RUN):
+        return None
+    return BatchJobs(Path(os.path.abspath(inputs[0])), data_folder() / "projects")
+
+
 def serve_and_close(
     workbench: Workbench,
     *,
+    batch: BatchJobs | None = None,
     tokens: TokenChoice,
     options: GatewayOptions,
     browser: bool,
@@ -186,6 +204,7 @@ def serve_and_close(
 
     Args:
         workbench: the workbench.
+        batch: whose jobs the start page lists; None: it lists projects only.
         tokens: which access tokens to use.
         options: where to listen.
         browser: whether to open a browser.
@@ -215,6 +234,7 @@ def serve_and_close(
         ),
         data=data_folder(),
         anywhere=options.on_loopback and not options.behind_proxy,
+        batch=batch,
         on_open=scenes.open_soon,
         on_close=scenes.close_of,
     )

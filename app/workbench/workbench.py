@@ -289,7 +289,7 @@ class Workbench:
             "scan": self._scan_slice(),
             "photos": [photo_slice(loader, document, entry) for entry in document.photos],
             "settings": self._slices.get(document.settings, lambda: settings_slice(document.settings)),
-            "job": job_slice(self.runner.job),
+            "job": job_slice(self.runner.job, self.runner.waiting),
             "served": self.files.served_slice(),
             "waiting": self.batches.slice(),
             "formats": formats_slice(),
@@ -446,6 +446,8 @@ class Workbench:
 
     def _job_changed(self, job: Job) -> None:
         self._publish()
+        if job is not self.runner.job:  # it waits, or will never begin
+            return
         self.scene_sync.job_changed(job)
         if not job.runs:
             return_memory_soon()

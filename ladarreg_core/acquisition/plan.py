@@ -12,7 +12,13 @@ from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
-from ladarreg_core.acquisition.mount_fields import mount_as_fields, mount_from_fields
+from ladarreg_core.acquisition.mount_fields import (
+    base_as_value,
+    base_from_value,
+    is_upright,
+    mount_as_fields,
+    mount_from_fields,
+)
 from ladarreg_core.acquisition.trigger import TriggerPlan
 from ladarreg_core.acquisition.twin_address import check_twin, is_twin
 from ladarreg_core.errors import DeviceError, FormatError, LadarregError, OptionError
@@ -33,6 +39,8 @@ _LONGEST_SETTLE_S = 60.0
 _LARGEST_LEVER_M = 5.0
 _BAUDS = (300, 4_000_000)
 _SAME_DEG = 1e-9
+UPRIGHT = Rigid.identity()
+"""`level_from_unit` of a unit that stands upright."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +122,8 @@ class Plan:
     """Sweep without stopping: the unit turns at a constant speed while lines are measured."""
     passes: int = 1
     """Sweeps at each tilt, in alternating directions."""
+    base: Rigid = UPRIGHT
+    """`level_from_unit`, a rotation: how the unit itself stands or hangs."""
 
     def as_fields(self) -> dict[str, Any]:
         """Return the content of `plan.json`."""
@@ -148,8 +158,10 @@ class Plan:
             "settle_s": self.settle_s,
             "continuous": self.continuous,
             "passes": self.passes,
-            "mount": mount_as_fields(self.mount),
-        }
+            "mount": {
+                **mount_as_fields(self.mount), **({} if is_upright(self.base) else {"base": base_as_value(self.base)}),
+            },
+        }  # fmt: skip
 
 
 def example_plan() -> Plan:
@@ -251,12 +263,12 @@ class _Reader:
         pan, tilt = self._axis(fields, "pan_deg", 360.0), self._axis(fields, "tilt_deg", 90.0)
         settle = self._number(fields, "settle_s", 0.3, 0.0, _LONGEST_SETTLE_S, "the plan")
         passes = self._whole(fields, "passes", 2 if continuous else 1, 1, 20, "the plan")
-        mount = self._mount(fields.get("mount"))
-        if None in (mode, unit, scanner, pan, tilt, mount) or settle is None or passes is None:
+        mount, base = self._mount(fields.get("mount")), self._base(fields.get("mount"))
+        if None in (mode, unit, scanner, pan, tilt, mount, base) or settle is None or passes is None:
             return None
         plan = Plan(
             cast(UnitPlan, unit), cast(ScannerPlan, scanner), cast(Mode, mode), cast(Axis, pan), cast(Axis, tilt),
-            cast(Rigid, mount), camera, settle, continuous, passes,
+            cast(Rigid, mount), camera, settle, continuous, passes, cast(Rigid, base),
         )  # fmt: skip
         self._check_whole(plan)
         return plan
@@ -402,7 +414,7 @@ class _Reader:
         fields = self._object(value, "mount")
         if fields is None:
             return None
-        self._refuse_unknown(fields, ("xyz_m", "rpy_deg"), "'mount'")
+        self._refuse_unknown(fields, ("xyz_m", "rpy_deg", "base"), "'mount'")
         xyz, rpy = fields.get("xyz_m"), fields.get("rpy_deg")
         good = True
         if not _numbers(xyz, 3, -_LARGEST_LEVER_M, _LARGEST_LEVER_M):
@@ -416,6 +428,14 @@ class _Reader:
         if not good:
             return None
         return mount_from_fields(fields)
+
+    def _base(self, mount: Any) -> Rigid | None:
+        value = mount.get("base") if isinstance(mount, Mapping) else None
+        try:
+            return UPRIGHT if value is None else base_from_value(value)
+        except FormatError as error:
+            self._fault("mount.base", f"'base' of 'mount': {error}")
+            return None
 
     def _matrix(self, value: Any) -> Rigid | None:
         try:

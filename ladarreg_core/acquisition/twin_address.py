@@ -1,4 +1,4 @@
-"""Addresses of simulated devices: `twin:NAME?seed=N&scene=...`.
+"""Addresses of simulated devices: `twin:NAME?seed=N&scene=...&base=...`.
 
 A process of its own (`python -m ladarreg_core.acquisition.simulated`) simulates all devices of equal arguments in one
 room. It prints a JSON object that maps their names to addresses, and ends when its standard input does: with this
@@ -19,10 +19,15 @@ from collections.abc import Callable
 from typing import IO
 from urllib.parse import parse_qsl
 
-from ladarreg_core.errors import DeviceError
+from ladarreg_core.acquisition.mount_fields import base_of_text
+from ladarreg_core.errors import DeviceError, OptionError
 
 PREFIX = "twin:"
-_ARGUMENTS = {"seed": "a whole number", "scene": "the name of a scene"}
+_ARGUMENTS = {
+    "seed": "a whole number",
+    "scene": "the name of a scene",
+    "base": "how the unit stands: upright, hanging, or roll,pitch,yaw in degrees",
+}
 
 _START_S = 60.0
 """Longest start of a simulation; on a machine that is busy a few seconds."""
@@ -51,6 +56,13 @@ def check_twin(address: str) -> tuple[str, tuple[tuple[str, str], ...]]:
             raise DeviceError(f"the address {address!r} has an argument {key!r}; use {' or '.join(_ARGUMENTS)}")
         if key == "seed" and not value.isdigit():
             raise DeviceError(f"the address {address!r} has the seed {value!r}; it must be {_ARGUMENTS[key]}")
+        if key == "base":
+            try:
+                base_of_text(value)
+            except OptionError:
+                raise DeviceError(
+                    f"the address {address!r} has the base {value!r}; it says {_ARGUMENTS[key]}"
+                ) from None
     if not name:
         raise DeviceError(f"the address {address!r} names no device; write for example {PREFIX}flir-ptu?seed=1")
     return name, tuple(sorted(arguments.items()))

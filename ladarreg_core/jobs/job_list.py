@@ -6,7 +6,8 @@ import glob
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -77,6 +78,55 @@ def read_jobs(*sources: JobSource) -> list[Job]:
     if faults:
         raise JobListError(what, faults)
     return jobs
+
+
+def listed_jobs(path: Path) -> list[Job]:
+    """Return the jobs of the list that a batch wrote; their files may be missing meanwhile.
+
+    Raises:
+        FormatError: if it is damaged.
+    """
+    jobs, faults = _of_file(path.resolve())
+    if faults:
+        raise JobListError(shown_name(path), faults)
+    return [_with_paths(job, lambda file: Path(os.path.normpath(file))) for job in jobs]
+
+
+def list_bytes(jobs: Sequence[Job], folder: Path) -> bytes:
+    """Return the list of jobs as JSON that `read_jobs` reads from a file in a folder; paths start there if they can."""
+    home = os.path.realpath(folder)
+
+    def from_home(path: Path) -> Path:
+        file = os.path.abspath(path)
+        try:
+            return Path(os.path.relpath(file, home))
+        except ValueError:  # on another drive
+            return Path(file)
+
+    rows = []
+    for job in (_with_paths(one, from_home) for one in jobs):
+        photos = [path.as_posix() for path in job.photos]
+        fields = {
+            "name": job.id,
+            "scan": None if job.scan is None else job.scan.as_posix(),
+            "photo": photos[0] if job.kind == "pair" else None,
+            "photos": photos if job.kind == "photos" else None,
+            "more": [path.as_posix() for path in job.more] or None,
+            "survey": None if job.survey is None else job.survey.as_posix(),
+            **{name: value.as_posix() if isinstance(value, Path) else value for name, value in job.options.items()},
+        }
+        rows.append({name: value for name, value in fields.items() if value is not None})
+    document = {"version": _VERSION, "jobs": rows}
+    return (json.dumps(document, indent=1, allow_nan=False) + "\n").encode("utf-8")
+
+
+def _with_paths(job: Job, of: Callable[[Path], Path]) -> Job:
+    """Return a job with all its paths replaced."""
+    options = {name: of(value) if isinstance(value, Path) else value for name, value in job.options.items()}
+    return replace(
+        job, scan=job.scan and of(job.scan), photos=tuple(map(of, job.photos)), more=tuple(map(of, job.more)),
+        survey=job.survey and of(job.survey), options=options,
+    )  # fmt: skip
 
 
 def faults_of_jobs(jobs: Sequence[Job]) -> list[str]:

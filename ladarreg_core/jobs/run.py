@@ -16,17 +16,17 @@ from ladarreg_core.errors import ExportError, LadarregError, OptionError
 from ladarreg_core.export.json import plain, write_document, write_result
 from ladarreg_core.foundations.validation import require_int
 from ladarreg_core.jobs.job import Job
-from ladarreg_core.jobs.job_list import JobListError, faults_of_jobs, read_jobs, survey_inputs
+from ladarreg_core.jobs.job_list import JobListError, faults_of_jobs, list_bytes, read_jobs, survey_inputs
 from ladarreg_core.jobs.page import write_batch_page
-from ladarreg_core.jobs.run_folder import JOBS_RUN, OUTCOMES, TIMES_FILE, VERSION, BatchResult, Outcome
+from ladarreg_core.jobs.run_folder import JOBS_RUN, LIST_FILE, OUTCOMES, TIMES_FILE, VERSION, BatchResult, Outcome
 from ladarreg_core.jobs.work import InputState, JobTask, UnfitWorkerError, do_job, input_state, job_software
 from ladarreg_core.many.cache import ContentCache
-from ladarreg_core.many.executor import WorkerProcesses, usable_cores
+from ladarreg_core.many.executor import MAX_ATTEMPTS, WorkerLostError, WorkerProcesses, usable_cores
 from ladarreg_core.many.failures import lacks_memory, why_it_failed
 from ladarreg_core.many.folder import PAGE_FILE, BatchFolder
 from ladarreg_core.many.memory_limit import memory_of_machine
 from ladarreg_core.progress import Progress
-from ladarreg_core.storage.atomic_write import is_disk_full
+from ladarreg_core.storage.atomic_write import is_disk_full, write_bytes
 
 _STAGE = "job"
 _IN_HAND = 512  # jobs that an executor of unknown size is given at a time
@@ -35,6 +35,7 @@ _RETRY_S = 5.0
 _PAGE_SHARE = 50  # the page is written again once so many times as long has passed as that takes
 _PAGE_EVERY_S = 5.0
 _NO_KEY = "none"
+_KILLED_BY_DASK = "KilledWorker"  # dask.distributed is optional
 _FAILED_VERDICT = "Failed: it could not be done."
 
 
@@ -63,9 +64,9 @@ def batch(
     """Do many jobs, each as the single command does it, and write their results into one folder.
 
     The folder has `jobs/ID` with what the command writes, without times; `batch.json`, the page `index.html`,
-    `timing.json`, and `manifest.jsonl`, by which a batch that was stopped goes on when it is called again. What failed
-    is tried again then. The results are the same whatever executes the jobs. On systems that spawn processes, as all do
-    here, a program calls this below `if __name__ == "__main__":`.
+    `jobs.json` with the list of the jobs, `timing.json`, and `manifest.jsonl`, by which a batch that was stopped goes
+    on when it is called again. What failed is tried again then. The results are the same whatever executes the jobs. On
+    systems that spawn processes, as all do here, a program calls this below `if __name__ == "__main__":`.
 
     Args:
         jobs: the jobs, or a file that lists them, see `read_jobs`.
@@ -96,7 +97,9 @@ def batch(
         opened = stack.enter_context(BatchFolder(folder, inputs=[*every], force=force, kind=JOBS_RUN))
         run = _Run(opened, listed, files, limit, force, report)
         waiting = run.resume()
-        pool = executor or stack.enter_context(WorkerProcesses(min(workers or usable_cores(), max(1, len(waiting)))))
+        count = min(workers or usable_cores(), max(1, len(waiting)))
+        # the last of a job's attempts is made when no other job runs
+        pool = executor or stack.enter_context(WorkerProcesses(count, attempts=MAX_ATTEMPTS - 1))
         return run.finish(waiting, pool)
 
 
@@ -120,6 +123,10 @@ class _Run:
     software: Mapping[str, str] = field(default_factory=job_software)
     found: dict[str, dict[str, Any]] = field(default_factory=dict)
     """What is known of each job that was done, by its id."""
+    alone: list[Job] = field(default_factory=list)
+    """Jobs whose workers were lost, which may be for want of memory: each is tried once more when no other runs."""
+    retried: set[str] = field(default_factory=set)
+    """Ids of those that have been."""
     resumed: int = 0
     outcomes: dict[Outcome, int] = field(default_factory=lambda: dict.fromkeys(OUTCOMES, 0))
     remark: str = ""
@@ -159,9 +166,12 @@ class _Run:
         running: dict[Future[Any], tuple[Job, str]] = {}
         ended: queue.SimpleQueue[Future[Any]] = queue.SimpleQueue()
         self._tell("starting")
+        self._write_list()
         self._write_page()
         try:
-            while to_do or running:
+            while to_do or running or self.alone:
+                if not to_do and not running:
+                    to_do.append(self.alone.pop(0))
                 while to_do and len(running) < at_once and time.monotonic() >= self.retry_at:
                     self._begin(to_do.popleft(), pool, running, ended)
                 try:
@@ -170,7 +180,10 @@ class _Run:
                     self._wait_on(pool)
                     continue
                 job, key = running.pop(future)
-                if self._take(job, key, future):
+                if _is_worker_lost(future) and job.id not in self.retried:
+                    self.retried.add(job.id)
+                    self.alone.append(job)
+                elif self._take(job, key, future):
                     to_do.appendleft(job)
         finally:
             for future in running:
@@ -216,7 +229,10 @@ class _Run:
                 raise UnfitWorkerError(
                     f"a worker cannot load the program ({error}); install the same version on all machines"
                 ) from error
-            result = _failed(self._why(error))
+            why = self._why(error)
+            if _is_worker_lost(future):
+                why = f"each time it was tried its worker was lost, the last time when no other job ran: {why}"
+            result = _failed(why)
         self._record(job, key, result)
         return False
 
@@ -242,7 +258,7 @@ class _Run:
                 f"it needs more memory than the {self.memory_bytes / 1e9:.1f} GB that a job may use; allow more by "
                 "`memory_gb`, or take a smaller scan or photo"
             )
-        if type(error).__name__ == "KilledWorker":  # of Dask, which is optional
+        if type(error).__name__ == _KILLED_BY_DASK:
             return "each worker that was given it ended before it had finished it; their logs say why"
         return why_it_failed(error)
 
@@ -287,6 +303,12 @@ class _Run:
                     raise
             self._wait_for_space()
             time.sleep(_RETRY_S)
+
+    def _write_list(self) -> None:
+        """Write down what the jobs are made of, so that the batch can be looked at and continued from its folder."""
+        data, path = list_bytes(self.jobs, self.folder.folder), self.folder.folder / LIST_FILE
+        if not path.is_file() or path.read_bytes() != data:
+            self._patiently(lambda: self.folder.write({LIST_FILE: lambda aside: write_bytes(aside, data)}))
 
     def _write_page_if_due(self) -> None:
         if self.page_due and time.monotonic() >= self.page_at:
@@ -345,6 +367,14 @@ class _Run:
             **{name: found.get(name) for name in names},
             "folder": None if found["outcome"] == "failed" else f"{JOBS_RUN.results}/{job.id}",
         }
+
+
+def _is_worker_lost(future: Future[Any]) -> bool:
+    """Return whether a job that has ended failed because its workers were lost."""
+    if future.cancelled():
+        return False
+    error = future.exception()
+    return isinstance(error, WorkerLostError) or type(error).__name__ == _KILLED_BY_DASK
 
 
 def _failed(why: str) -> dict[str, Any]:

@@ -14,6 +14,8 @@ from ladarreg_core.many.folder import RunKind
 
 JOBS_RUN = RunKind("manifest.jsonl", "jobs", "batch.json", "jobs")
 """Layout of the folder of a batch."""
+LIST_FILE = "jobs.json"
+"""The list of its jobs, as `read_jobs` reads it; paths start at the folder."""
 TIMES_FILE = "timing.json"
 """File with all times of a batch: nothing else of it differs from run to run."""
 Outcome = Literal["accepted", "refused", "failed"]

@@ -37,7 +37,8 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 _MAX_PROCESSES = 256
-_MAX_ATTEMPTS = 3
+MAX_ATTEMPTS = 3
+"""A task that has lost so many processes is to blame itself."""
 _MAX_STARTS = 10  # processes that end before they have begun a task: it is not to blame, but there has to be an end
 _BEGUN = b"!"
 _JOIN_S = 10.0
@@ -61,12 +62,14 @@ class WorkerProcesses(Executor):
 
     Args:
         count: number of processes; None: one for each processor core that this process may use.
+        attempts: a task that has lost so many processes fails.
 
     Raises:
         OptionError: if the count is not a number from 1 to 256.
     """
 
-    def __init__(self, count: int | None = None) -> None:
+    def __init__(self, count: int | None = None, *, attempts: int = MAX_ATTEMPTS) -> None:
+        self._attempts = attempts
         self.count = require_int(usable_cores() if count is None else count, "processes", least=1, most=_MAX_PROCESSES)
         self._tasks: deque[_Task] = deque()
         self._lock = threading.Lock()
@@ -85,7 +88,7 @@ class WorkerProcesses(Executor):
             kwargs: keyword arguments.
 
         Returns:
-            Its future, which raises what the function raised, or `WorkerLostError` if it has lost three processes.
+            Its future, which raises what the function raised, or `WorkerLostError` if it has lost too many processes.
 
         Raises:
             RuntimeError: after `shutdown`.
@@ -193,7 +196,7 @@ class WorkerProcesses(Executor):
         """Give up a process that has ended, and put its task first in the queue unless it has lost too many."""
         workers.remove(worker)
         task, why = worker.lost()
-        if task.attempts < _MAX_ATTEMPTS and task.starts_lost < _MAX_STARTS and not self._killed:
+        if task.attempts < self._attempts and task.starts_lost < _MAX_STARTS and not self._killed:
             log.warning("a task is tried again: %s", why)
             with self._lock:
                 self._tasks.appendleft(task)

@@ -31,10 +31,10 @@ class Journal:
     """
 
     def __init__(self, path: Path) -> None:
-        self._records: dict[tuple[str, str], Mapping[str, Any]] = {}
         if not path.exists():
             write_bytes(path, _line({"kind": "batch", "version": _VERSION}))
-        self._file = AppendedFile(path, intact_bytes=self._read(path))
+        self._records, intact_bytes = _read(path)
+        self._file = AppendedFile(path, intact_bytes=intact_bytes)
 
     def __bool__(self) -> bool:
         return bool(self._records)
@@ -68,23 +68,34 @@ class Journal:
         """Close the file."""
         self._file.close()
 
-    def _read(self, path: Path) -> int:
-        """Read the records, and return the length of the intact part."""
-        if path.stat().st_size > _LARGEST_BYTES:
-            raise FormatError(f"{path} is too large for the journal of a run; give another folder")
-        intact = 0
-        for number, line in enumerate(path.read_bytes().splitlines(keepends=True)):
-            fields = _fields(line)
-            if number == 0:
-                _check_head(path, fields)
-            elif fields is None:
-                break
-            else:
-                self._records[str(fields["stage"]), str(fields["name"])] = fields
-            intact += len(line)
-        if intact == 0:
-            _check_head(path, None)
-        return intact
+
+def read_journal(path: Path) -> dict[tuple[str, str], Mapping[str, Any]]:
+    """Return the last record of each stage and name, also while another program appends to the journal.
+
+    Raises:
+        FormatError: as of `Journal`.
+    """
+    return _read(path)[0]
+
+
+def _read(path: Path) -> tuple[dict[tuple[str, str], Mapping[str, Any]], int]:
+    """Return the last record of each stage and name, and the length of the intact part."""
+    if path.stat().st_size > _LARGEST_BYTES:
+        raise FormatError(f"{path} is too large for the journal of a run; give another folder")
+    records: dict[tuple[str, str], Mapping[str, Any]] = {}
+    intact = 0
+    for number, line in enumerate(path.read_bytes().splitlines(keepends=True)):
+        fields = _fields(line)
+        if number == 0:
+            _check_head(path, fields)
+        elif fields is None:
+            break
+        else:
+            records[str(fields["stage"]), str(fields["name"])] = fields
+        intact += len(line)
+    if intact == 0:
+        _check_head(path, None)
+    return records, intact
 
 
 def _line(fields: Mapping[str, Any]) -> bytes:

@@ -29,13 +29,15 @@ export interface Commands {
   go_to: { n: number };
   hold_camera: { camera: string; held: boolean };
   hover_pick: { pick?: string | null };
-  job_control: { action: string; value?: number | null };
+  job_control: { action: string; value?: number | null; job?: string | null };
+  list_jobs: { outcome?: "failed" | "refused" | "waiting" | "accepted" | null; words?: string };
   list_projects: Record<string, never>;
   list_served: Record<string, never>;
   look: { viewpoint: "start" | "overview" | "scanner" | "camera" };
   measure: { kind: "point" | "distance" | "polyline" | "angle" | "area" | "height"; places: (Record<string, unknown>)[] };
   new_project: { name?: string | null; files?: string[] | null; sure?: boolean };
   open_files: { files: string[]; scan?: "replace" | "frames" | "stations" | null; photo?: string | null; reading?: Record<string, unknown> | null };
+  open_job: { wanted: string; sure?: boolean };
   open_project: { wanted?: string | null; folder?: string | null; sure?: boolean };
   open_sample: { sure?: boolean };
   open_served: { what: string; path?: string | null; paths?: string[] | null; photo?: string | null; reading?: Record<string, unknown> | null; scan?: "replace" | "frames" | "stations" | null };

@@ -131,7 +131,7 @@ def page_contradictions(
     found = _Comparison(facts, slices).everything(constants)
     found += page_survey(facts, slices.get("photos") or [], slices.get("survey"))
     found += page_measurements(facts, slices.get("measurements") or [], slices.get("measured") or [])
-    return [*found, *page_stations(facts, slices.get("stations"))]
+    return [*found, *page_stations(facts, slices.get("stations"), slices.get("survey"))]
 
 
 class _Comparison:

@@ -57,14 +57,16 @@ def server_stations(document: Document, told: dict[str, Any] | None) -> list[str
     ]
 
 
-def page_stations(facts: dict[str, Any], told: dict[str, Any] | None) -> list[str]:
+def page_stations(
+    facts: dict[str, Any], told: dict[str, Any] | None, survey: dict[str, Any] | None = None
+) -> list[str]:
     """Return where the page says something else of the stations than the slice."""
     slice_ = told or {"stations": [], "pairs": [], "loops": [], "checks": [], "done": False}
     tab, step = facts["tabs"]["stations"], facts["stations"]
     compared = [
         ("tick", (tab["done"], tab["ticked"]), (slice_["done"], slice_["done"])),
         ("rows", step["rows"], [_row(each) for each in slice_["stations"]]),
-        ("verdicts", step["verdicts"], _verdicts(slice_)),
+        ("verdicts", step["verdicts"], _verdicts(slice_, survey)),
         ("whole", step["whole"], _whole(slice_)),
     ]
     if told is not None:
@@ -87,7 +89,7 @@ def _row(station: dict[str, Any]) -> list[str]:
     return [name, state, where and f"{where} m, {_fixed(place['yaw_deg'], 2)}°"]
 
 
-def _verdicts(told: dict[str, Any]) -> list[str]:
+def _verdicts(told: dict[str, Any], survey: dict[str, Any] | None) -> list[str]:
     found = []
     for pair in told["pairs"]:
         sigma = f"{_sigma(pair)}." if pair["verdict"] == "verified" and _sigma(pair) else ""
@@ -96,6 +98,10 @@ def _verdicts(told: dict[str, Any]) -> list[str]:
     for loop in told["loops"]:
         found.append(f"Loop {' → '.join(loop['stations'])}")
         found.append(f"closes within {loop['error_mm']:.1f} mm and {loop['error_deg']:.3f}°.")
+    for scan in survey["scans"] if survey and not told["pairs"] and len(survey["scans"]) > 1 else []:
+        placed = scan["state"] == "placed"
+        found.append(f"{scan['name']}: {'placed by adjusting everything together' if placed else scan['state']}")
+        found.append(f"σ {scan['position']}, {scan['angle']}." if placed else "")
     for check in told["checks"]:
         said = "The photograph has another pose by now: check it again." if check["stale"] else check["sentence"]
         found += [f"{check['name']} at {check['station']}: {check['outcome']}", said]

@@ -217,7 +217,7 @@ class Acquisition:
                 folder.close()
                 raise
             preview = RunPreview(
-                plan.mount, pieces=run.total, step_deg=plan.pan.step_deg if plan.mode == "sweep" else 0.0
+                plan.mount, plan.base, pieces=run.total, step_deg=plan.pan.step_deg if plan.mode == "sweep" else 0.0
             )
             self._forget_points()
             self._run, self._plan, self._preview = (

@@ -140,14 +140,15 @@ def seen_by(context: Context, client: Client) -> Rigid:
 
 
 class JobControl(WorkbenchCommand, frozen=True):
-    """controls the running job: `pause`, `resume`, `stop`, `step`, or `speed` with its value"""
+    """controls the running job: `pause`, `resume`, `stop`, `step`, or `speed` with its value; stops a waiting `job`"""
 
     action: Annotated[str, Meta(title="give an action: pause, resume, stop, step or speed")]
     value: float | None = None
+    job: str | None = None
 
     def execute(self, context: Context, client: Client) -> Reply:
         """Control it."""
-        context.runner.control(self.action[:_MAX_ACTION], self.value)
+        context.runner.control(self.action[:_MAX_ACTION], self.value, job=self.job)
         return {}
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Protocol
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Protocol
 
 from msgspec import Meta
 
@@ -15,7 +15,7 @@ from .command import Command, FileIds, Reply, commands_in
 if TYPE_CHECKING:
     from ..state.clients import Client
 
-_MAX_LETTERS, _MAX_PATH = 80, 4000
+_MAX_LETTERS, _MAX_PATH, _MAX_WORDS = 80, 4000, 200
 _NO_FOLDER = "no folder is given; enter the path of a project's folder"
 Wanted = Annotated[str, Meta(title="no project is given; choose one of the list")]
 
@@ -47,6 +47,12 @@ class Projects(Protocol):
     def find(self, wanted: object) -> Path | None:
         """Return the folder of a project of the list."""
 
+    def listed_jobs(self, outcome: str | None, words: str) -> Reply:
+        """Return the jobs of the batch."""
+
+    def open_job(self, wanted: str, client: Client, *, sure: bool) -> Reply:
+        """Open a job of the batch as a project."""
+
 
 class ProjectCommand(Command, frozen=True):
     """A command on projects as a whole."""
@@ -57,10 +63,10 @@ class ProjectCommand(Command, frozen=True):
 
 
 class ListProjects(ProjectCommand, frozen=True):
-    """the recent projects; `anywhere`: whether any folder may be opened"""
+    """the recent projects; `anywhere`: whether any folder may be opened; `batch`: whether there is one to list"""
 
     looks: ClassVar[bool] = True
-    replies: ClassVar[str] = "projects: [{id, name, folder, state, edited, missing, current, picture}], anywhere"
+    replies: ClassVar[str] = "projects: [{id, name, folder, state, edited, missing, current, picture}], anywhere, batch"
 
     def execute(self, projects: Projects, client: Client) -> Reply:
         """Return them."""
@@ -84,9 +90,9 @@ class NewProject(ProjectCommand, frozen=True):
 
 
 class OpenProject(ProjectCommand, frozen=True):
-    """opens a project of the list, `wanted`, or of a folder of the server's machine"""
+    """opens a project of the list, `wanted`, or of a folder of the server's machine; of a batch, its list"""
 
-    replies: ClassVar[str] = "opened | asks"
+    replies: ClassVar[str] = "opened | asks | batch"
     wanted: Wanted | None = None
     folder: Annotated[str, Meta(max_length=_MAX_PATH, title=_NO_FOLDER)] | None = None
     sure: bool = False
@@ -134,6 +140,34 @@ class ForgetProject(ProjectCommand, frozen=True):
     def execute(self, projects: Projects, client: Client) -> Reply:
         """Remove it."""
         return projects.forget(self.wanted)
+
+
+class ListJobs(ProjectCommand, frozen=True):
+    """the jobs of the batch whose folder the workbench was started on, or which was opened, what failed first"""
+
+    looks: ClassVar[bool] = True
+    replies: ClassVar[str] = (
+        "name, counts: {outcome: n}, runs, matching, jobs: [{id, kind, outcome, verdict, reason, sigma, picture, "
+        "project}]"
+    )
+    outcome: Literal["failed", "refused", "waiting", "accepted"] | None = None
+    words: Annotated[str, Meta(max_length=_MAX_WORDS, title="search for at most 200 characters")] = ""
+
+    def execute(self, projects: Projects, client: Client) -> Reply:
+        """Return them."""
+        return projects.listed_jobs(self.outcome, self.words)
+
+
+class OpenJob(ProjectCommand, frozen=True):
+    """opens a job of the batch as a project, with the poses that it found to begin with"""
+
+    replies: ClassVar[str] = "opened | asks"
+    wanted: Annotated[str, Meta(max_length=_MAX_WORDS, title="no job is given; choose one of the list")]
+    sure: bool = False
+
+    def execute(self, projects: Projects, client: Client) -> Reply:
+        """Open it."""
+        return projects.open_job(self.wanted, client, sure=self.sure)
 
 
 PROJECT_COMMANDS: dict[str, type[ProjectCommand]] = commands_in(globals(), ProjectCommand)

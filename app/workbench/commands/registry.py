@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import LadarregError, OptionError
 
-from ...argument_names import as_fields
 from ...decoding import quoted
 from ...gateway.protocol import READ_ONLY
-from ...messages import internal_error
+from ...messages import internal_error, sentence
 from . import acquisition, edits, files, jobs, matches, measuring, people, stations
 from .command import Command, Context, Reply, WorkbenchCommand, commands_in
 from .former import present_form
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
     from ..state.clients import Client
 
 log = logging.getLogger(__name__)
-_MAX_SENTENCE = 600
 
 COMMANDS: dict[str, type[WorkbenchCommand]] = {
     name: command
@@ -75,22 +73,15 @@ def reply_to(message: Mapping[str, Any], execute: Callable[[], Reply]) -> Reply:
         return {"reply": number, "ok": True, **execute()}
     except LadarregError as error:
         field = {"field": error.field} if error.field else {}
-        return {"reply": number, "ok": False, "error": _sentence(str(error)), **field}
+        return {"reply": number, "ok": False, "error": sentence(str(error)), **field}
     except OSError as error:
         log.warning("%s: %s", do, error)
         reason = f"system error: {(error.strerror or type(error).__name__).lower()}"
         return {
             "reply": number,
             "ok": False,
-            "error": _sentence(f"{reason}; check the path, its permissions and the free space"),
+            "error": sentence(f"{reason}; check the path, its permissions and the free space"),
         }
     except Exception as error:
         log.exception("the command %s failed", do)
         return {"reply": number, "ok": False, "error": internal_error(error, go_on="nothing else is lost, try again")}
-
-
-def _sentence(text: str) -> str:
-    words = " ".join(as_fields(text).split())
-    if len(words) > _MAX_SENTENCE:
-        words = f"{words[:_MAX_SENTENCE]}..."
-    return f"{words[:1].upper()}{words[1:]}" + ("" if words.endswith((".", "!", "?")) else ".")

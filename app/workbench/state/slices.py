@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from hashlib import blake2b
 from typing import TYPE_CHECKING, Any
@@ -234,8 +234,8 @@ def pick_entry(pick: PickEntry) -> dict[str, Any]:
     }
 
 
-def job_slice(job: Job | None) -> dict[str, Any] | None:
-    """Return the slice `job`: the present job, or the last one."""
+def job_slice(job: Job | None, waiting: Sequence[Job] = ()) -> dict[str, Any] | None:
+    """Return the slice `job`: the present job, or the last one, and those that wait for it."""
     if job is None:
         return None
     return {
@@ -259,6 +259,9 @@ def job_slice(job: Job | None) -> dict[str, Any] | None:
                 "said": describe_detail(step.detail),
             }
             for step in list(job.steps)
+        ],
+        "waiting": [
+            {"id": each.id, "label": each.label, "photo": each.photo, "author": each.author.name} for each in waiting
         ],
     }
 

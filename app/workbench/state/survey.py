@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from statistics import median
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +15,13 @@ from ladarreg_core.project.station_edits import scans_of
 from ...argument_names import as_fields
 
 if TYPE_CHECKING:
-    from ladarreg_core.project.document import Adjusted, AdjustedPhotoEntry, Document, PhotoEntry
+    from ladarreg_core.project.document import (
+        Adjusted,
+        AdjustedPhotoEntry,
+        AdjustedScanEntry,
+        Document,
+        PhotoEntry,
+    )
 
 
 def survey_slice(document: Document, is_stale: Callable[[PhotoEntry], bool]) -> dict[str, Any] | None:
@@ -39,7 +46,7 @@ def survey_slice(document: Document, is_stale: Callable[[PhotoEntry], bool]) -> 
         "accepted": sum(photo["accepted"] for photo in photos),
         "photos": photos,
         "cameras": [_camera(adjusted, document, name) for name in adjusted.cameras],
-        "scans": [one.source.name for one in adjusted.scans],
+        "scans": [_scan(one) for one in adjusted.scans],
         "chi2_per_dof": adjusted.chi2_per_dof,
         "sigma_px": adjusted.sigma_px,
         "since": _since(
@@ -101,6 +108,8 @@ def _camera(adjusted: Adjusted, document: Document, name: str) -> dict[str, Any]
         if (one := adjusted.photos.get(entry.id)) and one.camera == name
     ]  # fmt: skip
     taken = [entry.id for entry in document.photos if (one := adjusted.photos.get(entry.id)) and one.camera == name]
+    residuals = {one: px for one in taken if (px := adjusted.photos[one].median_px) is not None and one in found.photos}
+    worst = max(residuals, key=lambda one: residuals[one], default=None)
     return {
         "id": name,
         "focal_px": found.camera.get("fx"),
@@ -109,7 +118,19 @@ def _camera(adjusted: Adjusted, document: Document, name: str) -> dict[str, Any]
         "height": found.camera.get("height"),
         "photos": [names[one] for one in taken],
         "used": len(found.photos),
+        "median_px": median(residuals.values()) if residuals else None,
+        "worst": None if worst is None else {"id": worst, "name": names[worst], "median_px": residuals[worst]},
         "held": bool(held) and all(held),
+    }
+
+
+def _scan(found: AdjustedScanEntry) -> dict[str, Any]:
+    known = found.sigma_m is not None and found.sigma_rad is not None
+    return {
+        "name": found.source.name,
+        "state": "not connected" if found.world_from_scanner is None else "placed" if known else "fixed",
+        "position": None if found.sigma_m is None else format_length(found.sigma_m),
+        "angle": None if found.sigma_rad is None else format_angle(found.sigma_rad),
     }
 
 

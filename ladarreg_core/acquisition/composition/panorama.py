@@ -27,6 +27,11 @@ PANORAMA_IS = (
     "along the pan axis, m"
 )
 """Explanation of a panorama's frame, written into `panorama.json`."""
+LEVELLED_IS = (
+    "scan.npz is level: its origin is where the axes of the pan/tilt unit cross, its axes are those of the unit turned "
+    "by mount.base, Z up, m"
+)
+"""The same of a unit that hangs or leans."""
 PROVENANCE_IS = (
     "provenance.png has the grid of scan.npz and shows by the color of each piece which one a cell is from; black = no "
     "return. Up to 255 pieces: an indexed image, its values are the places in pieces, or of a sweep the numbers of the "
@@ -64,17 +69,19 @@ def compose(
     run_folder: str | Path,
     *,
     mount: Rigid | None = None,
+    base: Rigid | None = None,
     calibrate_mount: bool = False,
     refine: bool = False,
     partial: bool = False,
     report: Report | None = None,
 ) -> Panorama:
-    """Return the panorama of a run.
+    """Return the panorama of a run, level where the plan says how the unit stands or hangs.
 
     Args:
         run_folder: folder of a run, or a CSV with `file,pan_deg,tilt_deg` of scans in any format that can be read.
         mount: `unit_from_scanner`; None: that of the plan, or of a list without a plan the scanner at the crossing of
             the axes.
+        base: `level_from_unit`, a rotation; None: that of the plan, else upright.
         calibrate_mount: estimate the mount from surfaces that were seen twice.
         refine: refine the pieces of a mosaic against each other.
         partial: compose what is there of a run that is not complete.
@@ -87,6 +94,7 @@ def compose(
         OptionError: if the options do not suit the run.
     """
     from ladarreg_core.acquisition.runs.piece_list import read_piece_list
+    from ladarreg_core.frames import Rigid
 
     listed = read_piece_list(run_folder)
     if listed.missing and not partial:
@@ -101,21 +109,22 @@ def compose(
         checksums.append(piece.checked_sha256())
     start = mount if mount is not None else listed.mount
     origin = "given" if mount is not None else "plan" if listed.mount is not None else "none: the scanner's own centre"
+    level = base or listed.base or Rigid.identity()
     if listed.mode == "sweep":
         if refine:
             raise OptionError("a sweep has no pieces to refine; leave `refine` out, or use `calibrate_mount`")
-        made = _sweep(listed, start, calibrate_mount=calibrate_mount, report=report)
+        made = _sweep(listed, start, level, calibrate_mount=calibrate_mount, report=report)
     else:
-        made = _mosaic(listed, start, calibrate_mount=calibrate_mount, refine=refine, report=report)
-    return replace(made, fields=_document(listed, made, checksums, origin))
+        made = _mosaic(listed, start, level, calibrate_mount=calibrate_mount, refine=refine, report=report)
+    return replace(made, fields=_document(listed, made, checksums, origin, level))
 
 
 def _mosaic(
-    listed: PieceList, mount: Rigid | None, *, calibrate_mount: bool, refine: bool, report: Report | None
+    listed: PieceList, mount: Rigid | None, level: Rigid, *, calibrate_mount: bool, refine: bool, report: Report | None
 ) -> Panorama:
     from ladarreg_core.acquisition.alignment.mosaic_piece import PlacedPiece
     from ladarreg_core.acquisition.composition.mosaic_composition import compose_mosaic
-    from ladarreg_core.acquisition.mount_fields import mount_as_fields
+    from ladarreg_core.acquisition.mount_fields import is_upright, mount_as_fields
     from ladarreg_core.formats import read_scan
     from ladarreg_core.frames import Rigid
     from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
@@ -140,6 +149,8 @@ def _mosaic(
             replace(piece, world_from_scanner=one.world_from_scanner)
             for piece, one in zip(pieces, found.pieces, strict=True)
         ]
+    if not is_upright(level):
+        pieces = [replace(piece, world_from_scanner=level @ piece.world_from_scanner) for piece in pieces]
     made = compose_mosaic(pieces, name=listed.source.stem, report=report)
     counts = {
         "overlapping": made.overlapping,
@@ -194,10 +205,12 @@ def _mount_report(names: Sequence[str], sigma: NDArray[np.float64], determined: 
     return {"from": "estimated", "sigma": stated, "not_determined": lost}
 
 
-def _sweep(listed: PieceList, mount: Rigid | None, *, calibrate_mount: bool, report: Report | None) -> Panorama:
+def _sweep(
+    listed: PieceList, mount: Rigid | None, level: Rigid, *, calibrate_mount: bool, report: Report | None
+) -> Panorama:
     from ladarreg_core.acquisition.alignment import mount_calibration
     from ladarreg_core.acquisition.composition.sweep_composition import compose_sweeps
-    from ladarreg_core.acquisition.mount_fields import mount_as_fields
+    from ladarreg_core.acquisition.mount_fields import is_upright, mount_as_fields
     from ladarreg_core.acquisition.runs.sweep_pieces import read_sweeps
 
     if mount is None:
@@ -209,7 +222,8 @@ def _sweep(listed: PieceList, mount: Rigid | None, *, calibrate_mount: bool, rep
         found = mount_calibration.calibrate_mount(sweeps, mount, report=report)
         mount, latency_s = found.unit_from_scanner, found.latency_s
         calibration = {"calibration": found.as_fields()} | ({"from": "estimated"} if found.accepted else {})
-    made = compose_sweeps(sweeps, mount, latency_s=latency_s, name=listed.source.stem)
+    turned = None if is_upright(level) else level
+    made = compose_sweeps(sweeps, mount, turned, latency_s=latency_s, name=listed.source.stem)
     counts = {"folded": made.folded, "repeated": made.repeated}
     fields = {
         "mount": {**mount_as_fields(mount), **calibration}, "counts": counts,
@@ -219,15 +233,21 @@ def _sweep(listed: PieceList, mount: Rigid | None, *, calibrate_mount: bool, rep
     return Panorama(made.scan, made.sweep_of_cell, fields)
 
 
-def _document(listed: PieceList, made: Panorama, checksums: Sequence[str], mount_from: str) -> dict[str, Any]:
+def _document(
+    listed: PieceList, made: Panorama, checksums: Sequence[str], mount_from: str, level: Rigid
+) -> dict[str, Any]:
     """Return the fields of `panorama.json`."""
-    from ladarreg_core.acquisition.mount_fields import MOUNT_IS
+    from ladarreg_core.acquisition.mount_fields import BASE_IS, MOUNT_IS, base_as_value, is_upright
 
     own = dict(made.fields)
     each = own.pop("each")
     rows, columns = made.scan.shape
     counts = {"rows": rows, "columns": columns, "returns": int(made.scan.valid.sum()), **own.pop("counts")}
     mount = {"is": MOUNT_IS, "from": mount_from, **own.pop("mount")}
+    frame = PANORAMA_IS
+    if not is_upright(level):
+        frame = LEVELLED_IS
+        mount |= {"base": base_as_value(level), "base_is": BASE_IS}
     reasons = own.pop("reasons", [])
     if listed.closure is not None and not listed.closure["closed"]:
         reasons = [*reasons, listed.closure["said"]]
@@ -243,7 +263,7 @@ def _document(listed: PieceList, made: Panorama, checksums: Sequence[str], mount
     ]  # fmt: skip
     return {
         "version": _VERSION, "kind": "panorama", "software": {"name": "ladarreg", "version": VERSION},
-        "mode": listed.mode, "scan": "scan.npz", "frame_is": PANORAMA_IS, "provenance": "provenance.png",
+        "mode": listed.mode, "scan": "scan.npz", "frame_is": frame, "provenance": "provenance.png",
         "provenance_is": PROVENANCE_IS, "accepted": not reasons, "reasons": reasons, "counts": counts, "mount": mount,
         "closure": None if listed.closure is None else dict(listed.closure), **own,
         "notes": [*made.scan.notes, *own.get("notes", ())], "missing": list(listed.missing), "pieces": pieces,

@@ -19,6 +19,7 @@ from ladarreg_core.scanner.grids import SphericalGrid, TabulatedGrid
 _FULL_TURN_GAP_RAD = float(np.radians(2.0))
 _LONGITUDE_BINS = 1440
 _BEHIND = (0.1, 1.15)
+_STEEPEST_BASE = 0.85  # a base that leans by 30 deg at most
 _MIN_BESIDE = 0.25  # cells from the centre, for a return to stand in the cell beside it
 
 
@@ -27,7 +28,7 @@ class SweepComposition:
     """A scan made of sweeps, and how many of their returns were dropped."""
 
     scan: Scan
-    """In the unit's world: origin where the axes cross, X ahead at pan 0, Z along the pan axis."""
+    """Origin where the axes cross; the axes of the unit's world, X ahead at pan 0, Z along the pan axis, levelled."""
     sweep_of_cell: NDArray[np.int16]
     """(H, W) the sweep that each return is from; -1 = no return."""
     folded: int
@@ -39,8 +40,9 @@ class SweepComposition:
 
 
 def compose_sweeps(
-    sweeps: Sequence[LineSweep], unit_from_scanner: Rigid, *, latency_s: float = 0.0, name: str = "sweep"
-) -> SweepComposition:
+    sweeps: Sequence[LineSweep], unit_from_scanner: Rigid, level_from_unit: Rigid | None = None, *,
+    latency_s: float = 0.0, name: str = "sweep",
+) -> SweepComposition:  # fmt: skip
     """Return sweeps as one scan with a ray of its own for each return; no range or intensity is resampled.
 
     One pan sweep of an upright line is a grid with a column for each line. Several sweeps, and those of a line that is
@@ -50,6 +52,7 @@ def compose_sweeps(
     Args:
         sweeps: the passes.
         unit_from_scanner: the mount.
+        level_from_unit: how the unit itself is turned; None: upright.
         latency_s: of the unit's readings, for a unit in motion.
         name: display name of the scan.
 
@@ -59,21 +62,36 @@ def compose_sweeps(
     if not sweeps:
         raise ShapeError("there is no line to compose; a sweep needs at least two")
     notes = () if any(sweep.intensity is not None for sweep in sweeps) else (NO_INTENSITY_NOTE,)
-    grid = column_grid(sweeps[0], unit_from_scanner, latency_s=latency_s) if len(sweeps) == 1 else None
+    level = level_from_unit or Rigid.identity()
+    up = float(level.rotation[2, 2])
+    # the lines of a unit that lies on its side are no columns of a level grid
+    grid = column_grid(sweeps[0], unit_from_scanner, latency_s=latency_s) if len(sweeps) == 1 and _stands(up) else None
     if grid is not None:
-        scan = Scan(TabulatedGrid.taking_over(grid.rays), grid.ranges_m, grid.intensity, name=name, notes=notes)
+        rays, ranges, intensity = grid.rays, grid.ranges_m, grid.intensity
+        if level_from_unit is not None:
+            rays = (rays @ level.rotation.T.astype(np.float32)).astype(np.float32)
+        if up < 0:  # what is on top in the unit's world is at the bottom, and left is right
+            rays, ranges, intensity = (np.ascontiguousarray(each[::-1, ::-1]) for each in (rays, ranges, intensity))
+        scan = Scan(TabulatedGrid.taking_over(rays), ranges, intensity, name=name, notes=notes)
         return SweepComposition(
             scan, np.where(scan.valid, 0, -1).astype(np.int16), grid.folded, grid.repeated, columns_are_lines=True
         )
-    return _on_sphere(sweeps, unit_from_scanner, latency_s, name, notes)
+    return _on_sphere(sweeps, unit_from_scanner, level_from_unit, latency_s, name, notes)
+
+
+def _stands(up: float) -> bool:
+    """Return whether lines across a unit whose Z has this component upward, of 1, are upright enough for columns."""
+    return abs(up) > _STEEPEST_BASE
 
 
 def _on_sphere(
-    sweeps: Sequence[LineSweep], mount: Rigid, latency_s: float, name: str, notes: tuple[str, ...]
+    sweeps: Sequence[LineSweep], mount: Rigid, level: Rigid | None, latency_s: float, name: str, notes: tuple[str, ...]
 ) -> SweepComposition:
     parts = []
     for sweep in sweeps:
         points = sweep.points_in_world(mount, latency_s=latency_s)
+        if level is not None:
+            points = points @ level.rotation.T
         there = np.isfinite(points[..., 0])
         light = np.zeros(there.shape, np.float32) if sweep.intensity is None else sweep.intensity
         parts.append((points[there].astype(np.float32), light[there]))

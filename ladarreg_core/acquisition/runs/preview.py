@@ -27,12 +27,13 @@ class RunPreview:
 
     Args:
         unit_from_scanner: the mount.
+        level_from_unit: how the unit itself is turned.
         pieces: how many there will be; each has an equal share of the points.
         step_deg: angle between neighbouring lines; the picture is filled between them.
     """
 
-    def __init__(self, unit_from_scanner: Rigid, *, pieces: int, step_deg: float = 0.0) -> None:
-        self._mount = unit_from_scanner
+    def __init__(self, unit_from_scanner: Rigid, level_from_unit: Rigid, *, pieces: int, step_deg: float = 0.0) -> None:
+        self._mount, self._level = unit_from_scanner, level_from_unit
         self._wide = 2 * round(abs(step_deg) * WIDTH / 360 / 2 + 0.5) + 1
         self._light = np.zeros((HEIGHT, WIDTH), np.float32)
         self._nearest = np.full((HEIGHT, WIDTH), np.inf, np.float32)
@@ -49,6 +50,7 @@ class RunPreview:
     def add(self, piece: LineSweep | ScanPiece) -> None:
         """Add a piece."""
         points, light = self._points_of(piece)
+        points = points @ self._level.rotation.T
         ranges = np.linalg.norm(points, axis=-1)
         there = np.isfinite(ranges) & (ranges > 0)
         points, light, ranges = points[there], light[there], ranges[there]
@@ -80,7 +82,9 @@ class RunPreview:
         return np.asarray(np.where(seen, picture, filled[:, self._wide : -self._wide]), dtype=np.uint8)
 
     def take_points(self) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        """Return the points that are new since the last call, (N, 3), m, in the world of the unit, with grays (N,).
+        """Return the points that are new since the last call, with grays (N,).
+
+        They are (N, 3), m, in the world of the unit, levelled.
 
         All calls together return at most 200,000 points.
         """

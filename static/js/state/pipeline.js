@@ -151,3 +151,15 @@ export const shareDone = (job) => (job && job.total > 0 ? Math.max(0, Math.min(1
 
 /** @returns {boolean} whether a job is running or paused */
 export const isRunning = (job) => job?.state === "running" || job?.state === "paused";
+
+/**
+ * The job that keeps a photograph busy: one that runs on it or on the whole project, or one that waits for it. Jobs on other
+ * photographs do not matter: the next one begins after them.
+ * @param {any} job the slice
+ * @param {string | null | undefined} photo
+ * @returns {any} null if the photograph is free
+ */
+export const jobOn = (job, photo) => {
+  if (!isRunning(job)) return null;
+  return [job, ...(job.waiting ?? [])].find((each) => !each.photo || each.photo === photo) ?? null;
+};

@@ -11,15 +11,20 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from ladarreg.gateway.protocol import READ_ONLY, Visitor
+from ladarreg.workbench.batch_jobs import BatchJobs
 from ladarreg.workbench.desk import Desk
 from ladarreg.workbench.launch import data_folder, open_workbench
 from ladarreg.workbench.state.clients import Client
 from PIL import Image
 
+import ladarreg_core as lr
+from ladarreg_core.formats.documents.pose_file import read_pose
 from ladarreg_core.project.summary import read_summary
 from ladarreg_core.simulate.sample import sample_folder
+from testing.jobs import Here
 from testing.workbench.gateway_driver import soon
 
 SCAN, PHOTO = sample_folder() / "scan.npz", next(sample_folder().glob("photo.*"))
@@ -224,7 +229,7 @@ def test_who_may_only_look_does_not_change_projects(bench: DeskDriver) -> None:
     bench.drop(SCAN)
     bench.client.read_only = True
     wanted = bench.slice("project")["id"]
-    for do in ("new_project", "open_project", "open_sample", "duplicate_project", "forget_project"):
+    for do in ("new_project", "open_project", "open_sample", "duplicate_project", "forget_project", "open_job"):
         assert bench.ask(do, wanted=wanted)["error"] == READ_ONLY
     bench.client.read_only = False
 
@@ -234,3 +239,63 @@ def test_the_sample_opens_and_registers_itself(bench: DeskDriver) -> None:
     assert bench.slice("project")["name"] == "Sample"
     assert bench.slice("job")["kind"] == "auto"
     bench.do("job_control", action="stop")
+
+
+@pytest.fixture
+def batch(tmp_path: Path) -> Path:
+    """The folder of a batch on the sample: a pair that is accepted, one that failed, and one that has not been done."""
+    site = tmp_path / "site"
+    site.mkdir()
+    for file in (SCAN, PHOTO, sample_folder() / "camera.json"):
+        shutil.copy(file, site)
+    (site / "damaged.png").write_bytes(b"no picture")
+    row = {"scan": SCAN.name, "camera": "camera.json"}
+    jobs = [{**row, "photo": PHOTO.name, "name": "good"}, {**row, "photo": "damaged.png", "name": "bad"}]
+    (site / "list.json").write_text(json.dumps(jobs))
+    lr.batch(site / "list.json", site / "out", executor=Here())
+    return site / "out"
+
+
+def test_a_batch_is_listed_and_its_jobs_are_projects(bench: DeskDriver, batch: Path) -> None:
+    assert "No batch is open" in bench.ask("list_jobs")["error"]
+    bench.desk._batch = BatchJobs(batch, data_folder() / "projects")
+    assert bench.do("list_projects")["batch"]
+    found = bench.do("list_jobs")
+    assert (found["name"], found["runs"]) == ("out", False)
+    assert (found["counts"]["failed"], found["counts"]["accepted"]) == (1, 1)
+    assert [(one["id"], one["outcome"], one["project"]) for one in found["jobs"]] == [
+        ("bad", "failed", False), ("good", "accepted", False),
+    ]  # fmt: skip
+    assert found["jobs"][1]["sigma"].startswith("Sigma")
+    assert bench.desk.picture("job/good", {}).data.startswith(b"\xff\xd8")
+    assert [one["id"] for one in bench.do("list_jobs", words="DAMAGED.png")["jobs"]] == ["bad"]
+    assert [one["id"] for one in bench.do("list_jobs", outcome="accepted")["jobs"]] == ["good"]
+
+    assert "damaged.png" in bench.ask("open_job", wanted="bad")["error"]
+    assert "not in the list" in bench.ask("open_job", wanted="other")["error"]
+    assert not any(one["project"] for one in bench.do("list_jobs")["jobs"])  # nothing is left of what failed
+    bench.do("open_job", wanted="good")
+    assert bench.slice("project")["name"] == "good"
+    found_pose = read_pose(batch / "jobs/good/registration.json")
+    assert np.allclose(bench.slice("photos")[0]["stated_pose"], found_pose.matrix)
+    assert soon(lambda: bench.slice("photos")[0].get("light") == "verified", seconds=60)
+    first = bench.slice("project")["id"]
+    assert bench.do("list_jobs", outcome="accepted")["jobs"][0]["project"]
+
+    bench.do("new_project", name="between")
+    (batch.parent / SCAN.name).unlink()  # the project is there, and says what is missing itself
+    bench.do("open_job", wanted="good")
+    assert bench.slice("project")["id"] == first
+    assert "is not there" in bench.ask("open_job", wanted="bad")["error"]
+
+
+def test_the_list_follows_a_batch_that_runs(bench: DeskDriver, batch: Path) -> None:
+    bench.desk._batch = BatchJobs(batch, data_folder() / "projects")
+    lines = (batch / "manifest.jsonl").read_bytes().splitlines(keepends=True)
+    (batch / "manifest.jsonl").write_bytes(b"".join(lines[:-1]) + lines[-1][:40])  # as while it writes
+    found = bench.do("list_jobs")
+    assert (found["runs"], found["counts"]["waiting"]) == (True, 1)
+    (batch / "manifest.jsonl").write_bytes(b"".join(lines))
+    assert not bench.do("list_jobs")["runs"]
+    shutil.rmtree(batch)
+    assert "not there any more" in bench.ask("list_jobs")["error"]

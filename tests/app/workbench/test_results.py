@@ -101,7 +101,9 @@ def test_the_simplex_can_be_watched_paused_and_stopped(
     assert registered.slice("job")["state"] == "paused"
     registered.do("job_control", action="step")
     registered.eventually(lambda: len(events()) > seen)
-    assert registered.refused("run", photo="p1", job="robust").startswith("'Simplex' is running")
+    waits = registered.do("run", photo="p1", job="robust")["job"]
+    assert [(each["id"], each["label"]) for each in registered.slice("job")["waiting"]] == [(waits, "Robust solution")]
+    registered.do("job_control", action="stop", job=waits)
     registered.do("job_control", action="stop")
     registered.workbench.runner.wait(60)
     job = registered.workbench.runner.job

@@ -55,7 +55,12 @@ def test_an_adjustment_is_one_step_of_the_history(bench: WorkbenchDriver) -> Non
     assert one["accepted"]
     assert not one["changed"]
     assert one["position"]
-    assert survey["scans"] == ["scan.npz"]
+    assert survey["scans"] == [{"name": "scan.npz", "state": "fixed", "position": None, "angle": None}]
+    for camera in survey["cameras"]:
+        residuals = [one["median_px"] for one in survey["photos"] if one["camera"] == camera["id"] and one["accepted"]]
+        known = [px for px in residuals if px is not None]
+        assert camera["median_px"] == (None if not known else float(np.median(known)))
+        assert camera["worst"] is None if not known else camera["worst"]["median_px"] == max(known)
     assert "added" in survey["since"]  # the blank one
     photo = next(photo for photo in bench.slice("photos") if photo["id"] == "p1")
     assert photo["light"] == "verified"
@@ -112,7 +117,7 @@ def test_a_survey_opens_as_a_project_and_again(tmp_path: Path) -> None:
 
 def test_a_pose_that_is_held_stays_and_one_that_was_taken_out_takes_no_part(bench: WorkbenchDriver) -> None:
     pose = bench.workbench.session.document.photo("p1").pose
-    assert bench.refused("set_part", photos=["p2"], part="held").startswith("Blank.png has no accepted pose")
+    assert bench.refused("set_part", photos=["p2"], part="held").startswith("blank.png has no accepted pose")
     bench.do("set_part", photos=["p1"], part="held")
     done(bench, "adjust")
     photo = bench.workbench.session.document.photo("p1")

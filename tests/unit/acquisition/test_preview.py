@@ -19,7 +19,7 @@ def line(pan_deg: float, rays: int = 2000) -> LineSweep:
 
 
 def test_every_point_comes_once_where_it_was_measured() -> None:
-    preview = RunPreview(Rigid.identity(), pieces=400)
+    preview = RunPreview(Rigid.identity(), Rigid.identity(), pieces=400)
     points, gray = preview.take_points()
     assert points.shape == (0, 3)
     total = 0
@@ -39,7 +39,7 @@ def test_every_point_comes_once_where_it_was_measured() -> None:
 
 
 def test_the_picture_shows_what_was_seen_with_the_left_at_the_left() -> None:
-    preview = RunPreview(Rigid.identity(), pieces=1)
+    preview = RunPreview(Rigid.identity(), Rigid.identity(), pieces=1)
     assert not preview.picture().any()
     preview.add(line(0))
     picture = preview.picture()

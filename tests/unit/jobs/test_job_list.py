@@ -13,7 +13,7 @@ from ladarreg_core.errors import FormatError, LadarregError, OptionError
 from ladarreg_core.export.pictures.images import write_png
 from ladarreg_core.formats.scans.npz import write_npz_xyz
 from ladarreg_core.jobs.job import OPTIONS_OF, Job, parsed_option
-from ladarreg_core.jobs.job_list import JobListError, read_jobs
+from ladarreg_core.jobs.job_list import JobListError, _with_paths, list_bytes, read_jobs
 from testing.scenes.small_registration import sample_photo, sample_scan
 
 
@@ -175,3 +175,25 @@ def test_the_options_are_those_of_the_command() -> None:
     own = {"processes", "cache"}
     assert {*OPTIONS_OF["pair"]} == {one.name for one in fields(Arguments)} - running
     assert {*OPTIONS_OF["photos"]} == {one.name for one in fields(PhotosArguments)} - running - own
+
+
+def test_a_list_that_is_written_reads_back_also_after_everything_has_moved(folder: Path, tmp_path: Path) -> None:
+    found = listed(
+        folder,
+        "scan;photo;name;camera;focal-px;origin;smooth;columns;seed;survey;more\n"
+        "a/scan0.npz;a/0.png;;camera.json;;1, 2 3;yes;;7;;\n"
+        "b/scan0.npz;b/0.png;mine;;500.25;;;x|y|z;;;c/scan0.npz|c/scan1.npz\n"
+        ";;;;;;;;3;c;\n",
+    )
+    found.append(
+        Job(id="all", kind="photos", scan=folder / "a/scan0.npz", photos=(folder / "a/0.png", folder / "a/1.png"))
+    )
+    site = tmp_path / "site"
+    (site / "out").mkdir(parents=True)
+    (site / "out/jobs.json").write_bytes(list_bytes(found, site / "out"))
+    again = read_jobs(site / "out/jobs.json")
+
+    def resolved(job: Job) -> Job:
+        return _with_paths(job, Path.resolve)
+
+    assert [resolved(job) for job in again] == [resolved(job) for job in found]

@@ -19,8 +19,10 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.errors import Cancelled, DiskFullError, ExportError, FormatError, OptionError
+from ladarreg_core.formats.documents.pose_file import read_pose
 from ladarreg_core.jobs import run, work
 from ladarreg_core.jobs.job_list import JobListError
+from ladarreg_core.jobs.listed import listed_in
 from ladarreg_core.jobs.run_folder import read_batch
 from ladarreg_core.jobs.work import JobTask, UnfitWorkerError, do_job, input_state, job_software
 from ladarreg_core.many.executor import WorkerProcesses
@@ -246,7 +248,7 @@ class Crashing(WorkerProcesses):
 def test_a_job_that_kills_its_workers_fails_with_its_last_words(jobs: list[lr.Job], tmp_path: Path) -> None:
     with Crashing(2) as workers:
         result = lr.batch(jobs[:3], tmp_path / "out", executor=workers)
-    assert "killed 3 times" in result.jobs["p1"]["reasons"][0]
+    assert "the last time when no other job ran: its process was killed" in result.jobs["p1"]["reasons"][0]
     assert "last words: out of luck" in result.jobs["p1"]["reasons"][0]
     assert [result.jobs[name]["outcome"] for name in ("p0", "p2")] == ["refused", "refused"]
 
@@ -272,3 +274,49 @@ def test_the_executor_makes_no_difference(tmp_path: Path) -> None:
     for name in ("three", "pool"):
         assert contents(tmp_path / name).keys() == found["one"].keys()
         assert not [one for one, data in contents(tmp_path / name).items() if data != found["one"][one]], name
+
+
+def test_the_folder_alone_says_what_the_jobs_are_and_where_their_poses_lie(jobs: list[lr.Job], tmp_path: Path) -> None:
+    lr.batch(jobs, tmp_path / "out", executor=Here())
+    site = tmp_path.parent / f"{tmp_path.name}-moved"
+    shutil.move(tmp_path, site)
+    found = listed_in(site / "out")
+    assert [one.job.photos for one in found] == [(site.resolve() / job.photos[0].name,) for job in jobs]
+    assert [one.found and one.found["outcome"] for one in found] == ["refused"] * 3 + ["failed"]
+    assert all(one.job.options["camera"] == site.resolve() / "camera.json" for one in found)
+    assert all(one.poses() == {} for one in found)  # none was accepted
+    assert not found[0].job.faults()
+
+
+def test_the_jobs_of_a_batch_that_was_stopped_are_listed(jobs: list[lr.Job], tmp_path: Path) -> None:
+    def stop(progress: lr.BatchProgress) -> None:
+        if progress.done == 2:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        lr.batch(jobs, tmp_path / "out", executor=Here(), report=stop)
+    assert [one.found is not None for one in listed_in(tmp_path / "out")] == [True, True, False, False]
+
+
+def test_accepted_photographs_of_a_job_have_their_poses(tmp_path: Path) -> None:
+    photos = write_photo_set(tmp_path, small_photo_set("office", seed=3, photos=2))
+    jobs = [
+        lr.Job(id="one", scan=tmp_path / "scan.npz", photos=(photos[0],)),
+        lr.Job(id="both", kind="photos", scan=tmp_path / "scan.npz", photos=tuple(photos)),
+    ]
+    result = lr.batch(jobs, tmp_path / "out", executor=Here())
+    assert result.accepted
+    one, both = listed_in(tmp_path / "out")
+    for job, names in ((one, {photos[0].name}), (both, {path.name for path in photos})):
+        poses = job.poses()
+        assert {*poses} == names
+        assert all(read_pose(path).distance_to(lr.Rigid.identity()) > 0 for path in poses.values())
+
+
+def test_a_folder_that_is_no_batch_or_of_an_earlier_version_is_refused(jobs: list[lr.Job], tmp_path: Path) -> None:
+    with pytest.raises(FormatError, match="not the folder of a batch"):
+        listed_in(tmp_path)
+    lr.batch(jobs[:1], tmp_path / "out", executor=Here())
+    (tmp_path / "out/jobs.json").unlink()
+    with pytest.raises(FormatError, match="earlier version"):
+        listed_in(tmp_path / "out")

@@ -108,6 +108,9 @@ const mountFiles = (frameNow, isCurrent) => {
   return { part, show };
 };
 
+/** Jobs are numbered as they are started. */
+const numberOf = (id) => Number(id.slice(1));
+
 /** @returns {HTMLElement[]} the panel, and the list of files */
 export const mountExport = () => {
   let rows = [];
@@ -347,6 +350,7 @@ export const mountExport = () => {
     showRows();
     files.show();
     setText(goes, sentence());
+    if (job && started && numberOf(job.id) > numberOf(started)) started = null; // it ended, and the next one has begun
     if (job && job.id === started && !busy) {
       started = null;
       if (job.state !== "done") saves = "";

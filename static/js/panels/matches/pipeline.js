@@ -2,7 +2,7 @@
 
 import { requestForPhoto } from "../../net/requests.js";
 import { store } from "../../net/store.js";
-import { GENERAL, isRunning, PIPELINE, settingsOf, stepState } from "../../state/pipeline.js";
+import { GENERAL, isRunning, jobOn, PIPELINE, settingsOf, stepState } from "../../state/pipeline.js";
 import { button } from "../../ui/controls.js";
 import { element, newId, setAttribute, setChildren, setText } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
@@ -130,7 +130,8 @@ export const mountPipeline = () => {
   const show = () => {
     const photo = store.shown();
     const job = store.get("job");
-    const busy = isRunning(job);
+    const blocking = jobOn(job, photo);
+    const busy = Boolean(blocking);
     const context = {
       job: job?.photo === photo ? job : null,
       stages: store.posesOf()?.stages ?? [],
@@ -159,7 +160,7 @@ export const mountPipeline = () => {
         go.title = missing
           ? "Needs a scan, and a photograph with a known focal length"
           : busy
-          ? `${job.label} is running`
+          ? `${blocking.label} is ${blocking.state ? "running" : "waiting"}`
           : `Run: ${step.label}`;
       }
     }

@@ -2,7 +2,7 @@
 
 import { requestForPhoto } from "../../net/requests.js";
 import { store } from "../../net/store.js";
-import { isRunning } from "../../state/pipeline.js";
+import { jobOn } from "../../state/pipeline.js";
 import { view } from "../../state/view.js";
 import { button, fill } from "../../ui/controls.js";
 import { element } from "../../ui/dom.js";
@@ -37,7 +37,7 @@ const KEYS = { ArrowLeft: 0, ArrowRight: 1, ArrowUp: 2, ArrowDown: 3, PageUp: 4,
 const missing = () => {
   if (!store.get("scan")) return "Open a scan first";
   if (!store.photo()?.camera) return "Needs a photograph with a known focal length";
-  return isRunning(store.get("job")) ? "A job is running" : "";
+  return jobOn(store.get("job"), store.shown()) ? "A job is running" : "";
 };
 
 /** Show the camera at a pose, as the workbench answers, with what it would see of the scan over the photograph. */

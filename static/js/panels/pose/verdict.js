@@ -2,7 +2,7 @@
 
 import { requestForPhoto } from "../../net/requests.js";
 import { store } from "../../net/store.js";
-import { isRunning } from "../../state/pipeline.js";
+import { jobOn } from "../../state/pipeline.js";
 import { progressNow } from "../../state/progress.js";
 import { view } from "../../state/view.js";
 import { button } from "../../ui/controls.js";
@@ -192,7 +192,7 @@ export const mountVerdict = () => {
     const [scan, photo] = [store.get("scan"), store.photo()];
     const progress = progressNow();
     const next = stage || !store.picksOf().length ? "" : progress.next_action;
-    const busy = isRunning(store.get("job"));
+    const busy = Boolean(jobOn(store.get("job"), store.shown()));
     const missing = progress.needed;
     const automatic = store.get(`solving:${store.shown()}`);
     const solving = Boolean(automatic?.busy);

@@ -3,7 +3,7 @@
 import { request, requestForPhoto } from "../../net/requests.js";
 import { store } from "../../net/store.js";
 import { isActive, isConnecting } from "../../state/acquisition.js";
-import { isRunning } from "../../state/pipeline.js";
+import { jobOn } from "../../state/pipeline.js";
 import { cloudNames, othersText } from "../../state/scan_name.js";
 import { button } from "../../ui/controls.js";
 import { element, setAttribute, setChildren, setText } from "../../ui/dom.js";
@@ -103,8 +103,8 @@ const autoMissing = () => {
   if (!store.get("scan")) return "Open a scan first.";
   if (!photo) return "Open a photograph first.";
   if (!photo.camera) return `Enter the focal length of ${photo.name} first: the file does not contain it.`;
-  const job = store.get("job");
-  return isRunning(job) ? `“${job.label}” is running: wait until it ends, or stop it in the status bar.` : "";
+  const job = jobOn(store.get("job"), store.shown());
+  return job ? `“${job.label}” is ${job.state ? "running" : "waiting"}: wait until it ends, or stop it in the status bar.` : "";
 };
 
 const autoButton = () => {

@@ -1,4 +1,4 @@
-/** The projects: recent ones, a new one, one of a folder, the sample. It is the first page where none is named. */
+/** The projects: recent ones, a new one, one of a folder, the sample, the jobs of a batch. It is the first page where none is named. */
 
 import { ask as command } from "../../net/connection.js";
 import { store } from "../../net/store.js";
@@ -7,6 +7,7 @@ import { makeDialog } from "../../ui/dialog.js";
 import { element, newId, setChildren, setText } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
 import { confirmation } from "../files/confirmation.js";
+import { batchList } from "./batch_list.js";
 
 const MOST_LETTERS = 80;
 const DATE = new Intl.DateTimeFormat(undefined, { dateStyle: "medium", timeStyle: "short" });
@@ -97,7 +98,8 @@ const build = (chooseFiles) => {
     const answer = await tried(name, fields);
     if (!answer) return;
     say("");
-    if (answer.asks) ask(answer.asks, () => open(name, { ...fields, sure: true }));
+    if (answer.batch) refresh();
+    else if (answer.asks) ask(answer.asks, () => open(name, { ...fields, sure: true }));
     else if (answer.opened === store.get("project")?.id) page.close();
   };
   const change = async (name, wanted, done) => {
@@ -111,9 +113,21 @@ const build = (chooseFiles) => {
     setChildren(cards, ...answer.projects.map((project) => card(project, { open, change })));
     none.hidden = answer.projects.length > 0;
     folder.hidden = !answer.anywhere;
+    batch.part.hidden = !answer.batch;
+    if (answer.batch) batch.refresh();
   };
+  /** Ask without blocking the page: the list is fetched while somebody types. */
+  const quietly = async (name, fields) => {
+    try {
+      return await command(name, fields);
+    } catch (error) {
+      say(error.message, "form-wrong");
+      return null;
+    }
+  };
+  const batch = batchList({ ask: quietly, open: (wanted) => open("open_job", { wanted }) });
   const folder = fieldForm({
-    label: "Open a project's folder on the machine of the workbench",
+    label: "Open the folder of a project or a batch on the machine of the workbench",
     placeholder: "/data/office-7",
     submit: "Open",
     act: (path) => open("open_project", { folder: path }),
@@ -149,6 +163,7 @@ const build = (chooseFiles) => {
     ),
     box,
     status,
+    batch.part,
     element("h3", {}, "Recent"),
     none,
     cards,

@@ -1,6 +1,7 @@
 /** The status bar: readout under the cursor, hint of the current tool, job, saving, connection. */
 
 import { connectionState, connectNow, onConnection } from "../../net/connection.js";
+import { request } from "../../net/requests.js";
 import { store } from "../../net/store.js";
 import { isRunning, PIPELINE, shareDone } from "../../state/pipeline.js";
 import { view } from "../../state/view.js";
@@ -45,7 +46,8 @@ const jobBar = () => {
   const sign = element("span", { class: "sign" });
   const text = element("span", { class: "clip" });
   const bar = element("progress", { max: 1 });
-  const box = element("div", { class: "job-bar", role: "group", "aria-label": "Job" }, sign, text, bar, jobControls());
+  const waiting = element("span", { class: "job-waiting" });
+  const box = element("div", { class: "job-bar", role: "group", "aria-label": "Job" }, sign, text, bar, jobControls(), waiting);
   const announcement = element("span", { class: "visually-hidden", role: "status" }); // at the start and the end
   const setSign = (shape, level) => {
     if (sign.dataset.shape !== shape) setChildren(sign, icon(shape));
@@ -73,9 +75,40 @@ const jobBar = () => {
       ),
     ].join("\n");
   };
+  let listed = "";
+  /** The jobs that begin after this one; each can be taken back. */
+  const showWaiting = (jobs) => {
+    const names = new Map((store.get("photos") ?? []).map(({ id, name }) => [id, name]));
+    const key = JSON.stringify([jobs, [...names], store.readOnly]);
+    if (key === listed) return;
+    listed = key;
+    const chip = ({ id, label, photo, author }) => {
+      const what = [label, names.get(photo)].filter(Boolean).join(", ");
+      const title = `${what}: waits${author ? `, started by ${author}` : ""}`;
+      return store.readOnly
+        ? element("span", { class: "clip", title }, names.get(photo) ?? label)
+        : button({
+          label: `Do not begin: ${what}`,
+          title: `${title}; click to take it back`,
+          text: names.get(photo) ?? label,
+          icon: "close",
+          kind: "small plain",
+          act: () => request("job_control", { action: "stop", job: id }),
+        });
+    };
+    const later = jobs.slice(1);
+    const title = later.map(({ label, photo }) => [label, names.get(photo)].filter(Boolean).join(", ")).join("\n");
+    setChildren(
+      waiting,
+      jobs.length ? "then " : "",
+      ...jobs.slice(0, 1).map(chip),
+      later.length ? element("span", { class: "dim", title }, `and ${later.length} more`) : null,
+    );
+  };
   const show = () => {
     const job = store.get("job");
     const busy = isRunning(job);
+    showWaiting(busy ? job.waiting ?? [] : []);
     // a finished job goes with what it worked on
     const open = job?.photo ? (store.get("photos") ?? []).some(({ id }) => id === job.photo) : store.get("scan");
     const own = !job?.photo || job.photo === store.shown();

@@ -151,6 +151,17 @@ export const mountPhotographs = () => {
         camera.focal_px === null ? "as given" : `f ${fixed(camera.focal_px, 1)} px`,
         camera.sigma_px === null ? "" : ` ± ${fixed(camera.sigma_px, 2)}`,
         `, ${counted(camera.used, "photograph")}`,
+        camera.median_px === null ? "" : `, ties ${fixed(camera.median_px, 2)} px`,
+        camera.worst && camera.used > 1 ? element(
+          "button",
+          {
+            type: "button",
+            class: "survey-worst",
+            title: `Show the photograph of this camera whose ties agree least: ${fixed(camera.worst.median_px, 2)} px`,
+            on: { click: () => request("show_photo", { photo: camera.worst.id }) },
+          },
+          `worst ${camera.worst.name}`,
+        ) : null,
         store.readOnly || camera.focal_px === null ? null : element(
           "label",
           { class: "check edits", title: "Adjustments keep this camera's intrinsics as they are now" },

@@ -193,7 +193,9 @@ export const mountStations = () => {
       : all.length < 2
         ? "Add scans of the same place from elsewhere. They are registered by their surfaces: neighbouring stations must see the same walls, and each scanner stood upright."
         : "");
-    const key = JSON.stringify([all, pairs, loops, reasons, checks, stale, [...hidden()], [...open], store.readOnly]);
+    const survey = store.get("survey");
+    const placed = !pairs.length && survey?.scans.length > 1 ? survey.scans : [];
+    const key = JSON.stringify([all, pairs, loops, reasons, checks, stale, placed, survey?.since, [...hidden()], [...open], store.readOnly]);
     if (key === drawn || list.contains(document.activeElement) && document.activeElement.matches("input[type=number]")) return;
     drawn = key;
     const focused = document.activeElement?.getAttribute("aria-label");
@@ -215,13 +217,19 @@ export const mountStations = () => {
         loop.error_mm < 10 ? "ok" : "warn", `Loop ${loop.stations.join(" → ")}`,
         `closes within ${loop.error_mm.toFixed(1)} mm and ${loop.error_deg.toFixed(3)}°.`, stale,
       )),
+      ...placed.map(({ name, state, position, angle }) => verdict(
+        state === "not connected" ? "bad" : "ok",
+        `${name}: ${state === "placed" ? "placed by adjusting everything together" : state}`,
+        state === "placed" ? `σ ${position}, ${angle}.` : "",
+        Boolean(survey.since),
+      )),
       ...checks.map((each) => verdict(
         SIGNS[each.outcome], `${each.name} at ${each.station}: ${each.outcome}`,
         each.stale ? "The photograph has another pose by now: check it again." : each.sentence, stale || each.stale,
       )),
     );
   };
-  store.watch(["stations", "scan", "job", "model", "served", "people"], show);
+  store.watch(["stations", "survey", "scan", "job", "model", "served", "people"], show);
   list.addEventListener("focusout", () => setTimeout(show));
   store.onEvent("export_ready", ({ targets, url }) => {
     if (savesZip && targets.includes("stations")) element("a", { href: url, download: "" }).click();
