@@ -13,7 +13,7 @@ import numpy as np
 
 from ladarreg_core.errors import LadarregError, OptionError
 
-from ...argument_names import as_fields
+from ...messages import sentence
 from ...session.loader import Loader
 from ...session.measured import Picked, measured_places, photos_of, stale_poses
 from ...session.session import Session
@@ -147,12 +147,12 @@ class Measured:
     def _fields(self, document: Document, places: Sequence[MeasuredPlace], found: NamedMeasurement) -> dict[str, Any]:
         measured = found.measurement
         if measured is None:
-            return {"value": "", "interval": "", "notes": [], "refusal": _sentence(found.refusal)}
+            return {"value": "", "interval": "", "notes": [], "refusal": sentence(found.refusal)}
         notes = [*measured.flags, *stale_poses(self._loader, document, places)]
         return {
             "value": _typeset(measured.described),
             "interval": _typeset(measured.described_interval),
-            "notes": [_sentence(note) for note in notes],
+            "notes": [sentence(note) for note in notes],
             "refusal": "",
         }
 
@@ -241,8 +241,3 @@ def _row(values: Any) -> list[float] | None:
 
 def _typeset(text: str) -> str:
     return text.replace("+-", "±").replace("m2", "m²").replace(" deg", "°")
-
-
-def _sentence(text: str) -> str:
-    words = as_fields(text)
-    return f"{words[:1].upper()}{words[1:]}" + ("" if words.endswith(".") else ".")

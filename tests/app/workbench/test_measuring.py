@@ -195,9 +195,13 @@ def test_they_are_saved_with_the_project(bench: WorkbenchDriver) -> None:
     places = surface_rays(bench, *smooth_cells(bench, 2))
     made = bench.do("add_measurement", kind="distance", places=places)["measurement"]
     folder = bench.workbench.session.folder.path
-    kept = bench.eventually(lambda: json.loads((folder / "project.json").read_bytes())["measurements"])
-    assert [one["id"] for one in kept] == [made]
-    assert [one["at"] for one in kept[0]["places"]] == [pytest.approx(one["ray"], abs=1e-12) for one in places]
+
+    def kept() -> list[dict[str, Any]]:
+        found = json.loads((folder / "project.json").read_bytes())["measurements"]
+        return found if [one["id"] for one in found] == [made] else []
+
+    (entry,) = bench.eventually(kept)
+    assert [one["at"] for one in entry["places"]] == [pytest.approx(one["ray"], abs=1e-12) for one in places]
 
 
 def test_two_people_undo_their_own(bench: WorkbenchDriver) -> None:
