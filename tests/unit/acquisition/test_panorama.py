@@ -12,7 +12,7 @@ from ladarreg.cli import main
 from PIL import Image
 
 from ladarreg_core.acquisition.composition.panorama import compose, mount_of_text, write_panorama
-from ladarreg_core.acquisition.mount_fields import mount_as_fields, mount_from_fields
+from ladarreg_core.acquisition.mount_fields import base_from_value, mount_as_fields, mount_from_fields
 from ladarreg_core.acquisition.runs.closure import Closure
 from ladarreg_core.errors import ExportError, FormatError, LadarregError, OptionError
 from ladarreg_core.export.pictures.images import write_provenance_png
@@ -219,3 +219,30 @@ def test_the_mount_is_read_from_numbers_and_files(run: Path) -> None:
     for wrong in ("1,2,3", "1,2,3,4,5,x", "nowhere.json", "0,0,0,0,0,nan"):
         with pytest.raises(OptionError, match="six numbers"):
             mount_of_text(wrong)
+
+
+def test_the_mosaic_of_a_unit_that_hangs_is_level(run: Path, tmp_path: Path) -> None:
+    plan = json.loads((run / "plan.json").read_text())
+    upright = compose(run)
+    plan["mount"]["base"] = [180, 0, 25]
+    (run / "plan.json").write_text(json.dumps(plan))
+    level = base_from_value([180, 0, 25])
+    out = tmp_path / "out"
+    assert main(["panorama", str(run), "-o", str(out), "--quiet"]) == 0
+    scan, fields = read_scan(out / "scan.npz"), json.loads((out / "panorama.json").read_text())
+    assert fields["mount"]["base"] == pytest.approx([180, 0, 25])
+    assert fields["frame_is"].startswith("scan.npz is level")
+    in_unit = scan.points[scan.valid] @ level.rotation
+    assert np.quantile(off_surface(in_unit), 0.97) < 0.01
+    assert scan.valid.sum() == pytest.approx(upright.scan.valid.sum(), rel=0.05)
+    rows = scan.points[..., 2] / scan.ranges
+    assert np.nanmean(rows[0]) > np.nanmean(rows[-1])  # the top row is up
+    assert "base" not in upright.fields["mount"]
+    # what the command line says precedes the plan
+    assert main(["panorama", str(run), "-o", str(out), "--quiet", "--force", "--base", "upright"]) == 0
+    np.testing.assert_allclose(read_scan(out / "scan.npz").ranges, upright.scan.ranges, rtol=1e-6)
+    assert main(["panorama", str(run), "-o", str(out), "--force", "--base", "sideways"]) == 2
+    plan["mount"]["base"] = "sideways"
+    (run / "plan.json").write_text(json.dumps(plan))
+    with pytest.raises(FormatError, match=r"plan\.json: the base is 'sideways'"):
+        compose(run)

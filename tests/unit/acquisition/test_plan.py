@@ -52,9 +52,28 @@ def test_a_plan_survives_the_file(tmp_path: Path) -> None:
     np.testing.assert_allclose(plan.mount.rotation @ [0, 1, 0], [0, 0, 1], atol=1e-12)  # its left side is up
 
 
+def test_a_unit_that_hangs_or_leans_is_stated_with_the_mount(tmp_path: Path) -> None:
+    upright = plan_from_fields(SWEEP)
+    assert "base" not in upright.as_fields()["mount"]
+    assert plan_from_fields(with_change(mount__base="upright")).as_fields() == upright.as_fields()
+    hanging = plan_from_fields(with_change(mount__base="hanging"))
+    np.testing.assert_array_equal(hanging.base.rotation, np.diag([1.0, -1.0, -1.0]))
+    assert hanging.as_fields()["mount"]["base"] == "hanging"
+    leaning = plan_from_fields(with_change(mount__base=[2.5, -1, 30]))
+    write_plan(tmp_path / "plan.json", leaning)
+    np.testing.assert_allclose(read_plan(tmp_path / "plan.json").base.matrix, leaning.base.matrix, atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
+        (
+            {"mount__base": "upside down"},
+            "'base' of 'mount': the base is 'upside down'; it must be",
+        ),
+        ({"mount__base": [0, 0]}, "roll, pitch and yaw in degrees"),
+        ({"mount__base": [0, 400, 0]}, "within 360"),
+        ({"mount__base": [0, True, 0]}, "roll, pitch and yaw in degrees"),
         ({"version": 2}, "'version' is 2"),
         ({"speed": 1}, "unknown key 'speed'"),
         ({"pan_degs": 1}, "did you mean 'pan_deg'"),

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ladarreg_core.acquisition.line_sweep import LineSweep
+from ladarreg_core.acquisition.mount_fields import base_from_value
 from ladarreg_core.acquisition.runs.preview import RunPreview
 from ladarreg_core.frames import Rigid
+from testing.scenes.box_room import MOUNT, stop_and_go
 
 
 def line(pan_deg: float, rays: int = 2000) -> LineSweep:
@@ -47,3 +49,13 @@ def test_the_picture_shows_what_was_seen_with_the_left_at_the_left() -> None:
     assert picture.shape == (360, 720)
     assert level[720 // 2 - 100] > level[720 // 2 + 100] > 0
     assert not level[:200].any()
+
+
+def test_what_a_hanging_unit_measures_is_shown_upright() -> None:
+    sweep = stop_and_go(np.radians(np.arange(-40.0, 41.0, 2.0)))
+    clouds = []
+    for base in ("upright", "hanging"):
+        preview = RunPreview(MOUNT, base_from_value(base), pieces=1)
+        preview.add(sweep)
+        clouds.append(preview.take_points()[0])
+    np.testing.assert_allclose(clouds[1], clouds[0] * [1, -1, -1], atol=1e-6)

@@ -9,6 +9,7 @@ import pytest
 
 from ladarreg_core.acquisition.composition.sweep_composition import SweepComposition, compose_sweeps
 from ladarreg_core.acquisition.line_sweep import LineSweep, UnitTrack
+from ladarreg_core.acquisition.mount_fields import base_from_value
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.formats.scans.npz import read_npz, write_npz_xyz
 from ladarreg_core.scan import Scan
@@ -164,3 +165,23 @@ def test_the_jitter_of_readings_is_removed_where_the_unit_cruises() -> None:
     assert np.nanpercentile(off, 80) < 1.5e-3  # .2 rad/s times 5 ms at 2 m is 2 mm
     track = UnitTrack(np.linspace(0, 10, 200), np.sin(np.linspace(0, 1.5, 200)), np.zeros(200))
     assert track.steadied() is track  # it never cruises
+
+
+@pytest.mark.parametrize(
+    ("angles_deg", "in_columns"),
+    [((180, 0, 0), True), ((180, 0, 90), True), ((4, -7, 20), True), ((-175, 6, -40), True), ((90, 0, 0), False)],
+)
+def test_the_scan_of_a_unit_that_hangs_or_leans_is_level(angles_deg: tuple[float, ...], in_columns: bool) -> None:
+    sweep, level = stop_and_go(np.radians(HALF_TURN), lost=0.03), base_from_value(list(angles_deg))
+    stands, hangs = compose_sweeps([sweep], MOUNT), compose_sweeps([sweep], MOUNT, level)
+    assert hangs.columns_are_lines == in_columns
+    assert returns(sweep) == hangs.scan.valid.sum() + hangs.folded + hangs.repeated
+    assert not order_of(hangs.scan.rays)  # the top row is up, the left column left
+    assert flipped_surfaces(hangs.scan) < (0.01 if in_columns else 0.03)
+    in_unit = hangs.scan.points[hangs.scan.valid] @ level.rotation
+    np.testing.assert_allclose(off_surface(in_unit.reshape(-1, 3)), 0, atol=4e-6)
+    if in_columns:  # the same returns, in other places of the grid
+        expected = stands.scan.points[stands.scan.valid]
+        np.testing.assert_allclose(np.sort(in_unit, axis=0), np.sort(expected, axis=0), atol=4e-6)
+        high = hangs.scan.rays[:, hangs.scan.valid.any(axis=0), 2]
+        assert np.nanmean(high[0]) > np.nanmean(high[-1])
