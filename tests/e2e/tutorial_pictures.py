@@ -33,7 +33,7 @@ _COLORS = 256
 _NO_HINT = "localStorage.setItem('ladarreg-software-drawing', 'dismissed')"
 _MEASURED = (
     (("photo", 0.62, 0.32), ("photo", 0.82, 0.62)),
-    (("scan", 0.3, 0.45), ("photo", 0.55, 0.7)),
+    (("scan", 0.62, 0.22), ("photo", 0.93, 0.45)),
 )
 """Sides and places in their panes, parts of width and height."""
 _MANUAL = {"3-drawn": "drawn", "4-accepted": "solved"}
@@ -90,6 +90,7 @@ def _measure(page: Page, target: Path) -> None:
     page.get_by_label("Overlay of the scan on the photograph").select_option("none")
     page.get_by_label("Texture of the model").select_option("colour")
     page.keyboard.press("d")
+    page.keyboard.press("x")
     for count, places in enumerate(_MEASURED, start=1):
         for side, x, y in places:
             body = page.locator(f"#{side}-pane .pane-body").bounding_box()
@@ -99,6 +100,7 @@ def _measure(page: Page, target: Path) -> None:
     page.get_by_role("heading", name="Measurements").hover()
     page.wait_for_timeout(4000)
     _keep(page, target / "measuring.png")
+    page.keyboard.press("x")
     page.keyboard.press("v")
     for _ in _MEASURED:
         page.keyboard.press("Control+z")
