@@ -25,11 +25,11 @@ export const mountMeasureBar = (controller, pane) => {
   );
   pane.body.append(bar);
   const show = () => {
-    const { tool, measures, measurement } = view.get();
+    const { tool, measures } = view.get();
     bar.hidden = tool !== "measure" || store.readOnly;
     if (bar.hidden) return;
     fill(kind, Object.entries(MEASURES).map(([name, { label }]) => [name, label]), measures);
-    const last = measuring.places.length === 0 && !measuring.said ? measurementOf(measurement) : null;
+    const last = measuring.said ? null : measurementOf(measuring.made);
     const found = last ?? measuring.soFar;
     setText(value, found ? (last?.refusal || [last?.name, found.value].filter(Boolean).join(": ")) : "");
     const notes = found?.notes ?? [];
@@ -39,7 +39,7 @@ export const mountMeasureBar = (controller, pane) => {
     back.hidden = measuring.places.length === 0;
   };
   measuring.onChange(show);
-  view.on((_, changed) => (changed.has("tool") || changed.has("measures") || changed.has("measurement")) && show());
+  view.on((_, changed) => (changed.has("tool") || changed.has("measures")) && show());
   store.watch(["measurements", "measured", "people"], show);
   show();
 };

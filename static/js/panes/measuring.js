@@ -22,6 +22,8 @@ export class Measuring {
   soFar = null;
   /** @type {"scan" | "photo" | null} the pane in which the pointer is pressed */
   pressed = null;
+  /** @type {string | null} id of the measurement that was completed last, while nothing else is begun */
+  made = null;
   /** @type {string} one sentence on the last point or the last measurement */
   said = "";
   #controller;
@@ -110,6 +112,7 @@ export class Measuring {
     if (side === "photo" && !store.photo()) return;
     const place = { side, of: side === "photo" ? store.shown() : null, world: position.world };
     this.places.push(place);
+    this.made = null;
     this.said = "";
     this.soFar = null;
     this.#changed();
@@ -158,6 +161,7 @@ export class Measuring {
     try {
       const { measurement } = await this.#controller.ask("add_measurement", { kind, places: places.map(sent) });
       this.said = "";
+      this.made = measurement;
       this.#controller.view.set({ measurement });
     } catch (error) {
       if (this.places.length === 0 && kind === this.kind) this.places = places.slice(0, -1);
@@ -183,6 +187,7 @@ export class Measuring {
   /** Forget everything that was picked. */
   clear() {
     this.#asked++;
+    this.made = null;
     this.#last = null;
     this.pressed = null;
     this.places = [];
