@@ -125,7 +125,7 @@ class ScanArguments:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CameraArguments(ScanArguments):
+class PhotoCameraArguments:
     """What is known of a photo and its camera."""
 
     GROUP: ClassVar[tuple[int, str]] = (20, "photo and camera")
@@ -147,7 +147,12 @@ class CameraArguments(ScanArguments):
     @property
     def photo_options(self) -> dict[str, Any]:
         """The arguments of `read_photo`."""
-        return {name: getattr(self, name) for name in CameraArguments.__annotations__ if name != "GROUP"}
+        return {name: getattr(self, name) for name in PhotoCameraArguments.__annotations__ if name != "GROUP"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraArguments(PhotoCameraArguments, ScanArguments):
+    """What is known of a photo, its camera, and a scan."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,7 @@
 """Stations registered to each other by their ranges: accuracy, false acceptance, loops, and a peer.
 
-Row `page_28m` is a panorama of 28 million cells in the page (benchmarks/page/panorama_page.py).
+Row `page_28m` is a panorama of 28 million cells in the page (benchmarks/page/panorama_page.py), `unit_camera` the mount
+of a camera on a pan/tilt unit (benchmarks/acquisition/unit_camera.py).
 
 Run it as `python -m benchmarks.stations [--quick] [ROW ...]`. The rooms and seeds are kept aside: none was used for
 tuning.
@@ -16,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.acquisition.unit_camera import unit_camera_rows
 from benchmarks.page.panorama_page import page_rows
 from benchmarks.shared.bars import Row, table
 from ladarreg_core.foundations.arrays import FloatArray
@@ -329,6 +331,7 @@ ROWS: dict[str, Callable[[bool, Show], list[Row]]] = {
     "loop": loop_rows,
     "covariance": covariance_rows,
     "targets": targets_rows,
+    "unit_camera": unit_camera_rows,
     "page_28m": page_rows,
 }  # fmt: skip
 """The rows of this module."""

@@ -78,6 +78,8 @@ if TYPE_CHECKING:
     from ladarreg_core.registration.rig.registration import register_rig as register_rig
     from ladarreg_core.registration.rig.results import RigPair as RigPair
     from ladarreg_core.registration.rig.results import RigResult as RigResult
+    from ladarreg_core.registration.rig.unit_camera import UnitCamera as UnitCamera
+    from ladarreg_core.registration.rig.unit_camera import register_unit_camera as register_unit_camera
     from ladarreg_core.registration.stations.registration import register_scans as register_scans
     from ladarreg_core.registration.stations.results import StationNetwork as StationNetwork
     from ladarreg_core.registration.stations.results import StationPair as StationPair
@@ -196,6 +198,8 @@ _HOMES = {
     "register": "registration.register",
     "register_photos": "many.photo_run",
     "register_rig": "registration.rig.registration",
+    "register_unit_camera": "registration.rig.unit_camera",
+    "UnitCamera": "registration.rig.unit_camera",
     "register_scans": "registration.stations.registration",
     "register_targets": "registration.stations.target_pose",
     "section": "measuring.section",

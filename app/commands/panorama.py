@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from ..arguments import PhotoCameraArguments
 from ..exit_codes import ExitCode
 from ..messages import one_line
 from ..progress_bar import progress_bar
@@ -21,13 +22,14 @@ EXAMPLES = (
     "ladarreg panorama run -o panorama",
     "ladarreg panorama run -o panorama --calibrate-mount --refine",
     "ladarreg panorama run -o panorama --base hanging",
+    "ladarreg panorama run -o panorama --calibrate-camera --camera cam.json",
     "# scans of any format with the angles of any pan/tilt unit:",
     "ladarreg panorama pieces.csv -o panorama --mount 0,0,0.08,0,0,0",
 )
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arguments:
+class Arguments(PhotoCameraArguments):
     """Arguments of `panorama`."""
 
     run: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
@@ -42,6 +44,9 @@ class Arguments:
     roll and pitch. The panorama is level. Default: mount.base of the plan, else upright."""
     calibrate_mount: bool = False
     """Estimate the mount from surfaces that were seen twice."""
+    calibrate_camera: bool = False
+    """Estimate where the camera is mounted, from the photographs of the run; what is known of the camera is said by
+    --camera or --focal-px, unless its files do."""
     refine: bool = False
     """Refine the pieces of a mosaic against each other, where they overlap."""
     partial: bool = False
@@ -61,28 +66,41 @@ def run(arguments: Arguments) -> ExitCode:
     from ladarreg_core.acquisition.composition.panorama import compose, write_panorama
     from ladarreg_core.export.targets.folder import check_folder
     from ladarreg_core.formats.documents.panorama_info import panorama_lines
+    from ladarreg_core.outputs.run_camera import calibrate_run_camera, photo_poses
     from ladarreg_core.storage.manifest import visible_files
 
-    started = time.perf_counter()
+    started, base = time.perf_counter(), _base(arguments.base)
     check_folder(arguments.out, force=arguments.force, inputs=[arguments.run])
     with progress_bar(quiet=arguments.quiet or arguments.json) as bar:
         made = compose(
-            arguments.run, mount=_mount(arguments.mount), base=_base(arguments.base),
+            arguments.run, mount=_mount(arguments.mount), base=base,
             calibrate_mount=arguments.calibrate_mount, refine=arguments.refine, partial=arguments.partial,
             report=bar.progress,
         )  # fmt: skip
-        write_panorama(arguments.out, made, inputs=[arguments.run], force=arguments.force, report=bar.progress)
+        camera = None
+        if arguments.calibrate_camera:
+            camera = calibrate_run_camera(
+                arguments.run, made, base=base, photo_options=arguments.photo_options, report=bar.progress
+            )
+            made = replace(made, fields={**made.fields, "camera": camera.as_dict()})
+        mount = camera.unit_from_camera if camera is not None and camera.accepted else None
+        poses = {} if camera is not None and mount is None else photo_poses(arguments.run, mount, base=base)
+        write_panorama(
+            arguments.out, made, poses=poses, inputs=[arguments.run], force=arguments.force, report=bar.progress
+        )
+    accepted = made.accepted and (camera is None or camera.accepted)
     if arguments.json:
         from ..json_output import print_json
 
         files = visible_files(arguments.out)
         print_json({**made.fields, "output": {"folder": os.path.abspath(arguments.out), "files": files}})
-        return ExitCode.ACCEPTED if made.accepted else ExitCode.NOT_ACCEPTED
+        return ExitCode.ACCEPTED if accepted else ExitCode.NOT_ACCEPTED
     for name, value in panorama_lines(made.fields):
         print(f"{name.capitalize():<10} {one_line(value)}")
-    print(f"Wrote      scan.npz, panorama.json, provenance.png in {arguments.out}")
+    also = f", and {len(poses)} poses of photographs" if poses else ""
+    print(f"Wrote      scan.npz, panorama.json, provenance.png{also} in {arguments.out}")
     print(f"Took       {time.perf_counter() - started:.1f} s")
-    return ExitCode.ACCEPTED if made.accepted else ExitCode.NOT_ACCEPTED
+    return ExitCode.ACCEPTED if accepted else ExitCode.NOT_ACCEPTED
 
 
 def _mount(text: str | None) -> Rigid | None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from ladarreg_core.errors import FormatError, OptionError
 from ladarreg_core.formats.scans.scan_request import ScanOptions
 from ladarreg_core.jobs.job import Job
-from ladarreg_core.jobs.listed import ListedJob, listed_in
+from ladarreg_core.jobs.recorded_jobs import RecordedJob, recorded_jobs
 from ladarreg_core.jobs.run_folder import JOBS_RUN, OUTCOMES
 from ladarreg_core.many.summary_page import sigma_words
 from ladarreg_core.project.history import NOBODY
@@ -48,7 +48,7 @@ class BatchJobs:
         self.folder, self._projects = folder, projects
         self._lock = threading.Lock()
         self._read_at: tuple[int, int] | None = None
-        self._jobs: dict[str, ListedJob] = {}
+        self._jobs: dict[str, RecordedJob] = {}
         self._now()
 
     def listed(self, outcome: str | None, words: str) -> dict[str, Any]:
@@ -103,7 +103,7 @@ class BatchJobs:
             )
         return files, project, _reading(found)
 
-    def _now(self) -> dict[str, ListedJob]:
+    def _now(self) -> dict[str, RecordedJob]:
         """Return the jobs by their ids, read again if the batch has gone on."""
         with self._lock:
             try:
@@ -112,18 +112,18 @@ class BatchJobs:
                 raise FormatError(f"the folder {self.folder.name} of the batch is not there any more") from None
             at = (status.st_size, status.st_mtime_ns)
             if at != self._read_at:
-                self._jobs = {one.job.id: one for one in listed_in(self.folder)}
+                self._jobs = {one.job.id: one for one in recorded_jobs(self.folder)}
                 self._read_at = at
             return self._jobs
 
-    def _project(self, listed: ListedJob) -> Path:
+    def _project(self, listed: RecordedJob) -> Path:
         """Return the project folder of a job; always the same, so that earlier work is found."""
         where = f"{os.path.realpath(self.folder)}\0{listed.job.id}"
         digest = hashlib.sha256(os.fsencode(where)).hexdigest()[:8]
         words = re.sub(r"[^\w-]+", "-", listed.job.id).strip("-")[:40] or "job"
         return self._projects / f"{words}-{digest}"
 
-    def _row(self, listed: ListedJob) -> dict[str, Any]:
+    def _row(self, listed: RecordedJob) -> dict[str, Any]:
         job, found = listed.job, listed.found or {}
         reasons = found.get("reasons")
         return {
@@ -153,7 +153,7 @@ def register_unsolved(workbench: Workbench) -> None:
         workbench.jobs.register_all(None, NOBODY)
 
 
-def _outcome(listed: ListedJob) -> str:
+def _outcome(listed: RecordedJob) -> str:
     found = (listed.found or {}).get("outcome")
     return found if found in OUTCOMES else _WAITING
 
@@ -162,7 +162,7 @@ def _text(row: dict[str, Any]) -> str:
     return f"{row['id']} {row['verdict']} {row['reason']}".casefold()
 
 
-def _reading(listed: ListedJob) -> Reading:
+def _reading(listed: RecordedJob) -> Reading:
     job: Job = listed.job
     names = {"camera_name": "name", "camera_model": "model"}
     stated = {} if job.kind == "survey" else job.photo_options

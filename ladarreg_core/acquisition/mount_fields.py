@@ -61,10 +61,10 @@ def base_from_value(value: object) -> Rigid:
         FormatError: if it is anything else.
     """
     angles = _BASES.get(value) if isinstance(value, str) else value
-    three = isinstance(angles, list | tuple) and len(angles) == 3 and all(map(is_number, angles))
-    if not three or max(map(abs, angles)) > _MAX_DEG:
+    three = list(angles) if isinstance(angles, list | tuple) else []
+    if not (len(three) == 3 and all(map(is_number, three)) and max(map(abs, three)) <= _MAX_DEG):
         raise FormatError(f"the base is {one_line(repr(value), 60)}; it must be {_BASE_NEEDS}")
-    return Rigid(_rotation(np.array(angles, np.float64)), np.zeros(3))
+    return Rigid(_rotation(np.array(three, np.float64)), np.zeros(3))
 
 
 def base_of_text(text: str) -> Rigid:

@@ -15,8 +15,8 @@ import pytest
 QUESTIONS: list[dict[str, Any]] = json.loads(Path(__file__).with_name("questions.json").read_text(encoding="utf-8"))
 
 
-def test_there_are_twenty() -> None:
-    assert len({entry["question"] for entry in QUESTIONS}) == 20
+def test_there_are_forty() -> None:
+    assert len({entry["question"] for entry in QUESTIONS}) == 40
 
 
 @pytest.mark.parametrize("entry", QUESTIONS, ids=lambda entry: entry["answers"][0])

@@ -281,6 +281,7 @@ def write_panorama(
     folder: str | Path,
     panorama: Panorama,
     *,
+    poses: Mapping[str, Rigid] | None = None,
     inputs: Sequence[str | Path] = (),
     force: bool = False,
     report: Report | None = None,
@@ -290,6 +291,7 @@ def write_panorama(
     Args:
         folder: output folder.
         panorama: what to write.
+        poses: `camera_from_scanner` of photographs, by the names of their files `poses/NAME.json`.
         inputs: the run's folder or list, which must not be replaced.
         force: replace an earlier panorama and nothing else.
         report: receives the progress.
@@ -299,13 +301,16 @@ def write_panorama(
     """
     from ladarreg_core.export.json import write_document
     from ladarreg_core.export.targets.folder import write_folder
+    from ladarreg_core.formats.documents.pose_file import write_pose
 
+    placed = poses or {}
     write_folder(
         folder,
         lambda: [
             ("scan.npz", lambda path: _write_scan(path, panorama)),
             ("panorama.json", lambda path: write_document(path, panorama.fields)),
             ("provenance.png", lambda path: _write_provenance(path, panorama)),
+            *((f"poses/{name}.json", bound(write_pose, camera_from_scanner=pose)) for name, pose in placed.items()),
         ],
         inputs=inputs, force=force, report=report,
     )  # fmt: skip

@@ -30,6 +30,13 @@ def panorama_lines(fields: Mapping[str, Any]) -> list[tuple[str, str]]:
         lines.append(("sigma", f"of the mount: {known}"))
     if mount.get("not_determined"):
         lines.append(("unknown", f"not determined, as given: {', '.join(mount['not_determined'])} of the mount"))
+    if mount.get("base"):
+        base = mount["base"]
+        said = base if isinstance(base, str) else f"roll pitch yaw {', '.join(f'{value:.3f}' for value in base)} deg"
+        lines.append(("base", f"{said}; the panorama is level"))
+    if fields.get("camera"):
+        lines.append(("camera", str(fields["camera"]["said"])))
+        lines += [("camera note", str(reason)) for reason in fields["camera"].get("reasons") or []]
     for reason in (mount.get("calibration") or {}).get("reasons") or []:
         lines.append(("mount note", str(reason)))
     checked = fields.get("refinement") or fields.get("calibration")

@@ -17,8 +17,10 @@ from ladarreg_core.acquisition.runs.closure import Closure
 from ladarreg_core.errors import ExportError, FormatError, LadarregError, OptionError
 from ladarreg_core.export.pictures.images import write_provenance_png
 from ladarreg_core.formats import read_scan
+from ladarreg_core.formats.documents.pose_file import read_pose
 from ladarreg_core.formats.scans.npz import write_npz_xyz
 from ladarreg_core.foundations.palette import distinct_colors
+from ladarreg_core.frames import Rigid
 from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid
 from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
 from testing.scenes.box_room import distances, off_surface
@@ -246,3 +248,28 @@ def test_the_mosaic_of_a_unit_that_hangs_is_level(run: Path, tmp_path: Path) -> 
     (run / "plan.json").write_text(json.dumps(plan))
     with pytest.raises(FormatError, match=r"plan\.json: the base is 'sideways'"):
         compose(run)
+
+
+def test_photographs_of_a_camera_whose_mount_is_stated_get_their_poses(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert main(["panorama", str(run), "-o", str(out), "--calibrate-camera", "--focal-px", "500"]) == 2
+    assert "has no photographs" in capsys.readouterr().err
+    plan, mount = json.loads((run / "plan.json").read_text()), Rigid.from_rotvec((0.1, -1.2, 1.1), (0.1, 0, 0.05))
+    plan["camera"] = {"folder": str(tmp_path), "mount": mount.matrix.tolist()}
+    plan["scanner"]["folder"] = str(run)
+    plan["mount"]["base"] = "hanging"
+    (run / "plan.json").write_text(json.dumps(plan))
+    (run / "photos").mkdir()
+    records = [json.loads(line) for line in (run / "run.jsonl").read_text().splitlines()]
+    for record in records[:2]:
+        record["photo"] = f"photos/{record['index']:03}.jpg"
+        (run / record["photo"]).write_bytes(b"a photograph")
+    (run / "run.jsonl").write_text("".join(json.dumps(record) + "\n" for record in records))
+    assert main(["panorama", str(run), "-o", str(out), "--quiet"]) == 0
+    assert sorted(path.name for path in (out / "poses").iterdir()) == ["000.json", "001.json"]
+    for name, (pan, tilt) in zip(("000", "001"), np.radians(STOPS), strict=False):
+        expected = (base_from_value("hanging") @ pan_tilt_pose(pan, tilt) @ mount).inverse
+        assert read_pose(out / f"poses/{name}.json").distance_to(expected) < 1e-9
+    assert main(["panorama", str(run), "-o", str(out), "--quiet", "--force"]) == 0  # and are replaced

@@ -22,7 +22,7 @@ from ladarreg_core.errors import Cancelled, DiskFullError, ExportError, FormatEr
 from ladarreg_core.formats.documents.pose_file import read_pose
 from ladarreg_core.jobs import run, work
 from ladarreg_core.jobs.job_list import JobListError
-from ladarreg_core.jobs.listed import listed_in
+from ladarreg_core.jobs.recorded_jobs import recorded_jobs
 from ladarreg_core.jobs.run_folder import read_batch
 from ladarreg_core.jobs.work import JobTask, UnfitWorkerError, do_job, input_state, job_software
 from ladarreg_core.many.executor import WorkerProcesses
@@ -280,7 +280,7 @@ def test_the_folder_alone_says_what_the_jobs_are_and_where_their_poses_lie(jobs:
     lr.batch(jobs, tmp_path / "out", executor=Here())
     site = tmp_path.parent / f"{tmp_path.name}-moved"
     shutil.move(tmp_path, site)
-    found = listed_in(site / "out")
+    found = recorded_jobs(site / "out")
     assert [one.job.photos for one in found] == [(site.resolve() / job.photos[0].name,) for job in jobs]
     assert [one.found and one.found["outcome"] for one in found] == ["refused"] * 3 + ["failed"]
     assert all(one.job.options["camera"] == site.resolve() / "camera.json" for one in found)
@@ -295,7 +295,7 @@ def test_the_jobs_of_a_batch_that_was_stopped_are_listed(jobs: list[lr.Job], tmp
 
     with pytest.raises(Cancelled):
         lr.batch(jobs, tmp_path / "out", executor=Here(), report=stop)
-    assert [one.found is not None for one in listed_in(tmp_path / "out")] == [True, True, False, False]
+    assert [one.found is not None for one in recorded_jobs(tmp_path / "out")] == [True, True, False, False]
 
 
 def test_accepted_photographs_of_a_job_have_their_poses(tmp_path: Path) -> None:
@@ -306,7 +306,7 @@ def test_accepted_photographs_of_a_job_have_their_poses(tmp_path: Path) -> None:
     ]
     result = lr.batch(jobs, tmp_path / "out", executor=Here())
     assert result.accepted
-    one, both = listed_in(tmp_path / "out")
+    one, both = recorded_jobs(tmp_path / "out")
     for job, names in ((one, {photos[0].name}), (both, {path.name for path in photos})):
         poses = job.poses()
         assert {*poses} == names
@@ -315,8 +315,8 @@ def test_accepted_photographs_of_a_job_have_their_poses(tmp_path: Path) -> None:
 
 def test_a_folder_that_is_no_batch_or_of_an_earlier_version_is_refused(jobs: list[lr.Job], tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="not the folder of a batch"):
-        listed_in(tmp_path)
+        recorded_jobs(tmp_path)
     lr.batch(jobs[:1], tmp_path / "out", executor=Here())
     (tmp_path / "out/jobs.json").unlink()
     with pytest.raises(FormatError, match="earlier version"):
-        listed_in(tmp_path / "out")
+        recorded_jobs(tmp_path / "out")

@@ -1,4 +1,4 @@
-"""The jobs of a batch's folder, also while it runs: what each is made of, what became of it, where its poses are."""
+"""The jobs that the folder of a batch records, also while it runs: their files, what became of them, their poses."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _RESULT_FILE = "registration.json"
 
 
 @dataclass(frozen=True, slots=True)
-class ListedJob:
+class RecordedJob:
     """A job of a batch, and what is known of it."""
 
     job: Job
@@ -51,7 +51,7 @@ class ListedJob:
         return {name: files[0] for name, files in named.items() if len(files) == 1}
 
 
-def listed_in(folder: str | Path) -> list[ListedJob]:
+def recorded_jobs(folder: str | Path) -> list[RecordedJob]:
     """Return the jobs of a batch in the order of its list; nothing in its folder is changed or locked.
 
     Args:
@@ -72,7 +72,7 @@ def listed_in(folder: str | Path) -> list[ListedJob]:
     records = read_journal(home / JOBS_RUN.journal)
     results = {name: record.get("result") for (_, name), record in records.items()}
     return [
-        ListedJob(job, home / JOBS_RUN.results / job.id, found if isinstance(found, Mapping) else None)
+        RecordedJob(job, home / JOBS_RUN.results / job.id, found if isinstance(found, Mapping) else None)
         for job in jobs
         for found in [results.get(job.id)]
     ]
