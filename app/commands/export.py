@@ -83,7 +83,7 @@ def run(arguments: Arguments) -> ExitCode:
     """Open the results with their inputs, and write the targets."""
     from ladarreg_core.errors import OptionError
     from ladarreg_core.export.targets.folder import check_folder
-    from ladarreg_core.export.targets.pipeline import export_to
+    from ladarreg_core.export.targets.pipeline import export_to, photographed
     from ladarreg_core.export.targets.registry import targets_of
     from ladarreg_core.export.targets.stations import StationScans
     from ladarreg_core.export.targets.target import ExportOptions
@@ -122,8 +122,8 @@ def run(arguments: Arguments) -> ExitCode:
             sources = [_of_stations(arguments, first)]
         else:
             sources = [_of_results(arguments, targets, bar)]
-        for source in sources:
-            for one in () if isinstance(source, StationScans) else source.scans:
+        for handed in photographed(sources):
+            for one in handed.scans:
                 suit_heap(one.scan)
         export_to(
             arguments.out,
@@ -139,11 +139,10 @@ def run(arguments: Arguments) -> ExitCode:
         if isinstance(source, StationScans) and source.mark:
             print(f"Poses    {source.mark}: the folder was changed after it was written")
     if not arguments.quiet:
-        for source in sources:
-            if not isinstance(source, StationScans):
-                for photo in (*source.photos, *source.refused):
-                    print(f"Photo    {photo.id}: {_state(photo)}")
-                print(f"Frame    {source.frame.sentence}")
+        for handed in photographed(sources):
+            for photo in (*handed.photos, *handed.refused):
+                print(f"Photo    {photo.id}: {_state(photo)}")
+            print(f"Frame    {handed.frame.sentence}")
         print(f"Wrote    {', '.join(target.name for target in targets)} in {arguments.out}")
         print(f"Took     {time.perf_counter() - started:.1f} s")
     return ExitCode.ACCEPTED

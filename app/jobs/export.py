@@ -30,6 +30,7 @@ log = logging.getLogger(__name__)
 ALL = "all"
 """Name, in place of a photograph's id, of the zip of several; ids of photographs are a letter and a number."""
 Ending = Literal["zip", "html"]
+NOTHING_MEASURED = "nothing was measured yet; pick points with the tool Measure"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,6 +134,7 @@ class ExportJobs:
                 must not be written or replaced.
         """
         from ladarreg_core.export.output_frame import OutputFrame
+        from ladarreg_core.export.targets.measurements import MeasurementList
         from ladarreg_core.export.targets.pipeline import export_files, export_to
         from ladarreg_core.export.targets.registry import targets_of
         from ladarreg_core.export.targets.stations import StationScans
@@ -145,10 +147,14 @@ class ExportJobs:
         if folder is not None:
             self.check_folder(folder, document, force=force)
         chosen = self._chosen(document, wanted, targets)
-        if not chosen.entries and any(StationScans not in target.reads for target in targets):
+        wants_photo = any(not {StationScans, MeasurementList} & set(target.reads) for target in targets)
+        if not chosen.entries and wants_photo:
             raise OptionError(f"no photograph can be exported ({chosen.reasons or 'there is none'})")
-        if not chosen.entries and (fault := stations_fault(document)):
+        wants_stations = any(StationScans in target.reads for target in targets)
+        if not chosen.entries and wants_stations and (fault := stations_fault(document)):
             raise OptionError(fault)
+        if any(MeasurementList in target.reads for target in targets) and not document.measurements:
+            raise OptionError(NOTHING_MEASURED)
         scan = self._workspace.loader.scan(document)
         if scan is None:
             raise OptionError("there is no scan; open one")
@@ -249,6 +255,7 @@ class ExportJobs:
     def _refusals(self, document: Document, wanted: Wanted) -> dict[str, str | None]:
         """Return why each target cannot be written; None for those that can."""
         from ladarreg_core.export.registered_scan import RegisteredScan
+        from ladarreg_core.export.targets.measurements import MeasurementList
         from ladarreg_core.export.targets.pipeline import refusal
         from ladarreg_core.export.targets.registry import TARGETS
         from ladarreg_core.export.targets.stations import StationScans
@@ -263,7 +270,9 @@ class ExportJobs:
             sources += self._sources(document, one_a_camera, photographs_only, wanted, None, None)
         found: dict[str, str | None] = {}
         for target in TARGETS:
-            if target.shows_refused:
+            if MeasurementList in target.reads:
+                found[target.name] = None if document.measurements else NOTHING_MEASURED
+            elif target.shows_refused:
                 chosen = self._chosen(document, wanted, [target])
                 found[target.name] = None if chosen.entries else chosen.reasons or "there is no photograph"
             elif any(isinstance(one, target.reads) for one in sources):

@@ -1,5 +1,6 @@
 """The 3-D scene in viser: the cameras, the matches and the moving simplex of each client, drawn by one thread."""
 
+from .measured_layer import MeasuredShown
 from .person import Person
 from .picks_layer import Picks, residual_colors
 from .scene import Scene3D, Shown
@@ -10,6 +11,7 @@ from .survey_layer import SurveyShown
 
 __all__ = [
     "CameraShown",
+    "MeasuredShown",
     "Person",
     "Picks",
     "ScanShown",

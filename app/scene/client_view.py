@@ -12,6 +12,7 @@ from ladarreg_core.inspection.viewpoints import from_pose
 
 from .cameras_layer import CamerasLayer
 from .draft_layer import DraftLayer
+from .measured_layer import MeasuredLayer, MeasuredShown
 from .person import Person, ViewpointName
 from .picks_layer import PicksLayer
 from .simplex_layer import SimplexLayer
@@ -69,7 +70,7 @@ class ClientView:
         self._place = place
         self._cameras, self._matches, self._simplex = CamerasLayer(place), PicksLayer(place), SimplexLayer(place)
         self._stations, self._survey = StationsLayer(place), SurveyLayer(place)
-        self._draft = DraftLayer(place, on_draft)
+        self._draft, self._measured = DraftLayer(place, on_draft), MeasuredLayer(place)
         self._subject: Subject | None = None
         self._looks: ViewpointName = looks
         self._looked_from: Viewpoint | None = None
@@ -77,6 +78,7 @@ class ClientView:
     def draw(
         self, person: Person, subject: Subject | None, picks: Picks | None, simplex: SimplexShown | None,
         stations: Sequence[StationShown], cameras: Sequence[CameraShown] = (), survey: SurveyShown | None = None,
+        measured: MeasuredShown | None = None,
     ) -> None:  # fmt: skip
         """Draw everything that has changed."""
         before, self._subject = self._subject, subject
@@ -86,6 +88,7 @@ class ClientView:
         self._matches.highlight(person.highlighted)
         self._stations.draw(stations, hidden=person.model.hidden_stations)
         self._survey.draw(survey, visible=person.model.cameras)
+        self._measured.draw(measured, visible=person.model.matches)
         self._draft.draw(subject, person.draft)
         self.draw_simplex(person, simplex)
         self._follow(before, subject)

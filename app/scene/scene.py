@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from ladarreg_core.frames import Rigid
     from ladarreg_core.inspection.viewpoints import Viewpoint
 
+    from .measured_layer import MeasuredShown
     from .picks_layer import Picks
     from .place import Place
     from .simplex_frame import SimplexFrame
@@ -89,6 +90,7 @@ class Scene3D:
         self._stations: Sequence[StationShown] = ()
         self._cameras: Sequence[CameraShown] = ()
         self._survey: SurveyShown | None = None
+        self._measured: MeasuredShown | None = None
         self._people: Mapping[str, Person] = {}
         self._highlights: dict[str, str | None] = {}
         self._drafts: dict[str, Rigid] = {}
@@ -131,6 +133,12 @@ class Scene3D:
         """Show other stations beside the scan."""
         with self._lock:
             self._stations = stations
+        self._request_views()
+
+    def show_measured(self, measured: MeasuredShown | None) -> None:
+        """Show measurements; None: there are none."""
+        with self._lock:
+            self._measured = measured
         self._request_views()
 
     def set_people(self, people: Mapping[str, Person]) -> None:
@@ -258,12 +266,12 @@ class Scene3D:
     def _draw_views(self) -> None:
         with self._lock:
             views, photos, simplex = list(self._views.values()), self._photos, self._simplex
-            stations, cameras, survey = self._stations, self._cameras, self._survey
+            stations, cameras, survey, measured = self._stations, self._cameras, self._survey, self._measured
         for view in views:
             person = self._person(view)
             shown = photos.get(person.photo) or photos.get(None)
             subject, picks = (shown.subject, shown.picks) if shown else (None, None)
-            view.draw(person, subject, picks, simplex, stations, cameras, survey)
+            view.draw(person, subject, picks, simplex, stations, cameras, survey, measured)
             if self._run_view is not None:
                 view.look_at_run(self._run_view)
 

@@ -13,10 +13,12 @@ from ladarreg_core.progress import Progress, Report
 from ladarreg_core.project.station_edits import is_stale, surveyed_pose
 
 from .loader import Loader
+from .measured import measured_places, photos_of, stale_poses
 
 if TYPE_CHECKING:
     from ladarreg_core.export.output_frame import FrameName
     from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
+    from ladarreg_core.export.targets.measurements import MeasurementList
     from ladarreg_core.export.targets.pipeline import Source as ExportSource
     from ladarreg_core.export.targets.stations import StationScans
     from ladarreg_core.export.targets.target import Target
@@ -211,6 +213,7 @@ def project_sources(
         LadarregError: if a file can no longer be read.
     """
     from ladarreg_core.export.registered_scan import RegisteredScan
+    from ladarreg_core.export.targets.measurements import MeasurementList
     from ladarreg_core.export.targets.stations import StationScans
 
     found: list[ExportSource] = []
@@ -218,7 +221,33 @@ def project_sources(
         found.append(_registered_scan(loader, folder, document, entries, frame, written_into, report))
     if any(issubclass(StationScans, target.reads) for target in targets) and not stations_fault(document):
         found.append(_station_scans(loader, folder, document))
+    if any(issubclass(MeasurementList, target.reads) for target in targets) and document.measurements:
+        found.append(_measurements(loader, folder, document, frame))
     return found
+
+
+def _measurements(loader: Loader, folder: ProjectFolder, document: Document, frame: FrameName) -> MeasurementList:
+    from ladarreg_core.export.output_frame import OutputFrame
+    from ladarreg_core.export.targets.measurements import MeasurementList
+    from ladarreg_core.measuring.measurement_list import in_frame, write_measurements
+
+    scan = loader.scan(document)
+    if document.scan is None or scan is None:
+        raise OptionError("the project has no scan; open one in the workbench")
+    placed = OutputFrame.of(scan, frame)
+    entries = document.measurements
+    measured = measured_places(loader, document, scan, [(entry.kind, entry.places) for entry in entries])
+    listed = [
+        in_frame(
+            one, None if frame == "scanner" else placed.world_from_scanner, name=entry.title,
+            more_flags=stale_poses(loader, document, entry.places),
+        )
+        for entry, one in zip(entries, measured, strict=True)
+    ]  # fmt: skip
+    photos = [document.photo(photo) for entry in entries for photo in photos_of(entry.places)]
+    sources = [document.scan, *(photo.source for photo in photos if photo is not None)]
+    inputs = [path for source in dict.fromkeys(sources) for path in folder.source_files(source)]
+    return MeasurementList(lambda path: write_measurements(path, listed, frame=frame), inputs)
 
 
 def stations_fault(document: Document) -> str:

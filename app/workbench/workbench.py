@@ -33,6 +33,7 @@ from .files.embedded import EmbeddedPictures
 from .files.opening import Files
 from .state.clients import Client, Clients
 from .state.images import Images
+from .state.measured import Measured, measurement_entry
 from .state.model_parts import ModelParts
 from .state.pose_state import judged_slice, poses_slice, stage_state
 from .state.publisher import Publisher
@@ -114,7 +115,8 @@ class Workbench:
         workspace = Workspace(session, loader)
         self.runner = JobRunner(self._job_changed)
         self.stations = Stations(workspace, self.runner)
-        self.scene_sync = SceneSync(session, loader, self._people, self.stations.shown)
+        self.measured = Measured(session, loader, self._photos_looked_at)
+        self.scene_sync = SceneSync(session, loader, self._people, self.stations.shown, self.measured.shown)
         self.files = Files(session, loader, self.queries, self.selection, served)
         self.batches = Batches(session, loader, self.files, self.selection, self._publish)
         self.embedded = EmbeddedPictures(session, loader, self.selection)
@@ -129,6 +131,7 @@ class Workbench:
         self.images = Images(session, loader)
         self.model_parts = ModelParts(session, loader)
         self._pick_entries, self._history_entries = ListCache(pick_entry), ListCache(history_entry)
+        self._measurement_entries = ListCache(measurement_entry)
         self._slices = IdentityCache()
         self.publisher = Publisher(self._quick_slices, self._slow_slices, self._assess)
         self._unsubscribe = session.subscribe(self._document_changed)
@@ -294,6 +297,7 @@ class Workbench:
             "embedded": self.embedded.slice(),
             "acquisition": self.acquisition.slice(),
             "stations": self.stations.slice(),
+            "measurements": self._measurement_entries.get("", document.measurements),
             "survey": survey_slice(document, partial(self._is_stale, document)),
             "progress": progress_slice(loader, document, None, exported={}),
             "limits": {"upload_bytes": self.limits.upload_bytes, "photos": MAX_PHOTOS},
@@ -336,6 +340,9 @@ class Workbench:
     def _is_present(self, client_id: str) -> bool:
         return any(client.id == client_id for client in self.clients.present)
 
+    def _photos_looked_at(self) -> set[str]:
+        return {photo for client in self.clients.present if (photo := self._photo_id_of(client)) is not None}
+
     def _photo_id_of(self, client: Client) -> str | None:
         entry = self.selection.photo_of(client)
         return entry.id if entry else None
@@ -371,7 +378,7 @@ class Workbench:
 
     def _slow_slices(self) -> dict[str, Any]:
         document, loader = self.session.document, self.loader
-        found: dict[str, Any] = {}
+        found: dict[str, Any] = {"measured": self.measured.slice()}
         try:
             scan = loader.scan(document)
         except LadarregError:
@@ -434,7 +441,7 @@ class Workbench:
         return_memory_soon()
 
     def _selection_changed(self) -> None:
-        self._publish()
+        self.publisher.publish(slow=bool(self.session.document.measurements))
         self.scene_sync.refresh()
 
     def _job_changed(self, job: Job) -> None:

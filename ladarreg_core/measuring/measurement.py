@@ -69,6 +69,19 @@ class Measurement:
         words = ", ".join(_rounded(float(value), float(sigma)) for value, sigma in pairs)
         return f"{words} {self.unit}"
 
+    @property
+    def described_interval(self) -> str:
+        """The interval with the value's digits, such as '1.2279 to 1.2401 m'; empty where it is not known."""
+        sigma = np.atleast_1d(self.sigma)
+        if not np.isfinite(sigma).all():
+            return ""
+        low, high = np.asarray(self.interval, np.float64).reshape(2, -1)
+        pairs = (
+            f"{a:.{digits}f} to {b:.{digits}f}"
+            for a, b, digits in zip(low, high, map(_decimals, sigma.tolist()), strict=True)
+        )
+        return f"{', '.join(pairs)} {self.unit}"
+
     def as_fields(self) -> dict[str, Any]:
         """Return the measurement as JSON-ready values."""
         return {
@@ -184,6 +197,12 @@ def _height(p: FloatArray, up: FloatArray) -> FloatArray:
     return np.asarray(((p[:, 0] - p[:, 1:].mean(axis=1)) * normal).sum(axis=1))
 
 
+def foot_of_height(xyz: FloatArray) -> NDArray[np.float64]:
+    """Return the point (3,) of the plane of points (N, 3), but the first, that is nearest to the first."""
+    normal = _plane_normals(xyz[None, 1:])[0]
+    return np.asarray(xyz[0] - ((xyz[0] - xyz[1:].mean(axis=0)) @ normal) * normal)
+
+
 _RULES: dict[MeasurementKind, _Kind] = {
     "point": _Kind(1, 1, "the coordinates of a point; give one", "m", lambda p: p[:, 0]),
     "distance": _Kind(2, 2, "a distance; give two", "m", _length),
@@ -257,8 +276,12 @@ def _own_flags(kind: MeasurementKind, p: FloatArray, value: float, sigma: float,
 def _rounded(value: float, sigma: float) -> str:
     if not np.isfinite(sigma):
         return f"{value:.4f}"
-    decimals = min(max(1 - int(np.floor(np.log10(sigma))), 0), 9) if sigma > 0 else 6
-    return f"{value:.{decimals}f} +- {sigma:.{decimals}f}"
+    return f"{value:.{_decimals(sigma)}f} +- {sigma:.{_decimals(sigma)}f}"
+
+
+def _decimals(sigma: float) -> int:
+    """Return the decimals that show two digits of a standard deviation."""
+    return min(max(1 - int(np.floor(np.log10(sigma))), 0), 9) if sigma > 0 else 6
 
 
 def _plain(value: Any) -> Any:

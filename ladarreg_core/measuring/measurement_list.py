@@ -7,7 +7,7 @@ import io
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -50,6 +50,28 @@ class NamedMeasurement:
         if self.measurement is None:
             return {"name": self.name, "kind": self.kind, "refused": self.refusal}
         return {"name": self.name, **self.measurement.as_fields()}
+
+
+def in_frame(
+    entry: NamedMeasurement, world_from_scanner: Rigid | None, *, name: str, more_flags: Sequence[str] = ()
+) -> NamedMeasurement:
+    """Return an entry that was measured in the scanner frame, by another name.
+
+    Args:
+        entry: the entry.
+        world_from_scanner: the frame of the result; None: the scanner's.
+        name: its name in the list.
+        more_flags: what is doubtful besides.
+    """
+    if entry.measurement is None:
+        return replace(entry, name=name)
+    found = entry.measurement
+    if world_from_scanner is not None:
+        moved = found.points.moved(world_from_scanner)
+        # a rigid motion changes no length; the side of a plane that is up is that of the scanner
+        found = measure("point", moved) if entry.kind == "point" else replace(found, points=moved)
+    flags = tuple(dict.fromkeys((*entry.measurement.flags, *more_flags)))
+    return replace(entry, name=name, measurement=replace(found, flags=flags))
 
 
 def measure_places(
@@ -124,13 +146,16 @@ def _points(
         else:
             if where == "cell":
                 found = MeasuredPoints.of_scan(scan, cells=at, sigma_cells=sigma_px)
+            elif where == "ray":
+                found = MeasuredPoints.of_scan(scan, rays=at, sigma_cells=sigma_px)
             else:
                 name = _photo(photo, photos)
                 found = MeasuredPoints.of_photo(scan, photos[name], at, sigma_uv_px=sigma_px, name=name)
             parts.append(found if world is None else found.moved(world))
         order += rows
-    back = np.argsort(order)
-    return MeasuredPoints.joined(parts).subset(back.tolist())
+    found = MeasuredPoints.joined(parts).subset(np.argsort(order).tolist())
+    names = tuple(place.name or name for place, name in zip(places, found.names, strict=True))
+    return replace(found, names=names)
 
 
 def _photo(name: str, photos: Mapping[str, PoseResult]) -> str:

@@ -25,6 +25,8 @@ Part = Literal["free", "held", "out"]
 was taken out."""
 Numbers = tuple[float, ...]
 Rows = tuple[Numbers, ...]
+MeasurementKind = Literal["point", "distance", "polyline", "angle", "area", "height"]
+"""As `ladarreg_core.measuring.measurement.MeasurementKind`, which is above this package."""
 
 
 class Source(FileOptions, frozen=True, kw_only=True):
@@ -241,6 +243,35 @@ class PhotoEntry(msgspec.Struct, frozen=True, kw_only=True):
         return next((pick for pick in self.picks if pick.id == pick_id), None)
 
 
+class MeasuredPlace(msgspec.Struct, frozen=True, kw_only=True):
+    """A point that was picked to be measured."""
+
+    at: Numbers
+    """Unit ray, scanner frame; or pixel (u, v) of a photograph."""
+    photo: str = ""
+    """Id of the photograph; empty: it was picked in the scan."""
+
+
+class MeasurementEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """What the operator measured, as it was picked: values follow from scan and poses as they are."""
+
+    id: str
+    """Stable id of letters and digits."""
+    number: int
+    """Number on the screen; never reused."""
+    kind: MeasurementKind
+    """What is measured."""
+    places: tuple[MeasuredPlace, ...]
+    """The points, in order."""
+    name: str = ""
+    """Name that the operator gave it; empty: kind and number."""
+
+    @property
+    def title(self) -> str:
+        """Its name for display."""
+        return self.name or f"{self.kind.capitalize()} {self.number}"
+
+
 class StationEntry(msgspec.Struct, frozen=True, kw_only=True):
     """A further station: a scan of the same place from elsewhere, beside the one that is shown."""
 
@@ -252,6 +283,8 @@ class StationEntry(msgspec.Struct, frozen=True, kw_only=True):
     """Rough pose (4, 4) of its scanner in the frame of the scan that is shown, where a search may begin."""
     photos: tuple[PhotoEntry, ...] = ()
     """The photographs with their matches and poses as they were when this station was shown last."""
+    measurements: tuple[MeasurementEntry, ...] = ()
+    """What was measured on its scan."""
 
 
 class Survey(msgspec.Struct, frozen=True, kw_only=True):
@@ -385,6 +418,10 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
     """Where the stations stand; None before they were registered."""
     adjusted: Adjusted | None = None
     """What solving everything together gave; None before that was done."""
+    measurements: tuple[MeasurementEntry, ...] = ()
+    """What was measured on the scan, in the order of its making."""
+    numbered_measurements: int = 0
+    """Last number given to a measurement."""
 
     @property
     def clouds(self) -> int:

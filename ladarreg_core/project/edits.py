@@ -37,14 +37,14 @@ WEIGHTS = 1e-6, 1e6
 
 
 def with_scan(document: Document, scan: Source) -> Document:
-    """Return the document with another scan, without the picks and poses that belong to the old one."""
+    """Return the document with another scan, without the picks, poses and measurements that belong to the old one."""
     photos = tuple(
         replace(p, picks=(), poses=(), shown_stage=None, stated_pose=None, stated_by="") for p in document.photos
     )
     taken = {(path, scan.index) for path in scan.paths}
     others = (s for s in document.stations if (s.source.path, s.source.index) not in taken)
     stations = tuple(replace(station, rough=None) for station in others)  # rough places were seen from the old one
-    return replace(document, scan=scan, photos=photos, stations=stations)
+    return replace(document, scan=scan, photos=photos, stations=stations, measurements=())
 
 
 def with_more_clouds(document: Document, paths: Sequence[str], names: Sequence[str] = ()) -> Document:

@@ -1,8 +1,9 @@
 """The inverse of one edit, applied to a later document: what the edit touched gets its former value, all else stays.
 
-A document is compared by parts: its fields, the settings, and of each photograph its fields, poses and picks, by path:
-`("name",)`, `("settings", "t1")`, `("photos", "p1")` where the photograph exists on one side only, else
-`("photos", "p1", "camera")`, `("photos", "p1", "poses", "auto")`, `("photos", "p1", "picks", "3", "on")`.
+A document is compared by parts: its fields, the settings, the measurements, and of each photograph its fields, poses
+and picks, by path: `("name",)`, `("settings", "t1")`, `("measurements", "m1")`, `("photos", "p1")` where the photograph
+exists on one side only, else `("photos", "p1", "camera")`, `("photos", "p1", "poses", "auto")`,
+`("photos", "p1", "picks", "3", "on")`.
 Counters of given numbers are no part: a number is never given twice.
 """
 
@@ -21,9 +22,9 @@ Part = tuple[str, ...]
 Parts = dict[Part, tuple[Any, Any]]
 """Parts with their values before and after an edit."""
 T = TypeVar("T", bound=msgspec.Struct)
-_COUNTERS = ("numbered", "numbered_stations")
+_COUNTERS = ("numbered", "numbered_stations", "numbered_measurements")
 _LISTS = ("picks", "poses")
-_KEYS = {"photos": "id", "picks": "id", "poses": "stage"}
+_KEYS = {"photos": "id", "picks": "id", "poses": "stage", "measurements": "id"}
 
 
 class _Missing:
@@ -51,7 +52,7 @@ def changed_parts(before: Document, after: Document) -> Parts:
     """Return the parts in which two documents differ."""
     found: Parts = {}
     for name in before.__struct_fields__:
-        if name in ("photos", "settings", *_COUNTERS):
+        if name in ("photos", "settings", "measurements", *_COUNTERS):
             continue
         _note(found, (name,), getattr(before, name), getattr(after, name))
     for name in before.settings.__struct_fields__:
@@ -61,6 +62,8 @@ def changed_parts(before: Document, after: Document) -> Parts:
             found[path] = old, new
         else:
             _compare_photos(found, path, old, new)
+    for path, old, new in _differing(("measurements",), before.measurements, after.measurements):
+        found[path] = old, new
     return found
 
 
@@ -85,6 +88,8 @@ def restored(present: Document, before: Document, after: Document, *, ignore: Co
             then = after.photo(photo.id)
             if then is None or then.picks != photo.picks or then.poses != photo.poses:
                 raise ChangedSinceError(("photos", photo.id))
+        if present.measurements != after.measurements:
+            raise ChangedSinceError(("measurements",))
     return _with_former(present, before, {part: old for part, (old, _) in changes.items()})
 
 
@@ -148,7 +153,10 @@ def _with_former(present: Document, before: Document, former: Mapping[Part, Any]
     """Return the document with former values of parts, each of which exists unless its value says otherwise."""
     fields = {part[0]: value for part, value in former.items() if len(part) == 1}
     settings = {part[1]: value for part, value in former.items() if part[0] == "settings"}
-    photos = {part[1]: value for part, value in former.items() if part[0] == "photos" and len(part) == 2}
+    photos, measurements = (
+        {part[1]: value for part, value in former.items() if part[0] == name and len(part) == 2}
+        for name in ("photos", "measurements")
+    )
     inner: dict[str, dict[Part, Any]] = {}
     for part, value in former.items():
         if part[0] == "photos" and len(part) > 2:
@@ -162,6 +170,7 @@ def _with_former(present: Document, before: Document, former: Mapping[Part, Any]
         **fields,
         settings=replace(present.settings, **settings),
         photos=_merged(found, before.photos, photos, "photos"),
+        measurements=_merged(present.measurements, before.measurements, measurements, "measurements"),
     )
 
 

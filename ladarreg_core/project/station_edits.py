@@ -174,8 +174,8 @@ def is_stale(document: Document) -> bool:
 def with_station_shown(document: Document, station_id: object) -> Document:
     """Return the document with another station's scan shown, to which photographs are registered from now on.
 
-    The scan that was shown becomes a station, and keeps what was done on it: matches and poses return with it. A
-    photograph that has none at the new one begins at the pose that it had, if the stations are registered.
+    The scan that was shown becomes a station, and keeps what was done on it: matches, poses and measurements return
+    with it. A photograph that has none at the new one begins at the pose that it had, if the stations are registered.
     """
     chosen = require_station(document, station_id)
     assert document.scan is not None, "stations are added to a scan"
@@ -188,11 +188,16 @@ def with_station_shown(document: Document, station_id: object) -> Document:
     )
     rough = None if between is None else _rows(between.inverse)
     number = document.numbered_stations + 1
-    before = StationEntry(id=f"s{number}", source=document.scan, photos=document.photos, rough=rough)
+    before = StationEntry(
+        id=f"s{number}", source=document.scan, photos=document.photos, rough=rough, measurements=document.measurements
+    )
     stations = tuple(
         before if each is chosen else replace(each, rough=_seen_from(each.rough, between)) for each in document.stations
     )
-    return replace(document, scan=chosen.source, photos=photos, stations=stations, numbered_stations=number)
+    return replace(
+        document, scan=chosen.source, photos=photos, stations=stations, numbered_stations=number,
+        measurements=chosen.measurements,
+    )  # fmt: skip
 
 
 def _at_other_station(photo: PhotoEntry, kept: PhotoEntry | None, between: Rigid | None, name: str) -> PhotoEntry:

@@ -15,6 +15,7 @@ export interface Commands {
   acquire_stop: Record<string, never>;
   acquire_take_over: Record<string, never>;
   add_embedded: { images: number[] };
+  add_measurement: { kind: "point" | "distance" | "polyline" | "angle" | "area" | "height"; places: (Record<string, unknown>)[] };
   add_pick: { photo: string; kind: "point" | "line"; scan: number[][]; photo_uv: number[][] };
   adjust: { photos?: string[] | null };
   call_me: { name: string };
@@ -33,6 +34,7 @@ export interface Commands {
   list_projects: Record<string, never>;
   list_served: Record<string, never>;
   look: { viewpoint: "start" | "overview" | "scanner" | "camera" };
+  measure: { kind: "point" | "distance" | "polyline" | "angle" | "area" | "height"; places: (Record<string, unknown>)[] };
   new_project: { name?: string | null; files?: string[] | null; sure?: boolean };
   open_files: { files: string[]; scan?: "replace" | "frames" | "stations" | null; photo?: string | null; reading?: Record<string, unknown> | null };
   open_job: { wanted: string; sure?: boolean };
@@ -50,10 +52,12 @@ export interface Commands {
   register_all: { photos?: string[] | null };
   register_stations: { poses?: "keep" | "refine" | "search" };
   reject: { photo: string; above: number; by?: "depth" | "px" };
+  remove_measurements: { measurements: string[] };
   remove_photo: { photo: string };
   remove_picks: { photo: string; picks: string[] };
   remove_station: { station: string };
   rename: { name: string };
+  rename_measurement: { measurement: string; name: string };
   run: { photo: string; job: string };
   sample_line: { scan: number[][] };
   set_camera: { photo: string; focal_35mm?: number | null; focal_mm?: number | null; sensor_mm?: number | null; focal_px?: number | null; model?: "equirectangular" | null };

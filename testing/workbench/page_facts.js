@@ -28,8 +28,9 @@
   const depth = one("section[aria-label='Depth error']");
   const stations = one("section[aria-label=Stations]");
   const survey = one("section[aria-label='All photographs']");
+  const measurements = one("section[aria-label=Measurements]");
   const owned = [
-    one(".photo-shelf"), ...all(".steps"), verdict, one("section[aria-label=Matches]"), stages, depth, stations, survey,
+    one(".photo-shelf"), ...all(".steps"), verdict, one("section[aria-label=Matches]"), stages, depth, stations, survey, measurements,
     one("section[aria-label='How the stations fit']"), ...all(".pipeline"), ...all(".pipeline-failure"), one(".job-bar > .clip"),
     one(".job-bar + [role=status]"), one(".export-part"), one(".scan-chip"), one(".self-test"),
   ];
@@ -88,6 +89,10 @@
       rows: all(".station", stations).map((row) => [".station-name", ".station-state", ".station-where"].map((part) => text(part, row))),
       verdicts: leaves(one(".station-verdicts")), whole: text(".station-fit .acquire-said"),
     },
+    measurements: all(".measurement", measurements).map((row) => [
+      one(".measurement-name", row).value, text(".measurement-value", row), text("p.dim", row),
+      ...all(".measurement-note", row).map((note) => text(note)),
+    ]),
     survey: {
       count: text(".part-head > .figures", survey), summary: text(".acquire-said", survey),
       rows: all(".survey-photo .survey-row", survey).map((row) => [...row.children].slice(1).map((part) => text(part))),

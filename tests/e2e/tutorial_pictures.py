@@ -31,6 +31,11 @@ WINDOW = {"width": 1440, "height": 900}
 SCENE = ("simulate", "office", "--seed", "4", "-o")
 _COLORS = 256
 _NO_HINT = "localStorage.setItem('ladarreg-software-drawing', 'dismissed')"
+_MEASURED = (
+    (("photo", 0.62, 0.32), ("photo", 0.82, 0.62)),
+    (("scan", 0.62, 0.22), ("photo", 0.93, 0.45)),
+)
+"""Sides and places in their panes, parts of width and height."""
 _MANUAL = {"3-drawn": "drawn", "4-accepted": "solved"}
 
 
@@ -63,6 +68,7 @@ def _tutorial(folder: Path, chromium: Browser, target: Path) -> None:
         page.get_by_label("Texture of the model").select_option("uncertainty")
         page.wait_for_timeout(4000)
         _keep(page, target / "judged.png")
+        _measure(page, target)
         page.get_by_role("tab", name=re.compile("Export")).click()
         page.locator(".target-list li").first.wait_for()
         _keep(page, target / "exports.png")
@@ -77,6 +83,27 @@ def _tutorial(folder: Path, chromium: Browser, target: Path) -> None:
     page.wait_for_timeout(1000)
     _keep(page, target / "report.png")
     page.close()
+
+
+def _measure(page: Page, target: Path) -> None:
+    """Measure two distances, one of them from the scan to the photograph."""
+    page.get_by_label("Overlay of the scan on the photograph").select_option("none")
+    page.get_by_label("Texture of the model").select_option("colour")
+    page.keyboard.press("d")
+    page.keyboard.press("x")
+    for count, places in enumerate(_MEASURED, start=1):
+        for side, x, y in places:
+            body = page.locator(f"#{side}-pane .pane-body").bounding_box()
+            assert body is not None
+            page.mouse.click(body["x"] + x * body["width"], body["y"] + y * body["height"])
+        page.locator(f".measurement:nth-child({count}) .measurement-value", has_text="±").wait_for()
+    page.get_by_role("heading", name="Measurements").hover()
+    page.wait_for_timeout(4000)
+    _keep(page, target / "measuring.png")
+    page.keyboard.press("x")
+    page.keyboard.press("v")
+    for _ in _MEASURED:
+        page.keyboard.press("Control+z")
 
 
 def _manual(folder: Path, chromium: Browser, target: Path) -> None:

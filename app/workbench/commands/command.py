@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ..files.embedded import EmbeddedPictures
     from ..files.opening import Files
     from ..state.clients import Client, Clients
+    from ..state.measured import Measured
     from ..state.queries import Queries
     from ..state.selection import Selection
     from ..state.stations import Stations
@@ -98,6 +99,7 @@ class Context(Protocol):
     jobs: JobRegistry
     acquisition: Acquisition
     stations: Stations
+    measured: Measured
 
     def set_model(self, client: Client, wanted: Mapping[str, Any]) -> None:
         """Change the display of the model for a client."""

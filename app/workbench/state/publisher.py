@@ -14,7 +14,7 @@ log = logging.getLogger(__name__)
 Message = dict[str, Any]
 Slices = Callable[[], dict[str, Any]]
 Listener = Callable[[Message], None]
-_SLOW_SLICES = "judged:"
+_SLOW_SLICES = ("judged:", "measured")
 
 
 @dataclass(slots=True, eq=False)
@@ -30,7 +30,7 @@ class Publisher:
 
     Args:
         quick: returns the slices that are published at once.
-        slow: returns the slices that take time to compute, whose names begin with `judged:`.
+        slow: returns the slices that take time to compute, `measured` and those whose names begin with `judged:`.
         afterwards: called after the slow slices were published, unless there was another edit.
     """
 

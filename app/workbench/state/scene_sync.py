@@ -22,7 +22,18 @@ if TYPE_CHECKING:
 
     from ...jobs.runner import Job
     from ...jobs.simplex import Frame
-    from ...scene import CameraShown, Person, Picks, ScanShown, Scene3D, Shown, StationShown, Subject, SurveyShown
+    from ...scene import (
+        CameraShown,
+        MeasuredShown,
+        Person,
+        Picks,
+        ScanShown,
+        Scene3D,
+        Shown,
+        StationShown,
+        Subject,
+        SurveyShown,
+    )
 
 log = logging.getLogger(__name__)
 _ELLIPSE_SIZE = 0.5  # half an axis of a typical ellipse at most, in depths of a frustum
@@ -38,6 +49,7 @@ class SceneSync:
         loader: its loader.
         people: returns what every client looks at, by its id.
         stations: returns the other stations.
+        measured: returns the measurements; None: there are none.
     """
 
     def __init__(
@@ -46,11 +58,12 @@ class SceneSync:
         loader: Loader,
         people: Callable[[], Mapping[str, Person]],
         stations: Callable[[], Sequence[StationShown]] = tuple,
+        measured: Callable[[], MeasuredShown | None] = lambda: None,
     ) -> None:
         self._session = session
         self._loader = loader
         self._people = people
-        self._stations = stations
+        self._stations, self._measured = stations, measured
         self._scene: Scene3D | None = None
         self._debouncer = Debouncer()
         self._scan_shown: ScanShown | None = None
@@ -143,6 +156,7 @@ class SceneSync:
         else:
             scene.show(photos, cameras, self._survey_of(document, cameras, scan_shown))
         scene.show_stations(self._stations())
+        scene.show_measured(None if scan_shown is None else self._measured())
 
     def _cameras_of(self, document: Document) -> Iterator[CameraShown]:
         """Yield the cameras of all photographs whose poses are accepted; the pictures of the first ones only."""

@@ -10,13 +10,15 @@ from ladarreg_core.errors import ExportError
 from ladarreg_core.export.json import input_document, software_document, write_result
 from ladarreg_core.export.registered_scan import RegisteredScan, RegisteredSurvey
 from ladarreg_core.export.targets.folder import MAX_CELLS_TOGETHER, FileJob, write_folder
+from ladarreg_core.export.targets.measurements import MeasurementList
 from ladarreg_core.export.targets.registry import targets_of
 from ladarreg_core.export.targets.stations import StationScans
 from ladarreg_core.export.targets.target import ExportOptions, Target
 from ladarreg_core.progress import Report
 from ladarreg_core.storage.replacement import EXPORT_FILE
 
-Source = RegisteredScan | RegisteredSurvey | StationScans
+Photographed = RegisteredScan | RegisteredSurvey
+Source = Photographed | StationScans | MeasurementList
 """What targets are written from."""
 
 
@@ -49,7 +51,7 @@ def export_to(
             cannot be written.
     """
     sources = _listed(handed)
-    scans = [scan for one in sources if not isinstance(one, StationScans) for scan in one.scans]
+    scans = [scan for one in photographed(sources) for scan in one.scans]
     small = sum(one.scan.ranges.size for one in scans) <= MAX_CELLS_TOGETHER
     write_folder(
         folder,
@@ -76,9 +78,8 @@ def export_files(
         ExportError: if a target cannot be written from what is given.
     """
     sources, chosen, options = _listed(handed), targets_of(targets), options or ExportOptions()
-    for source in sources:
-        if not isinstance(source, StationScans):
-            require_shown([one.photo.name for one in source.refused], chosen)
+    for source in photographed(sources):
+        require_shown([one.photo.name for one in source.refused], chosen)
     refused = {target.name: why for target in chosen if (why := refusal(target, sources, options))}
     if refused:
         raise ExportError("; ".join(f"{name} cannot be written: {why}" for name, why in refused.items()))
@@ -90,6 +91,11 @@ def export_files(
     jobs = [(f"{target.name}/{name}", write) for target, listed in files.items() for name, write in listed]
     names = [name for name, _ in jobs]
     return [(EXPORT_FILE, lambda path: write_result(path, _document(sources, chosen, options, names))), *jobs]
+
+
+def photographed(sources: Sequence[Source]) -> list[Photographed]:
+    """Return those of the sources that are scans with photographs."""
+    return [one for one in sources if isinstance(one, Photographed)]
 
 
 def refusal(target: Target, sources: Sequence[Source], options: ExportOptions) -> str | None:
@@ -141,7 +147,7 @@ def _read_by(target: Target, sources: Sequence[Source]) -> list[tuple[str, Sourc
 def _document(
     sources: Sequence[Source], targets: Sequence[Target], options: ExportOptions, names: Sequence[str]
 ) -> dict[str, Any]:
-    handed = next((one for one in sources if not isinstance(one, StationScans)), None)
+    handed = next(iter(photographed(sources)), None)
     stations = next((one for one in sources if isinstance(one, StationScans)), None)
     placed = {} if handed is None else {"frame": handed.frame.as_dict(), "frame_is": handed.frame.sentence}
     return {
@@ -177,7 +183,7 @@ def _listed(handed: Source | Sequence[Source]) -> Sequence[Source]:
 def _inputs(sources: Sequence[Source]) -> list[Path]:
     listed: list[Path | None] = []
     for source in sources:
-        if isinstance(source, StationScans):
+        if isinstance(source, StationScans | MeasurementList):
             listed += source.inputs
             continue
         for scan in source.scans:

@@ -10,6 +10,7 @@ from ladarreg_core.export.targets.colmap import colmap_files, colmap_refusal
 from ladarreg_core.export.targets.e57 import e57_files, e57_refusal
 from ladarreg_core.export.targets.kalibr import kalibr_files, kalibr_refusal
 from ladarreg_core.export.targets.laz import laz_files, laz_refusal
+from ladarreg_core.export.targets.measurements import MeasurementList, measurements_files
 from ladarreg_core.export.targets.model import glb_files, obj_files
 from ladarreg_core.export.targets.nerfstudio import nerfstudio_files
 from ladarreg_core.export.targets.opencv import opencv_files, opencv_refusal
@@ -131,6 +132,16 @@ TARGETS: tuple[Target, ...] = (
         needs="stations that are registered to each other",
         stands_alone=True,
         refusal=stations_refusal,
+    ),
+    Target(
+        name="measurements",
+        title="Measurements",
+        purpose="What was measured in the workbench, with standard deviations: CSV for tables, DXF for CAD, GeoJSON "
+        "for GIS, JSON for programs.",
+        files=measurements_files,
+        reads=(MeasurementList,),
+        needs="measurements, which are made in the workbench",
+        stands_alone=True,
     ),
 )
 

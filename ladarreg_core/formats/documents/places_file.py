@@ -23,15 +23,17 @@ class Place:
     """A point to be measured."""
 
     at: tuple[float, ...]
-    """u, v of a pixel; row, column of a cell; or x, y, z, m."""
+    """u, v of a pixel; row, column of a cell; x, y, z, m; or a ray of the scanner frame."""
     where: str
-    """`photo`, `cell` or `point`."""
+    """`photo`, `cell`, `point` or, never in a file, `ray`."""
     photo: str = ""
     """Name or id of the photograph; empty: the only one."""
     measurement: str = ""
     """Name of the measurement that it belongs to."""
     kind: str = ""
     """What the measurement is, such as `distance`; empty: not stated here."""
+    name: str = ""
+    """What messages call it; empty: its place."""
 
 
 def read_places(path: PathLike) -> list[Place]:

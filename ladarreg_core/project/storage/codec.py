@@ -9,6 +9,7 @@ import msgspec
 
 from ladarreg_core.errors import FormatError, NewerVersionError, OptionError
 from ladarreg_core.project.document import VERSION, Document, PoseEntry
+from ladarreg_core.project.measurement_edits import checked_measurement
 from ladarreg_core.project.station_edits import checked_survey
 from ladarreg_core.project.stored_arrays import StoredArrays
 
@@ -56,6 +57,8 @@ def decode_document(data: bytes, find: FindArrays) -> Document:
     for photo in (*found.photos, *(each for station in found.stations for each in station.photos)):
         for pick in photo.picks:
             pick.as_pick()  # validates
+    for measurement in (*found.measurements, *(each for station in found.stations for each in station.measurements)):
+        checked_measurement(measurement)
     if found.survey is not None:
         checked_survey(found.survey)
     return found

@@ -1,6 +1,6 @@
 """Differences between documents, small enough to be written for every commit.
 
-A change names the fields that differ. `photos` and `picks`, lists of objects with ids, are stored as
+A change names the fields that differ. `photos`, `picks` and `measurements`, lists of objects with ids, are stored as
 `{"in": {id: change}, "new": [objects], "gone": [ids], "order": [ids]}`, without the parts that are empty.
 """
 
@@ -14,12 +14,17 @@ import msgspec
 from msgspec.structs import replace
 
 from ladarreg_core.errors import FormatError, LadarregError
-from ladarreg_core.project.document import Document, PhotoEntry, PickEntry
+from ladarreg_core.project.document import Document, MeasurementEntry, PhotoEntry, PickEntry
+from ladarreg_core.project.measurement_edits import checked_measurement
 from ladarreg_core.project.storage.codec import FindArrays, arrays_of, encode, from_plain
 
 Change = dict[str, Any]
 T = TypeVar("T", bound=msgspec.Struct)
-_LISTS: Mapping[str, type[PhotoEntry] | type[PickEntry]] = {"photos": PhotoEntry, "picks": PickEntry}
+_LISTS: Mapping[str, type[PhotoEntry] | type[PickEntry] | type[MeasurementEntry]] = {
+    "photos": PhotoEntry,
+    "picks": PickEntry,
+    "measurements": MeasurementEntry,
+}
 
 
 def change_between(before: Document, after: Document) -> Change:
@@ -95,9 +100,18 @@ def _apply(before: T, change: Any, find: FindArrays) -> T:
         if name in kinds  # fields of newer versions are kept with the whole document, see `unknown_fields`
     }
     after = replace(before, **found)
-    if isinstance(after, PickEntry):
-        after.as_pick()  # validates
+    _validate(after)
     return after
+
+
+def _validate(thing: object) -> None:
+    if isinstance(thing, PhotoEntry):
+        for pick in thing.picks:
+            pick.as_pick()
+    elif isinstance(thing, PickEntry):
+        thing.as_pick()
+    elif isinstance(thing, MeasurementEntry):
+        checked_measurement(thing)
 
 
 @cache
@@ -113,8 +127,7 @@ def _apply_list_change(before: Sequence[Any], change: Any, kind: type[Any], find
         things[name] = _apply(things[name], part, find)
     for fields in change.get("new", ()):
         new = from_plain(kind, fields, find)
-        for pick in new.picks if isinstance(new, PhotoEntry) else (new,):
-            pick.as_pick()
+        _validate(new)
         things[new.id] = new
     order = change.get("order")
     if order is None:

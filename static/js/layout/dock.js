@@ -5,6 +5,7 @@ import { mountPlanForm } from "../panels/acquire/plan_form.js";
 import { mountRun } from "../panels/acquire/run.js";
 import { mountConvergence } from "../panels/pose/convergence.js";
 import { mountDepthPlot } from "../panels/pose/depth_plot.js";
+import { mountMeasurements } from "../panels/pose/measurements.js";
 import { mountExport } from "../panels/export/export.js";
 import { mountMatchTable } from "../panels/matches/match_table.js";
 import { mountPipeline } from "../panels/matches/pipeline.js";
@@ -21,7 +22,7 @@ const SHOWN = {
   stations: ["photographs", "stations", "fit"],
   match: ["table", "methods", "verdict"],
   solve: ["table", "methods", "convergence"],
-  judge: ["depth", "verdict", "stages"],
+  judge: ["depth", "verdict", "measurements", "stages"],
   export: ["export", "files", "verdict"],
 };
 
@@ -41,6 +42,7 @@ export const mountDock = (dock) => {
     convergence: mountConvergence(),
     depth: mountDepthPlot(),
     verdict: mountVerdict(),
+    measurements: mountMeasurements(),
     stages: mountStages(),
     export: exporting,
     files,

@@ -1,7 +1,10 @@
 /** The state that the parts of the two image panes share, and the edits that they send to the workbench. */
 
+import { measurementsNow } from "../state/measuring.js";
 import { readLook } from "./colors.js";
 import { marksOf } from "./marks.js";
+import { measuredMarks } from "./measured_layer.js";
+import { Measuring } from "./measuring.js";
 import { hintOf } from "./notes.js";
 import { PendingMoves } from "./pending_moves.js";
 import { other, Picking } from "./picking.js";
@@ -38,6 +41,7 @@ export class Controller {
   /** @type {import("./colleagues.js").Colleagues | null} other people in the pictures */
   colleagues = null;
   #marks = {};
+  #measured = {};
   #marked = new Map();
   #markTimer = 0;
   #corners = {};
@@ -49,6 +53,7 @@ export class Controller {
     this.view = view;
     this.ask = ask;
     this.sides = { scan: new ScanSide(store, view), photo: new PhotoSide(store, view) };
+    this.measuring = new Measuring(this);
     this.pendingMoves = new PendingMoves(
       (photo, id, side, ends) => this.#sendEnds(photo, id, side, ends),
       () => store.shown(),
@@ -94,6 +99,7 @@ export class Controller {
   /** Recompute the marks and redraw, after the matches or views have changed. */
   changed() {
     this.#marks = {};
+    this.#measured = {};
     this.#corners = {};
     this.redraw("matches", "live");
   }
@@ -110,6 +116,12 @@ export class Controller {
       ? marksOf(side, store.picksOf(), store.judgedOf(), this.sides[side].lens, (pick) => this.pendingMoves.endsOf(pick, side))
       : [];
     return this.#marks[side];
+  }
+
+  /** @returns {ReturnType<typeof measuredMarks>} measurements, as they are drawn */
+  measured(side) {
+    this.#measured[side] ??= this.sides[side].extent ? measuredMarks(measurementsNow(), this.sides[side]) : [];
+    return this.#measured[side];
   }
 
   /** @returns {number[][]} detected corners, in pixels */
@@ -140,7 +152,7 @@ export class Controller {
     return this.view.get().snap && !this.suspended;
   }
 
-  /** @returns {"line" | "point" | "select"} the tool; a page that may only look does not draw */
+  /** @returns {"line" | "point" | "select" | "measure"} the tool; a page that may only look does not draw */
   get tool() {
     return this.store.readOnly ? "select" : this.view.get().tool;
   }
@@ -208,7 +220,9 @@ export class Controller {
   /** Update the hint in the status bar. */
   hint() {
     const ready = Boolean(this.sides.scan.extent && this.sides.photo.extent);
-    const hint = ready ? hintOf(this.picking, this.tool, { readOnly: this.store.readOnly, chosen: this.chosen !== null }) : null;
+    const hint = this.tool === "measure" && this.sides.scan.extent
+      ? this.measuring.hint
+      : ready ? hintOf(this.picking, this.tool, { readOnly: this.store.readOnly, chosen: this.chosen !== null }) : null;
     if (hint !== this.view.get().hint) this.view.set({ hint });
   }
 
@@ -234,6 +248,8 @@ export class Controller {
     const drawing = picking.turnTo(store.shown());
     const photos = (store.get("photos") ?? []).map(({ id }) => id);
     const lost = picking.forgetPhotosBut(photos);
+    this.measuring.forgetPhotosBut(photos);
+    if (scanReplaced) this.measuring.clear();
     if (scanReplaced && picking.forgetScan()) this.notify("The unfinished match was discarded: another scan was opened.");
     else if (lost) this.notify("The unfinished match was discarded: its photograph was removed.");
     else if (drawing === "kept") this.notify(`The unfinished match stays with ${name}: show that photograph to complete it.`);

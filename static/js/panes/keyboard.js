@@ -5,7 +5,7 @@ import { axisOf } from "./projection.js";
 import { angleBetween } from "./strip_geometry.js";
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
-const TOOLS = { l: "line", p: "point", v: "select", s: "select" };
+const TOOLS = { l: "line", p: "point", d: "measure", v: "select", s: "select" };
 const NUDGE_PX = 0.1;
 const ZOOM_STEP = 1.25;
 
@@ -14,7 +14,7 @@ const PRESSABLE = "button, a, summary, label";
 const PRESS_KEYS = new Set(["Enter", " ", "Tab"]);
 
 /** Keys that work even where a control uses other keys itself. */
-const EVERYWHERE = new Set(["l", "p", "v", "s", "o", "n", "k", "c", "x", "escape"]);
+const EVERYWHERE = new Set(["l", "p", "d", "v", "s", "o", "n", "k", "c", "x", "escape"]);
 
 /**
  * What keys do to matches and to the crosshair; most return whether there was anything to do.
@@ -66,8 +66,15 @@ const actionsOf = (controller) => {
 
   /** Accept the predicted partner; if the crosshair was moved since it appeared, set an end there instead. */
   const enter = () => {
-    const { picking } = controller;
+    const { picking, measuring } = controller;
     const { cursor } = controller;
+    if (controller.tool === "measure") {
+      if (cursor?.moved && cursor.side === controller.active) measuring.set(cursor.side, controller.positionAt(cursor.side, cursor.uv));
+      else if (measuring.finishable) measuring.finish();
+      else return false;
+      if (cursor) cursor.moved = false;
+      return true;
+    }
     if (picking.acceptable && !picking.drawing && !cursor?.moved) return controller.accept();
     const { tool } = controller;
     if (!cursor || cursor.side !== controller.active || tool === "select") return false;
@@ -145,13 +152,13 @@ export const listenToKeys = (controller, tools, space) => {
   const arrow = (event) => {
     const [dx, dy] = ARROWS[event.key];
     if (!tools.pointer && !inPane(document.activeElement)) return false;
-    if (controller.picking.idle && nudgeable()) return nudge([dx, dy].map((step) => step * (event.shiftKey ? 1 : NUDGE_PX)));
+    if (controller.picking.idle && controller.tool !== "measure" && nudgeable()) return nudge([dx, dy].map((step) => step * (event.shiftKey ? 1 : NUDGE_PX)));
     const step = event.shiftKey ? 10 : event.ctrlKey || event.metaKey ? 0.1 : 1;
     return moveCrosshair([dx * step, dy * step]);
   };
 
   const escape = () => {
-    if (tools.abandon() || controller.abandon()) return true;
+    if (tools.abandon() || controller.measuring.abandon() || controller.abandon()) return true;
     freed = true;
     if (view.get().selected.size === 0) return false;
     controller.select([]);

@@ -2,6 +2,7 @@
 
 import { drawCompare } from "./compare.js";
 import * as overlay from "./match_layer.js";
+import { drawMeasured, drawPicked } from "./measured_layer.js";
 import { drawPicture } from "./picture_layer.js";
 import { drawTick } from "./prediction.js";
 import { drawCorners, drawFrame, drawTies } from "./symbols.js";
@@ -123,6 +124,7 @@ export class Painting {
     const { hovered, selected, end } = controller.view.get();
     const [side, look] = [this.#side, this.look];
     const marks = controller.marks(side);
+    this.#measurements(context, viewport);
     const { predicted } = this.#preview;
     if (side === "photo" && predicted) overlay.drawPredictions(context, viewport, size, marks, predicted, look);
     for (const mark of marks) {
@@ -137,6 +139,19 @@ export class Painting {
       drawFrame(context, toScreen(viewport, frame.from), toScreen(viewport, frame.to), look);
     }
     return pulses;
+  }
+
+  #measurements(context, viewport) {
+    const controller = this.#controller;
+    const { marks, measurement, placement } = controller.view.get();
+    const [side, look, measures] = [this.#side, this.look, controller.tool === "measure"];
+    const covers = side === "photo" && placement !== null;
+    if ((marks !== false || measures) && !covers) drawMeasured(context, viewport, controller.measured(side), measurement, look);
+    if (!measures) return;
+    const { pointer } = this.#tools;
+    const runs = controller.measuring.runs(side).map((run) => run.map((world) => this.#sideOf.toPixel(world)));
+    const next = pointer?.side === side && controller.measuring.endsIn(side) ? pointer.uv : null;
+    drawPicked(context, viewport, runs, next, look);
   }
 
   #unfinished(context, viewport, now_ms, moves) {

@@ -2,6 +2,7 @@
 
 import { LiveLayer } from "./live_layer.js";
 import { Loupe } from "./loupe.js";
+import { mountMeasureBar } from "./measure_bar.js";
 import { Notes } from "./notes.js";
 import { Painting } from "./painting.js";
 import { Pane } from "./pane.js";
@@ -68,6 +69,7 @@ export const mountPane = (body, side, { controller, tools, preview, readout, spa
   const layer = new LiveLayer({ controller, pane, painting, tools, loupe });
   const notes = new Notes(controller, pane, slots);
   mountToolbar(controller, pane);
+  mountMeasureBar(controller, pane);
   listenToPointers(pane, tools, space);
   tools.onPointer((at, uv) => at === pane && readout(pane, uv));
   pane.onMove(() => tools.pictureMoved(pane));

@@ -53,7 +53,7 @@ export class Tools {
     for (const listen of this.#listeners) listen(pane, this.pointer.uv);
   }
 
-  /** @returns {"line" | "point" | "select"} the current tool; Ctrl or Command selects with any */
+  /** @returns {"line" | "point" | "select" | "measure"} the current tool; Ctrl or Command selects with any */
   #tool(event) {
     return event.ctrlKey || event.metaKey ? "select" : this.#controller.tool;
   }
@@ -78,7 +78,7 @@ export class Tools {
     if (this.dragged) return this.dragged.moved ? this.#shifted(pane, uv) : null;
     const { picking, view } = this.#controller;
     const { drawing } = picking;
-    if (this.frame || !this.pointer || this.#tool(this.pointer.event) === "select") return null;
+    if (this.frame || !this.pointer || ["select", "measure"].includes(this.#tool(this.pointer.event))) return null;
     if (drawing?.side === pane.side && drawing.kind === "line") return [drawing.from.uv, uv];
     return !drawing && picking.kindFor(pane.side, view.get().tool) === "line" ? null : [uv];
   }
@@ -107,6 +107,11 @@ export class Tools {
     controller.suspended = event.shiftKey;
     this.#accepting = null;
     if (!pane.extent) return "pan";
+    if (this.#tool(event) === "measure") {
+      if (outsideBy(toPixel(pane.viewport, xy), pane.extent) > 0) return "pan";
+      controller.measuring.press(pane.side);
+      return "stroke";
+    }
     const offered = this.offered(pane.side);
     if (offered && !controller.picking.drawing && accepts(offered, pane.viewport, xy, controller.look.scale)) {
       this.#accepting = { xy, event };
@@ -179,7 +184,7 @@ export class Tools {
     if (this.frame) this.frame.to = toPixel(pane.viewport, xy);
     else if (this.dragged) this.#drag(pane, xy, uv);
     else if (controller.picking.drawing) controller.picking.move(pane.side, this.#positionAt(pane, xy, event));
-    else this.#hover(pane, xy);
+    else if (controller.tool !== "measure") this.#hover(pane, xy);
     const placed = controller.view.get().snap ? this.#ends(pane, uv) : null;
     if (placed) controller.snapping.request(pane, placed);
     else controller.snapping.forget();
@@ -234,7 +239,9 @@ export class Tools {
     const controller = this.#controller;
     controller.suspended = event.shiftKey;
     const { dragged, frame } = this;
-    if (this.#accepting) {
+    if (controller.measuring.pressed) {
+      controller.measuring.set(pane.side, controller.positionAt(pane.side, pane.pixelAt(xy), event.timeStamp));
+    } else if (this.#accepting) {
       this.#accepting = null;
       controller.accept();
     } else if (frame) {
@@ -255,7 +262,7 @@ export class Tools {
   /** Cancel the stroke: a second finger has come, or the system has taken the pointer. */
   cancel(pane) {
     if (this.dragged) this.#controller.pendingMoves.drop(this.dragged.id, this.dragged.side);
-    this.dragged = this.frame = this.#accepting = null;
+    this.dragged = this.frame = this.#accepting = this.#controller.measuring.pressed = null;
     if (this.#controller.picking.drawing) this.#controller.abandon();
     pane.invalidate("live");
   }
@@ -282,6 +289,6 @@ export class Tools {
 
   /** @returns {boolean} whether a double click fits the picture: nothing has been begun */
   mayFit() {
-    return this.#controller.picking.idle && !this.dragged;
+    return this.#controller.picking.idle && !this.dragged && this.#controller.tool !== "measure";
   }
 }

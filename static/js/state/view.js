@@ -8,7 +8,9 @@
  * @property {Set<string>} selected ids of the selected picks
  * @property {{side: "scan" | "photo", index: number} | null} end the selected end of the only selected pick
  * @property {string | null} hovered id of the pick under the pointer, anywhere
- * @property {"line" | "point" | "select"} tool
+ * @property {"line" | "point" | "select" | "measure"} tool
+ * @property {string} measures kind of measurement, see `MEASURES`
+ * @property {string | null} measurement id of the selected measurement
  * @property {boolean} linked the panes are linked
  * @property {boolean} snap lines snap to the edge under them, points to a corner
  * @property {boolean} loupe
@@ -47,6 +49,8 @@ const defaults = () => ({
   end: null,
   hovered: null,
   tool: "line",
+  measures: "distance",
+  measurement: null,
   linked: false,
   snap: true,
   loupe: true,

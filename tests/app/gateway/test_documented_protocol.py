@@ -17,7 +17,7 @@ from ladarreg_core.results import StageId
 from testing.workbench.protocol_text import DECLARATIONS, declarations, with_rows
 from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 
-DATA_KEYED = ("by_pick", "predicted", "lines", "camera_sigmas", "absent")
+DATA_KEYED = ("by_pick", "predicted", "lines", "camera_sigmas", "absent", "in_photo")
 """Fields whose keys are data: ids of picks, names of parameters."""
 NEVER_HERE = {"audit:pID", "embedded", "corners:pID", "self_test:pID", "served", "stations", "survey", "ties:pID"}
 """Slices that are null in this project."""
@@ -34,7 +34,9 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WorkbenchDriver]
     found = sample_bench(tmp_path_factory.mktemp("registered") / "project")
     assert found.job("auto").state == "done"
     found.do("add_pick", photo="p1", kind="line", scan=[[1, 0, 0], [1, 0.1, 0.02]], photo_uv=[[300, 200], [410, 220]])
+    found.do("add_measurement", kind="point", places=[{"ray": [1, 0, 0]}])
     found.eventually(lambda: found.slice("judged:p1"))
+    found.eventually(lambda: found.slice("measured"))
     found.eventually(lambda: "findings" in assessed(found))
     incomplete = found.workbench.upload_folder() / "descriptor.json"
     incomplete.write_text('{"kind": "depth-image", "depth": "depth.png", "intensity": "intensity.png"}')
@@ -94,7 +96,7 @@ def keys_of(value: Any) -> set[str]:
         return set()
     found = set(value)
     for name, part in value.items():
-        found |= keys_of(list(part.values()) if name in DATA_KEYED else part)
+        found |= keys_of(list(part.values()) if name in DATA_KEYED and isinstance(part, dict) else part)
     return found
 
 

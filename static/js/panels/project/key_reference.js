@@ -7,6 +7,7 @@ import { element } from "../../ui/dom.js";
 const KEYS = [
   { group: "Draw", keys: "L", what: "Draw lines" },
   { group: "Draw", keys: "P", what: "Set points" },
+  { group: "Draw", keys: "D", what: "Measure: Enter finishes, Esc takes the last point back" },
   { group: "Draw", keys: "V or S", what: "Select and move" },
   { group: "Draw", keys: "Enter", what: "Accept the dashed partner; without a mouse: set an end at the crosshair" },
   { group: "Draw", keys: "Esc", what: "Cancel the drawing" },

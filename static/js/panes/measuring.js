@@ -1,0 +1,204 @@
+/**
+ * Picking of points to be measured, in both pictures: press and release set one; the workbench says at once what it is
+ * worth, or why it is none. A distance, an angle and a point are kept with their last point, the others when they are
+ * finished.
+ */
+
+import { MEASURES } from "../state/measuring.js";
+
+const CLICK_PX = 6;
+const DOUBLE_CLICK_MS = 400;
+
+/** @typedef {{side: "scan" | "photo", of: string | null, world: number[]}} Place `of`: id of the photograph */
+
+/** @returns {any} a point as the workbench takes it */
+const sent = ({ side, of, world }) => (side === "scan" ? { ray: world } : { photo: of, uv: world });
+
+/** What is being measured. */
+export class Measuring {
+  /** @type {Place[]} the points picked so far */
+  places = [];
+  /** @type {{value: string, interval: string, notes: string[]} | null} what they measure so far */
+  soFar = null;
+  /** @type {"scan" | "photo" | null} the pane in which the pointer is pressed */
+  pressed = null;
+  /** @type {string | null} id of the measurement that was completed last, while nothing else is begun */
+  made = null;
+  /** @type {string} one sentence on the last point or the last measurement */
+  said = "";
+  #controller;
+  #listeners = new Set();
+  #asked = 0;
+  #last = null;
+
+  /** @param {import("./controller.js").Controller} controller */
+  constructor(controller) {
+    this.#controller = controller;
+    controller.view.on((_, changed) => {
+      if (changed.has("tool") || changed.has("measures")) this.clear();
+    });
+  }
+
+  /** @param {() => void} listen called when anything here has changed */
+  onChange(listen) {
+    this.#listeners.add(listen);
+  }
+
+  #changed() {
+    for (const listen of this.#listeners) listen();
+    this.#controller.hint();
+    this.#controller.redraw("live");
+  }
+
+  get kind() {
+    return this.#controller.view.get().measures;
+  }
+
+  /** @returns {boolean} whether Enter or a button keeps what was picked: its number of points is open, and enough */
+  get finishable() {
+    const { least, most } = MEASURES[this.kind];
+    return most === null && this.places.length >= least;
+  }
+
+  /** @returns {string} what to do next */
+  get hint() {
+    const { places, kind } = this;
+    const { points } = MEASURES[kind];
+    const next = points[Math.min(places.length, points.length - 1)];
+    const back = places.length ? " · Esc takes the last point back" : "";
+    return `Click ${next} in either picture${this.finishable ? " · Enter or a double click finishes" : ""}${back}`;
+  }
+
+  /** @returns {any[][]} for a pane, runs of the points that were picked in it one after the other */
+  runs(side) {
+    const shown = this.#controller.store.shown();
+    const found = [];
+    let before = false;
+    for (const place of this.places) {
+      const here = place.side === side && (side === "scan" || place.of === shown);
+      if (here && before) found.at(-1).push(place.world);
+      else if (here) found.push([place.world]);
+      before = here;
+    }
+    return found;
+  }
+
+  /** @returns {boolean} whether the last point was picked in a pane: the next line begins there */
+  endsIn(side) {
+    const last = this.places.at(-1);
+    return Boolean(last) && last.side === side && (side === "scan" || last.of === this.#controller.store.shown());
+  }
+
+  press(side) {
+    this.pressed = side;
+  }
+
+  /**
+   * A click, or a key at the crosshair, sets a point.
+   * @param {"scan" | "photo"} side
+   * @param {import("./picking.js").PickPosition} position
+   */
+  async set(side, position) {
+    this.pressed = null;
+    const last = this.#last;
+    this.#last = { side, position };
+    const again = last?.side === side && position.time_ms - last.position.time_ms < DOUBLE_CLICK_MS
+      && Math.hypot(last.position.uv[0] - position.uv[0], last.position.uv[1] - position.uv[1]) * position.zoom < CLICK_PX;
+    if (again) {
+      if (this.finishable) await this.finish();
+      return;
+    }
+    const { store } = this.#controller;
+    if (side === "photo" && !store.photo()) return;
+    const place = { side, of: side === "photo" ? store.shown() : null, world: position.world };
+    this.places.push(place);
+    this.made = null;
+    this.said = "";
+    this.soFar = null;
+    this.#changed();
+    const { most } = MEASURES[this.kind];
+    if (most !== null && this.places.length >= most) await this.finish();
+    else await this.#check(place);
+  }
+
+  /** A point that lies on no surface is taken back, with the reason; enough of them have a value. */
+  async #check(place) {
+    const { kind } = this;
+    const asked = ++this.#asked;
+    try {
+      const alone = await this.#controller.ask("measure", { kind: "point", places: [sent(place)] });
+      if (alone.refusal) {
+        this.#refuse(place, alone.refusal);
+        return;
+      }
+      if (asked !== this.#asked || !this.finishable || kind !== this.kind) return;
+      const found = await this.#controller.ask("measure", { kind, places: this.places.map(sent) });
+      if (asked !== this.#asked) return;
+      this.soFar = found.refusal ? null : found;
+      this.said = found.refusal ?? "";
+    } catch (error) {
+      this.#refuse(place, error.message);
+      return;
+    }
+    this.#changed();
+  }
+
+  #refuse(place, why) {
+    this.places = this.places.filter((each) => each !== place);
+    this.said = why;
+    this.#changed();
+  }
+
+  /** Keep what was picked. @returns {Promise<boolean>} whether there was enough of it */
+  async finish() {
+    const { kind, places } = this;
+    if (places.length < MEASURES[kind].least) return false;
+    this.#asked++;
+    this.places = [];
+    this.soFar = null;
+    this.said = "Measuring …";
+    this.#changed();
+    try {
+      const { measurement } = await this.#controller.ask("add_measurement", { kind, places: places.map(sent) });
+      this.said = "";
+      this.made = measurement;
+      this.#controller.view.set({ measurement });
+    } catch (error) {
+      if (this.places.length === 0 && kind === this.kind) this.places = places.slice(0, -1);
+      this.said = error.message;
+    }
+    this.#changed();
+    return true;
+  }
+
+  /** Take the last point back. @returns {boolean} whether there was one */
+  abandon() {
+    this.#asked++;
+    this.#last = null;
+    this.pressed = null;
+    if (this.places.length === 0) return false;
+    this.places = this.places.slice(0, -1);
+    this.soFar = null;
+    this.said = "";
+    this.#changed();
+    return true;
+  }
+
+  /** Forget everything that was picked. */
+  clear() {
+    this.#asked++;
+    this.made = null;
+    this.#last = null;
+    this.pressed = null;
+    this.places = [];
+    this.soFar = null;
+    this.said = "";
+    this.#changed();
+  }
+
+  /** Forget points in photographs that exist no longer. */
+  forgetPhotosBut(photos) {
+    const left = this.places.filter(({ of }) => of === null || photos.includes(of));
+    if (left.length < this.places.length) this.clear();
+  }
+}

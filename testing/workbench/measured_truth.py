@@ -1,0 +1,24 @@
+"""Compares what the page says of measurements, in the step Judge, with what the workbench sent."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def page_measurements(
+    facts: dict[str, Any], measurements: list[dict[str, Any]], measured: list[dict[str, Any]]
+) -> list[str]:
+    """Return where the page says something else of the measurements than the slices."""
+    values = {one["id"]: one for one in measured}
+    wanted = [_row(one["name"], values.get(one["id"])) for one in measurements]
+    if facts["measurements"] == wanted:
+        return []
+    return [f"the page says of the measurements {facts['measurements']!r}, and it is {wanted!r}"]
+
+
+def _row(name: str, found: dict[str, Any] | None) -> list[str]:
+    if found is None:
+        return [name, "…", ""]
+    interval = f"95 %: {found['interval']}" if found["interval"] else ""
+    notes = [found["refusal"]] if found["refusal"] else found["notes"]
+    return [name, found["value"] or "Not measured", interval, *notes]

@@ -1,0 +1,200 @@
+"""Measuring in the page: clicked points, whose values and intervals are compared with the simulated scene."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ladarreg_core.formats.cameras.camera_file import read_camera
+from ladarreg_core.simulate.case import case_world
+from ladarreg_core.simulate.sample import SCENE, SEED, sample_folder
+from testing.workbench.audits import layout_faults
+from testing.workbench.measured_truth import page_measurements
+from testing.workbench.operator import Operator, at_work
+from testing.workbench.page_truth import facts_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from playwright.sync_api import Browser
+
+    from testing.workbench.shared import SharedWorkbench
+
+
+@pytest.fixture
+def measurer(browser: Browser, workbench: SharedWorkbench, request: pytest.FixtureRequest) -> Iterator[Operator]:
+    """An operator at the sample with a registered photograph."""
+    workbench.open("solved")
+    with at_work(browser, workbench.server, request) as found:
+        found.open()
+        yield found
+
+
+def first_hit(origin: NDArray[np.float64], ray: NDArray[np.float64]) -> float:
+    """Return the distance to the first triangle of the sample's scene along a ray. Source: Moeller and Trumbore."""
+    a, b, c = np.moveaxis(np.asarray(case_world(SCENE, seed=SEED).triangles, np.float64), 1, 0)
+    p = np.cross(ray, c - a)
+    determinant = ((b - a) * p).sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = 1 / determinant
+        t = origin - a
+        u = (t * p).sum(axis=1) * inverse
+        q = np.cross(t, b - a)
+        v = (q @ ray) * inverse
+        distance = ((c - a) * q).sum(axis=1) * inverse
+    hits = (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 1e-6)
+    return float(distance[hits].min())
+
+
+def ray_of(operator: Operator, uv: Any) -> NDArray[np.float64]:
+    """Return the unit ray (3,) of the scanner through a pixel of the scan's first view."""
+    view = operator.slice("scan")["views"][0]
+    ray = np.array([(uv[0] - view["cx"]) / view["f"], (uv[1] - view["cy"]) / view["f"], 1.0])
+    ray = np.array(view["rotation"]).reshape(3, 3).T @ ray
+    return np.asarray(ray / np.linalg.norm(ray))
+
+
+def true_place(operator: Operator, place: dict[str, Any]) -> NDArray[np.float64]:
+    """Return the point of the scene where a point was picked, by the true pose; scanner frame, m."""
+    if "ray" in place:
+        ray = np.array(place["ray"])
+        return np.asarray(ray * first_hit(np.zeros(3), ray))
+    pose = np.array(json.loads((sample_folder() / "truth.json").read_text())["camera_from_scanner"])
+    camera = read_camera(sample_folder() / "camera.json")
+    ray = camera.unproject(np.array(place["uv"])) @ pose[:3, :3]
+    ray /= np.linalg.norm(ray)
+    centre = -pose[:3, :3].T @ pose[:3, 3]
+    return np.asarray(centre + ray * first_hit(centre, ray))
+
+
+def click(operator: Operator, side: str, uv: tuple[float, float]) -> None:
+    x, y = operator.place(side, uv)
+    operator.page.mouse.move(x, y)
+    operator.page.mouse.down()
+    operator.page.mouse.up()
+
+
+def pixels_on_surfaces(operator: Operator, side: str) -> list[tuple[float, float]]:
+    """Return some pixels where a point can be measured, without notes."""
+    if side == "photo":
+        width, height = (operator.slice("photos")[0][name] for name in ("width", "height"))
+    else:
+        width, height = (operator.slice("scan")["views"][0][name] for name in ("width", "height"))
+    found = []
+    for x, y in ((0.25, 0.75), (0.4, 0.3), (0.55, 0.8), (0.6, 0.25), (0.7, 0.35), (0.8, 0.8), (0.3, 0.2), (0.75, 0.6)):
+        uv = (round(width * x), round(height * y))
+        if side == "photo":
+            place: dict[str, Any] = {"photo": "p1", "uv": list(uv)}
+        else:
+            place = {"ray": ray_of(operator, uv).tolist()}
+        reply = operator.socket.ask("measure", kind="point", places=[place])
+        if not reply["refusal"] and not reply["notes"]:
+            found.append(uv)
+    assert len(found) >= 3, found
+    return found
+
+
+def only_measured(operator: Operator, count: int) -> dict[str, Any]:
+    """Return the last measurement once there are that many, with values."""
+    found: dict[str, Any] = operator.wait(
+        lambda: items[-1] if len(items := operator.slice("measured")) == count else None, f"{count} measurements"
+    )
+    return found
+
+
+@pytest.mark.slow
+def test_a_distance_is_clicked_and_its_interval_contains_the_truth(measurer: Operator) -> None:
+    page = measurer.page
+    measurer.step("Judge")
+    assert page.get_by_role("region", name="Measurements").is_hidden()
+    page.keyboard.press("d")
+    photo, scan = pixels_on_surfaces(measurer, "photo"), pixels_on_surfaces(measurer, "scan")
+    pairs = [(("photo", photo[0]), ("photo", photo[-1])), (("scan", scan[0]), ("scan", scan[-1])),
+             (("scan", scan[1]), ("photo", photo[1]))]  # fmt: skip
+    for count, pair in enumerate(pairs, start=1):
+        for side, uv in pair:
+            click(measurer, side, uv)
+        found = only_measured(measurer, count)
+        places = measurer.slice("measurements")[-1]["places"]
+        truth = float(np.linalg.norm(np.subtract(*(true_place(measurer, place) for place in places))))
+        low, high = (float(word) for word in found["interval"].removesuffix(" m").split(" to "))
+        value, sigma = (float(word) for word in found["value"].removesuffix(" m").split(" ± "))
+        # 95 % of the intervals contain the truth; four standard deviations nearly always do
+        assert abs(value - truth) < 4 * sigma + 1e-3, (truth, found)
+        assert low < value < high
+        page.get_by_role("region", name="Measurements").get_by_text(found["value"], exact=True).wait_for()
+    measurer.shot("three-distances")
+    # each is a step of its own
+    for left in (2, 1, 0, 1):
+        page.keyboard.press("Control+z" if left != 1 or len(measurer.slice("measurements")) == 2 else "Control+y")
+        measurer.wait(lambda left=left: len(measurer.slice("measurements")) == left, f"{left} left")
+    name = page.get_by_label("Name of Distance 1")
+    name.fill("Desk")
+    name.press("Enter")
+    measurer.wait(lambda: measurer.slice("measurements")[0]["name"] == "Desk", "the new name")
+    with page.expect_download() as saved:
+        page.get_by_role("button", name="Export the measurements").click()
+    assert saved.value.suggested_filename.endswith(".zip")
+    page.get_by_role("button", name="Remove Desk").click()
+    measurer.wait(lambda: measurer.slice("measurements") == [], "an empty list")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_the_list_and_the_bar_fit(measurer: Operator, theme: str) -> None:
+    page = measurer.page
+    page.evaluate("(theme) => { document.documentElement.dataset.theme = theme; }", theme)
+    measurer.step("Judge")
+    page.keyboard.press("d")
+    scan = pixels_on_surfaces(measurer, "scan")
+    for kind, count in (("distance", 2), ("area", 3), ("point", 1)):
+        places = [{"ray": ray_of(measurer, uv).tolist()} for uv in scan[:count]]
+        assert measurer.socket.ask("add_measurement", kind=kind, places=places)["ok"]
+    only_measured(measurer, 3)
+    page.locator(".measurement-value", has_text="±").nth(2).wait_for()
+    click(measurer, "scan", scan[0])
+    found = []
+    for width in (1280, 1440):
+        page.set_viewport_size({"width": width, "height": 800})
+        measurer.shot(f"{width}-{theme}")
+        found += [f"{width}: {fault}" for fault in layout_faults(page)]
+    assert not found
+    slices = {name: measurer.slice(name) for name in ("measurements", "measured")}
+    assert page_measurements(facts_of(page), slices["measurements"], slices["measured"]) == []
+
+
+@pytest.mark.slow
+def test_a_point_without_a_surface_is_said_and_the_others_stay(measurer: Operator) -> None:
+    page = measurer.page
+    page.keyboard.press("d")
+    bar = page.locator("#scan-pane .pane-measure")
+    bar.get_by_role("combobox").select_option("area")
+    scan = pixels_on_surfaces(measurer, "scan")
+    view = measurer.slice("scan")["views"][0]
+    rng = np.random.default_rng(3)
+    candidates = (rng.uniform(5, [view["width"] - 5, view["height"] - 5]).round() for _ in range(300))
+    refused = next(
+        (at, reply["refusal"])
+        for at in candidates
+        if (reply := measurer.socket.ask("measure", kind="point", places=[{"ray": ray_of(measurer, at).tolist()}]))[
+            "refusal"
+        ]
+    )
+    for uv in scan[:2]:
+        click(measurer, "scan", uv)
+        page.wait_for_function("() => true")
+    click(measurer, "scan", tuple(refused[0]))
+    bar.get_by_text(refused[1]).wait_for()
+    measurer.shot("refused")
+    click(measurer, "scan", scan[2])
+    value = bar.locator("strong")
+    value.filter(has_text="m²").wait_for()
+    measurer.shot("area")
+    page.keyboard.press("Enter")
+    only_measured(measurer, 1)
+    assert [len(one["places"]) for one in measurer.slice("measurements")] == [3]
+    page.keyboard.press("Escape")
