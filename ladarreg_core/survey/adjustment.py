@@ -188,7 +188,7 @@ class Adjustment:
             "kind": "adjustment",
             "software": software_document(),
             "covariance_is": COVARIANCE_IS,
-            "scans": {name: _scan_fields(one, self.inputs.get(f"scan/{name}")) for name, one in self.scans.items()},
+            "scans": {name: self._scan_fields(name, one) for name, one in self.scans.items()},
             "cameras": {name: _camera_fields(one) for name, one in self.cameras.items()},
             "photos": {name: self._photo_fields(name, one) for name, one in self.photos.items()},
             "rigs": {
@@ -205,6 +205,18 @@ class Adjustment:
             "chi2_per_dof": _number(self.chi2_per_dof),
             "sigma_px": _number(self.sigma_px),
             "options": dict(self.options),
+        }
+
+    def _scan_fields(self, name: str, one: AdjustedScan) -> dict[str, Any]:
+        targets = self.inputs.get(f"targets/{name}")
+        return {
+            "world_from_scanner": None if one.world_from_scanner is None else one.world_from_scanner.matrix.tolist(),
+            "covariance": one.covariance.tolist() if one.accepted else None,
+            "fixed": one.fixed,
+            "accepted": one.accepted,
+            "reasons": list(one.reasons),
+            "input": self.inputs.get(f"scan/{name}"),
+            **({} if targets is None else {"targets": targets}),
         }
 
     def _photo_fields(self, name: str, one: AdjustedPhoto) -> dict[str, Any]:
@@ -254,17 +266,6 @@ def scan_covariance(adjusted: Adjusted, body: int) -> Matrix:
     turn = np.eye(6)
     turn[:3, :3] = -adjusted.problem.poses[body].rotation.T
     return np.asarray(turn @ adjusted.covariance_of(body) @ turn.T)
-
-
-def _scan_fields(one: AdjustedScan, inputs: Any) -> dict[str, Any]:
-    return {
-        "world_from_scanner": None if one.world_from_scanner is None else one.world_from_scanner.matrix.tolist(),
-        "covariance": one.covariance.tolist() if one.accepted else None,
-        "fixed": one.fixed,
-        "accepted": one.accepted,
-        "reasons": list(one.reasons),
-        "input": inputs,
-    }
 
 
 def _camera_fields(one: AdjustedCamera) -> dict[str, Any]:

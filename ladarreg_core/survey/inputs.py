@@ -69,6 +69,8 @@ class SurveyInputs:
                 scan = replace(scan, world_from_scanner=one.world_from_scanner)
             if key not in self.cache:
                 self.cache.put(key, scan)
+            if one.targets is not None:
+                self.documents[f"targets/{one.id}"] = input_document(one.targets.source)
             path = None if isinstance(one.source, Scan) else one.source
             found.append((ScanFiles(path, options, key, self.cache.folder, self.cache.most_bytes), scan))
             report(f"reading {one.id}")

@@ -22,6 +22,18 @@ Estimate = Literal["auto", "none"] | tuple[str, ...]
 _MAX_LISTED = 20
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanTargets:
+    """Survey spheres in a scan, which say where it stood."""
+
+    source: Path
+    """CSV with the columns name, row, column, x, y, z and, where they differ, radius_m."""
+    radius_m: float | None = None
+    """Radius of those without one in the file."""
+    sigma_m: float = 0.001
+    """Standard deviation of the surveyed coordinates."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SurveyScan:
     """A scan of a survey."""
@@ -38,6 +50,8 @@ class SurveyScan:
     """Where it stood, if that is known; None: what the file states, if it does."""
     fixed: bool = False
     """Whether it keeps that pose."""
+    targets: ScanTargets | None = None
+    """Survey spheres in it: where it stood follows from them, in the world of their coordinates."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -183,6 +197,10 @@ def _faults_of_values(survey: SurveyParts) -> list[str]:
         )
         if scan.fixed and isinstance(scan.source, Scan) and not stated:
             faults.append(f"the scan {scan.id} is fixed, but its pose is not stated")
+        if scan.targets is not None and scan.fixed:
+            faults.append(
+                f"the scan {scan.id} is fixed and has targets, which move it within their covariance; leave out one"
+            )
     for photo in survey.photos:
         if photo.prior is not None and np.shape(photo.prior.covariance) != (6, 6):
             faults.append(f"the prior of the photo {photo.id} has a covariance that is not 6 x 6")

@@ -1,4 +1,4 @@
-"""Where the scanners of a survey stood: stated, or found by their surfaces."""
+"""Where the scanners of a survey stood: stated, or found by their surfaces or by survey targets."""
 
 from __future__ import annotations
 
@@ -7,15 +7,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ladarreg_core.errors import OptionError
+from ladarreg_core.errors import DegenerateGeometryError, LadarregError, OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Report
 from ladarreg_core.registration.stations.registration import register_scans
 from ladarreg_core.registration.stations.results import StationPair
+from ladarreg_core.registration.stations.target_pose import TargetRegistration, register_targets
+from ladarreg_core.registration.stations.targets import fit_target
 from ladarreg_core.scan import Scan
 from ladarreg_core.survey.parts import SurveyScan
-from ladarreg_core.survey.problem import Matrix, RelativePose
+from ladarreg_core.survey.problem import WORLD, Matrix, RelativePose, relative_residual
 
+_DIFFERS = 27.9  # squared Mahalanobis distance with 6 degrees of freedom, exceeded once in 10,000
+_MAX_COORDINATE_M = 10_000.0
 _FLOOR = np.diag([float(np.radians(0.002)) ** 2] * 3 + [2e-4**2] * 3)  # pairs share surfaces, and none is quite flat
 
 
@@ -29,6 +33,8 @@ class Station:
     """Whether it does not move."""
     reasons: tuple[str, ...] = ()
     """Sentences that say where this comes from."""
+    by_targets: TargetRegistration | None = None
+    """What its survey targets say of its pose, which holds it with their covariance."""
 
     @property
     def placed(self) -> bool:
@@ -44,15 +50,23 @@ class Stations:
     pairs: tuple[StationPair, ...] = ()
 
     def relative(self, bodies: Sequence[int]) -> list[RelativePose]:
-        """Return the pairs that the poses rest on, between the bodies of the stations (-1: not in the problem)."""
-        found = []
+        """Return what the poses of the stations rest on, by their bodies (-1: not in the problem)."""
+        found = [
+            RelativePose(
+                body, WORLD, held.world_from_scanner.inverse,
+                _of_inverse(held.world_from_scanner, held.covariance), name="its survey targets",
+            )
+            for one, body in zip(self.each, bodies, strict=True)
+            if (held := one.by_targets) is not None and body >= 0
+        ]  # fmt: skip
         for pair in self.pairs:
             first, second = bodies[pair.first], bodies[pair.second]
             if not pair.verified or first < 0 or second < 0:
                 continue
             found.append(
                 RelativePose(
-                    second, first, pair.first_from_second.inverse, _of_second(pair),
+                    second, first, pair.first_from_second.inverse,
+                    _of_inverse(pair.first_from_second, pair.covariance + _FLOOR),
                     name=f"the surfaces of scans {pair.first + 1} and {pair.second + 1}",
                 )
             )  # fmt: skip
@@ -64,8 +78,9 @@ def place_stations(
 ) -> Stations:
     """Return where the scanners of a survey stood.
 
-    One that is fixed, or else the first, defines the world. Where others state where they stood, that is refined by the
-    surfaces; where they do not, it is searched for.
+    Survey targets define the world, or else a scan that is fixed, or the first. Where others state where they stood,
+    that is refined by the surfaces; where they do not, it is searched for. What a file states of its scan is of another
+    world than that of targets, and is not used beside them.
 
     Args:
         given: the survey's scans.
@@ -74,14 +89,23 @@ def place_stations(
         report: receives the progress; may raise `Cancelled`.
 
     Raises:
-        OptionError: if a scan besides the first fixed one is fixed and its pose is not stated, or there are too many.
+        OptionError: if a scan besides the first fixed one is fixed and its pose is not stated, there are too many, or
+            the radius of a target is not known, or its coordinates are too large.
+        DegenerateGeometryError: if the targets of a scan do not determine its pose, or the surfaces that two scans
+            share contradict where targets put them.
     """
+    by_targets = {k: _by_targets(one, scan) for k, (one, scan) in enumerate(zip(given, scans, strict=True))
+                  if one.targets is not None}  # fmt: skip
     placed = [
-        scan if one.world_from_scanner is None else replace(scan, world_from_scanner=one.world_from_scanner)
-        for one, scan in zip(given, scans, strict=True)
-    ]
-    root = next((k for k, one in enumerate(given) if one.fixed), 0)
+        replace(scan, world_from_scanner=by_targets[k].world_from_scanner) if k in by_targets
+        else replace(scan, world_from_scanner=one.world_from_scanner) if one.world_from_scanner or by_targets
+        else scan
+        for k, (one, scan) in enumerate(zip(given, scans, strict=True))
+    ]  # fmt: skip
+    root = next(iter(by_targets), next((k for k, one in enumerate(given) if one.fixed), 0))
     if len(scans) == 1:
+        if by_targets:
+            return Stations((_held(by_targets[0]),))
         pose = placed[0].world_from_scanner or Rigid.identity()
         return Stations((Station(pose, True, ("The only scan: its frame is that of all poses.",)),))
     stated = [scan.world_from_scanner for scan in placed]
@@ -97,7 +121,9 @@ def place_stations(
     each = []
     for one, found, before in zip(given, network.stations, stated, strict=True):
         fixed = one.fixed or found.index == root
-        if one.fixed and before is not None:
+        if found.index in by_targets:
+            each.append(_held(by_targets[found.index]))
+        elif one.fixed and before is not None:
             each.append(Station(before, True, ("Fixed by the survey.",)))
         elif found.index == root:
             each.append(Station(found.world_from_scanner, fixed, ("It defines the world.",)))
@@ -107,15 +133,103 @@ def place_stations(
             each.append(Station(found.world_from_scanner, True, ("Where its file states; no surfaces verify that.",)))
         else:
             each.append(Station(None, False, ("No verified pair of scans leads to it: left out.",)))
-    return Stations(tuple(each), network.pairs)
+    _check_targets(given, each, network.pairs)
+    return Stations(tuple(_led_to(each, network.pairs) if by_targets else each), network.pairs)
 
 
-def _of_second(pair: StationPair) -> Matrix:
-    """Return the covariance (6, 6) of the second scanner's own (w, c): w about its axes, c in the frame of the first.
+def _by_targets(one: SurveyScan, scan: Scan) -> TargetRegistration:
+    """Return where a scanner stood by the targets in its scan."""
+    from ladarreg_core.formats.documents.targets_file import read_targets
 
-    A pair's is of R_true = exp([w]x) R of `first_from_second`, w in the frame of the first; for the inverse rotation
+    assert one.targets is not None
+    entries = read_targets(one.targets.source)
+    radii = {entry.name: entry.radius_m or one.targets.radius_m for entry in entries}
+    unknown = [name for name, radius in radii.items() if radius is None]
+    if unknown:
+        raise OptionError(
+            f"scan {one.id}: the radius of the targets {', '.join(unknown[:5])} is not known; give it as 'radius_m' of "
+            "the scan, or in a column radius_m"
+        )
+    if max(abs(value) for entry in entries for value in entry.coordinates) > _MAX_COORDINATE_M:
+        raise OptionError(
+            f"scan {one.id}: coordinates of its targets are more than {_MAX_COORDINATE_M / 1000:g} km from their "
+            "origin, where an adjustment loses digits; subtract the same offset from all targets of the survey"
+        )
+    targets = {}
+    for entry in entries:
+        try:
+            targets[entry.name] = fit_target(scan, entry.pick, radius_m=radii[entry.name] or 0.0)
+        except LadarregError as error:
+            raise type(error)(f"scan {one.id}, target {entry.name}: {error}") from None
+    try:
+        return register_targets(
+            targets, {entry.name: entry.coordinates for entry in entries}, sigma_m=one.targets.sigma_m
+        )
+    except LadarregError as error:
+        raise type(error)(f"scan {one.id}: {error}") from None
+
+
+def _held(found: TargetRegistration) -> Station:
+    used = [name for name in found.residuals_m if name not in found.left_out]
+    most = max(float(np.linalg.norm(found.residuals_m[name])) for name in used)
+    reasons = [f"Held by {len(used)} survey targets, whose residuals are up to {1000 * most:.1f} mm."]
+    if found.left_out:
+        reasons.append(f"Targets that contradict the others were left out: {', '.join(found.left_out)}.")
+    return Station(found.world_from_scanner, False, tuple(reasons), found)
+
+
+def _check_targets(given: Sequence[SurveyScan], each: Sequence[Station], pairs: Sequence[StationPair]) -> None:
+    """Raise an error if surfaces contradict where targets, or targets and a fixed scan, put two scanners."""
+    known = [one.by_targets is not None or (scan.fixed and one.fixed) for one, scan in zip(each, given, strict=True)]
+    for pair in pairs:
+        both = (pair.first, pair.second)
+        if not (pair.verified and all(known[k] for k in both) and any(each[k].by_targets for k in both)):
+            continue
+        poses, covariances = [], []
+        for k in both:
+            world_from_scanner, held = each[k].world_from_scanner, each[k].by_targets
+            assert world_from_scanner is not None
+            poses.append(world_from_scanner.inverse)
+            covariances.append(
+                np.zeros((6, 6)) if held is None else _of_inverse(world_from_scanner, held.covariance)
+            )  # fmt: skip
+        seen = RelativePose(
+            1, 0, pair.first_from_second.inverse, _of_inverse(pair.first_from_second, pair.covariance + _FLOOR)
+        )  # fmt: skip
+        off, by_second, by_first = relative_residual(seen, poses, None)
+        of_all = seen.covariance + by_first @ covariances[0] @ by_first.T + by_second @ covariances[1] @ by_second.T
+        if float(off @ np.linalg.solve(of_all, off)) > _DIFFERS:
+            first, second = (given[k].id for k in both)
+            raise DegenerateGeometryError(
+                f"the targets put the scans {first} and {second} {1000 * np.linalg.norm(off[3:]):.0f} mm and "
+                f"{np.degrees(np.linalg.norm(off[:3])):.2f} deg from where the surfaces that both show do; check "
+                "names, coordinates and picks of the targets, and that they are of one datum"
+            )
+
+
+def _led_to(each: Sequence[Station], pairs: Sequence[StationPair]) -> list[Station]:
+    """Return the stations, with those that a verified pair joins to any that is placed: each target station is one."""
+    found = list(each)
+    for _ in found:
+        for pair in pairs:
+            first, second = found[pair.first].world_from_scanner, found[pair.second].world_from_scanner
+            if not pair.verified or (first is None) == (second is None):
+                continue
+            if first is not None:
+                new, pose = pair.second, first @ pair.first_from_second
+            else:
+                assert second is not None
+                new, pose = pair.first, second @ pair.first_from_second.inverse
+            found[new] = Station(pose, False, ("Registered by its surfaces.",))
+    return found
+
+
+def _of_inverse(pose: Rigid, covariance: Matrix) -> Matrix:
+    """Return the covariance (6, 6) of a scanner's own (w, c): w about its axes, c in the frame that its pose leads to.
+
+    That of the pose is of R_true = exp([w]x) R, w in that frame; for the inverse rotation
     R^T exp(-[w]x) = exp(-[R^T w]x) R^T.
     """
     turn = np.eye(6)
-    turn[:3, :3] = -pair.first_from_second.rotation.T
-    return np.asarray(turn @ (pair.covariance + _FLOOR) @ turn.T)
+    turn[:3, :3] = -pose.rotation.T
+    return np.asarray(turn @ covariance @ turn.T)

@@ -17,6 +17,7 @@ from ladarreg_core.formats.cameras.camera_file import camera_from_fields
 from ladarreg_core.formats.parsing.json_file import read_json_object, write_json
 from ladarreg_core.formats.parsing.untrusted import reading, shown_name
 from ladarreg_core.formats.scans.scan_request import stated_options
+from ladarreg_core.foundations.validation import is_number
 from ladarreg_core.frames import Rigid
 from ladarreg_core.many.photo_list import camera_groups, folder_contents, photo_entries
 from ladarreg_core.progress import Progress, Report
@@ -24,6 +25,7 @@ from ladarreg_core.survey.parts import (
     Estimate,
     PosePrior,
     RigMember,
+    ScanTargets,
     SurveyCamera,
     SurveyParts,
     SurveyPhoto,
@@ -35,7 +37,7 @@ from ladarreg_core.survey.parts import (
 T = TypeVar("T")
 _VERSION = 1
 _FIELDS = {
-    "scans": {"id", "path", "scan", "options", "world_from_scanner", "fixed"},
+    "scans": {"id", "path", "scan", "options", "world_from_scanner", "fixed", "targets", "radius_m", "sigma_m"},
     "cameras": {"id", "camera", "path", "estimate", "options"},
     "photos": {"id", "path", "camera", "initial", "prior", "matches", "rig"},
 }
@@ -139,7 +141,8 @@ def survey_fields(survey: SurveyParts, path: str | Path) -> dict[str, Any]:
         "scans": [
             {"id": one.id, "path": relative(one.source, f"the scan {one.id}"), "scan": one.index,
              **({"options": dict(one.options)} if one.options else {}),
-             "world_from_scanner": matrix(one.world_from_scanner), "fixed": one.fixed}
+             "world_from_scanner": matrix(one.world_from_scanner), "fixed": one.fixed,
+             **_targets_fields(one, relative)}
             for one in survey.scans
         ],
         "cameras": [
@@ -227,8 +230,32 @@ def _scan(one: Mapping[str, Any], folder: Path, faults: _Faults) -> SurveyScan:
     return SurveyScan(
         id=one["id"], source=_path(one.get("path"), folder, where, faults), index=index if type(index) is int else 0,
         options=options, world_from_scanner=faults.taken(where, lambda: _pose(one.get("world_from_scanner")), None),
-        fixed=fixed is True,
+        fixed=fixed is True, targets=_targets(one, folder, where, faults),
     )  # fmt: skip
+
+
+def _targets(one: Mapping[str, Any], folder: Path, where: str, faults: _Faults) -> ScanTargets | None:
+    lengths: dict[str, float] = {}
+    for name in ("radius_m", "sigma_m"):
+        value = one.get(name)
+        if value is None:
+            continue
+        if not is_number(value) or value <= 0:
+            faults.add(where, f"its {name} is {value!r:.20}; it must be a length in metres")
+        elif one.get("targets") is None:
+            faults.add(where, f"its {name} is that of targets, and it has none; name their file as 'targets'")
+        else:
+            lengths[name] = float(value)
+    if one.get("targets") is None:
+        return None
+    return ScanTargets(source=_path(one["targets"], folder, f"{where}, targets", faults), **lengths)
+
+
+def _targets_fields(one: SurveyScan, relative: Callable[[object, str], str]) -> dict[str, Any]:
+    if one.targets is None:
+        return {}
+    stated = {"radius_m": one.targets.radius_m, "sigma_m": one.targets.sigma_m}
+    return {"targets": relative(one.targets.source, "its file of targets"), **stated}
 
 
 def _camera(one: Mapping[str, Any], folder: Path, faults: _Faults) -> SurveyCamera:

@@ -9,9 +9,16 @@ import { element, setChildren, setText } from "../../ui/dom.js";
 const [WIDTH, HEIGHT] = [720, 360];
 const LEAST_DRAG_PX = 6;
 
-/** @returns {[number, number]} longitude and latitude, degrees, of a place in the picture: left is positive */
-const anglesAt = (x, y) => [180 - (x / WIDTH) * 360, 90 - (y / HEIGHT) * 180];
-const placeOf = (longitude, latitude) => [((180 - longitude) / 360) * WIDTH, ((90 - latitude) / 180) * HEIGHT];
+/** @returns {1 | -1} -1 for a unit that hangs: in its picture, which is level, the unit's left is on the right */
+const wayUp = () => {
+  const base = planNow()?.mount?.base;
+  const [roll, pitch] = base === "hanging" ? [180, 0] : Array.isArray(base) ? base : [0, 0];
+  return Math.cos((roll * Math.PI) / 180) * Math.cos((pitch * Math.PI) / 180) < 0 ? -1 : 1;
+};
+
+/** @returns {[number, number]} pan and tilt, degrees, of a place in the picture: the unit's left is positive */
+const anglesAt = (x, y) => [wayUp() * (180 - (x / WIDTH) * 360), wayUp() * (90 - (y / HEIGHT) * 180)];
+const placeOf = (pan, tilt) => [((180 - wayUp() * pan) / 360) * WIDTH, ((90 - wayUp() * tilt) / 180) * HEIGHT];
 
 const leftText = (seconds) =>
   seconds < 1 ? "" : seconds < 90 ? `${seconds} s left` : `${Math.round(seconds / 60)} min left`;
@@ -84,8 +91,8 @@ export const mountRun = () => {
     const [left, right] = [Math.max(pan[0], pan[1]), Math.min(pan[0], pan[1])];
     // The line of a sweep covers all elevations.
     const [top, bottom] = planNow().mode === "sweep" ? [90, -90] : [Math.max(tilt[0], tilt[1]) + 1, Math.min(tilt[0], tilt[1]) - 1];
-    const [x0, y0] = placeOf(Math.min(left, 180), top);
-    const [x1, y1] = placeOf(Math.max(right, -180), bottom);
+    const ends = [placeOf(Math.min(left, 180), top), placeOf(Math.max(right, -180), bottom)];
+    const [[x0, y0], [x1, y1]] = wayUp() > 0 ? ends : ends.reverse();
     const style = { left: x0 / WIDTH, top: y0 / HEIGHT, width: (x1 - x0) / WIDTH, height: (y1 - y0) / HEIGHT };
     for (const [name, share] of Object.entries(style)) range.style.setProperty(name, `${100 * share}%`);
   };
