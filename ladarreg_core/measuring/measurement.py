@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.foundations.arrays import FloatArray
@@ -91,7 +91,7 @@ class Measurement:
         }  # fmt: skip
 
 
-def measure(kind: MeasurementKind, points: MeasuredPoints) -> Measurement:
+def measure(kind: MeasurementKind, points: MeasuredPoints, *, viewpoint: ArrayLike = (0.0, 0.0, 0.0)) -> Measurement:
     """Measure between points.
 
     Args:
@@ -100,6 +100,7 @@ def measure(kind: MeasurementKind, points: MeasuredPoints) -> Measurement:
             the first point above the plane of three or more others, positive above it, or on the scanner's side of a
             vertical one.
         points: the points, in order.
+        viewpoint: (3,) where the scanner stood, m, in the frame of the points.
 
     Returns:
         The value with its standard deviation and 95 % interval.
@@ -123,7 +124,7 @@ def measure(kind: MeasurementKind, points: MeasuredPoints) -> Measurement:
     middle = points.xyz.mean(axis=0) if kind not in ("point", "height") else np.zeros(3)
     p = points.xyz - middle  # coordinates of a survey have too few digits for small steps
     if kind == "height":
-        p, up = p - points.xyz.mean(axis=0), _upward(points.xyz)
+        p, up = p - points.xyz.mean(axis=0), _upward(points.xyz, np.asarray(viewpoint, np.float64))
         value_of: Callable[[FloatArray], FloatArray] = lambda q: _height(q, up)  # noqa: E731
     else:
         value_of = rule.value
@@ -184,10 +185,10 @@ def _plane_normals(corners: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.eigh(np.einsum("bki,bkj->bij", apart, apart))[1][:, :, 0])
 
 
-def _upward(p: FloatArray) -> NDArray[np.float64]:
+def _upward(p: FloatArray, viewpoint: FloatArray) -> NDArray[np.float64]:
     """Return the direction (3,) that the normal of the plane of points (N, 3), but the first, is turned to."""
     normal = _plane_normals(p[None, 1:])[0]
-    up = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) > 0.1 else -p[1:].mean(axis=0)
+    up = np.array([0.0, 0.0, 1.0]) if abs(normal[2]) > 0.1 else viewpoint - p[1:].mean(axis=0)
     return np.asarray(normal if normal @ up >= 0 else -normal)
 
 

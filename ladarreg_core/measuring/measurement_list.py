@@ -103,6 +103,7 @@ def measure_places(
         ExportError: if the pose of a photograph was refused.
     """
     points = _points(scan, photos, places, sigma_px, world_from_scanner)
+    viewpoint = np.zeros(3) if world_from_scanner is None else world_from_scanner.translation
     groups: dict[str, list[int]] = {}
     for number, place in enumerate(places):
         groups.setdefault(place.measurement, []).append(number)
@@ -115,7 +116,8 @@ def measure_places(
             label = name or kinds[name]
             label = label if len(sets) == 1 else f"{label} {count}"
             try:
-                found.append(NamedMeasurement(label, kinds[name], measure(kinds[name], points.subset(some))))
+                made = measure(kinds[name], points.subset(some), viewpoint=viewpoint)
+                found.append(NamedMeasurement(label, kinds[name], made))
             except DegenerateGeometryError as error:
                 found.append(NamedMeasurement(label, kinds[name], None, str(error)))
     return found
