@@ -4,7 +4,7 @@ import { ask } from "../../net/connection.js";
 import { store } from "../../net/store.js";
 import { changePlan, isActive, onPlan, planNow, setFaults, setPlan } from "../../state/acquisition.js";
 import { view } from "../../state/view.js";
-import { button } from "../../ui/controls.js";
+import { button, fill } from "../../ui/controls.js";
 import { element, setText } from "../../ui/dom.js";
 import { notice } from "../../ui/notices.js";
 import { throttled } from "../../ui/throttle.js";
@@ -12,7 +12,7 @@ import { numbersRow, withFaults } from "./plan_rows.js";
 
 const EVERY_MS = 250;
 const FILE = "plan.json";
-const PLACED = /^(pan_deg|tilt_deg|settle_s|continuous|passes|mount\.(xyz_m|rpy_deg)|unit(\..+)?|scanner\.(?!$).+|camera(\..+)?)$/;
+const PLACED = /^(pan_deg|tilt_deg|settle_s|continuous|passes|mount\.(xyz_m|rpy_deg|base)|unit(\..+)?|scanner\.(?!$).+|camera(\..+)?)$/;
 /** Fields whose faults stand beside them, here or among the devices; all others are said below the form. */
 
 const duration = (seconds) =>
@@ -55,14 +55,29 @@ export const mountPlanForm = () => {
       read: (plan) => plan?.mount?.rpy_deg, write: (rpy_deg) => changePlan({ mount: { ...planNow().mount, rpy_deg } }),
     }),
   ];
+  const base = element("select", { class: "select small", "aria-label": "How the unit stands" });
+  base.addEventListener("change", () => {
+    const { base: former, ...mount } = planNow().mount;
+    changePlan({ mount: base.value === "upright" ? mount : { ...mount, base: base.value === "hanging" ? "hanging" : former } });
+  });
+  const showBase = (plan) => {
+    const stated = plan?.mount?.base ?? "upright";
+    /** @type {[string, string][]} */
+    const leans = Array.isArray(stated) ? [["leaning", `leaning: ${stated.join(", ")}°`]] : [];
+    fill(base, [["upright", "stands upright"], ["hanging", "hangs"], ...leans], Array.isArray(stated) ? "leaning" : stated);
+  };
   const steadily = element("input", { type: "checkbox" });
   steadily.addEventListener("change", () =>
     changePlan({ continuous: steadily.checked, passes: steadily.checked ? 2 : 1 }));
   const mountPart = element(
     "details",
     { class: "plan-mount" },
-    element("summary", {}, "Where the scanner is on the unit"),
+    element("summary", {}, "Where the scanner is on the unit, and how that stands"),
     ...mountRows.map(({ row }) => row),
+    withFaults(
+      element("label", { class: "inline", title: "Panoramas are level. A unit that leans is stated in the plan's file: mount.base" }, "The unit", base),
+      ["mount.base"],
+    ),
   );
   const ahead = element("p", { class: "plan-ahead", role: "status" });
   const fault = element("p", { class: "form-wrong", role: "alert", hidden: true });
@@ -135,6 +150,7 @@ export const mountPlanForm = () => {
   const show = () => {
     const plan = planNow();
     for (const each of [...rows, ...mountRows]) each.show(plan);
+    showBase(plan);
     steadily.checked = Boolean(plan?.continuous);
     sweeping.hidden = plan?.mode === "mosaic";
     form.disabled = !plan || isActive() || store.readOnly;

@@ -9,16 +9,29 @@ import { element, setChildren, setText } from "../../ui/dom.js";
 const [WIDTH, HEIGHT] = [720, 360];
 const LEAST_DRAG_PX = 6;
 
-/** @returns {1 | -1} -1 for a unit that hangs: in its picture, which is level, the unit's left is on the right */
-const wayUp = () => {
+const wrapped = (degrees) => ((((degrees + 180) % 360) + 360) % 360) - 180;
+
+/**
+ * How the unit stands in its picture, which is level.
+ * @returns {{way: 1 | -1, yaw: number}} -1 for a unit that hangs: its left is on the right; and the longitude of pan 0, degrees
+ */
+const stance = () => {
   const base = planNow()?.mount?.base;
-  const [roll, pitch] = base === "hanging" ? [180, 0] : Array.isArray(base) ? base : [0, 0];
-  return Math.cos((roll * Math.PI) / 180) * Math.cos((pitch * Math.PI) / 180) < 0 ? -1 : 1;
+  const [roll, pitch, yaw] = base === "hanging" ? [180, 0, 0] : Array.isArray(base) ? base : [0, 0, 0];
+  const up = Math.cos((roll * Math.PI) / 180) * Math.cos((pitch * Math.PI) / 180);
+  return { way: up < 0 ? -1 : 1, yaw: wrapped(yaw) };
 };
 
 /** @returns {[number, number]} pan and tilt, degrees, of a place in the picture: the unit's left is positive */
-const anglesAt = (x, y) => [wayUp() * (180 - (x / WIDTH) * 360), wayUp() * (90 - (y / HEIGHT) * 180)];
-const placeOf = (pan, tilt) => [((180 - wayUp() * pan) / 360) * WIDTH, ((90 - wayUp() * tilt) / 180) * HEIGHT];
+const anglesAt = (x, y) => {
+  const { way, yaw } = stance();
+  const pan = way * (180 - (x / WIDTH) * 360 - yaw);
+  return [yaw ? wrapped(pan) : pan, way * (90 - (y / HEIGHT) * 180)];
+};
+const placeOf = (pan, tilt) => {
+  const { way, yaw } = stance();
+  return [((180 - yaw - way * pan) / 360) * WIDTH, ((90 - way * tilt) / 180) * HEIGHT];
+};
 
 const leftText = (seconds) =>
   seconds < 1 ? "" : seconds < 90 ? `${seconds} s left` : `${Math.round(seconds / 60)} min left`;
@@ -92,7 +105,7 @@ export const mountRun = () => {
     // The line of a sweep covers all elevations.
     const [top, bottom] = planNow().mode === "sweep" ? [90, -90] : [Math.max(tilt[0], tilt[1]) + 1, Math.min(tilt[0], tilt[1]) - 1];
     const ends = [placeOf(Math.min(left, 180), top), placeOf(Math.max(right, -180), bottom)];
-    const [[x0, y0], [x1, y1]] = wayUp() > 0 ? ends : ends.reverse();
+    const [[x0, y0], [x1, y1]] = stance().way > 0 ? ends : ends.reverse();
     const style = { left: x0 / WIDTH, top: y0 / HEIGHT, width: (x1 - x0) / WIDTH, height: (y1 - y0) / HEIGHT };
     for (const [name, share] of Object.entries(style)) range.style.setProperty(name, `${100 * share}%`);
   };
