@@ -23,15 +23,15 @@ def unit_camera_rows(quick: bool, show: Callable[[str], None]) -> list[Row]:
         case = simulate_unit_camera(seed)
         found = register_unit_camera(case.panorama, case.photos, case.units, is_scanner_mount_known=True)
         accepted += found.accepted
-        told: dict[str, object] = {"seed": seed, "said": found.sentence}
+        row: dict[str, object] = {"seed": seed, "result": found.sentence}
         if found.unit_from_camera is not None:
             true, pose = case.mount.inverse, found.unit_from_camera.inverse
             turn = rotvec_from_rotation(true.rotation @ pose.rotation.T)
             error = np.concatenate([turn, true.centre - pose.centre])
             errors.append(1000 * float(np.linalg.norm(error[3:])))
             distances.append(float(np.sqrt(error @ np.linalg.solve(found.covariance, error) / 6)))
-            told |= {"mm": errors[-1], "mahalanobis": distances[-1]}
-        show(json.dumps(told))
+            row |= {"mm": errors[-1], "mahalanobis": distances[-1]}
+        show(json.dumps(row))
     strangers = 1 if quick else 5
     wrong = 0
     for seed in range(_FIRST_SEED, _FIRST_SEED + strangers):

@@ -9,7 +9,7 @@ from typing import Any
 
 from ladarreg_core.acquisition.composition.panorama import Panorama
 from ladarreg_core.acquisition.runs.piece_list import PLAN_FILE
-from ladarreg_core.acquisition.runs.run_folder import summary
+from ladarreg_core.acquisition.runs.run_folder import RunSummary, summary
 from ladarreg_core.errors import OptionError
 from ladarreg_core.formats import read_photo
 from ladarreg_core.formats.parsing.untrusted import shown_name
@@ -43,8 +43,9 @@ def calibrate_run_camera(
         OptionError: if the run has no photographs.
         LadarregError: if a photograph cannot be read, or its focal length is not known.
     """
-    positions = _positions(run_folder, base)
-    if not positions:
+    run = _run(run_folder)
+    positions = {} if run is None else _positions(run, base)
+    if run is None or not positions:
         raise OptionError(
             f"{shown_name(run_folder)} has no photographs; the mount of a camera is estimated from those of a run "
             "whose plan has a camera"
@@ -52,7 +53,7 @@ def calibrate_run_camera(
     photos = [read_photo(path, **dict(photo_options or {})) for path in positions]
     return register_unit_camera(
         panorama.scan, photos, list(positions.values()), names=[path.name for path in positions],
-        initial=_stated_mount(run_folder), is_scanner_mount_known=panorama.fields["mount"]["from"] == "estimated",
+        initial=_stated_mount(run), is_scanner_mount_known=panorama.fields["mount"]["from"] == "estimated",
         options=options, report=report,
     )  # fmt: skip
 
@@ -67,23 +68,23 @@ def photo_poses(
         unit_from_camera: the mount; None: that of the plan, without which there are none.
         base: `level_from_unit` that the panorama was composed with; None: that of the plan.
     """
-    mount = unit_from_camera or _stated_mount(run_folder)
-    if mount is None:
+    run = _run(run_folder)
+    mount = None if run is None else unit_from_camera or _stated_mount(run)
+    if run is None or mount is None:
         return {}
-    return {path.stem: (unit @ mount).inverse for path, unit in _positions(run_folder, base).items()}
+    return {path.stem: (unit @ mount).inverse for path, unit in _positions(run, base).items()}
 
 
-def _positions(run_folder: str | Path, base: Rigid | None) -> dict[Path, Rigid]:
+def _run(run_folder: str | Path) -> RunSummary | None:
+    """Return what a run has; None of anything else, such as a list of pieces."""
+    return summary(run_folder) if (Path(run_folder) / PLAN_FILE).is_file() else None
+
+
+def _positions(run: RunSummary, base: Rigid | None) -> dict[Path, Rigid]:
     """Return `world_from_unit` of the part of the unit that pans and tilts, for each photograph."""
-    if not (Path(run_folder) / PLAN_FILE).is_file():
-        return {}
-    run = summary(run_folder)
     level = run.plan.base if base is None else base
     return {path: level @ pan_tilt_pose(math.radians(pan), math.radians(tilt)) for path, (pan, tilt) in run.photos}
 
 
-def _stated_mount(run_folder: str | Path) -> Rigid | None:
-    if not (Path(run_folder) / PLAN_FILE).is_file():
-        return None
-    camera = summary(run_folder).plan.camera
-    return None if camera is None else camera.mount
+def _stated_mount(run: RunSummary) -> Rigid | None:
+    return None if run.plan.camera is None else run.plan.camera.mount

@@ -116,7 +116,7 @@ const build = (chooseFiles) => {
     batch.part.hidden = !answer.batch;
     if (answer.batch) batch.refresh();
   };
-  /** Ask without blocking the page: the list is fetched while somebody types. */
+  /** Send a command without blocking the page: the list is fetched while the search text is typed. */
   const quietly = async (name, fields) => {
     try {
       return await command(name, fields);

@@ -76,7 +76,7 @@ const jobBar = () => {
     ].join("\n");
   };
   let listed = "";
-  /** The jobs that begin after this one; each can be taken back. */
+  /** The jobs that begin after this one; each can be cancelled. */
   const showWaiting = (jobs) => {
     const names = new Map((store.get("photos") ?? []).map(({ id, name }) => [id, name]));
     const key = JSON.stringify([jobs, [...names], store.readOnly]);
@@ -88,8 +88,8 @@ const jobBar = () => {
       return store.readOnly
         ? element("span", { class: "clip", title }, names.get(photo) ?? label)
         : button({
-          label: `Do not begin: ${what}`,
-          title: `${title}; click to take it back`,
+          label: `Cancel: ${what}`,
+          title: `${title}; click to cancel it`,
           text: names.get(photo) ?? label,
           icon: "close",
           kind: "small plain",
