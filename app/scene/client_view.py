@@ -157,7 +157,7 @@ class ClientView:
         """Move a client to the start of another scan, and with a new pose if it has not moved by itself."""
         if subject is None:
             return
-        if before is None or before.shown is not subject.shown:
+        if before is None or not subject.shown.is_of(before.shown):
             wanted = self._looks if before is None else "start"
             self.look("start")  # the camera has no viewpoint without an accepted pose
             if wanted != "start":

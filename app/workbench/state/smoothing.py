@@ -44,6 +44,8 @@ class _Found:
     """Kept, so that their ids stay theirs."""
     replacements: Replacements
     rays: np.ndarray[Any, Any]
+    uv: np.ndarray[Any, Any]
+    """(N, 2) pixels at which the photograph shows the new ranges; NaN where it does not."""
     nothing: str
     """Why there is nothing to replace, without a full stop; empty if there is something."""
     rev: str
@@ -139,13 +141,21 @@ class Smoothing:
             {
                 "id": f"{row}.{column}",
                 "ray": [round(float(value), 7) for value in ray],
+                "uv": [round(float(value), 2) for value in pixel] if np.isfinite(pixel).all() else None,
                 "before_m": round(float(before), 4),
                 "after_m": round(float(after), 4),
                 "sigma_m": round(float(sigma), 4),
                 "edge": bool(edge),
             }
-            for (row, column), ray, before, after, sigma, edge in zip(
-                one.cells.tolist(), found.rays, one.measured, one.ranges, one.sigma_m, one.at_edge, strict=True
+            for (row, column), ray, pixel, before, after, sigma, edge in zip(
+                one.cells.tolist(),
+                found.rays,
+                found.uv,
+                one.measured,
+                one.ranges,
+                one.sigma_m,
+                one.at_edge,
+                strict=True,
             )
         ]
         return {**shared, "stale": "", "nothing": found.nothing, "ranges": ranges}
@@ -185,8 +195,9 @@ class Smoothing:
         result = self._loader.registration(pose)
         found = find_replacements(scan, result, picks=self._loader.picks(entry))
         rays = scan.geometry.ray_at(found.cells.astype(np.float64)) if len(found) else np.zeros((0, 3))
+        uv = result.camera.project(result.camera_from_scanner @ (found.ranges[:, None] * rays))
         made_of = msgspec.json.encode(
             [document.scan, pose.arrays.name, found.cells.tolist(), found.ranges.tolist(), found.at_edge.tolist()]
         )
         nothing = "" if len(found) else nothing_found(result)
-        return _Found((scan, pose, entry), found, rays, nothing, blake2b(made_of, digest_size=8).hexdigest())
+        return _Found((scan, pose, entry), found, rays, uv, nothing, blake2b(made_of, digest_size=8).hexdigest())
