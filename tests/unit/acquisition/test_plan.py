@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ladarreg_core.acquisition.interfaces import PanTilt, UnitIdentity
-from ladarreg_core.acquisition.plan import plan_from_fields, read_plan, write_plan
+from ladarreg_core.acquisition.plan import write_plan
+from ladarreg_core.acquisition.plan_reading import plan_from_fields, read_plan
 from ladarreg_core.acquisition.runs.stops import forecast, require_possible, stops_of
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
 
