@@ -23,7 +23,7 @@ from ladarreg_core.storage.atomic_write import replaced_file, write_bytes
 Mode = Literal["sweep", "mosaic"]
 """`sweep`: a line scanner, every pan step is a column; `mosaic`: a scanner with a field of view, pieces overlap."""
 UnitKind = Literal["flir-ptu"]
-ScannerKind = Literal["scip2", "folder"]
+ScannerKind = Literal["scip2", "folder", "packets"]
 
 VERSION = 1
 MAX_STOPS = 100_000
@@ -47,20 +47,26 @@ class UnitPlan:
 
 @dataclass(frozen=True, slots=True)
 class ScannerPlan:
-    """How the scanner is reached: a port for `scip2`, a watched folder for `folder`."""
+    """How the scanner is reached: a port for `scip2`, a watched folder for `folder`, a UDP port for `packets`."""
 
     kind: ScannerKind
     port: str = ""
     baud: int = 115_200
     folder: str = ""
     fov_deg: tuple[float, float] | None = None
-    """Field of view of a scanner with a folder, across and down; None: learnt from its first file."""
+    """Field of view of a scanner that makes pieces, across and down; None: learnt from its first file."""
     lines: int = 1
     """Lines that a line scanner measures at each stop of a sweep."""
     timeout_s: float = 600.0
-    """Longest wait for the next file of a folder."""
+    """Longest wait for the next file of a folder, or for a whole revolution of a spinning lidar."""
     trigger: TriggerPlan | None = None
     """What starts a shot of a scanner with a folder; None: a person, or its software."""
+    udp_port: int = 0
+    """Where a spinning lidar sends its packets; of a simulated one, it is not needed."""
+    host: str = ""
+    """Its address, or `twin:velodyne?seed=N`; empty: whatever sends there, if it is only one."""
+    sensor_file: str = ""
+    """Description of the lidar that its packets are read by, for an Ouster its metadata JSON; empty: none is needed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,12 +124,15 @@ class Plan:
         scanner: dict[str, Any] = {"kind": self.scanner.kind}
         if self.scanner.kind == "scip2":
             scanner |= {"port": self.scanner.port, "baud": self.scanner.baud, "lines": self.scanner.lines}
+        elif self.scanner.kind == "packets":
+            scanner |= {"udp_port": self.scanner.udp_port, "timeout_s": self.scanner.timeout_s}
+            scanner |= {name: value for name in ("host", "sensor_file") if (value := getattr(self.scanner, name))}
         else:
             scanner |= {"folder": self.scanner.folder, "timeout_s": self.scanner.timeout_s}
-            if self.scanner.fov_deg is not None:
-                scanner["fov_deg"] = list(self.scanner.fov_deg)
-            if self.scanner.trigger is not None:
-                scanner["trigger"] = self.scanner.trigger.as_fields()
+        if self.scanner.fov_deg is not None:
+            scanner["fov_deg"] = list(self.scanner.fov_deg)
+        if self.scanner.trigger is not None:
+            scanner["trigger"] = self.scanner.trigger.as_fields()
         unit: dict[str, Any] = {
             "kind": self.unit.kind, "port": self.unit.port, "baud": self.unit.baud, "signs": list(self.unit.signs),
         }  # fmt: skip

@@ -111,11 +111,12 @@ class _Reader:
         """Note what is wrong with parts that are right by themselves."""
         if plan.mode == "sweep" and plan.scanner.kind != "scip2":
             self._fault(
-                "scanner.kind", "'mode' is 'sweep', which needs a scanner of kind 'scip2'; use 'mosaic' for a folder"
+                "scanner.kind", "'mode' is 'sweep', which needs a scanner of kind 'scip2'; use 'mosaic' for others"
             )
         if plan.mode == "mosaic" and plan.scanner.kind == "scip2":
             self._fault(
-                "scanner.kind", "'mode' is 'mosaic', which needs a scanner of kind 'folder'; use 'sweep' for this one"
+                "scanner.kind",
+                "'mode' is 'mosaic', which needs a scanner of kind 'folder' or 'packets'; use 'sweep' for this one",
             )
         if plan.mode == "mosaic" and plan.continuous:
             self._fault("continuous", "'continuous' is for sweeps; leave it out of a mosaic")
@@ -167,23 +168,50 @@ class _Reader:
             return None if port is None or baud is None or lines is None else ScannerPlan(
                 "scip2", port=port, baud=baud, lines=lines
             )  # fmt: skip
+        if kind == "packets":
+            return self._packets(fields)
         self._refuse_unknown(
             fields, ("kind", "folder", "fov_deg", "timeout_s", "trigger"), "'scanner' of kind 'folder'"
         )
         folder = self._folder(fields, "'scanner'")
         timeout = self._number(fields, "timeout_s", 600.0, 1.0, 1e5, "'scanner'")
+        fov = self._field_of_view(fields)
+        if folder is None or timeout is None:
+            return None
+        return ScannerPlan(
+            "folder", folder=folder, fov_deg=fov, timeout_s=timeout, trigger=self._trigger(fields, "scanner")
+        )
+
+    def _packets(self, fields: Mapping[str, Any]) -> ScannerPlan | None:
+        known = ("kind", "udp_port", "host", "sensor_file", "fov_deg", "timeout_s")
+        self._refuse_unknown(fields, known, "'scanner' of kind 'packets'")
+        is_simulated = isinstance(fields.get("host"), str) and is_twin(fields["host"])
+        port = self._whole(fields, "udp_port", 0, 0 if is_simulated else 1, 65_535, "'scanner'")
+        timeout = self._number(fields, "timeout_s", 10.0, 1.0, 1e5, "'scanner'")
+        fov = self._field_of_view(fields)
+        example = "a text, or leave it out"
+        host = self._text(fields, "host", "'scanner'", example) if fields.get("host") else ""
+        if is_simulated:
+            self._check_twin(fields, "host", "'scanner'")
+        file = self._text(fields, "sensor_file", "'scanner'", example) if fields.get("sensor_file") else ""
+        if file and self._folders_exist and not Path(file).expanduser().is_file():
+            self._fault(
+                "scanner.sensor_file", f"'sensor_file' of 'scanner' is {_shown(file)}, which does not exist; correct it"
+            )
+        if port is None or timeout is None or host is None or file is None:
+            return None
+        return ScannerPlan("packets", fov_deg=fov, timeout_s=timeout, udp_port=port, host=host, sensor_file=file)
+
+    def _field_of_view(self, fields: Mapping[str, Any]) -> tuple[float, float] | None:
         fov = fields.get("fov_deg")
-        if fov is not None and not _numbers(fov, 2, 0.1, 360.0):
+        if fov is None:
+            return None
+        if not _numbers(fov, 2, 0.1, 360.0):
             self._fault(
                 "scanner.fov_deg", f"'fov_deg' of 'scanner' is {_shown(fov)}; it must be two angles, across and down"
             )
-            fov = None
-        if folder is None or timeout is None:
             return None
-        across = None if fov is None else (float(fov[0]), float(fov[1]))
-        return ScannerPlan(
-            "folder", folder=folder, fov_deg=across, timeout_s=timeout, trigger=self._trigger(fields, "scanner")
-        )
+        return float(fov[0]), float(fov[1])
 
     def _camera(self, value: Any) -> CameraPlan | None:
         if value is None:
@@ -315,16 +343,19 @@ class _Reader:
     def _folder(self, fields: Mapping[str, Any], where: str) -> str | None:
         folder = self._text(fields, "folder", where, "the folder that its software writes to")
         if folder is not None and is_twin(folder):
-            try:
-                check_twin(folder)
-            except DeviceError as error:
-                self._fault(_field(where, "folder"), f"'folder' of {where}: {error}")
+            self._check_twin(fields, "folder", where)
         elif folder is not None and self._folders_exist and not Path(folder).expanduser().is_dir():
             self._fault(
                 _field(where, "folder"),
                 f"'folder' of {where} is {_shown(folder)}, which does not exist; create or correct it",
             )
         return folder
+
+    def _check_twin(self, fields: Mapping[str, Any], name: str, where: str) -> None:
+        try:
+            check_twin(fields[name].strip())
+        except DeviceError as error:
+            self._fault(_field(where, name), f"{name!r} of {where}: {error}")
 
     def _flag(self, fields: Mapping[str, Any], name: str) -> bool:
         value = fields.get(name, False)
