@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
 from ladarreg_core.acquisition.interfaces import Arrival, Check
-from ladarreg_core.errors import DeviceError, FormatError
+from ladarreg_core.errors import DeviceError, FormatError, ShapeError
 from ladarreg_core.formats.packets.capture import Datagram, write_datagrams
 from ladarreg_core.storage.atomic_write import replaced_file
 
@@ -95,7 +95,7 @@ class PacketStream:
                 try:
                     self._is_readable(target)
                     return target
-                except FormatError as error:
+                except (FormatError, ShapeError) as error:
                     why = str(error)
             if self._clock.now() - begun >= self._timeout_s:
                 target.unlink(missing_ok=True)

@@ -95,31 +95,13 @@ def _connect_once(plan: Plan, stack: ExitStack, *, ports: OpenPorts, read: Read)
     opened = stack.enter_context(ports())
     unit = FlirUnit.connect(opened, plan.unit)
     stack.callback(unit.close)
-    line_scanner = frames = None
+    line_scanner: ScipScanner | None = None
+    frames: FrameSource | None = None
     if plan.scanner.kind == "scip2":
         line_scanner = ScipScanner.connect(opened, plan.scanner)
         stack.callback(line_scanner.close)
-    elif plan.scanner.kind == "packets":
-        host, port = packet_source(plan.scanner.host, plan.scanner.udp_port)
-        frames = PacketStream(
-            port,
-            host=host,
-            sensor_file=Path(plan.scanner.sensor_file).expanduser() if plan.scanner.sensor_file else None,
-            is_readable=partial(read, read_scan),
-            timeout_s=plan.scanner.timeout_s,
-            clock=opened.clock,
-        )
-        stack.callback(frames.close)
     else:
-        frames = FolderSource(
-            watched_folder(plan.scanner.folder),
-            is_readable=partial(read, read_scan),
-            timeout_s=plan.scanner.timeout_s,
-            device="the scanner",
-            files_of=scan_files,
-            trigger=plan.scanner.trigger,
-            clock=opened.clock,
-        )
+        frames = _frames(plan.scanner, opened.clock, read)
         stack.callback(frames.close)
     camera = None if plan.camera is None else _camera(plan.camera, opened.clock, read)
     if camera is not None:
@@ -166,6 +148,28 @@ def identified(address: str) -> FoundDevice:
     raise DeviceError(
         f"neither a pan/tilt unit nor a line scanner answers on {address}; check that it is switched on, and "
         "that the port is its"
+    )
+
+
+def _frames(plan: ScannerPlan, clock: Clock, read: Read) -> FrameSource:
+    if plan.kind == "packets":
+        host, port = packet_source(plan.host, plan.udp_port)
+        return PacketStream(
+            port,
+            host=host,
+            sensor_file=Path(plan.sensor_file).expanduser() if plan.sensor_file else None,
+            is_readable=partial(read, read_scan),
+            timeout_s=plan.timeout_s,
+            clock=clock,
+        )
+    return FolderSource(
+        watched_folder(plan.folder),
+        is_readable=partial(read, read_scan),
+        timeout_s=plan.timeout_s,
+        device="the scanner",
+        files_of=scan_files,
+        trigger=plan.trigger,
+        clock=clock,
     )
 
 

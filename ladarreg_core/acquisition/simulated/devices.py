@@ -104,7 +104,6 @@ class TwinDevices:
                 twin.on = False  # a sweep would be slowed down by photographs that nobody asked for
                 self._folders[name] = entered.enter_context(twin)
             entered.enter_context(self.server)
-            self.lidar.on = False
             entered.enter_context(self.lidar)
             self._inside = entered.pop_all()
         return self
@@ -129,7 +128,7 @@ class TwinDevices:
             OptionError: if there is no such device.
         """
         if device == LIDAR:
-            self.lidar.on = True
+            self.lidar.switch_on()
             return
         if device not in self._folders:
             raise OptionError(f"there is no device {device!r} with a folder; use {' or '.join(self._folders)}")

@@ -20,13 +20,12 @@ from ladarreg_core.foundations.arrays import FloatArray, IntArray
 
 _HOST = "127.0.0.1"
 _KEY_STEP_RAD = 1e-5
-_IDLE_S = 0.05
 _AT_ONCE = 8  # packets; a thread cannot sleep for as little as lies between two
 _FULL = 255.0  # reflectivity of white paper at any distance
 
 
 class LidarTwin:
-    """Sends packets endlessly while it is on; a context manager.
+    """Sends packets endlessly, once it is switched on; a context manager.
 
     Args:
         packets: what it sends next.
@@ -36,7 +35,6 @@ class LidarTwin:
 
     Attributes:
         port: that port.
-        on: whether it sends.
     """
 
     def __init__(
@@ -44,7 +42,6 @@ class LidarTwin:
     ) -> None:
         self._packets, self._seconds, self._clock = packets, seconds, clock
         self.port = port or _free_port()
-        self.on = True
         self._running = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
@@ -56,22 +53,24 @@ class LidarTwin:
         return LidarTwin(lambda: packets, seconds=seconds, port=port)
 
     def __enter__(self) -> LidarTwin:
-        self._running.set()
-        self._clock.start(self._thread)
         return self
+
+    def switch_on(self) -> None:
+        """Begin to send, if it does not yet."""
+        if not self._running.is_set():
+            self._running.set()
+            self._clock.start(self._thread)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._running.clear()
-        self._clock.join(self._thread)
+        if self._running.is_set():
+            self._running.clear()
+            self._clock.join(self._thread)
 
     def _run(self) -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
             while self._running.is_set():
-                if not self.on:
-                    self._clock.sleep(_IDLE_S)
-                    continue
                 packets = self._packets()
                 pause_s = self._seconds / max(1, len(packets)) * _AT_ONCE
                 for first in range(0, len(packets), _AT_ONCE):

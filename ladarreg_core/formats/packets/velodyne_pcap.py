@@ -221,16 +221,13 @@ def _to_scan(name: str, model: Model, mode: int, azimuth: FloatArray, returns: N
     has = distance > 0
     length = np.linalg.norm(points, axis=-1)
     rays = np.where(has[..., None], points / np.where(has, length, 1.0)[..., None], beams)
-    rows = np.argsort(model.elevations_deg)[::-1]
-    rays, length, has, strength = (
-        each[rows] for each in (rays, length, has, returns["reflectivity"].T.astype(np.float64))
-    )
-    order = order_of(beams[rows])
+    top_first = np.argsort(model.elevations_deg)[::-1]
+    order = order_of(beams[top_first])
     lost = f"; {missing:,} firings are missing" if missing else ""
     return Scan(
-        TabulatedGrid(order.apply(rays)),
-        as_float32(order.apply(np.where(has, length, np.nan))),
-        as_float32(order.apply(strength)),
+        TabulatedGrid(order.apply(rays[top_first])),
+        as_float32(order.apply(np.where(has, length, np.nan)[top_first])),
+        as_float32(order.apply(returns["reflectivity"].T[top_first])),
         intensity_is="range_normalised",
         name=name,
         notes=(f"a revolution of a Velodyne {model.name}, {RETURN_MODES[mode]}{lost}",),
