@@ -54,7 +54,7 @@ class Arguments:
 
 def run(arguments: Arguments) -> ExitCode:
     """Drive the devices through the plan."""
-    from ladarreg_core.acquisition.plan import read_plan
+    from ladarreg_core.acquisition.plan_reading import read_plan
     from ladarreg_core.errors import OptionError
 
     if arguments.example:

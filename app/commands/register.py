@@ -19,6 +19,8 @@ from ..open_command import open_command
 from ..progress_bar import ProgressBar, progress_bar
 
 if TYPE_CHECKING:
+    from ladarreg_core.frames import Rigid
+    from ladarreg_core.matches import Pick
     from ladarreg_core.photo import Photo
     from ladarreg_core.quality.assessment import Assessment
     from ladarreg_core.quality.smoothing import SmoothedScan
@@ -107,10 +109,11 @@ def run(arguments: Arguments | RigArguments | PhotosArguments) -> ExitCode:
         OutputFrame.of(scan, arguments.frame)  # refuse before the work
         with OtherCore() as other_core:
             other_core.begin(lambda: prepare_export(scan))
-            result = _register(arguments, scan, photo, bar)
+            picks, initial = (None, None) if arguments.carry else read_start(arguments, scan)
+            result = _register(arguments, scan, photo, bar, picks, initial)
         spare_heap(scan)
         assessment = timed("Assess", bar, lambda: assess(scan, result))
-        smoothed = _smooth(arguments, result, scan, bar)
+        smoothed = _smooth(arguments, result, scan, picks or (), bar)
         names = _export(arguments, result, scan, photo, bar, assessment=assessment, smoothed=smoothed)
     if arguments.json:
         print_written(arguments.out, "registration.json", scan, photo)
@@ -144,7 +147,9 @@ def _check_carry(arguments: Arguments) -> None:
         raise OptionError("--carry does not solve for a pose; omit --matches, --initial and --method")
 
 
-def _register(arguments: Arguments, scan: Scan, photo: Photo, bar: ProgressBar) -> Registration:
+def _register(
+    arguments: Arguments, scan: Scan, photo: Photo, bar: ProgressBar, picks: list[Pick] | None, initial: Rigid | None
+) -> Registration:
     import ladarreg_core as lr
 
     if arguments.carry and arguments.offset:
@@ -157,7 +162,6 @@ def _register(arguments: Arguments, scan: Scan, photo: Photo, bar: ProgressBar) 
         offset = read_offset(arguments.offset)
         carried = timed("Carry over", bar, lambda: carry_over(first, offset, photo))
         return replace(carried, world_from_scanner=scan.world_from_scanner)  # it stands in this scan's world
-    picks, initial = read_start(arguments, scan)
     return lr.register(
         scan,
         photo,
@@ -169,12 +173,14 @@ def _register(arguments: Arguments, scan: Scan, photo: Photo, bar: ProgressBar) 
     )
 
 
-def _smooth(arguments: Arguments, result: Registration, scan: Scan, bar: ProgressBar) -> SmoothedScan | None:
+def _smooth(
+    arguments: Arguments, result: Registration, scan: Scan, picks: Sequence[Pick], bar: ProgressBar
+) -> SmoothedScan | None:
     if not arguments.smooth or not result.accepted:
         return None
     from ladarreg_core.quality.smoothing import smooth_with_report
 
-    return timed("Smooth", bar, lambda: smooth_with_report(scan, result))
+    return timed("Smooth", bar, lambda: smooth_with_report(scan, result, picks=picks))
 
 
 def _export(

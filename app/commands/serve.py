@@ -51,6 +51,8 @@ class Arguments(CameraArguments):
     """Let acquisitions watch this folder, in which a scanner or camera writes; may be repeated."""
     video_device: Annotated[tyro.conf.UseAppendAction[tuple[int, ...]], tyro.conf.arg(metavar="N")] = ()
     """Let acquisitions take photographs with this video device; may be repeated."""
+    udp_port: Annotated[tyro.conf.UseAppendAction[tuple[int, ...]], tyro.conf.arg(metavar="N")] = ()
+    """Let acquisitions listen on this UDP port for the packets of a spinning lidar; may be repeated."""
     host: str = "127.0.0.1"
     """Address to listen on; any other than the loopback address exposes the workbench, see docs/remote.md."""
     port: int = 8700
@@ -157,7 +159,7 @@ def _serve(arguments: Arguments, token: str | None, options: GatewayOptions) -> 
     limit_arenas()
     stop = StopSignals()
     stop.listen()
-    watchable = Watchable(arguments.watch, arguments.video_device)
+    watchable = Watchable(arguments.watch, arguments.video_device, arguments.udp_port)
     batch = batch_given(arguments.inputs)
     workbench = open_workbench(
         () if batch else arguments.inputs,

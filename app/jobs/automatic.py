@@ -73,7 +73,7 @@ class AutomaticSolver:
         self._thread.join(60)
 
     def _edited(self, change: Change) -> None:
-        grown = change.before.clouds != change.document.clouds
+        grown = any(getattr(change.before, name) != getattr(change.document, name) for name in ("clouds", "ranges"))
         edited = [
             photo.id
             for photo in change.document.photos

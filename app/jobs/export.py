@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ladarreg_core.export.output_frame import FrameName
     from ladarreg_core.export.targets.pipeline import Source as ExportSource
     from ladarreg_core.export.targets.target import Crop, ExportOptions, Target
-    from ladarreg_core.project.document import Document, PhotoEntry, Source
+    from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry, Source
 
 log = logging.getLogger(__name__)
 ALL = "all"
@@ -81,7 +81,7 @@ class _Exported(Struct, frozen=True):
     """What the pose of a photograph was exported to: a record in the project's folder of exports."""
 
     pose: str
-    """The name of its arrays, which every pose has for itself."""
+    """Its name, see `_name_of`."""
     targets: dict[str, Literal["scanner", "world"]]
     """Targets, and the frame of each."""
 
@@ -228,7 +228,7 @@ class ExportJobs:
     def exported(self, entry: PhotoEntry) -> dict[str, FrameName]:
         """Return the targets that the shown pose of a photograph was exported to, and the frame of each."""
         known = self._known_exports().get(entry.id)
-        is_shown = known is not None and entry.pose is not None and known.pose == entry.pose.arrays.name
+        is_shown = known is not None and entry.pose is not None and known.pose == _name_of(entry.pose)
         return dict(known.targets) if known is not None and is_shown else {}
 
     def check_folder(self, folder: Path, document: Document, *, force: bool) -> None:
@@ -310,7 +310,7 @@ class ExportJobs:
         """Record what the shown poses of photographs were exported to; it is known after a restart, too."""
         written = dict.fromkeys(wanted.targets, wanted.frame)
         new = {
-            entry.id: _Exported(pose=entry.pose.arrays.name, targets={**self.exported(entry), **written})
+            entry.id: _Exported(pose=_name_of(entry.pose), targets={**self.exported(entry), **written})
             for entry in entries
             if entry.pose is not None
         }
@@ -362,3 +362,8 @@ def _size_of(path: Path) -> str:
     """Return the size of a file, in words."""
     count = path.stat().st_size
     return f"{count / 1e6:.1f} MB" if count >= 1e5 else f"{count / 1e3:.0f} kB"
+
+
+def _name_of(pose: PoseEntry) -> str:
+    """Return the name of a pose's arrays, which every pose has for itself, with that of the ranges it holds for."""
+    return " ".join(filter(None, [pose.arrays.name, pose.ranges]))

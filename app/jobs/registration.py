@@ -89,6 +89,7 @@ class RegistrationJobs:
                 seconds=column.seconds,
                 note=column.stage.note,
                 clouds=inputs.clouds,
+                ranges=inputs.document.ranges,
             )
             for column in found.columns
             if column.stage.result is not None
@@ -159,7 +160,10 @@ class RegistrationJobs:
             photo, ids = with_picks(without_origin(photo, {FOUND, "corner", "between corners"}), new)
             with_ids = replace(result, matches=replace(result.matches, pick_ids=ids))
             made = [pick for pick in photo.picks if pick.id in set(ids)]
-            return with_pose(photo, pose_entry(stage, with_ids, picks=made, note=note, clouds=inputs.clouds))
+            return with_pose(
+                photo,
+                pose_entry(stage, with_ids, picks=made, note=note, clouds=inputs.clouds, ranges=inputs.document.ranges),
+            )
 
         label = f"Register automatically: {len(new)} matches"
         self._workspace.commit(inputs, label, kept, author=context.job.author)

@@ -88,10 +88,14 @@ class SolveJobs:
         picks = self._workspace.loader.solved_on(pose)
 
         def kept(photo: PhotoEntry) -> PhotoEntry:
-            photo = with_pose(photo, pose_entry(pose.stage, checked, picks=picks, clouds=pose.clouds), shown=False)
+            photo = with_pose(
+                photo, pose_entry(pose.stage, checked, picks=picks, clouds=pose.clouds, ranges=pose.ranges), shown=False
+            )
             if refined is None:
                 return photo
-            entry = pose_entry("refined", refined, picks=picks, method=pose.method, clouds=pose.clouds)
+            entry = pose_entry(
+                "refined", refined, picks=picks, method=pose.method, clouds=pose.clouds, ranges=pose.ranges
+            )
             return with_pose(photo, entry, shown=False)
 
         label = f"Verify: {STAGE_LABELS[pose.stage].lower()}"
@@ -117,7 +121,12 @@ class SolveJobs:
         self, inputs: Inputs, found: MatchesRegistered, *, proposal: Proposal, note: str
     ) -> Callable[[PhotoEntry], PhotoEntry]:
         """Return the edit that stores a solution, and shows the pose that is proposed of it."""
-        how: dict[str, Any] = {"picks": inputs.entry.picks, "note": note, "clouds": inputs.clouds}
+        how: dict[str, Any] = {
+            "picks": inputs.entry.picks,
+            "note": note,
+            "clouds": inputs.clouds,
+            "ranges": inputs.document.ranges,
+        }
         drawn = pose_entry("robust", found.drawn, **how)
         refined = None if found.refined is None else pose_entry("refined", found.refined, **how)
         shows_refined = found.proposed(proposal) is found.refined
@@ -148,7 +157,16 @@ class SolveJobs:
             result = with_lengths_checked(result, inputs.scan, inputs.picks, tolerance_m=tolerance_m)
         result = replace(result, world_from_scanner=inputs.scan.world_from_scanner)
         picks = inputs.entry.picks if of_picks else None
-        entry = pose_entry(stage, result, picks=picks, method=method, seconds=seconds, note=note, clouds=inputs.clouds)
+        entry = pose_entry(
+            stage,
+            result,
+            picks=picks,
+            method=method,
+            seconds=seconds,
+            note=note,
+            clouds=inputs.clouds,
+            ranges=inputs.document.ranges,
+        )
         self._workspace.commit(
             inputs,
             f"Solve: {STAGE_LABELS[stage].lower()}",

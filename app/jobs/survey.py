@@ -153,7 +153,9 @@ class SurveyJobs:
     ) -> None:
         from ladarreg_core.outputs.project_survey import adjusted_entry
 
-        poses = {name: pose_entry("survey", one, clouds=before.clouds) for name, one in found.items()}
+        poses = {
+            name: pose_entry("survey", one, clouds=before.clouds, ranges=before.ranges) for name, one in found.items()
+        }
         kept = poses | {one.id: one.pose for one in before.photos if one.part == "held" and one.pose is not None}
         adjustment = solved.adjustment
         taken_out = {

@@ -5,6 +5,7 @@ from .person import Person
 from .picks_layer import Picks, residual_colors
 from .scene import Scene3D, Shown
 from .simplex_frame import SimplexFrame
+from .smoothing_layer import SmoothingShown
 from .stations_layer import StationShown
 from .subject import CameraShown, ScanShown, Subject
 from .survey_layer import SurveyShown
@@ -18,6 +19,7 @@ __all__ = [
     "Scene3D",
     "Shown",
     "SimplexFrame",
+    "SmoothingShown",
     "StationShown",
     "Subject",
     "SurveyShown",

@@ -16,6 +16,7 @@ from .measured_layer import MeasuredLayer, MeasuredShown
 from .person import Person, ViewpointName
 from .picks_layer import PicksLayer
 from .simplex_layer import SimplexLayer
+from .smoothing_layer import SmoothingLayer
 from .stations_layer import StationShown, StationsLayer
 from .survey_layer import SurveyLayer, SurveyShown
 from .viewer_pose import viewer_pose
@@ -71,6 +72,7 @@ class ClientView:
         self._cameras, self._matches, self._simplex = CamerasLayer(place), PicksLayer(place), SimplexLayer(place)
         self._stations, self._survey = StationsLayer(place), SurveyLayer(place)
         self._draft, self._measured = DraftLayer(place, on_draft), MeasuredLayer(place)
+        self._smoothing = SmoothingLayer(place)
         self._subject: Subject | None = None
         self._looks: ViewpointName = looks
         self._looked_from: Viewpoint | None = None
@@ -89,6 +91,7 @@ class ClientView:
         self._stations.draw(stations, hidden=person.model.hidden_stations)
         self._survey.draw(survey, visible=person.model.cameras)
         self._measured.draw(measured, visible=person.model.matches)
+        self._smoothing.draw(None if subject is None else person.smoothing)
         self._draft.draw(subject, person.draft)
         self.draw_simplex(person, simplex)
         self._follow(before, subject)
@@ -154,7 +157,7 @@ class ClientView:
         """Move a client to the start of another scan, and with a new pose if it has not moved by itself."""
         if subject is None:
             return
-        if before is None or before.shown is not subject.shown:
+        if before is None or not subject.shown.is_of(before.shown):
             wanted = self._looks if before is None else "start"
             self.look("start")  # the camera has no viewpoint without an accepted pose
             if wanted != "start":

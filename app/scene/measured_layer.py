@@ -9,7 +9,7 @@ import numpy as np
 
 from ladarreg_core.export.models.viser_colors import line_colors_for_viewer
 from ladarreg_core.foundations.palette import BACKGROUND, HIGHLIGHT
-from ladarreg_core.inspection.scene_geometry import for_both_ends, repeated
+from ladarreg_core.inspection.scene_geometry import crosses, for_both_ends, repeated
 
 if TYPE_CHECKING:
     import viser
@@ -53,7 +53,7 @@ class MeasuredLayer:
 
     def _draw(self, shown: MeasuredShown) -> list[viser.SceneNodeHandle]:
         scene = self._place.scene
-        lines = np.concatenate([shown.lines, _crosses(shown.points)]) * _TOWARDS_SCANNER
+        lines = np.concatenate([shown.lines, crosses(shown.points, per_range=_CROSS_PER_RANGE)]) * _TOWARDS_SCANNER
         nodes: list[viser.SceneNodeHandle] = []
         for name, color, thickness in (("halo", BACKGROUND, 4.5), ("lines", HIGHLIGHT, 2.2)):
             nodes.append(
@@ -71,9 +71,3 @@ class MeasuredLayer:
                 )
             )  # fmt: skip
         return nodes
-
-
-def _crosses(points: FloatArray) -> FloatArray:
-    """Return three short lines (3 N, 2, 3) through each point."""
-    reach = _CROSS_PER_RANGE * np.linalg.norm(points, axis=1)[:, None, None] * np.eye(3)
-    return np.asarray(np.stack([points[:, None] - reach, points[:, None] + reach], axis=2).reshape(-1, 2, 3))

@@ -8,6 +8,7 @@ from typing import Literal, get_args
 from ladarreg_core.frames import Rigid
 
 from .model_view import ModelChoice
+from .smoothing_layer import SmoothingShown
 
 ANYBODY = ""
 """Id of a client that has not said who it is."""
@@ -27,3 +28,5 @@ class Person:
     """Id of a match."""
     draft: Rigid | None = None
     """Pose of the camera that it places by hand."""
+    smoothing: SmoothingShown | None = None
+    """Ranges whose replacement it previews."""

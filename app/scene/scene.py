@@ -310,4 +310,4 @@ class Scene3D:
         with self._lock:
             known = self._people.get(view.person) or self._people.get(ANYBODY) or Person()
             own = self._highlights.get(view.person), self._drafts.get(view.person)
-            return Person(known.photo, known.model, *own)
+            return Person(known.photo, known.model, *own, known.smoothing)

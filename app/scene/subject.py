@@ -33,6 +33,12 @@ class ScanShown:
     """The scan."""
     axis: FloatArray
     """(3,) direction of its first perspective view, unit."""
+    name: str = ""
+    """Which scan it is, whatever becomes of its ranges; empty: another one than any other."""
+
+    def is_of(self, other: ScanShown) -> bool:
+        """Return whether it is the same scan, though its ranges may have changed."""
+        return self is other or bool(self.name and self.name == other.name)
 
     @cached_property
     def range_m(self) -> float:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from ladarreg_core.project.document import Document, PhotoEntry, Source, Survey
     from ladarreg_core.project.storage.folder import ProjectFolder
     from ladarreg_core.quality.assessment import Assessment
+    from ladarreg_core.quality.smoothing import SmoothedScan
     from ladarreg_core.results import Registration
     from ladarreg_core.scan import Scan
 
@@ -48,6 +49,8 @@ class ExportedPose:
     """The matches that belong to it: the present ones, or those that it was solved on if it is out of date."""
     rests_on: Mapping[str, Any] | None
     """The matches that it was solved on, and whether these and the scan are still the same; None: not known."""
+    smoothed: SmoothedScan | None = None
+    """The scan, if some of its ranges were replaced."""
 
     def document(self, folder: Path | None = None) -> dict[str, Any]:
         """Return its `registration.json`, with the inputs' paths from a folder where that is known.
@@ -58,8 +61,9 @@ class ExportedPose:
         from ladarreg_core.export.json import registration_document
 
         document = registration_document(
-            self.registration, assessment=self.assessment, inputs=self.inputs, read_with=self.read_with, folder=folder
-        )
+            self.registration, assessment=self.assessment, smoothed=self.smoothed, inputs=self.inputs,
+            read_with=self.read_with, folder=folder,
+        )  # fmt: skip
         return document if self.rests_on is None else {**document, "rests_on": self.rests_on}
 
     def write_report(self, path: Path, scan: Scan, photo: Photo) -> None:
@@ -85,6 +89,7 @@ def exported_pose(
         OptionError: if there is none.
         LadarregError: if its matches are missing or damaged.
     """
+    from ladarreg_core.project.smoothing_edits import smoothed_scan
     from ladarreg_core.project.staleness import rests_on
 
     pose = entry.pose
@@ -103,7 +108,8 @@ def exported_pose(
         inputs,
         [reading, entry.photo_options],
         _matches(loader, document, entry),
-        rests_on(entry, pose, loader.solved_on(pose), document.clouds),
+        rests_on(entry, pose, loader.solved_on(pose), document.clouds, document.ranges),
+        smoothed_scan(scan, document),
     )
 
 
@@ -293,6 +299,7 @@ def _registered_scan(
         placed,
         [one for one in photos if not one.registration.is_shown],
         drawn,
+        ranges_as_read=not document.scan.smoothings,
     )
 
 

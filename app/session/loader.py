@@ -150,8 +150,9 @@ class Loader:
         return self._picks.get(entry.id, entry.picks)
 
     def read_scan(self, source: Source) -> Scan:
-        """Read a scan's file, or files; notes and errors name them as they are displayed."""
+        """Read a scan's file, or files, with the ranges that were smoothed; notes and errors name them as displayed."""
         from ladarreg_core.formats import read_scan
+        from ladarreg_core.project.smoothing_edits import with_smoothings
 
         path, *_ = paths = self._folder.source_files(source)
         names = {file.name: name for file, name in zip(paths, source.names, strict=True) if file.name != name}
@@ -163,7 +164,7 @@ class Loader:
             scan = replace(scan, notes=tuple(_with_names(note, names) for note in scan.notes))
         if scan.ranges.size > _LARGE_SCAN_CELLS:
             keep_heap_small()
-        return scan
+        return with_smoothings(scan, source)
 
     def station_points(self, source: Source, scan: Scan | None = None) -> NDArray[np.float32]:
         """Return points (N, 3) of a station for the 3-D view, m, at most `STATION_POINTS`, frame of its scanner.
@@ -366,9 +367,9 @@ class Loader:
         """Return why a photograph's pose is out of date; empty if it is current."""
         from ladarreg_core.project.staleness import stale
 
-        clouds = document.clouds
-        key = (id(entry.picks), id(pose), clouds)
-        return self.cached("stale", key, lambda: ((entry, pose), stale(entry, pose, self.solved_on(pose), clouds)))[1]
+        scan = document.clouds, document.ranges
+        key = (id(entry.picks), id(pose), *scan)
+        return self.cached("stale", key, lambda: ((entry, pose), stale(entry, pose, self.solved_on(pose), *scan)))[1]
 
     def assessment(self, scan: Scan, pose: PoseEntry) -> Assessment:
         """Return the quality assessment of a pose."""

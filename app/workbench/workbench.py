@@ -54,6 +54,7 @@ from .state.slices import (
     project_slice,
     scan_slice,
 )
+from .state.smoothing import Smoothing
 from .state.stations import Stations
 from .state.survey import survey_slice, ties_slice
 
@@ -116,6 +117,7 @@ class Workbench:
         self.runner = JobRunner(self._job_changed)
         self.stations = Stations(workspace, self.runner)
         self.measured = Measured(session, loader, self._photos_looked_at)
+        self.smoothing = Smoothing(session, loader)
         self.scene_sync = SceneSync(session, loader, self._people, self.stations.shown, self.measured.shown)
         self.files = Files(session, loader, self.queries, self.selection, served)
         self.batches = Batches(session, loader, self.files, self.selection, self._publish)
@@ -245,6 +247,10 @@ class Workbench:
         """The 3-D scene, once it is attached."""
         return self.scene_sync.scene
 
+    def show_smoothing(self) -> None:
+        """Show previews of smoothed ranges as they are now."""
+        self._selection_changed()
+
     def list_served(self) -> None:
         """List the served folder again."""
         self.files.list_served()
@@ -329,6 +335,7 @@ class Workbench:
         return {
             "project": {**project_slice(self.session, client.author, alone=alone, start=start), "opened": opened},
             "shown": shown.id if shown else None,
+            "smoothing": self.smoothing.slice(client),
             "people": self.clients.slice(client, self._photo_id_of),
             "model": client.model.slice()
             | self._slices.get(self._shown_parts(shown), partial(self.model_parts.slice, self.session.document, shown)),
@@ -364,7 +371,9 @@ class Workbench:
         people = {ANYBODY: Person(entry.id if (entry := self.selection.photo) else None)}
         for client in self.clients.present:
             entry = self.selection.photo_of(client)
-            people[client.id] = Person(entry.id if entry else None, client.model)
+            people[client.id] = Person(
+                entry.id if entry else None, client.model, smoothing=self.smoothing.shown(client)
+            )
         return people
 
     def _scan_slice(self) -> dict[str, Any] | None:
@@ -406,7 +415,7 @@ class Workbench:
             return self._slices.get(key, partial(stage_state, self.loader, pose, stale=stale, stages=stages))
 
         assessed = ",".join(str(k) for k, pose in enumerate(entry.poses) if self.loader.known_assessment(pose))
-        key = (document.clouds, entry.shown_stage, assessed, entry.picks, *entry.poses)
+        key = (document.clouds, document.ranges, entry.shown_stage, assessed, entry.picks, *entry.poses)
         return self._slices.get(key, partial(poses_slice, entry, stage_of))
 
     def _assess(self) -> None:

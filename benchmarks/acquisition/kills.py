@@ -24,7 +24,8 @@ import numpy as np
 
 from benchmarks.shared.bars import Row
 from ladarreg_core.acquisition.composition.panorama import compose
-from ladarreg_core.acquisition.plan import Axis, Plan, ScannerPlan, UnitPlan, read_plan, write_plan
+from ladarreg_core.acquisition.plan import Axis, Plan, ScannerPlan, UnitPlan, write_plan
+from ladarreg_core.acquisition.plan_reading import read_plan
 from ladarreg_core.acquisition.runs.run_folder import RunFolder, RunWriter
 from ladarreg_core.acquisition.runs.runner import Paused, PieceKept, RunEvent
 from ladarreg_core.acquisition.simulated.devices import TwinDevices

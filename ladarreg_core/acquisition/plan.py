@@ -4,41 +4,29 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal, cast, get_args
-
-import numpy as np
+from typing import Any, Literal
 
 from ladarreg_core.acquisition.mount_fields import (
     base_as_value,
-    base_from_value,
     is_upright,
     mount_as_fields,
     mount_from_fields,
 )
 from ladarreg_core.acquisition.trigger import TriggerPlan
-from ladarreg_core.acquisition.twin_address import check_twin, is_twin
-from ladarreg_core.errors import DeviceError, FormatError, LadarregError, OptionError
-from ladarreg_core.formats.parsing.json_file import read_json_object
-from ladarreg_core.formats.parsing.untrusted import shown_name
+from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.storage.atomic_write import replaced_file, write_bytes
 
 Mode = Literal["sweep", "mosaic"]
 """`sweep`: a line scanner, every pan step is a column; `mosaic`: a scanner with a field of view, pieces overlap."""
 UnitKind = Literal["flir-ptu"]
-ScannerKind = Literal["scip2", "folder"]
+ScannerKind = Literal["scip2", "folder", "packets"]
 
 VERSION = 1
 MAX_STOPS = 100_000
-_MAX_LINES = 99
-_LONGEST_SETTLE_S = 60.0
-_LARGEST_LEVER_M = 5.0
-_BAUDS = (300, 4_000_000)
-_SAME_DEG = 1e-9
 UPRIGHT = Rigid.identity()
 """`level_from_unit` of a unit that stands upright."""
 
@@ -59,20 +47,26 @@ class UnitPlan:
 
 @dataclass(frozen=True, slots=True)
 class ScannerPlan:
-    """How the scanner is reached: a port for `scip2`, a watched folder for `folder`."""
+    """How the scanner is reached: a port for `scip2`, a watched folder for `folder`, a UDP port for `packets`."""
 
     kind: ScannerKind
     port: str = ""
     baud: int = 115_200
     folder: str = ""
     fov_deg: tuple[float, float] | None = None
-    """Field of view of a scanner with a folder, across and down; None: learnt from its first file."""
+    """Field of view of a scanner that makes pieces, across and down; None: learnt from its first file."""
     lines: int = 1
     """Lines that a line scanner measures at each stop of a sweep."""
     timeout_s: float = 600.0
-    """Longest wait for the next file of a folder."""
+    """Longest wait for the next file of a folder, or for a whole revolution of a spinning lidar."""
     trigger: TriggerPlan | None = None
     """What starts a shot of a scanner with a folder; None: a person, or its software."""
+    udp_port: int = 0
+    """Where a spinning lidar sends its packets; of a simulated one, it is not needed."""
+    host: str = ""
+    """Its address, or `twin:velodyne?seed=N`; empty: whatever sends there, if it is only one."""
+    sensor_file: str = ""
+    """Description of the lidar that its packets are read by, for an Ouster its metadata JSON; empty: none is needed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,12 +124,15 @@ class Plan:
         scanner: dict[str, Any] = {"kind": self.scanner.kind}
         if self.scanner.kind == "scip2":
             scanner |= {"port": self.scanner.port, "baud": self.scanner.baud, "lines": self.scanner.lines}
+        elif self.scanner.kind == "packets":
+            scanner |= {"udp_port": self.scanner.udp_port, "timeout_s": self.scanner.timeout_s}
+            scanner |= {name: value for name in ("host", "sensor_file") if (value := getattr(self.scanner, name))}
         else:
             scanner |= {"folder": self.scanner.folder, "timeout_s": self.scanner.timeout_s}
-            if self.scanner.fov_deg is not None:
-                scanner["fov_deg"] = list(self.scanner.fov_deg)
-            if self.scanner.trigger is not None:
-                scanner["trigger"] = self.scanner.trigger.as_fields()
+        if self.scanner.fov_deg is not None:
+            scanner["fov_deg"] = list(self.scanner.fov_deg)
+        if self.scanner.trigger is not None:
+            scanner["trigger"] = self.scanner.trigger.as_fields()
         unit: dict[str, Any] = {
             "kind": self.unit.kind, "port": self.unit.port, "baud": self.unit.baud, "signs": list(self.unit.signs),
         }  # fmt: skip
@@ -177,21 +174,6 @@ def example_plan() -> Plan:
     )
 
 
-def read_plan(path: str | Path) -> Plan:
-    """Read a plan.
-
-    Raises:
-        FormatError: if the file is not JSON, or the plan has faults, all of which are listed.
-    """
-    file = Path(path)
-    if not file.is_file():
-        raise FormatError(f"{shown_name(file)}: there is no such file; give a plan")
-    try:
-        return plan_from_fields(read_json_object(file, "a plan"))
-    except LadarregError as error:
-        raise FormatError(f"{shown_name(file)}: {error}") from None
-
-
 def write_plan(path: str | Path, plan: Plan) -> None:
     """Write a plan.
 
@@ -219,320 +201,11 @@ class PlanError(OptionError):
         self.faults = tuple(faults)
 
 
-def plan_from_fields(fields: Mapping[str, Any], *, folders_exist: bool = True) -> Plan:
-    """Return the plan of the content of `plan.json`.
-
-    Args:
-        fields: the content.
-        folders_exist: whether the watched folders must be there; not for a run that is only read.
-
-    Raises:
-        PlanError: if it has faults, all of them.
-    """
-    reader = _Reader(folders_exist=folders_exist)
-    plan = reader.plan(fields)
-    if plan is None or reader.faults:
-        raise PlanError(reader.faults)
-    return plan
-
-
 def listed_faults(faults: Sequence[PlanFault]) -> str:
     """Return faults as one text: `a fault: ...`, or `2 faults: (1) ...; (2) ...`."""
     if len(faults) == 1:
         return f"a fault: {faults[0].text}"
     return f"{len(faults)} faults: " + "; ".join(f"({k}) {fault.text}" for k, fault in enumerate(faults, 1))
-
-
-class _Reader:
-    """Reads a plan and collects its faults."""
-
-    def __init__(self, *, folders_exist: bool) -> None:
-        self.faults: list[PlanFault] = []
-        self._folders_exist = folders_exist
-
-    def plan(self, fields: Mapping[str, Any]) -> Plan | None:
-        known = ("version", "unit", "scanner", "camera", "mode", "pan_deg", "tilt_deg", "settle_s", "continuous",
-                 "passes", "mount")  # fmt: skip
-        self._refuse_unknown(fields, known, "the plan")
-        if fields.get("version") != VERSION:
-            self._fault("version", f"'version' is {_shown(fields.get('version'))}; it must be {VERSION}")
-        mode = self._choice(fields, "mode", get_args(Mode), None, "the plan")
-        continuous = self._flag(fields, "continuous")
-        unit, scanner = self._unit(fields.get("unit")), self._scanner(fields.get("scanner"))
-        camera = self._camera(fields.get("camera"))
-        pan, tilt = self._axis(fields, "pan_deg", 360.0), self._axis(fields, "tilt_deg", 90.0)
-        settle = self._number(fields, "settle_s", 0.3, 0.0, _LONGEST_SETTLE_S, "the plan")
-        passes = self._whole(fields, "passes", 2 if continuous else 1, 1, 20, "the plan")
-        mount, base = self._mount(fields.get("mount")), self._base(fields.get("mount"))
-        if None in (mode, unit, scanner, pan, tilt, mount, base) or settle is None or passes is None:
-            return None
-        plan = Plan(
-            cast(UnitPlan, unit), cast(ScannerPlan, scanner), cast(Mode, mode), cast(Axis, pan), cast(Axis, tilt),
-            cast(Rigid, mount), camera, settle, continuous, passes, cast(Rigid, base),
-        )  # fmt: skip
-        self._check_whole(plan)
-        return plan
-
-    def _fault(self, field: str, text: str) -> None:
-        self.faults.append(PlanFault(field, text))
-
-    def _check_whole(self, plan: Plan) -> None:
-        """Note what is wrong with parts that are right by themselves."""
-        if plan.mode == "sweep" and plan.scanner.kind != "scip2":
-            self._fault(
-                "scanner.kind", "'mode' is 'sweep', which needs a scanner of kind 'scip2'; use 'mosaic' for a folder"
-            )
-        if plan.mode == "mosaic" and plan.scanner.kind == "scip2":
-            self._fault(
-                "scanner.kind", "'mode' is 'mosaic', which needs a scanner of kind 'folder'; use 'sweep' for this one"
-            )
-        if plan.mode == "mosaic" and plan.continuous:
-            self._fault("continuous", "'continuous' is for sweeps; leave it out of a mosaic")
-        if plan.continuous and plan.camera is not None:
-            self._fault("camera", "'camera' takes photographs at stops, and a continuous sweep has none; leave it out")
-        if plan.continuous and plan.pan.step_deg == 0:
-            self._fault("pan_deg", "'continuous' needs a range of pan angles; 'pan_deg' has one")
-        if plan.scanner.kind == "scip2" and plan.scanner.port == plan.unit.port:
-            self._fault("scanner.port", f"unit and scanner have the same port {plan.unit.port!r}; each needs its own")
-        if plan.camera is not None and plan.camera.folder and plan.camera.folder == plan.scanner.folder:
-            self._fault("camera.folder", "scanner and camera have the same folder; each needs its own")
-        stops = len(plan.pan.stops_deg) * len(plan.tilt.stops_deg) * plan.passes
-        if stops > MAX_STOPS:
-            self._fault("pan_deg", f"the plan has {stops:,} stops; at most {MAX_STOPS:,} are made: take larger steps")
-        if plan.mode == "mosaic" and plan.scanner.fov_deg is not None:
-            self.faults += overlap_faults(plan, plan.scanner.fov_deg)
-
-    def _unit(self, value: Any) -> UnitPlan | None:
-        fields = self._object(value, "unit")
-        if fields is None:
-            return None
-        self._refuse_unknown(fields, ("kind", "port", "baud", "signs", "speed_deg_s"), "'unit'")
-        kind = self._choice(fields, "kind", get_args(UnitKind), "flir-ptu", "'unit'")
-        port = self._text(fields, "port", "'unit'", "a serial port such as /dev/ttyUSB0 or COM3")
-        baud = self._whole(fields, "baud", 9600, *_BAUDS, "'unit'")
-        signs = fields.get("signs", [1, 1])
-        if not (isinstance(signs, list) and len(signs) == 2 and all(type(s) is int and s in (-1, 1) for s in signs)):
-            self._fault(
-                "unit.signs", f"'signs' of 'unit' is {_shown(signs)}; it must be two of 1 and -1, for pan and tilt"
-            )
-            signs = None
-        speed = self._number(fields, "speed_deg_s", math.nan, 1e-3, 1000.0, "'unit'")
-        if kind is None or port is None or baud is None or signs is None or speed is None:
-            return None
-        return UnitPlan(port, cast(UnitKind, kind), baud, (signs[0], signs[1]), None if math.isnan(speed) else speed)
-
-    def _scanner(self, value: Any) -> ScannerPlan | None:
-        fields = self._object(value, "scanner")
-        if fields is None:
-            return None
-        kind = self._choice(fields, "kind", get_args(ScannerKind), None, "'scanner'")
-        if kind is None:
-            return None
-        if kind == "scip2":
-            self._refuse_unknown(fields, ("kind", "port", "baud", "lines"), "'scanner' of kind 'scip2'")
-            port = self._text(fields, "port", "'scanner'", "a serial port such as /dev/ttyACM0 or COM4")
-            baud = self._whole(fields, "baud", 115_200, *_BAUDS, "'scanner'")
-            lines = self._whole(fields, "lines", 1, 1, _MAX_LINES, "'scanner'")
-            return None if port is None or baud is None or lines is None else ScannerPlan(
-                "scip2", port=port, baud=baud, lines=lines
-            )  # fmt: skip
-        self._refuse_unknown(
-            fields, ("kind", "folder", "fov_deg", "timeout_s", "trigger"), "'scanner' of kind 'folder'"
-        )
-        folder = self._folder(fields, "'scanner'")
-        timeout = self._number(fields, "timeout_s", 600.0, 1.0, 1e5, "'scanner'")
-        fov = fields.get("fov_deg")
-        if fov is not None and not _numbers(fov, 2, 0.1, 360.0):
-            self._fault(
-                "scanner.fov_deg", f"'fov_deg' of 'scanner' is {_shown(fov)}; it must be two angles, across and down"
-            )
-            fov = None
-        if folder is None or timeout is None:
-            return None
-        across = None if fov is None else (float(fov[0]), float(fov[1]))
-        return ScannerPlan(
-            "folder", folder=folder, fov_deg=across, timeout_s=timeout, trigger=self._trigger(fields, "scanner")
-        )
-
-    def _camera(self, value: Any) -> CameraPlan | None:
-        if value is None:
-            return None
-        fields = self._object(value, "camera")
-        if fields is None:
-            return None
-        self._refuse_unknown(fields, ("folder", "device", "mount", "trigger"), "'camera'")
-        if ("folder" in fields) == ("device" in fields):
-            self._fault("camera", "'camera' needs either 'folder' or 'device', the number of a video device")
-            return None
-        mount = None
-        if fields.get("mount") is not None:
-            mount = self._matrix(fields["mount"])
-        if "folder" in fields:
-            folder = self._folder(fields, "'camera'")
-            trigger = self._trigger(fields, "camera")
-            return None if folder is None else CameraPlan(folder=folder, mount=mount, trigger=trigger)
-        if "trigger" in fields:
-            self._fault("camera.trigger", "'trigger' is for a camera with a folder; a video device needs none")
-        device = self._whole(fields, "device", 0, 0, 99, "'camera'")
-        return None if device is None else CameraPlan(device=device, mount=mount)
-
-    def _trigger(self, fields: Mapping[str, Any], part: str) -> TriggerPlan | None:
-        if fields.get("trigger") is None:
-            return None
-        try:
-            return TriggerPlan.from_fields(fields["trigger"])
-        except OptionError as error:
-            self._fault(f"{part}.trigger", f"'trigger' of {part!r} is {_shown(fields['trigger'])}: {error}")
-            return None
-
-    def _axis(self, fields: Mapping[str, Any], name: str, most: float) -> Axis | None:
-        value = fields.get(name, [0.0, 0.0, 0.0] if name == "tilt_deg" else None)
-        if not _numbers(value, 3, -3 * most, 3 * most):
-            self._fault(name, f"{name!r} is {_shown(value)}; it must be three angles: from, to and step")
-            return None
-        first, last, step = (float(v) for v in value)
-        if abs(first) > most or abs(last) > most:
-            self._fault(name, f"{name!r} goes from {first:g} to {last:g} deg; angles lie within {most:g} to both sides")
-            return None
-        if abs(last - first) < _SAME_DEG:
-            return Axis(first, first, 0.0)
-        if step == 0:
-            self._fault(name, f"{name!r} goes from {first:g} to {last:g} deg by steps of 0; give a step")
-            return None
-        if (last - first) * step < 0:
-            self._fault(
-                name,
-                f"{name!r} goes from {first:g} to {last:g} deg by steps of {step:g}, which lead away; change the sign",
-            )
-            return None
-        if abs(step) > abs(last - first) + _SAME_DEG:
-            self._fault(name, f"{name!r} goes from {first:g} to {last:g} deg by steps of {step:g}, beyond its end")
-            return None
-        return Axis(first, last, step)
-
-    def _mount(self, value: Any) -> Rigid | None:
-        fields = self._object(value, "mount")
-        if fields is None:
-            return None
-        self._refuse_unknown(fields, ("xyz_m", "rpy_deg", "base"), "'mount'")
-        xyz, rpy = fields.get("xyz_m"), fields.get("rpy_deg")
-        good = True
-        if not _numbers(xyz, 3, -_LARGEST_LEVER_M, _LARGEST_LEVER_M):
-            self._fault("mount.xyz_m", f"'xyz_m' of 'mount' is {_shown(xyz)}; it must be three lengths within 5 m")
-            good = False
-        if not _numbers(rpy, 3, -360.0, 360.0):
-            self._fault(
-                "mount.rpy_deg", f"'rpy_deg' of 'mount' is {_shown(rpy)}; it must be roll, pitch and yaw in degrees"
-            )
-            good = False
-        if not good:
-            return None
-        return mount_from_fields(fields)
-
-    def _base(self, mount: Any) -> Rigid | None:
-        value = mount.get("base") if isinstance(mount, Mapping) else None
-        try:
-            return UPRIGHT if value is None else base_from_value(value)
-        except FormatError as error:
-            self._fault("mount.base", f"'base' of 'mount': {error}")
-            return None
-
-    def _matrix(self, value: Any) -> Rigid | None:
-        try:
-            return Rigid.from_matrix(np.array(value, np.float64))
-        except (LadarregError, ValueError, TypeError) as error:
-            self._fault(
-                "camera.mount", f"'mount' of 'camera' is no pose ({str(error)[:120]}); it must be 4 x 4, or null"
-            )
-            return None
-
-    def _object(self, value: Any, name: str) -> Mapping[str, Any] | None:
-        if isinstance(value, Mapping):
-            return value
-        self._fault(name, f"{name!r} is {'missing' if value is None else _shown(value)}; it must be an object")
-        return None
-
-    def _refuse_unknown(self, fields: Mapping[str, Any], known: tuple[str, ...], where: str) -> None:
-        for key in fields:
-            if key not in known:
-                near = get_close_matches(str(key), known, n=1)
-                wanted = f"did you mean {near[0]!r}?" if near else f"use {', '.join(known)}"
-                self._fault(_field(where), f"{where} has an unknown key {_shown(key)}; {wanted}")
-
-    def _choice(
-        self, fields: Mapping[str, Any], name: str, choices: tuple[str, ...], default: str | None, where: str
-    ) -> str | None:
-        value = fields.get(name, default)
-        if isinstance(value, str) and value in choices:
-            return value
-        found = "missing" if value is None else _shown(value)
-        self._fault(
-            _field(where, name), f"{name!r} of {where} is {found}; it must be {' or '.join(map(repr, choices))}"
-        )
-        return None
-
-    def _text(self, fields: Mapping[str, Any], name: str, where: str, example: str) -> str | None:
-        value = fields.get(name)
-        if isinstance(value, str) and value.strip():
-            return value.strip()
-        self._fault(
-            _field(where, name),
-            f"{name!r} of {where} is {'missing' if value is None else _shown(value)}; give {example}",
-        )
-        return None
-
-    def _folder(self, fields: Mapping[str, Any], where: str) -> str | None:
-        folder = self._text(fields, "folder", where, "the folder that its software writes to")
-        if folder is not None and is_twin(folder):
-            try:
-                check_twin(folder)
-            except DeviceError as error:
-                self._fault(_field(where, "folder"), f"'folder' of {where}: {error}")
-        elif folder is not None and self._folders_exist and not Path(folder).expanduser().is_dir():
-            self._fault(
-                _field(where, "folder"),
-                f"'folder' of {where} is {_shown(folder)}, which does not exist; create or correct it",
-            )
-        return folder
-
-    def _flag(self, fields: Mapping[str, Any], name: str) -> bool:
-        value = fields.get(name, False)
-        if not isinstance(value, bool):
-            self._fault(name, f"{name!r} is {_shown(value)}; it must be true or false")
-            return False
-        return value
-
-    def _whole(
-        self, fields: Mapping[str, Any], name: str, default: int, least: int, most: int, where: str
-    ) -> int | None:
-        value = fields.get(name, default)
-        if type(value) is int and least <= value <= most:
-            return value
-        self._fault(
-            _field(where, name),
-            f"{name!r} of {where} is {_shown(value)}; it must be a whole number from {least} to {most}",
-        )
-        return None
-
-    def _number(
-        self, fields: Mapping[str, Any], name: str, default: float, least: float, most: float, where: str
-    ) -> float | None:
-        if fields.get(name) is None:
-            return default
-        value = fields[name]
-        if type(value) in (int, float) and least <= value <= most:  # NaN is neither
-            return float(value)
-        self._fault(
-            _field(where, name),
-            f"{name!r} of {where} is {_shown(value)}; it must be a number from {least:g} to {most:g}",
-        )
-        return None
-
-
-def _field(where: str, name: str = "") -> str:
-    """Return the field that `where` means in messages: `the plan`, `'unit'` or `'scanner' of kind ...`, and its key."""
-    part = where.split("'")[1] if "'" in where else ""
-    return ".".join(filter(None, (part, name)))
 
 
 def overlap_faults(plan: Plan, fov_deg: tuple[float, float]) -> list[PlanFault]:
@@ -546,17 +219,3 @@ def overlap_faults(plan: Plan, fov_deg: tuple[float, float]) -> list[PlanFault]:
             )
             faults.append(PlanFault(name, text))
     return faults
-
-
-def _numbers(value: Any, count: int, least: float, most: float) -> bool:
-    """Return whether a value is a list of finite numbers within limits."""
-    return (
-        isinstance(value, list | tuple)
-        and len(value) == count
-        and all(type(v) in (int, float) and least <= v <= most for v in value)
-    )
-
-
-def _shown(value: Any) -> str:
-    text = repr(value) if isinstance(value, str) else json.dumps(value, default=repr)
-    return text if len(text) <= 60 else text[:57] + "..."

@@ -137,12 +137,34 @@ def watched_folder(folder: str) -> str:
     """
     if not is_twin(folder):
         return folder
-    name, arguments = check_twin(folder)
     found = resolved_twin(folder)
     if not os.path.isdir(found):
+        name, _ = check_twin(folder)
         raise DeviceError(f"the simulated device {name!r} has a port and writes no files; use scanner or camera")
+    _switch_on(folder)
+    return found
+
+
+def packet_source(host: str, port: int) -> tuple[str, int]:
+    """Return whose packets are to be listened for, and on which UDP port: as given, or those of a simulated device,
+    which is switched on then.
+
+    Raises:
+        DeviceError: if there is no such device, or the simulation does not start.
+    """
+    if not is_twin(host):
+        return host, port
+    found, _, its_port = resolved_twin(host).rpartition(":")
+    if not its_port.isdigit():
+        name, _ = check_twin(host)
+        raise DeviceError(f"the simulated device {name!r} sends no packets; use velodyne")
+    _switch_on(host)
+    return found, int(its_port)
+
+
+def _switch_on(address: str) -> None:
+    name, arguments = check_twin(address)
     process, _ = _running[arguments]
     assert process.stdin is not None
     process.stdin.write(json.dumps({"switch_on": name}) + "\n")
     process.stdin.flush()
-    return found

@@ -99,6 +99,8 @@ class RegisteredScan:
     """The matches of photographs without a pose, by their ids: results contain them, and nothing else does."""
     id: str = "scan"
     """Unique among the scans of a survey, and a file name."""
+    ranges_as_read: bool = True
+    """Whether the scan has the ranges of its file; if not, formats that copy points of files write the scan's."""
 
     def __post_init__(self) -> None:
         photos, refused = tuple(self.photos), tuple(self.refused)

@@ -37,6 +37,7 @@ from ladarreg_core.formats.file_info import (
 )
 from ladarreg_core.formats.packets.capture import sniff_capture
 from ladarreg_core.formats.packets.ouster_pcap import read_ouster_pcap
+from ladarreg_core.formats.packets.velodyne_pcap import is_velodyne, read_velodyne_pcap
 from ladarreg_core.formats.parsing.begun_read import BegunRead
 from ladarreg_core.formats.parsing.json_file import looks_like_json, parsed_once, read_json_object
 from ladarreg_core.formats.parsing.untrusted import PathLike, reading
@@ -187,8 +188,10 @@ def _camera_format(known: CameraFormat) -> FileFormat:
     )
 
 
-def _read_ouster(path: Path, asked: ScanRequest) -> Scan:
-    return read_ouster_pcap(path, scan_index=asked.scan_index, memory_bytes=asked.memory_bytes, report=asked.report)
+def _read_packets(path: Path, asked: ScanRequest) -> Scan:
+    with reading(path) as file:
+        read = read_velodyne_pcap if is_velodyne(file) else read_ouster_pcap
+    return read(path, scan_index=asked.scan_index, memory_bytes=asked.memory_bytes, report=asked.report)
 
 
 def _read_bag(path: Path, asked: ScanRequest) -> Scan:
@@ -219,8 +222,8 @@ FORMATS: tuple[FileFormat, ...] = (
         takes=("scan_index", "origin", "intensity"),
     ),
     FileFormat(
-        "Ouster PCAP", "scan", (".pcap", ".pcapng"), lambda head, _: sniff_capture(head),
-        scan_describer("Ouster PCAP", _read_ouster), _read_ouster, takes=("scan_index",),
+        "lidar PCAP", "scan", (".pcap", ".pcapng"), lambda head, _: sniff_capture(head),
+        scan_describer("lidar PCAP", _read_packets), _read_packets, takes=("scan_index",),
     ),
     FileFormat(
         "ROS bag", "scan", (".bag", ".db3", ".mcap"), lambda head, _: sniff_recording(head), describe_bag, _read_bag,

@@ -163,6 +163,18 @@ def arrows(starts: ArrayLike, ends: ArrayLike, *, factor: float = 1.0) -> NDArra
     return np.concatenate([np.stack([tail, now], axis=1) for tail in tails]).astype(np.float32)
 
 
+def crosses(points: ArrayLike, *, per_range: float) -> NDArray[np.float64]:
+    """Return three short lines (3 N, 2, 3) through each of the points (N, 3), along the axes, those of each together.
+
+    Args:
+        points: (N, 3) m, scanner frame.
+        per_range: how far they reach from a point, as a share of its range.
+    """
+    at = np.asarray(points, np.float64).reshape(-1, 3)
+    reach = per_range * np.linalg.norm(at, axis=1)[:, None, None] * np.eye(3)
+    return np.asarray(np.stack([at[:, None] - reach, at[:, None] + reach], axis=2).reshape(-1, 2, 3))
+
+
 def faded(colors: ArrayLike, background: ArrayLike, *, share: float) -> NDArray[np.uint8]:
     """Blend RGB colours (N, 3) with the background by a share from 0 to 1."""
     bright = np.asarray(colors, dtype=np.float64)

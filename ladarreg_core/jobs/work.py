@@ -161,7 +161,9 @@ def _register_pair(task: JobTask) -> tuple[dict[str, Any], list[list[Any]]]:
         options=job.register_options, channels=kept_channels(), threads=1,
     )  # fmt: skip
     assessment = assess(scan, result)
-    smoothed = smooth_with_report(scan, result) if options.get("smooth") and result.accepted else None
+    smoothed = (
+        smooth_with_report(scan, result, picks=picks or ()) if options.get("smooth") and result.accepted else None
+    )
     export_registration(
         task.folder, result.untimed, scan, photo, assessment=assessment, smoothed=smoothed, inputs=job.own_files,
         read_with=[scan_options, photo_options], frame=frame, force=True,

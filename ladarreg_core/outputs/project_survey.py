@@ -12,6 +12,7 @@ import numpy as np
 from ladarreg_core.errors import OptionError
 from ladarreg_core.export.json import plain
 from ladarreg_core.export.registered_scan import photo_id
+from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.cameras.camera_file import camera_from_fields
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.many.photo_list import camera_groups, photo_entries
@@ -25,11 +26,14 @@ from ladarreg_core.project.document import (
     PhotoEntry,
     PoseEntry,
     Rows,
+    Source,
 )
 from ladarreg_core.project.results import pose_of
+from ladarreg_core.project.smoothing_edits import with_smoothings
 from ladarreg_core.project.station_edits import scans_of, surveyed_pose
 from ladarreg_core.project.storage.folder import ProjectFolder
 from ladarreg_core.project.stored_arrays import StoredArrays
+from ladarreg_core.scan import Scan
 from ladarreg_core.survey.adjustment import Adjustment
 from ladarreg_core.survey.parts import PosePrior, SurveyCamera, SurveyPhoto, SurveyScan
 from ladarreg_core.survey.survey import Survey
@@ -63,7 +67,7 @@ def survey_of_project(document: Document, folder: ProjectFolder, photos: Collect
         names.append(photo_id(source.name, names))
     scans = tuple(
         SurveyScan(
-            id=name, source=folder.source_path(source.path), index=source.index,
+            id=name, source=_survey_source(folder, source), index=source.index,
             options={key: value for key, value in folder.scan_options(source).items() if key != "scan_index"},
             world_from_scanner=surveyed_pose(document.survey, source), fixed=number == 0,
         )
@@ -82,6 +86,14 @@ def survey_of_project(document: Document, folder: ProjectFolder, photos: Collect
             for one in chosen
         ),
     )  # fmt: skip
+
+
+def _survey_source(folder: ProjectFolder, source: Source) -> Path | Scan:
+    """Return the file of a scan; the scan itself where its ranges were smoothed, which the file does not know."""
+    path = folder.source_path(source.path)
+    if not source.smoothings:
+        return path
+    return with_smoothings(read_scan(path, **folder.scan_options(source)), source)
 
 
 def adjusted_entry(document: Document, adjustment: Adjustment, poses: Mapping[str, PoseEntry]) -> Adjusted:

@@ -29,6 +29,21 @@ MeasurementKind = Literal["point", "distance", "polyline", "angle", "area", "hei
 """As `ladarreg_core.measuring.measurement.MeasurementKind`, which is above this package."""
 
 
+class SmoothingEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """Ranges of a scan that were replaced by what an accepted registration says of them."""
+
+    id: str
+    """Name of all ranges of the scan after it."""
+    photo: str
+    """Id of the photograph that was registered."""
+    name: str
+    """Its file name."""
+    pose: str
+    """Name of the arrays of its pose."""
+    cells: tuple[tuple[int, int, float], ...]
+    """Row, column and new range, m, of each."""
+
+
 class Source(FileOptions, frozen=True, kw_only=True):
     """Reference to an opened file."""
 
@@ -46,6 +61,13 @@ class Source(FileOptions, frozen=True, kw_only=True):
     """Further clouds of a scan's standpoint, which are accumulated with this file; paths as `path`."""
     more_names: tuple[str, ...] = ()
     """Their names for display, in the same order; empty: the names of the files."""
+    smoothings: tuple[SmoothingEntry, ...] = ()
+    """What was replaced in the ranges of a scan, in the order in which it was."""
+
+    @property
+    def ranges(self) -> str:
+        """Name of a scan's ranges: another one after each smoothing; empty: they are as measured."""
+        return self.smoothings[-1].id if self.smoothings else ""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -176,6 +198,9 @@ class PoseEntry(msgspec.Struct, frozen=True, kw_only=True):
     """Remark of the estimator."""
     clouds: int = 1
     """Number of clouds of the scan that it was solved on."""
+    ranges: str = ""
+    """Name of the ranges of the scan that it holds for, as `Source.ranges`: those that it was solved on, or those that
+    it replaced itself."""
 
 
 class StepEntry(msgspec.Struct, frozen=True, kw_only=True):
@@ -427,6 +452,11 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
     def clouds(self) -> int:
         """Number of clouds that the scan consists of; 0 without a scan."""
         return 0 if self.scan is None else len(self.scan.paths)
+
+    @property
+    def ranges(self) -> str:
+        """Name of the scan's ranges, see `Source.ranges`."""
+        return "" if self.scan is None else self.scan.ranges
 
     @property
     def sources(self) -> Iterator[Source]:

@@ -50,7 +50,8 @@ def with_scan(document: Document, scan: Source) -> Document:
 def with_more_clouds(document: Document, paths: Sequence[str], names: Sequence[str] = ()) -> Document:
     """Return the document with further clouds accumulated to its scan; what was drawn and solved stays.
 
-    Picks are rays of the scanner, which the grid that is made anew does not change.
+    Picks are rays of the scanner, which the grid that is made anew does not change. Ranges that were replaced are those
+    of cells, and are measured again.
 
     Args:
         document: the document.
@@ -71,7 +72,7 @@ def with_more_clouds(document: Document, paths: Sequence[str], names: Sequence[s
     if elsewhere is not None:
         raise OptionError(f"{named[elsewhere]} is a station of the project; remove the station, or leave the cloud out")
     every = (*document.scan.names[1:], *named.values())
-    return replace(document, scan=replace(document.scan, more=files[1:], more_names=every))
+    return replace(document, scan=replace(document.scan, more=files[1:], more_names=every, smoothings=()))
 
 
 def with_photo(

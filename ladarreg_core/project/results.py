@@ -36,6 +36,7 @@ def pose_entry(
     seconds: float = 0.0,
     note: str = "",
     clouds: int = 1,
+    ranges: str = "",
 ) -> PoseEntry:
     """Return the document entry of a result.
 
@@ -47,6 +48,7 @@ def pose_entry(
         seconds: wall time, for results without steps.
         note: remark of the estimator.
         clouds: number of clouds of the scan that it was solved on.
+        ranges: name of its ranges then, see `Source.ranges`.
 
     Raises:
         DegenerateGeometryError: if the covariance or a noise level is not finite, which project files cannot store.
@@ -88,6 +90,7 @@ def pose_entry(
         seconds=seconds or sum(step.seconds for step in steps),
         note=note,
         clouds=clouds,
+        ranges=ranges,
     )
 
 

@@ -26,22 +26,27 @@ def changed_since(photo: PhotoEntry, solved_on: Sequence[PickEntry] | None) -> f
     return frozenset(appeared_or_gone | changed)
 
 
-def stale(photo: PhotoEntry, pose: PoseEntry, solved_on: Sequence[PickEntry] | None, clouds: int) -> str:
+def stale(
+    photo: PhotoEntry, pose: PoseEntry, solved_on: Sequence[PickEntry] | None, clouds: int, ranges: str = ""
+) -> str:
     """Return why a pose is out of date, as a sentence without its full stop; empty if it is current.
 
     A change of the camera, or another scan, is not stated: it removes the poses. A pose that was found in the images
     does not rest on the matches, so that it stays current whatever becomes of them; every pose rests on the scan, which
-    further clouds change.
+    further clouds and smoothed ranges change.
 
     Args:
         photo: the photograph.
         pose: one of its poses.
         solved_on: the enabled picks that it was solved on, see `results.solved_on`.
         clouds: number of clouds that the scan consists of now.
+        ranges: name of its ranges now, see `Source.ranges`.
     """
     causes = []
     if pose.clouds != clouds:
         causes.append(f"solved on {'fewer' if pose.clouds < clouds else 'more'} clouds")
+    if pose.ranges != ranges:
+        causes.append("solved on other ranges of the scan")
     if count := _changed_matches(photo, pose, solved_on):
         causes.append(f"{_matches(count)} changed since")
     what = "register" if is_from_images(pose) else "solve"
@@ -54,7 +59,7 @@ def is_from_images(pose: PoseEntry) -> bool:
 
 
 def rests_on(
-    photo: PhotoEntry, pose: PoseEntry, solved_on: Sequence[PickEntry] | None, clouds: int
+    photo: PhotoEntry, pose: PoseEntry, solved_on: Sequence[PickEntry] | None, clouds: int, ranges: str = ""
 ) -> dict[str, Any] | None:
     """Return what a pose rests on, for `registration.json`: ids of matches, and whether it is still the same.
 
@@ -63,11 +68,12 @@ def rests_on(
         pose: one of its poses.
         solved_on: the enabled picks that it was solved on; None: not known, or it was not solved on any.
         clouds: number of clouds that the scan consists of now.
+        ranges: name of its ranges now, see `Source.ranges`.
 
     Returns:
         `matches`, `current` and `sentence`; None if it is not known, and the scan is the same.
     """
-    since = stale(photo, pose, solved_on, clouds)
+    since = stale(photo, pose, solved_on, clouds, ranges)
     if solved_on is None and not since:
         return None
     from_images = solved_on is None or is_from_images(pose)
@@ -77,6 +83,8 @@ def rests_on(
         sentence += " It is the last solved state:"
     if pose.clouds != clouds:
         sentence += f" the scan had {_clouds(pose.clouds)} then, and has {_clouds(clouds)} now."
+    if pose.ranges != ranges:
+        sentence += " ranges of the scan were replaced, or measured ones restored, since."
     if count := _changed_matches(photo, pose, solved_on):
         sentence += (
             f" {_matches(count)} of the project changed afterwards, and matches.json contains them as they were when "

@@ -163,11 +163,14 @@ def registered_poses(document: Document) -> dict[tuple[str, int], Rigid]:
 
 
 def is_stale(document: Document) -> bool:
-    """Return whether stations have come or gone since they were registered, or got further clouds."""
+    """Return whether stations have come or gone since they were registered, or got further clouds or ranges."""
     survey = document.survey
     if survey is None:
         return False
-    then, now = ({(source.index, source.paths) for source in scans} for scans in (survey.scans, scans_of(document)))
+    then, now = (
+        {(source.index, source.paths, source.ranges) for source in scans}
+        for scans in (survey.scans, scans_of(document))
+    )
     return then != now
 
 

@@ -9,11 +9,15 @@ wherever one of the two disparities vanishes, as along lines through the epipole
 m in front, in a room: 4 m rms instead of .08 m); least squares in pixels weights both by their information and has no
 pole.
 
+At a depth edge a range may differ from its neighbourhood and yet be right: what lies there is not a spike, and it is
+replaced only where that is asked for.
+
 Source: thesis 3.2, Figure 3.5.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,10 +25,10 @@ from numpy.typing import ArrayLike
 
 from ladarreg_core.camera import CameraModel, require_camera, require_pinhole
 from ladarreg_core.errors import OptionError, ShapeError
-from ladarreg_core.foundations.arrays import BoolArray, FloatArray, read_only
+from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray, read_only
 from ladarreg_core.foundations.validation import require_positive
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matches import Matches
+from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.pose.diagnostics import diagnose
 from ladarreg_core.pose.estimators.bundle import UNSEEN, Measurements, States, linearise, residuals
 from ladarreg_core.quality.limits import MAX_SIGMA_Z_OVER_Z
@@ -39,6 +43,9 @@ _MAX_RANGE_M, _MAX_PIXEL = 1e7, 1e7
 _SIGNIFICANCE = 5.0
 """Standard deviations of the pixel by which the stereo range must fit better than the laser's: of the pixel, since the
 range of a small disparity is far from normally distributed."""
+_EDGE_CELLS = 3
+"""A depth edge through the 5 x 5 cells about a cell cuts off at least as many of the others, here from the corner;
+spikes beside it are fewer where one cell in twenty is one (95 %)."""
 _ACROSS_SIGMA = 2.58
 """Largest distance of a pixel from its epipolar line, in standard deviations (99 %); beyond it the match is wrong, not
 the range."""
@@ -50,6 +57,8 @@ class SmoothOptions:
 
     sigma_px: float = 1.0
     """Pixel noise of the matches, px."""
+    with_edges: bool = False
+    """Whether ranges at depth edges are replaced, too."""
 
     def __post_init__(self) -> None:
         require_positive(self.sigma_px, "sigma_px")
@@ -67,6 +76,35 @@ class SmoothedRanges:
     """(M,) m, at which the point on the ray projects nearest to the pixel; NaN where undetermined."""
     sigma_m: FloatArray
     """(M,) standard deviation of `stereo_ranges`, m; infinite where the disparity does not determine them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Replacements:
+    """The ranges of a scan that a registration contradicts, with those that replace them; each cell is there once."""
+
+    cells: IntArray
+    """(N, 2) row and column."""
+    measured: FloatArray
+    """(N,) m, as the scan has them."""
+    ranges: FloatArray
+    """(N,) m, by stereo."""
+    sigma_m: FloatArray
+    """(N,) standard deviation of `ranges`, m."""
+    at_edge: BoolArray
+    """(N,) whether the cell lies at a depth edge, where its range may be right; else it is a spike."""
+
+    def __len__(self) -> int:
+        return len(self.cells)
+
+    def chosen(self, *, with_edges: bool) -> Replacements:
+        """Return those at spikes alone, or all."""
+        return self if with_edges else self.at(np.flatnonzero(~self.at_edge))
+
+    def at(self, index: IntArray) -> Replacements:
+        """Return those of some indices."""
+        return Replacements(
+            self.cells[index], self.measured[index], self.ranges[index], self.sigma_m[index], self.at_edge[index]
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,12 +210,38 @@ def smooth_scan(scan: Scan, result: PoseResult, *, options: SmoothOptions | None
 
     Source: thesis 3.2.
     """
+    found = find_replacements(scan, result, options=options)
+    chosen = found.chosen(with_edges=options is not None and options.with_edges)
+    return with_ranges(scan, chosen.cells, chosen.ranges)
+
+
+def find_replacements(
+    scan: Scan, result: PoseResult, *, picks: Sequence[Pick] = (), options: SmoothOptions | None = None
+) -> Replacements:
+    """Find the ranges under the matches of a registration that it contradicts, at spikes and at depth edges.
+
+    Args:
+        scan: the scan, which is not changed.
+        result: pose, camera and matches, possibly with outliers.
+        picks: what was drawn. Where a spike lies under a point, it has no match, since it seems to be at a depth edge;
+            its ray and pixel show the range nevertheless. Lines and disabled points are left out.
+        options: conditions for replacing a range; None: the defaults, with the pixel noise of the result.
+
+    Returns:
+        All of them, in the order of the cells; `Replacements.chosen` leaves out those at edges.
+
+    Raises:
+        LadarregError: as `smooth_scan`.
+
+    Source: thesis 3.2.
+    """
     if not isinstance(scan, Scan) or not isinstance(result, PoseResult):
         raise OptionError(
             f"smoothing was given a {type(scan).__name__} and a {type(result).__name__}; give a Scan and its "
             "PoseResult or Registration"
         )
-    cells = np.asarray(scan.geometry.cell_of(result.matches.rays), dtype=np.float64)
+    every = _with_points(result.matches, picks)
+    cells = np.asarray(scan.geometry.cell_of(every.rays), dtype=np.float64)
     with np.errstate(invalid="ignore"):
         within = ((cells >= -0.5) & (cells <= np.array(scan.shape) - 0.5)).all(axis=1)
     index = np.flatnonzero(within)
@@ -187,10 +251,10 @@ def smooth_scan(scan: Scan, result: PoseResult, *, options: SmoothOptions | None
         spike = np.abs(measured - around) > SPIKE_FRACTION * around
     index, rows, columns, measured, around = (v[spike] for v in (index, rows, columns, measured, around))
     if not len(index):
-        return scan
+        nothing = np.zeros(0)
+        return Replacements(np.zeros((0, 2), np.intp), nothing, nothing, nothing, nothing.astype(np.bool_))
     # Ray and pixel of the match, but the range of the cell: a match may have taken its range from a neighbour.
-    matches = replace(result.matches.subset(index), ranges=measured)
-    ranges = np.array(scan.ranges)
+    matches = replace(every.subset(index), ranges=measured)
     chosen = options or SmoothOptions(sigma_px=result.sigma_px)
     smoothed = smooth_ranges(
         matches,
@@ -201,37 +265,74 @@ def smooth_scan(scan: Scan, result: PoseResult, *, options: SmoothOptions | None
         options=chosen,
     )
     good = smoothed.replaced & (np.abs(smoothed.ranges - around) <= SPIKE_FRACTION * around)
-    if not good.any():
+    # Of several matches in a cell the most certain one counts.
+    order = np.lexsort((smoothed.sigma_m, columns, rows))
+    order = order[good[order]]
+    cells = np.stack([rows, columns], axis=1)[order]
+    _, first = np.unique(cells, axis=0, return_index=True)
+    order = order[first]
+    at_edge = _lies_at_edge(scan.ranges, rows[order], columns[order], around[order])
+    return Replacements(
+        np.stack([rows, columns], axis=1)[order], measured[order], smoothed.ranges[order], smoothed.sigma_m[order],
+        at_edge,
+    )  # fmt: skip
+
+
+def with_ranges(scan: Scan, cells: IntArray, ranges: FloatArray) -> Scan:
+    """Return a scan with some ranges replaced, and a note on it; the same scan without any.
+
+    Args:
+        scan: the scan.
+        cells: (N, 2) row and column of each.
+        ranges: (N,) m.
+
+    Raises:
+        ShapeError: if a cell is not one of the scan's, or a range is not a positive number.
+    """
+    cells = np.asarray(cells, dtype=np.intp).reshape(-1, 2)
+    if not len(cells):
         return scan
-    ranges[rows[good], columns[good]] = smoothed.ranges[good]
-    count = len(set(zip(rows[good].tolist(), columns[good].tolist(), strict=True)))
-    return replace(scan, ranges=ranges, notes=(*scan.notes, _replaced_sentence(count)))
+    if not ((cells >= 0) & (cells < np.array(scan.shape))).all():
+        raise ShapeError(
+            f"a replaced range lies outside the scan's {scan.shape[0]} x {scan.shape[1]} cells: its file has changed "
+            "since its ranges were smoothed; go back in the history to before that, or open the scan again"
+        )
+    if not ((np.asarray(ranges) > 0) & np.isfinite(ranges)).all():
+        raise ShapeError("a replaced range is not a positive number of metres; smooth the ranges again")
+    changed = np.array(scan.ranges)
+    changed[tuple(cells.T)] = ranges
+    return replace(scan, ranges=changed, notes=(*scan.notes, _replaced_sentence(len(cells))))
 
 
-def smooth_with_report(scan: Scan, result: PoseResult) -> SmoothedScan:
+def smooth_with_report(scan: Scan, result: PoseResult, *, picks: Sequence[Pick] = ()) -> SmoothedScan:
     """Replace the range spikes under the matches of a registration, and report what was replaced.
 
     Args:
         scan: the scan.
         result: an accepted registration of it.
+        picks: what was drawn, see `find_replacements`.
 
     Raises:
         LadarregError: as `smooth_scan`.
 
     Source: thesis 3.2 and 3.5.
     """
-    smoothed = smooth_scan(scan, result)
-    with np.errstate(invalid="ignore"):
-        count = int(np.count_nonzero((smoothed.ranges != scan.ranges) & scan.valid))
-    if count:
-        words = _replaced_sentence(count)
-    elif not _has_parallax(result):
-        words = (
-            "Nothing was replaced: scanner and camera are nearly at the same position, so that stereo gives no range."
-        )
-    else:
-        words = "Nothing was replaced: no match lies on a range spike that stereo contradicts."
-    return SmoothedScan(smoothed, count, words)
+    found = find_replacements(scan, result, picks=picks)
+    spikes = found.chosen(with_edges=False)
+    left = len(found) - len(spikes)
+    words = f"Nothing was replaced: {nothing_found(result)}."
+    if len(spikes):
+        words = _replaced_sentence(len(spikes))
+    if left:
+        words += f" {left} more at depth edges were left, since what stands out there need not be a spike."
+    return SmoothedScan(with_ranges(scan, spikes.cells, spikes.ranges), len(spikes), words)
+
+
+def nothing_found(result: PoseResult) -> str:
+    """Return why a registration contradicts no range, without a full stop."""
+    if not _has_parallax(result):
+        return "scanner and camera are nearly at the same position, so that stereo gives no range"
+    return "no match lies on a range spike that stereo contradicts"
 
 
 def _has_parallax(result: PoseResult) -> bool:
@@ -240,6 +341,30 @@ def _has_parallax(result: PoseResult) -> bool:
         result.camera_from_scanner, result.matches, result.inliers, result.camera, sigma_px=result.sigma_px
     )
     return bool(figures.get("stereo_sigma_z_over_z", np.inf) <= MAX_SIGMA_Z_OVER_Z)
+
+
+def _with_points(matches: Matches, picks: Sequence[Pick]) -> Matches:
+    """Return matches with drawn points, whose ranges, 1 m, have yet to be filled in."""
+    points = [pick for pick in picks if pick.on and pick.kind == "point"]
+    if not points:
+        return matches
+    ones = np.ones(len(points))
+    return Matches(
+        np.concatenate([matches.rays, [pick.scan[0] for pick in points]]),
+        np.concatenate([matches.ranges, ones]),
+        np.concatenate([matches.uv, [pick.photo[0] for pick in points]]),
+        weights=np.concatenate([matches.weights, [pick.weight for pick in points]]),
+    )
+
+
+def _lies_at_edge(ranges: FloatArray, rows: IntArray, columns: IntArray, around: FloatArray) -> BoolArray:
+    """Return which cells (N,) have others about them that are as far from their median `around` (N,) as a spike is."""
+    padded = np.pad(ranges, 2, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (5, 5))[rows, columns]
+    with np.errstate(invalid="ignore"):
+        off = np.abs(windows - around[:, None, None]) > SPIKE_FRACTION * around[:, None, None]
+    off[:, 2, 2] = False
+    return np.asarray(off.sum(axis=(1, 2)) >= _EDGE_CELLS)
 
 
 def _replaced_sentence(count: int) -> str:

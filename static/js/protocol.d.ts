@@ -18,9 +18,11 @@ export interface Commands {
   add_measurement: { kind: "point" | "distance" | "polyline" | "angle" | "area" | "height"; places: (Record<string, unknown>)[] };
   add_pick: { photo: string; kind: "point" | "line"; scan: number[][]; photo_uv: number[][] };
   adjust: { photos?: string[] | null };
+  apply_smoothing: { photo: string; rev: string; edges?: boolean };
   call_me: { name: string };
   check_at_stations: Record<string, never>;
   discard_files: { files: string[] };
+  discard_smoothing: Record<string, never>;
   duplicate_project: { wanted: string };
   export: { targets?: string[] | null; photos?: string[] | null; frame?: "scanner" | "world"; full?: boolean; crop?: "none" | "photo"; last_solved?: boolean; folder?: string | null; force?: boolean };
   export_targets: { targets?: string[] | null; photos?: string[] | null; frame?: "scanner" | "world"; full?: boolean; crop?: "none" | "photo"; last_solved?: boolean };
@@ -45,6 +47,7 @@ export interface Commands {
   place_station: { station: string; place?: Record<string, unknown> | null };
   point: { side: "scan" | "photo"; photo?: string | null; view?: number; uv?: number[] | null };
   predict: { photo: string; side: "scan" | "photo"; scan?: number[][] | null; photo_uv?: number[][] | null };
+  preview_smoothing: { photo: string; show?: "before" | "after" | "difference" };
   probe: { scan: number[] };
   read_only_link: Record<string, never>;
   redo: { n?: number | null };
@@ -58,6 +61,7 @@ export interface Commands {
   remove_station: { station: string };
   rename: { name: string };
   rename_measurement: { measurement: string; name: string };
+  restore_ranges: Record<string, never>;
   run: { photo: string; job: string };
   sample_line: { scan: number[][] };
   set_camera: { photo: string; focal_35mm?: number | null; focal_mm?: number | null; sensor_mm?: number | null; focal_px?: number | null; model?: "equirectangular" | null };

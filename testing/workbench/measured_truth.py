@@ -22,3 +22,21 @@ def _row(name: str, found: dict[str, Any] | None) -> list[str]:
     interval = f"95 %: {found['interval']}" if found["interval"] else ""
     notes = [found["refusal"]] if found["refusal"] else found["notes"]
     return [name, found["value"] or "Not measured", interval, *notes]
+
+
+def page_smoothing(facts: dict[str, Any], smoothing: dict[str, Any]) -> list[str]:
+    """Return where the page says something else of smoothed ranges than the slice; of what it shows at the moment."""
+    shown = facts["smoothing"]
+    if shown["hidden"]:
+        return []
+    preview = smoothing["preview"]
+    rows = [
+        [
+            one["id"], "Depth edge" if one["edge"] else "Spike", f"{one['before_m']:.3f}", f"{one['after_m']:.3f}",
+            f"{one['after_m'] - one['before_m']:+.3f}".replace("-", "\N{MINUS SIGN}"), f"{one['sigma_m']:.3f}",
+        ]
+        for one in (preview["ranges"] if preview else ())
+    ]  # fmt: skip
+    applied = f"{smoothing['sentence']} Restore" if smoothing["replaced"] else ""
+    wanted = {"hidden": False, "applied": applied, "rows": rows}
+    return [] if shown == wanted else [f"the page says of smoothed ranges {shown!r}, and it is {wanted!r}"]

@@ -93,6 +93,12 @@
       one(".measurement-name", row).value, text(".measurement-value", row), text("p.dim", row),
       ...all(".measurement-note", row).map((note) => text(note)),
     ]),
+    smoothing: {
+      hidden: isHidden(one(".smoothing")), applied: one(".smoothing-applied")?.hidden ? "" : text(".smoothing-applied"),
+      rows: all(".smoothing-preview .smoothed-range").filter((row) => !isHidden(row)).map((row) => [
+        row.dataset.range, text("th", row), ...all("td", row).map((cell) => clean(cell.textContent)),
+      ]),
+    },
     survey: {
       count: text(".part-head > .figures", survey), summary: text(".acquire-said", survey),
       rows: all(".survey-photo .survey-row", survey).map((row) => [...row.children].slice(1).map((part) => text(part))),

@@ -20,7 +20,7 @@ from ladarreg.session.loader import Loader
 
 from ladarreg_core.project.storage.folder import ProjectFolder
 from ladarreg_core.quality.verdict import LIGHT_WORDS, verdict_of
-from testing.workbench.measured_truth import page_measurements
+from testing.workbench.measured_truth import page_measurements, page_smoothing
 from testing.workbench.station_truth import page_stations, server_stations
 from testing.workbench.survey_truth import page_survey
 
@@ -130,6 +130,7 @@ def page_contradictions(
         constants = [*constants, *figures]
     found = _Comparison(facts, slices).everything(constants)
     found += page_survey(facts, slices.get("photos") or [], slices.get("survey"))
+    found += page_smoothing(facts, slices.get("smoothing") or {})
     found += page_measurements(facts, slices.get("measurements") or [], slices.get("measured") or [])
     return [*found, *page_stations(facts, slices.get("stations"), slices.get("survey"))]
 

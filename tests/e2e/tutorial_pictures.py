@@ -20,6 +20,8 @@ from playwright.sync_api import sync_playwright
 
 import ladarreg_core as lr
 from benchmarks.newcomer import Hands, empty_workbench, newcomer
+from ladarreg_core.simulate.sample import sample_folder
+from testing.scenes.spiked_scan import spiked_sample
 from testing.workbench.browser import FLAGS, find_chromium
 from testing.workbench.operator import drop
 from testing.workbench.served import Page as Socket
@@ -46,6 +48,7 @@ def main() -> None:
         chromium = driver.chromium.launch(executable_path=find_chromium(), args=list(FLAGS))
         _tutorial(Path(folder), chromium, target)
         _manual(Path(folder), chromium, target)
+        _smoothing(Path(folder), chromium, target)
         chromium.close()
 
 
@@ -118,6 +121,32 @@ def _manual(folder: Path, chromium: Browser, target: Path) -> None:
         context.close()
     for name, kept in _MANUAL.items():
         _write((folder / "shots" / f"{name}.png").read_bytes(), target / f"{kept}.png")
+
+
+def _smoothing(folder: Path, chromium: Browser, target: Path) -> None:
+    """Preview the ranges that a pose would replace in a scan with spikes."""
+    spiked, sample = spiked_sample(folder / "spiked.npz"), sample_folder()
+    with empty_workbench(folder / "third") as server:
+        socket = Socket(server)
+        files = [spiked.file, next(sample.glob("photo.*")), sample / "camera.json"]
+        socket.ask("open_files", files=[server.upload(path) for path in files])
+        socket.ask("set_settings", solve_automatically=False)
+        for match in spiked.matches:
+            socket.ask("add_pick", photo="p1", **match)
+        socket.ask("run", photo="p1", job="solve")
+        socket.until(lambda slices: slices["photos"][0]["state"] == "accepted")
+        socket.socket.close()
+        context = chromium.new_context(viewport=WINDOW, bypass_csp=True, color_scheme="dark")  # type: ignore[arg-type]
+        context.add_init_script(_NO_HINT)
+        page = context.new_page()
+        page.goto(f"{server.address}?token={server.token}")
+        page.get_by_role("tab", name=re.compile("Judge")).click()
+        page.get_by_role("button", name="Smooth ranges…").click()
+        page.locator(".smoothed-range").first.wait_for()
+        page.locator("#model-pane [data-model=drawn]").wait_for(timeout=120_000)
+        page.wait_for_timeout(6000)
+        _keep(page, target / "smoothing.png")
+        context.close()
 
 
 @contextmanager

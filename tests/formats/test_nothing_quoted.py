@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ladarreg_core.acquisition.plan import read_plan
+from ladarreg_core.acquisition.plan_reading import read_plan
 from ladarreg_core.acquisition.runs.piece_list import read_piece_list
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.formats import describe, read_photo, read_scan

@@ -117,7 +117,8 @@ class Acquisition:
 
     def check(self, fields: Mapping[str, Any]) -> dict[str, Any]:
         """Return the faults of a plan, each with its field, as far as they are known, and what its run will be."""
-        from ladarreg_core.acquisition.plan import PlanError, plan_from_fields
+        from ladarreg_core.acquisition.plan import PlanError
+        from ladarreg_core.acquisition.plan_reading import plan_from_fields
         from ladarreg_core.acquisition.runs.stops import device_faults, forecast
 
         refused = self._watchable.faults(fields)
@@ -487,7 +488,8 @@ class Acquisition:
         Raises:
             OptionError: if it has faults, or names what the computer does not have or the operator did not name.
         """
-        from ladarreg_core.acquisition.plan import PlanError, plan_from_fields
+        from ladarreg_core.acquisition.plan import PlanError
+        from ladarreg_core.acquisition.plan_reading import plan_from_fields
 
         if refused := self._watchable.faults(fields):
             raise PlanError(refused)

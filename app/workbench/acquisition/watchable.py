@@ -1,4 +1,4 @@
-"""What a plan from a page may watch: the folders and video devices that the operator of the server named.
+"""What a plan from a page may watch: the folders, video devices and UDP ports that the operator of the server named.
 
 Whether anything else exists is not answered, so that no page can search the computer for folders.
 """
@@ -22,6 +22,8 @@ class Watchable:
     """Folders; those below them count, too."""
     devices: tuple[int, ...] = ()
     """Numbers of video devices."""
+    udp_ports: tuple[int, ...] = ()
+    """Ports to which lidars send."""
 
     def beside(self, folder: Path | None) -> Watchable:
         """Return the same with one more folder, if it is one."""
@@ -54,6 +56,33 @@ class Watchable:
                         "--video-device and its number, or run the plan by `ladarreg acquire`",
                     )
                 )
+        return found + self._lidar_faults(fields.get("scanner"))
+
+    def _lidar_faults(self, stated: Any) -> list[PlanFault]:
+        from ladarreg_core.acquisition.plan import PlanFault
+        from ladarreg_core.acquisition.twin_address import is_twin
+
+        if not isinstance(stated, Mapping):
+            return []
+        found = []
+        host, file = stated.get("host"), stated.get("sensor_file")
+        is_simulated = isinstance(host, str) and is_twin(host)
+        if stated.get("kind") == "packets" and not is_simulated and stated.get("udp_port") not in self.udp_ports:
+            found.append(
+                PlanFault(
+                    "scanner.udp_port",
+                    "'udp_port' of 'scanner' is not one that this workbench was started with; restart it with "
+                    "--udp-port and its number, or run the plan by `ladarreg acquire`",
+                )
+            )
+        if isinstance(file, str) and file.strip() and not self._offers(file):
+            found.append(
+                PlanFault(
+                    "scanner.sensor_file",
+                    "'sensor_file' of 'scanner' is not in a folder that this workbench was started with; restart it "
+                    "with --watch and the folder, or run the plan by `ladarreg acquire`",
+                )
+            )
         return found
 
     def _offers(self, folder: str) -> bool:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ..state.measured import Measured
     from ..state.queries import Queries
     from ..state.selection import Selection
+    from ..state.smoothing import Smoothing
     from ..state.stations import Stations
 
 Reply = dict[str, Any]
@@ -100,9 +101,13 @@ class Context(Protocol):
     acquisition: Acquisition
     stations: Stations
     measured: Measured
+    smoothing: Smoothing
 
     def set_model(self, client: Client, wanted: Mapping[str, Any]) -> None:
         """Change the display of the model for a client."""
+
+    def show_smoothing(self) -> None:
+        """Show previews of smoothed ranges as they are now."""
 
     @property
     def scene(self) -> Scene3D | None:

@@ -17,6 +17,7 @@ from ladarreg_core.project.history import Author
 from ...gateway.protocol import Visitor
 from ...gateway.seats import Seats
 from ...scene.model_view import ModelChoice
+from ...scene.smoothing_layer import SmoothingShow
 
 MAX_CLIENTS = 64
 _LIMIT = Seats(MAX_CLIENTS)
@@ -28,6 +29,18 @@ _REMEMBERED = 256
 _RELOAD_S = 1.0
 """Time within which the old connection of a reloaded page ends."""
 _ID_BYTES = 9
+
+
+@dataclass(frozen=True, slots=True)
+class SmoothingChoice:
+    """The preview that a client looks at."""
+
+    photo: str
+    """Id of the photograph by whose pose ranges would be replaced."""
+    show: SmoothingShow
+    """What the 3-D view shows of it."""
+    rev: str
+    """Changes with the ranges, the pose, and what it would replace."""
 
 
 @dataclass(slots=True, eq=False)
@@ -46,6 +59,8 @@ class Client:
     """Id of the photograph that this person sees."""
     model: ModelChoice = field(default_factory=ModelChoice)
     """Display of the model in this person's 3-D view."""
+    smoothing: SmoothingChoice | None = None
+    """The preview of smoothed ranges that this person looks at."""
     follows: str | None = None
     """Id of the client whose view this person follows."""
     read_only: bool = False

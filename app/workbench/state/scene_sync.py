@@ -7,7 +7,9 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from ladarreg_core.errors import LadarregError
 
@@ -17,7 +19,7 @@ from ...session.session import Session
 from .pose_state import pick_errors
 
 if TYPE_CHECKING:
-    from ladarreg_core.project.document import Document, PhotoEntry
+    from ladarreg_core.project.document import Document, PhotoEntry, Source
     from ladarreg_core.scan import Scan
 
     from ...jobs.runner import Job
@@ -230,7 +232,7 @@ class SceneSync:
         elif self._scan_shown is None or self._scan_shown.scan is not scan:
             views = self._loader.views(document)
             axis = views[0].view_from_scanner.rotation[2] if views else scan.mean_direction
-            self._scan_shown = ScanShown(scan, axis)
+            self._scan_shown = ScanShown(scan, axis, _name_of(document.scan))
             self._subjects.clear()
             self._picks.clear()
         return self._scan_shown
@@ -280,3 +282,7 @@ class SceneSync:
             px = [errors.get(name, {}).get("px") for name in ids]
             by_residual = residual_colors([float("nan") if value is None else value for value in px])
         return Picks.of(points, colors, on, ids, by_residual=by_residual)
+
+
+def _name_of(source: Source | None) -> str:
+    return "" if source is None else msgspec.json.encode(replace(source, smoothings=())).decode()

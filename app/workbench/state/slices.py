@@ -9,6 +9,7 @@ from hashlib import blake2b
 from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct, json
+from msgspec.structs import replace
 
 from ladarreg_core.camera import describe_in_short
 from ladarreg_core.errors import LadarregError
@@ -83,6 +84,7 @@ def scan_slice(loader: Loader, document: Document) -> dict[str, Any] | None:
     strip = strip_of(scan) if len(views) > 1 else None
     return {
         "id": f"s{_digest(source)}",
+        "grid": f"g{_digest(replace(source, smoothings=()))}",
         "name": source.name,
         "files": list(source.names),
         "rows": rows,

@@ -6,10 +6,12 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
 from ladarreg_core.acquisition.devices.flir_unit import FlirUnit
 from ladarreg_core.acquisition.devices.folder_source import FolderSource
+from ladarreg_core.acquisition.devices.packet_stream import PacketStream
 from ladarreg_core.acquisition.devices.ports import GuardEndedError, Ports, PortSource
 from ladarreg_core.acquisition.devices.scip_scanner import ScipScanner
 from ladarreg_core.acquisition.devices.video_camera import VideoCamera
@@ -17,7 +19,7 @@ from ladarreg_core.acquisition.interfaces import FrameSource, Read, read_here
 from ladarreg_core.acquisition.plan import CameraPlan, Plan, ScannerPlan, UnitPlan
 from ladarreg_core.acquisition.runs.run_folder import RunWriter
 from ladarreg_core.acquisition.runs.runner import EventReport, Run
-from ladarreg_core.acquisition.twin_address import watched_folder
+from ladarreg_core.acquisition.twin_address import packet_source, watched_folder
 from ladarreg_core.errors import DeviceError
 from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.photos.image_file import require_image
@@ -93,20 +95,13 @@ def _connect_once(plan: Plan, stack: ExitStack, *, ports: OpenPorts, read: Read)
     opened = stack.enter_context(ports())
     unit = FlirUnit.connect(opened, plan.unit)
     stack.callback(unit.close)
-    line_scanner = frames = None
+    line_scanner: ScipScanner | None = None
+    frames: FrameSource | None = None
     if plan.scanner.kind == "scip2":
         line_scanner = ScipScanner.connect(opened, plan.scanner)
         stack.callback(line_scanner.close)
     else:
-        frames = FolderSource(
-            watched_folder(plan.scanner.folder),
-            is_readable=partial(read, read_scan),
-            timeout_s=plan.scanner.timeout_s,
-            device="the scanner",
-            files_of=scan_files,
-            trigger=plan.scanner.trigger,
-            clock=opened.clock,
-        )
+        frames = _frames(plan.scanner, opened.clock, read)
         stack.callback(frames.close)
     camera = None if plan.camera is None else _camera(plan.camera, opened.clock, read)
     if camera is not None:
@@ -153,6 +148,28 @@ def identified(address: str) -> FoundDevice:
     raise DeviceError(
         f"neither a pan/tilt unit nor a line scanner answers on {address}; check that it is switched on, and "
         "that the port is its"
+    )
+
+
+def _frames(plan: ScannerPlan, clock: Clock, read: Read) -> FrameSource:
+    if plan.kind == "packets":
+        host, port = packet_source(plan.host, plan.udp_port)
+        return PacketStream(
+            port,
+            host=host,
+            sensor_file=Path(plan.sensor_file).expanduser() if plan.sensor_file else None,
+            is_readable=partial(read, read_scan),
+            timeout_s=plan.timeout_s,
+            clock=clock,
+        )
+    return FolderSource(
+        watched_folder(plan.folder),
+        is_readable=partial(read, read_scan),
+        timeout_s=plan.timeout_s,
+        device="the scanner",
+        files_of=scan_files,
+        trigger=plan.trigger,
+        clock=clock,
     )
 
 

@@ -26,7 +26,8 @@ import numpy as np
 from ladarreg_core.acquisition.devices.exchange_log import ExchangeLog
 from ladarreg_core.acquisition.interfaces import PanTilt
 from ladarreg_core.acquisition.line_sweep import LineSweep
-from ladarreg_core.acquisition.plan import Plan, plan_from_fields, write_plan
+from ladarreg_core.acquisition.plan import Plan, write_plan
+from ladarreg_core.acquisition.plan_reading import plan_from_fields
 from ladarreg_core.acquisition.run_records import (
     CLOSURE,
     RECORDS,

@@ -13,6 +13,7 @@ _USUAL_SPEED_DEG_S = 30.0
 _MOVE_OVERHEAD_S = 0.35
 _LINE_S = 0.3
 _FRAME_S = 60.0
+_REVOLUTION_S = 0.5  # about two of a lidar at 10 Hz, and their reading
 _READING_S = 0.08
 _PARTING_DEG = 0.01
 
@@ -129,7 +130,7 @@ def forecast(plan: Plan, line_scanner: LineScannerIdentity | None = None, *, ray
         elif plan.mode == "sweep":
             seconds += _LINE_S + plan.scanner.lines * period
         else:
-            seconds += _FRAME_S
+            seconds += _REVOLUTION_S if plan.scanner.kind == "packets" else _FRAME_S
         if plan.camera is not None:
             seconds += 1.0
     overlap = None

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from ladarreg_core.acquisition.interfaces import PanTilt
 from ladarreg_core.acquisition.simulated.flir_twin import COUNTS_PER_RAD, FlirTwin
 from ladarreg_core.acquisition.simulated.folder_twin import FRAME, FolderTwin, ScanFormat, camera_twin, scanner_twin
+from ladarreg_core.acquisition.simulated.lidar_twin import LidarTwin, VelodyneOnBench
 from ladarreg_core.acquisition.simulated.scip_twin import UTM_30LX, ScipFailure, ScipModel, ScipTwin
 from ladarreg_core.acquisition.simulated.server import DeviceServer, TwinServer
 from ladarreg_core.acquisition.simulated.twin import Twin
@@ -31,16 +32,19 @@ from ladarreg_core.scanner.grids import ScanGeometry
 
 SCANNER, CAMERA = "scanner", "camera"
 """Names of the devices with folders."""
+LIDAR = "velodyne"
+"""Name of the spinning lidar that sends packets."""
 _INTENSITY = 2000.0
 _AT_REST_RAD = 1e-9
 _DELAY_S = 0.5  # whoever drives the unit is to learn of its arrival before a file is written
 
 
 class TwinDevices:
-    """A pan/tilt unit in a simulated room, and on it a line scanner, a scanner with a field of view and a camera; a
-    context manager.
+    """A pan/tilt unit in a simulated room, and on it a line scanner, a scanner with a field of view, a camera and a
+    spinning lidar; a context manager.
 
-    The last two write into folders when the unit has arrived, after they were switched on.
+    Scanner and camera write into folders when the unit has arrived, and the lidar sends packets, after they were
+    switched on.
 
     Args:
         scene: the room.
@@ -59,6 +63,7 @@ class TwinDevices:
         unit: the pan/tilt unit.
         scanner: the line scanner.
         server: their ports.
+        lidar: the spinning lidar.
     """
 
     def __init__(
@@ -73,6 +78,8 @@ class TwinDevices:
         self.bench.clock = self.server.now_s
         self._geometry, self._scan_format, self._given_folders = geometry, scan_format, dict(folders or {})
         self._folders: dict[str, FolderTwin] = {}
+        lidar = VelodyneOnBench(self.bench)
+        self.lidar = LidarTwin(lidar.packets, seconds=1.0 / lidar.rate_hz, clock=self.server.clock)
         self._inside = ExitStack()
         self._control: socket.socket | None = None
 
@@ -97,6 +104,7 @@ class TwinDevices:
                 twin.on = False  # a sweep would be slowed down by photographs that nobody asked for
                 self._folders[name] = entered.enter_context(twin)
             entered.enter_context(self.server)
+            entered.enter_context(self.lidar)
             self._inside = entered.pop_all()
         return self
 
@@ -109,15 +117,19 @@ class TwinDevices:
 
     @property
     def addresses(self) -> dict[str, str]:
-        """Port or folder of each device, by its name."""
-        return {**self.server.addresses, **{name: str(twin.folder) for name, twin in self._folders.items()}}
+        """Port or folder of each device, by its name; of the lidar, the host and the UDP port that it sends to."""
+        folders = {name: str(twin.folder) for name, twin in self._folders.items()}
+        return {**self.server.addresses, **folders, LIDAR: f"127.0.0.1:{self.lidar.port}"}
 
     def switch_on(self, device: str) -> None:
-        """Switch on a device that writes into a folder.
+        """Switch on a device that writes into a folder, or the lidar.
 
         Raises:
             OptionError: if there is no such device.
         """
+        if device == LIDAR:
+            self.lidar.switch_on()
+            return
         if device not in self._folders:
             raise OptionError(f"there is no device {device!r} with a folder; use {' or '.join(self._folders)}")
         self._folders[device].on = True

@@ -249,6 +249,26 @@ class Bench:
         )
         return Scan(geometry=geometry, ranges=ranges, intensity=intensity, name=name)
 
+    def scan_beams(
+        self, at: PanTilt, origins: FloatArray, beams: FloatArray, *, noise_key: NoiseKey
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Measure along beams that do not all start at one point, with a scanner that sits where that of frames does.
+
+        Args:
+            at: where the unit stands.
+            origins: (N, 3) where each starts, m, in the scanner's frame.
+            beams: (N, 3) directions, unit vectors, in the scanner's frame.
+            noise_key: names the measurement.
+
+        Returns:
+            Ranges (N,), m, NaN without a return, and intensity (N,), as `scan_line`.
+        """
+        pose = self.room_from_world @ self.frame_pose(at)
+        amplitude, ranges = echoes_along(
+            self.room, self._caster, turned(origins, pose.rotation) + pose.translation, turned(beams, pose.rotation)
+        )
+        return self.noise.measured(amplitude, ranges, self._rng("frame", noise_key))
+
     def photograph(
         self, at: PanTilt, camera: CameraModel, *, noise_key: NoiseKey, report: Callable[[float], None] | None = None
     ) -> ByteArray:

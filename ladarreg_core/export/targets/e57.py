@@ -1,7 +1,8 @@
 """The target `e57`: the scans as they were, with the photographs' colours, and the photographs with their poses.
 
 Where the scan was read from an E57, every scan, image and field of that file is copied unchanged; only the colours of
-the exported scan, its `colorLimits` and images are added. From other files a new E57 with the scan's returns is made.
+the exported scan, its `colorLimits` and images are added. From other files, and where ranges of the scan were replaced,
+a new E57 with the scan's returns is made.
 """
 
 from __future__ import annotations
@@ -103,9 +104,9 @@ class _Told:
 
 
 def _source(handed: RegisteredScan) -> Path | None:
-    """Return the E57 that the scan was read from; None if it was another file."""
+    """Return the E57 that the scan was read from; None if it was another file, or the scan has other ranges."""
     path = handed.scan_file
-    if path is None:
+    if path is None or not handed.ranges_as_read:
         return None
     try:
         with open(path, "rb") as stream:

@@ -109,9 +109,9 @@ def _files(
 
 
 def _las_source(handed: RegisteredScan) -> Path | None:
-    """Return the scan's file if it is LAS or LAZ."""
+    """Return the scan's file if it is LAS or LAZ, and has the scan's ranges."""
     path = handed.scan_file
-    if path is None or not path.is_file():
+    if path is None or not path.is_file() or not handed.ranges_as_read:
         return None
     try:
         with open(path, "rb") as file:

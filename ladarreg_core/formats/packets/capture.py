@@ -1,9 +1,10 @@
-"""UDP datagrams of a network recording: pcap and pcapng, Ethernet with VLAN tags, IPv4 with fragments put together."""
+"""UDP datagrams of a network recording: pcap and pcapng, Ethernet with VLAN tags, IPv4 with fragments put together;
+written as pcap."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
@@ -89,6 +90,21 @@ def datagrams(stream: BinaryIO) -> Iterator[Datagram]:
             length = int.from_bytes(body[4:6], "big")
             if 8 <= length <= len(body):
                 yield Datagram(source, int.from_bytes(body[2:4], "big"), body[8:length])
+
+
+def write_datagrams(stream: BinaryIO, received: Iterable[tuple[float, Datagram]]) -> None:
+    """Write datagrams with the times at which they came, s since 1970, as a pcap recording of IPv4 packets.
+
+    The sender's port is not known and stands as that of the receiver; the checksums are left out, as recorders do
+    where the network card computes them.
+    """
+    stream.write(struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, _LARGEST_PACKET, _RAW[2]))
+    for time_s, datagram in received:
+        size = 28 + len(datagram.payload)
+        ip = struct.pack(">BBHHHBBH4s4s", 0x45, 0, size, 0, 0, 64, _UDP, 0, datagram.source, bytes(4))
+        udp = struct.pack(">HHHH", datagram.port, datagram.port, size - 20, 0)
+        seconds, part = divmod(round(time_s * 1e6), 1_000_000)
+        stream.write(struct.pack("<IIII", seconds, part, size, size) + ip + udp + datagram.payload)
 
 
 def _packets(stream: BinaryIO) -> Iterator[tuple[int, bytes]]:

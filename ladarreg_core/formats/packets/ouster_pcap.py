@@ -28,7 +28,6 @@ _OPEN_FRAMES = 2  # packets of neighbouring frames may arrive in disorder
 _MIN_SHARE = 0.5
 _CELL_BYTES = 400
 _OLDEST_PACKETS = 4  # accepted copies of a packet; the network may deliver it twice
-_VELODYNE_BYTES, _VELODYNE_PORT = (1206, 1248), 2368
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,16 +136,11 @@ def _require_ouster(file: Path) -> None:
         raise FormatError(
             "it contains no UDP packets over IPv4; record the sensor's own packets, or export the cloud as PCD or E57"
         )
-    if any(size in _VELODYNE_BYTES or (port == _VELODYNE_PORT and size < 1400) for port, size in sizes):
-        raise FormatError(
-            "it contains packets of a Velodyne sensor, which are not read; save the frame as PCD with VeloView, or "
-            "record it as a ROS bag with the velodyne driver"
-        )
     if not any(size > 1500 for _, size in sizes):
         port, size = max(sizes, key=lambda key: sizes[key])
         raise FormatError(
-            f"most of its packets have {size:,} bytes and go to port {port}, which no Ouster sensor sends; only Ouster "
-            "recordings are read: export the frame as PCD, PLY or E57 with the maker's software"
+            f"most of its packets have {size:,} bytes and go to port {port}, which neither Ouster nor Velodyne sensors "
+            "send; only their recordings are read: export the frame as PCD, PLY or E57 with the maker's software"
         )
 
 

@@ -8,7 +8,7 @@ const PEOPLE_COLOURS = 6;
 const ROOT_PX = 13;
 
 /**
- * @returns {{matches: string[], people: string[], ink: string, dim: string, warn: string, halo: string, font: string, scale: number}}
+ * @returns {{matches: string[], people: string[], ink: string, dim: string, warn: string, bad: string, halo: string, font: string, scale: number}}
  *   `scale` multiplies strokes and symbols: they grow with the page's font size on very large screens
  */
 export const readLook = () => {
@@ -21,6 +21,7 @@ export const readLook = () => {
     ink: "#ffffff",
     dim: "#c3ccd8",
     warn: "#f2b84b",
+    bad: "#f2726f",
     halo: "rgba(6, 8, 12, .82)",
     font: `600 ${12 * scale}px ${token("font") || "sans-serif"}`,
     scale,

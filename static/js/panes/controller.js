@@ -1,6 +1,7 @@
 /** The state that the parts of the two image panes share, and the edits that they send to the workbench. */
 
 import { measurementsNow } from "../state/measuring.js";
+import { newRanges } from "../state/smoothing.js";
 import { readLook } from "./colors.js";
 import { marksOf } from "./marks.js";
 import { measuredMarks } from "./measured_layer.js";
@@ -9,6 +10,7 @@ import { hintOf } from "./notes.js";
 import { PendingMoves } from "./pending_moves.js";
 import { other, Picking } from "./picking.js";
 import { PhotoSide, ScanSide } from "./sides.js";
+import { smoothedMarks } from "./smoothing_layer.js";
 import { Snapping } from "./snapping.js";
 import { centredOn } from "./viewport.js";
 
@@ -42,6 +44,7 @@ export class Controller {
   colleagues = null;
   #marks = {};
   #measured = {};
+  #smoothed = null;
   #marked = new Map();
   #markTimer = 0;
   #corners = {};
@@ -100,6 +103,7 @@ export class Controller {
   changed() {
     this.#marks = {};
     this.#measured = {};
+    this.#smoothed = null;
     this.#corners = {};
     this.redraw("matches", "live");
   }
@@ -122,6 +126,12 @@ export class Controller {
   measured(side) {
     this.#measured[side] ??= this.sides[side].extent ? measuredMarks(measurementsNow(), this.sides[side]) : [];
     return this.#measured[side];
+  }
+
+  /** @returns {ReturnType<typeof smoothedMarks>} ranges of the scan that would be replaced, as they are drawn */
+  get smoothed() {
+    this.#smoothed ??= this.sides.scan.extent ? smoothedMarks(newRanges(), this.sides.scan) : [];
+    return this.#smoothed;
   }
 
   /** @returns {number[][]} detected corners, in pixels */

@@ -84,7 +84,7 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
     showNotes();
   };
   store.watch(["scan", "photos", "shown", "poses:*"], showSlices);
-  store.watch(["picks:*", "judged:*", "corners:*", "ties:*", "measurements", "measured"], () => {
+  store.watch(["picks:*", "judged:*", "corners:*", "ties:*", "measurements", "measured", "smoothing"], () => {
     controller.forgetArrived();
     controller.changed();
   });
@@ -117,7 +117,7 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
       controller.handle("nothing");
     }
     if (changed.has("selected")) controller.hint();
-    if (["hovered", "selected", "end", "loupe", "snap", "marks", "measurement", "placement"].some((name) => changed.has(name))) controller.redraw("live");
+    if (["hovered", "selected", "end", "loupe", "snap", "marks", "measurement", "placement", "smoothed", "smooth_edges"].some((name) => changed.has(name))) controller.redraw("live");
     if (["corners", "marks", "placement", "step"].some((name) => changed.has(name))) controller.redraw("matches");
   });
   applyFilters(view.get());

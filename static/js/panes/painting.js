@@ -3,6 +3,7 @@
 import { drawCompare } from "./compare.js";
 import * as overlay from "./match_layer.js";
 import { drawMeasured, drawPicked } from "./measured_layer.js";
+import { drawSmoothed } from "./smoothing_layer.js";
 import { drawPicture } from "./picture_layer.js";
 import { drawTick } from "./prediction.js";
 import { drawCorners, drawFrame, drawTies } from "./symbols.js";
@@ -125,6 +126,10 @@ export class Painting {
     const [side, look] = [this.#side, this.look];
     const marks = controller.marks(side);
     this.#measurements(context, viewport);
+    if (side === "scan" && controller.smoothed.length) {
+      const { smoothed, smooth_edges: edges } = controller.view.get();
+      drawSmoothed(context, viewport, controller.smoothed, smoothed, edges, look);
+    }
     const { predicted } = this.#preview;
     if (side === "photo" && predicted) overlay.drawPredictions(context, viewport, size, marks, predicted, look);
     for (const mark of marks) {

@@ -115,7 +115,24 @@ export const listenToReveals = (controller) => {
     }
   };
 
+  const revealPlace = ({ ray, uv: there }) => {
+    const { scan, index } = controller.sides.scan;
+    if (!scan) return;
+    const best = viewShowing(scan.views, [ray], index);
+    if (best !== index) view.set({ scan: { view: best } });
+    for (const [side, uv] of Object.entries({ scan: controller.sides.scan.toPixel(ray), photo: there })) {
+      if (!uv) continue;
+      show(side, [uv], POINT_ZOOM);
+      controller.mark(side, uv);
+    }
+  };
+
   view.on((state, changed) => {
+    if (changed.has("reveal_place") && state.reveal_place !== null) {
+      const { reveal_place: place } = state;
+      view.set({ reveal_place: null });
+      revealPlace(place);
+    }
     if (changed.has("selected") && !state.selected.has(offered)) offered = null;
     if (changed.has("offer") && state.offer !== null) {
       offered = state.offer;

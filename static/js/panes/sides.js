@@ -44,9 +44,9 @@ export class ScanSide {
     return this.lens && [this.lens.width, this.lens.height];
   }
 
-  /** @returns {string | null} id of the scan */
+  /** @returns {string | null} which scan it is, whatever becomes of its ranges */
   get id() {
-    return this.scan?.id ?? null;
+    return this.scan?.grid ?? this.scan?.id ?? null;
   }
 
   /** @returns {string | null} identifies what is pictured */

@@ -50,7 +50,7 @@ export const keepUnfinished = (picking, store) => {
     } else if (keyOf(project) !== key) leave();
   });
   store.watch(["project", "scan"], () => {
-    scan = store.get("scan")?.id ?? null;
+    scan = store.get("scan")?.grid ?? store.get("scan")?.id ?? null;
     if (!key || left || !awaited) return;
     if (awaited.scan && !scan) return; // the scan may still be being read
     if (awaited.scan === scan) for (const [photo, first] of awaited.drawn) picking.reopen(first, photo);

@@ -31,6 +31,10 @@
  * @property {string | null} offer id of a match that the panes offer to show; reset to null once it is offered
  * @property {string | null} reveal id of a match to show; reset to null once it is shown
  * @property {{side: "scan" | "photo", uv: number[]} | null} reveal_uv a pixel to show, likewise
+ * @property {{ray: number[], uv: number[] | null} | null} reveal_place a ray of the scan, and a pixel of the photograph,
+ *   to show, likewise
+ * @property {string | null} smoothed id of the range of a smoothing that is pointed at
+ * @property {boolean} smooth_edges ranges at depth edges would be smoothed, too
  * @property {{side: "scan" | "photo", uv: number[], range_m?: number | null, intensity?: number | null,
  *             edge?: {near_m: number, far_m: number, near: number[], far: number[]} | null, zoom?: number} | null} readout
  *   values under the cursor; `edge`: the surfaces on both sides of a depth edge
@@ -40,7 +44,7 @@
  */
 
 const KEY = "ladarreg-view";
-const TRANSIENT = new Set(["stretching", "hovered", "placement", "offer", "reveal", "reveal_uv", "readout", "hint"]);
+const TRANSIENT = new Set(["stretching", "hovered", "placement", "offer", "reveal", "reveal_uv", "reveal_place", "smoothed", "smooth_edges", "readout", "hint"]);
 const NESTED = ["scan", "photo", "layout"];
 
 /** @returns {ViewState} */
@@ -68,6 +72,9 @@ const defaults = () => ({
   offer: null,
   reveal: null,
   reveal_uv: null,
+  reveal_place: null,
+  smoothed: null,
+  smooth_edges: false,
   readout: null,
   hint: null,
   layout: { left: null, middle: null, dock: null },

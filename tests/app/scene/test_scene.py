@@ -14,14 +14,14 @@ import pytest
 import viser
 from ladarreg.gateway.pages import static_text
 from ladarreg.gateway.viser_backend import close_server
-from ladarreg.scene import CameraShown, Person, Picks, ScanShown, Scene3D, Shown, SimplexFrame, Subject
+from ladarreg.scene import CameraShown, Person, Picks, ScanShown, Scene3D, Shown, SimplexFrame, SmoothingShown, Subject
 from ladarreg.scene.draw_queue import DrawQueue
 from ladarreg.scene.model_view import ModelChoice
 from ladarreg.scene.picks_layer import residual_colors
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
-from ladarreg_core.foundations.palette import ACCENT, BACKGROUND, MATCHES, as_css
+from ladarreg_core.foundations.palette import ACCENT, BACKGROUND, BAD, MATCHES, WARN, as_css
 from ladarreg_core.frames import Rigid, ThesisParameters
 from ladarreg_core.matches import Matches
 from ladarreg_core.photo import Photo
@@ -515,3 +515,25 @@ def test_points_of_a_run_are_drawn_in_place_of_the_model_and_seen_from_outside(
     nodes = drawn(scene, server)
     assert not any(name.startswith("/run/") for name in nodes)
     assert nodes["/model"].visible
+
+
+def test_a_preview_of_smoothed_ranges_is_drawn_until_it_ends(server: viser.ViserServer, scene: Scene3D) -> None:
+    before = np.array([[3.0, 0, 0], [4.0, 1, 0]])
+    after = before * np.array([[1.5], [0.5]])
+    edges = np.array([False, True])
+    shown_ranges = {show: SmoothingShown(before, after, edges, show) for show in ("before", "after", "difference")}
+    for show, points in (("before", before), ("after", after)):
+        lines, colors = shown_ranges[show].lines()
+        assert lines.reshape(2, 3, 2, 3).mean(axis=(1, 2)) == pytest.approx(points)
+        assert colors.reshape(2, 3, 3).std(axis=1).max() == 0
+        assert (colors[0] != colors[3]).any()
+    lines, colors = shown_ranges["difference"].lines()
+    assert lines[:2, 0] == pytest.approx(before, abs=1e-6)
+    assert lines[:2, 1] == pytest.approx(after, abs=1e-6)
+    assert (colors[:2] == np.array([BAD, WARN])).all()
+
+    scene.set_people({"ann": Person("p1", smoothing=shown_ranges["difference"])})
+    scene.show(shown(None))
+    assert {"/smoothing/lines", "/smoothing/halo"} <= drawn(scene, server).keys()
+    scene.set_people({"ann": Person("p1")})
+    assert not [name for name in drawn(scene, server) if name.startswith("/smoothing/")]

@@ -26,7 +26,7 @@ pytestmark = pytest.mark.slow
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WorkbenchDriver]:
     home = tmp_path_factory.mktemp("acquisition")
     (home / "watched").mkdir()
-    found = open_bench(home / "project", watchable=Watchable((home / "watched",), (3,)))
+    found = open_bench(home / "project", watchable=Watchable((home / "watched",), (3,), (2369,)))
     yield found
     found.workbench.close()
 
@@ -117,6 +117,13 @@ def test_plans_name_only_folders_and_devices_of_the_command_line(bench: Workbenc
     assert len(said) <= 2, "whether a folder exists is not answered"
     (fault,) = bench.do("acquire_check", plan=plan_of(bench, camera={"device": 0}))["faults"]
     assert "--video-device" in fault["said"]
+    packets = {"kind": "packets", "udp_port": 2368, "sensor_file": "/etc/passwd"}
+    faults = bench.do("acquire_check", plan=plan_of(bench, mode="mosaic", scanner=packets))["faults"]
+    assert {fault["field"] for fault in faults} >= {"scanner.udp_port", "scanner.sensor_file"}
+    assert any("--udp-port" in fault["said"] for fault in faults)
+    for scanner in ({"kind": "packets", "udp_port": 2369}, {"kind": "packets", "host": "twin:velodyne?seed=1"}):
+        faults = bench.do("acquire_check", plan=plan_of(bench, mode="mosaic", scanner=scanner))["faults"]
+        assert not [fault for fault in faults if fault["field"].startswith("scanner")]
     for camera in ({"folder": str(there)}, {"folder": str(there / "camera")}, {"device": 3}):
         assert bench.do("acquire_check", plan=plan_of(bench, camera=camera))["faults"] == []
     (fault,) = bench.do("acquire_check", plan=plan_of(bench, camera={"folder": str(there / "absent")}))["faults"]

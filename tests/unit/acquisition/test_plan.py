@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ladarreg_core.acquisition.interfaces import PanTilt, UnitIdentity
-from ladarreg_core.acquisition.plan import plan_from_fields, read_plan, write_plan
+from ladarreg_core.acquisition.plan import write_plan
+from ladarreg_core.acquisition.plan_reading import plan_from_fields, read_plan
 from ladarreg_core.acquisition.runs.stops import forecast, require_possible, stops_of
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
 
@@ -96,6 +97,12 @@ def test_a_unit_that_hangs_or_leans_is_stated_with_the_mount(tmp_path: Path) -> 
         ({"scanner__port": "/dev/ttyUSB0"}, "same port"),
         ({"scanner": "scip2"}, "must be an object"),
         ({"scanner": {"kind": "folder", "folder": "/absent/folder"}}, "does not exist"),
+        ({"mode": "mosaic", "scanner": {"kind": "packets"}}, "'udp_port' of 'scanner' is 0"),
+        ({"scanner": {"kind": "packets", "udp_port": 2368}}, "use 'mosaic' for others"),
+        ({"scanner": {"kind": "packets", "udp_port": 1, "sensor_file": "/absent.json"}}, "does not exist; correct it"),
+        ({"scanner": {"kind": "packets", "udp_port": 1, "host": 5}}, "'host' of 'scanner' is 5; give a text"),
+        ({"scanner": {"kind": "packets", "host": "twin:velodyne?sed=1"}}, "an argument 'sed'"),
+        ({"scanner": {"kind": "packets", "udp_port": 1, "folder": "x"}}, "unknown key 'folder'"),
         ({"mount__xyz_m": [0, 0]}, "three lengths"),
         ({"mount__rpy_deg": [0, 0, "a"]}, "roll, pitch and yaw"),
         ({"camera": {}}, "either 'folder' or 'device'"),
@@ -119,6 +126,18 @@ def test_pieces_that_do_not_overlap_are_refused(tmp_path: Path) -> None:
         plan_from_fields(with_change(mode="mosaic", scanner=scanner, pan_deg=[0, 150, 50]))
     plan = plan_from_fields(with_change(mode="mosaic", scanner=scanner, pan_deg=[0, 120, 40]))
     assert forecast(plan).overlap == pytest.approx((0.2, 0.5))
+
+
+def test_a_lidar_that_sends_packets_is_planned(tmp_path: Path) -> None:
+    sensor = tmp_path / "sensor.json"
+    sensor.write_text("{}")
+    scanner = {"kind": "packets", "udp_port": 7502, "host": "192.168.1.20", "sensor_file": str(sensor)}
+    plan = plan_from_fields(with_change(mode="mosaic", scanner=scanner, pan_deg=[0, 40, 40]))
+    assert (plan.scanner.udp_port, plan.scanner.host, plan.scanner.timeout_s) == (7502, "192.168.1.20", 10.0)
+    assert plan_from_fields(plan.as_fields()).scanner == plan.scanner
+    twin = {"kind": "packets", "host": "twin:velodyne?seed=2", "fov_deg": [360, 30]}
+    plan = plan_from_fields(with_change(mode="mosaic", scanner=twin, pan_deg=[0, 40, 40]))
+    assert plan_from_fields(plan.as_fields()).scanner == plan.scanner
 
 
 def test_what_the_unit_cannot_do_is_refused() -> None:

@@ -80,7 +80,7 @@ def test_a_program_that_hangs_for_a_moment_goes_on_by_itself(twins: TwinDevices,
 
 PROGRAM = """
     import sys, threading
-    from ladarreg_core.acquisition.plan import read_plan
+    from ladarreg_core.acquisition.plan_reading import read_plan
     from ladarreg_core.acquisition.devices.ports import Ports
     from ladarreg_core.acquisition.devices.flir_unit import FlirUnit
     from ladarreg_core.acquisition.devices.scip_scanner import ScipScanner

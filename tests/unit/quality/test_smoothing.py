@@ -12,14 +12,16 @@ from hypothesis import strategies as st
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import CameraError, LadarregError, OptionError, ShapeError
 from ladarreg_core.frames import Rigid, ThesisParameters, rotation_from_rotvec
-from ladarreg_core.matches import Matches
+from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.quality.smoothing import (
     SmoothedRanges,
     SmoothOptions,
+    find_replacements,
     smooth_ranges,
     smooth_scan,
     smooth_with_report,
+    with_ranges,
 )
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
@@ -224,6 +226,50 @@ def test_a_scan_is_not_smoothed_by_another_spike() -> None:
     for wrong in (along, across, matched(((5, 5), (50, 80)))):
         assert smooth_scan(scan, wrong) is scan
     assert smooth_scan(stepped_scan(spiked=False), matched(SPIKES)).notes == ()
+
+
+def test_what_stands_out_at_a_depth_edge_is_told_apart_and_left() -> None:
+    scan, truth = stepped_scan(), stepped_scan(spiked=False)
+    ranges = np.array(truth.ranges)
+    ranges[10:50, 20:22] *= 0.7  # a post, right as it is
+    ranges[20, 60] *= 1.3
+    posts = replace(scan, ranges=ranges)
+    false = matched(((30, 20), (35, 21), (20, 60)))  # the matches show the wall behind the post
+    found = find_replacements(posts, false)
+    assert found.cells.tolist() == [[20, 60], [30, 20], [35, 21]]
+    assert found.at_edge.tolist() == [False, True, True]
+    assert found.measured == pytest.approx(ranges[tuple(found.cells.T)])
+    changed = np.argwhere(smooth_scan(posts, false).ranges != posts.ranges)
+    assert changed.tolist() == [[20, 60]]
+    done = smooth_with_report(posts, false)
+    assert done.cells_replaced == 1
+    assert "2 more at depth edges were left" in done.sentence
+    wanted = smooth_scan(posts, false, options=SmoothOptions(sigma_px=0.5, with_edges=True))
+    assert np.argwhere(wanted.ranges != posts.ranges).tolist() == [[20, 60], [30, 20], [35, 21]]
+
+
+def test_a_point_drawn_on_a_spike_shows_its_range_though_it_has_no_match() -> None:
+    scan, truth = stepped_scan(), stepped_scan(spiked=False)
+    of_spikes = matched(SPIKES).matches
+    elsewhere = matched(((5, 5), (50, 80), (10, 20), (20, 60), (40, 10), (55, 50)))
+    points = [Pick(str(k), "point", of_spikes.rays[[k]], of_spikes.uv[[k]]) for k in range(3)]
+    points[1] = replace(points[1], on=False)
+    line = Pick("7", "line", of_spikes.rays[[1, 2]], of_spikes.uv[[1, 2]])
+    assert not len(find_replacements(scan, elsewhere))
+    found = find_replacements(scan, elsewhere, picks=[*points, line])
+    assert found.cells.tolist() == sorted(map(list, (SPIKES[0], SPIKES[2])))
+    assert found.ranges == pytest.approx(truth.ranges[tuple(found.cells.T)], rel=1e-4)
+    assert smooth_with_report(scan, elsewhere, picks=points).cells_replaced == 2
+    twice = find_replacements(scan, elsewhere, picks=[*points, points[0]])
+    assert twice.cells.tolist() == found.cells.tolist()
+
+
+def test_ranges_are_replaced_in_cells_of_the_scan_only() -> None:
+    scan = stepped_scan()
+    assert with_ranges(scan, np.zeros((0, 2), int), np.zeros(0)) is scan
+    for cells, range_m in (([[60, 0]], 1.0), ([[-1, 0]], 1.0), ([[0, 90]], 1.0), ([[0, 0]], np.nan), ([[0, 0]], -1.0)):
+        with pytest.raises(ShapeError):
+            with_ranges(scan, np.array(cells), np.array([range_m]))
 
 
 # --- what no input may do --------------------------------------------------------------------------------------------

@@ -9,6 +9,9 @@ const TWIN = "twin:";
 const TWIN_SCANNER = "twin:scanner";
 const TWIN_CAMERA = "twin:camera";
 const FOLDER = "folder";
+const PACKETS = "packets";
+const TWIN_LIDAR = "twin:velodyne";
+const VELODYNE_PORT = 2368; // as delivered
 const VIDEO_DEVICES = 4;
 const UNIT_BAUD = 9600; // as a real unit is delivered
 const PIECES = {
@@ -46,6 +49,21 @@ export const makeDeviceChoice = () => {
     read: (plan) => plan?.scanner?.folder,
     write: (path) => change("scanner", { folder: path }),
   });
+  const port = numbersRow({
+    label: "It sends to", unit: "", names: ["UDP port"], fields: ["scanner.udp_port"],
+    read: (plan) => [plan?.scanner?.udp_port],
+    write: ([value]) => change("scanner", { udp_port: value ?? undefined }),
+  });
+  const host = textRow({
+    label: "Its address", hint: "if several lidars send there", fields: ["scanner.host"],
+    read: (plan) => plan?.scanner?.host,
+    write: (address) => change("scanner", { host: address || undefined }),
+  });
+  const sensor = textRow({
+    label: "Its JSON", hint: "metadata of an Ouster", fields: ["scanner.sensor_file"],
+    read: (plan) => plan?.scanner?.sensor_file,
+    write: (path) => change("scanner", { sensor_file: path || undefined }),
+  });
   const fov = numbersRow({
     label: "It sees", unit: "°, if you know it", names: ["across", "down"], fields: ["scanner.fov_deg"],
     read: (plan) => plan?.scanner?.fov_deg,
@@ -62,19 +80,27 @@ export const makeDeviceChoice = () => {
     change("unit", { port, baud: port.startsWith(TWIN) ? example.unit.baud : UNIT_BAUD });
   });
 
-  /** Exchange the scanner: a line scanner sweeps, one with a folder makes pieces, and each begins with a fitting plan. */
+  /** @returns {Record<string, any> | null} the device of a choice that makes pieces; null for a line scanner */
+  const pieceScanner = (chosen, plan) => {
+    if (chosen === FOLDER) return { kind: "folder", folder: "" };
+    if (chosen === TWIN_SCANNER) return { kind: "folder", folder: beside(TWIN_SCANNER, plan) };
+    if (chosen === PACKETS) return { kind: "packets", udp_port: VELODYNE_PORT };
+    if (chosen === TWIN_LIDAR) return { kind: "packets", host: beside(TWIN_LIDAR, plan) };
+    return null;
+  };
+
+  /** Exchange the scanner: a line scanner sweeps, others make pieces, and each begins with a fitting plan. */
   scanner.addEventListener("change", () => {
     const plan = planNow();
-    const pieces = scanner.value === FOLDER || scanner.value === TWIN_SCANNER;
-    if (pieces === (plan.mode === "mosaic")) {
-      change("scanner", pieces ? { folder: scanner.value === FOLDER ? "" : beside(TWIN_SCANNER, plan) } : { port: scanner.value });
+    const pieces = pieceScanner(scanner.value, plan);
+    if ((pieces !== null) === (plan.mode === "mosaic")) {
+      if (pieces?.kind === plan.scanner.kind || !pieces) change("scanner", pieces ?? { port: scanner.value });
+      else changePlan({ scanner: pieces });
       return;
     }
     const before = other?.mode === (pieces ? "mosaic" : "sweep") ? other : pieces ? PIECES : example;
     other = plan;
-    const device = pieces
-      ? { kind: "folder", folder: scanner.value === FOLDER ? "" : beside(TWIN_SCANNER, plan) }
-      : { ...example.scanner, port: scanner.value };
+    const device = pieces ?? { ...example.scanner, port: scanner.value };
     const { mode, pan_deg, tilt_deg, settle_s, continuous, passes, mount } = before;
     changePlan({ scanner: device, mode, pan_deg, tilt_deg, settle_s, continuous, passes, mount });
   });
@@ -94,6 +120,9 @@ export const makeDeviceChoice = () => {
     withRow("Pan/tilt unit", unit, ["unit"]),
     withRow("Scanner", scanner, ["scanner.kind", "scanner.port", "scanner.baud", "scanner.lines", "scanner.timeout_s"]),
     folder.row,
+    port.row,
+    host.row,
+    sensor.row,
     fov.row,
     withRow("Camera", camera, ["camera"]),
     pictures.row,
@@ -110,18 +139,23 @@ export const makeDeviceChoice = () => {
     fillWith(unit, [...simulated("unit"), ...real], plan?.unit?.port ?? "");
     const path = plan?.scanner?.kind === "folder" ? plan.scanner.folder ?? "" : null;
     const isTwin = path?.startsWith(TWIN_SCANNER) ?? false;
+    const sends = plan?.scanner?.kind === PACKETS;
+    const isTwinLidar = sends && Boolean(plan.scanner.host?.startsWith(TWIN_LIDAR));
     fillWith(
       scanner,
       [
         ...simulated("scanner").map(([port]) => [port, "simulated line scanner"]),
         [TWIN_SCANNER, "simulated scanner with a field of view"],
+        [TWIN_LIDAR, "simulated spinning lidar"],
         ...real,
         [FOLDER, "one with software of its own: watch its folder"],
+        [PACKETS, "Ouster or Velodyne, by its packets"],
       ],
-      path === null ? plan?.scanner?.port ?? "" : isTwin ? TWIN_SCANNER : FOLDER,
+      sends ? (isTwinLidar ? TWIN_LIDAR : PACKETS) : path === null ? plan?.scanner?.port ?? "" : isTwin ? TWIN_SCANNER : FOLDER,
     );
     folder.row.hidden = path === null || isTwin;
-    fov.row.hidden = path === null;
+    fov.row.hidden = path === null && !sends;
+    for (const each of [port, host, sensor]) each.row.hidden = !sends || isTwinLidar;
     const shots = plan?.camera;
     const isVideo = shots && shots.folder === undefined;
     const isTwinCamera = Boolean(shots?.folder?.startsWith(TWIN_CAMERA));
@@ -136,7 +170,7 @@ export const makeDeviceChoice = () => {
       !shots ? "" : isVideo ? String(shots.device) : isTwinCamera ? TWIN_CAMERA : FOLDER,
     );
     pictures.row.hidden = !shots || isVideo || isTwinCamera;
-    for (const each of [folder, fov, pictures]) {
+    for (const each of [folder, port, host, sensor, fov, pictures]) {
       each.show(plan);
       for (const input of each.row.querySelectorAll("input")) input.disabled = fixed;
     }

@@ -12,6 +12,7 @@ import { lightOf } from "../../ui/lights.js";
 import { parameterName, sentences, typeset } from "../../ui/numbers.js";
 import { openFiles } from "../files/files.js";
 import { ABOUT_FRAMES } from "../files/scan_clouds.js";
+import { mountSmoothing } from "./smoothing.js";
 
 const FROM_IMAGES = new Set(["auto", "survey", "carried"]);
 const LEVELS = { good: ["tick", "Good", "ok"], fair: ["warn", "Fair", "warn"], poor: ["bad", "Poor", "bad"] };
@@ -174,13 +175,14 @@ const check = (stage) =>
 
 /** @returns {HTMLElement} */
 export const mountVerdict = () => {
-  const body = element("div", { class: "part-body" });
+  const body = element("div", {});
   const stageLabel = element("span", { class: "dim clip" });
+  const smoothing = mountSmoothing();
   const part = element(
     "section",
     { class: "dock-part verdict-part", "aria-label": "Verdict" },
-    element("div", { class: "part-head" }, element("h2", {}, "Verdict"), stageLabel),
-    body,
+    element("div", { class: "part-head" }, element("h2", {}, "Verdict"), stageLabel, element("div", { class: "end" }, smoothing.opener)),
+    element("div", { class: "part-body" }, smoothing.section, body),
   );
   let drawn = "";
   let unfolded = false;

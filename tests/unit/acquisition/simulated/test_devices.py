@@ -18,7 +18,8 @@ from ladarreg_core.acquisition.devices.flir_unit import FlirUnit
 from ladarreg_core.acquisition.devices.ports import Ports
 from ladarreg_core.acquisition.devices.scip_scanner import ScipScanner
 from ladarreg_core.acquisition.interfaces import PanTilt
-from ladarreg_core.acquisition.plan import ScannerPlan, UnitPlan, plan_from_fields
+from ladarreg_core.acquisition.plan import ScannerPlan, UnitPlan
+from ladarreg_core.acquisition.plan_reading import plan_from_fields
 from ladarreg_core.acquisition.runs.connected import connected
 from ladarreg_core.acquisition.runs.run_folder import RunFolder, RunWriter, ScanPiece
 from ladarreg_core.acquisition.runs.runner import Paused

@@ -1,0 +1,22 @@
+/** The preview of smoothed ranges, as this page shows it: the slice `smoothing`, and which of its ranges are meant. */
+
+import { store } from "../net/store.js";
+import { view } from "./view.js";
+
+/**
+ * @typedef {{id: string, ray: number[], uv: number[] | null, before_m: number, after_m: number, sigma_m: number, edge: boolean}} NewRange
+ * @typedef {{photo: string, name: string, show: "before" | "after" | "difference", rev: string, stale: string,
+ *            nothing: string, ranges: NewRange[]}} Preview
+ */
+
+/** @type {NewRange[]} always the same, so that nothing seems to have changed */
+const NOTHING = [];
+
+/** @returns {Preview | null} */
+export const previewNow = () => store.get("smoothing")?.preview ?? null;
+
+/** @returns {NewRange[]} all ranges of the preview */
+export const newRanges = () => previewNow()?.ranges ?? NOTHING;
+
+/** @returns {boolean} whether a range would be replaced: at a spike, or at an edge if the operator says so */
+export const isMeant = ({ edge }) => !edge || view.get().smooth_edges;
