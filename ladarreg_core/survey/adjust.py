@@ -37,6 +37,7 @@ from ladarreg_core.survey.assembly import adjustment_of
 from ladarreg_core.survey.build import Bodies, build_problem, camera_unknowns, pair_factor, photo_view, with_ties
 from ladarreg_core.survey.features import propose_pairs
 from ladarreg_core.survey.inputs import PhotoHeader, SurveyInputs
+from ladarreg_core.survey.local_world import adjustment_from, local_origin, scan_about, survey_about
 from ladarreg_core.survey.placement import PhotoState, Placement
 from ladarreg_core.survey.problem import WORLD, CameraUnknowns, Problem, RelativePose, pose_difference
 from ladarreg_core.survey.rigs import Rigs, rig_factors, rigs_of, start_from_rig
@@ -144,9 +145,12 @@ class _Run:
         headers = inputs.headers(self._reporter(len(self.survey.photos)))
         self._begin("scans")
         scans = inputs.scans(self._reporter(len(self.survey.scans)))
+        origin = local_origin(self.survey.scans, [scan for _, scan in scans])
+        self.survey = survey_about(self.survey, origin)
         stations = place_stations(
-            self.survey.scans, [scan for _, scan in scans], seed=self.options.seed, report=self._part("stations")
-        )
+            self.survey.scans, [scan_about(scan, origin) for _, scan in scans], origin=origin, seed=self.options.seed,
+            report=self._part("stations"),
+        )  # fmt: skip
         files = [one for one, _ in scans]
         del scans
         states = self._states(headers)
@@ -184,7 +188,7 @@ class _Run:
             options=plain(asdict(self.options)),
             inputs=inputs.documents,
         )
-        return Solved(adjustment, tuple(states), tuple(files))
+        return Solved(adjustment_from(adjustment, origin), tuple(states), tuple(files))
 
     def _states(self, headers: Mapping[str, PhotoHeader]) -> list[PhotoState]:
         self._begin("features")

@@ -19,7 +19,6 @@ from ladarreg_core.survey.parts import SurveyScan
 from ladarreg_core.survey.problem import WORLD, Matrix, RelativePose, relative_residual
 
 _DIFFERS = 27.9  # squared Mahalanobis distance with 6 degrees of freedom, exceeded once in 10,000
-_MAX_COORDINATE_M = 10_000.0
 _FLOOR = np.diag([float(np.radians(0.002)) ** 2] * 3 + [2e-4**2] * 3)  # pairs share surfaces, and none is quite flat
 
 
@@ -74,8 +73,9 @@ class Stations:
 
 
 def place_stations(
-    given: Sequence[SurveyScan], scans: Sequence[Scan], *, seed: int = 0, report: Report | None = None
-) -> Stations:
+    given: Sequence[SurveyScan], scans: Sequence[Scan], *, origin: Matrix | None = None, seed: int = 0,
+    report: Report | None = None,
+) -> Stations:  # fmt: skip
     """Return where the scanners of a survey stood.
 
     Survey targets define the world, or else a scan that is fixed, or the first. Where others state where they stood,
@@ -85,16 +85,18 @@ def place_stations(
     Args:
         given: the survey's scans.
         scans: the scans themselves.
+        origin: (3,) where the origin of the scans' world is in that of the targets' coordinates, m; None: the same.
         seed: random seed.
         report: receives the progress; may raise `Cancelled`.
 
     Raises:
         OptionError: if a scan besides the first fixed one is fixed and its pose is not stated, there are too many, or
-            the radius of a target is not known, or its coordinates are too large.
+            the radius of a target is not known.
         DegenerateGeometryError: if the targets of a scan do not determine its pose, or the surfaces that two scans
             share contradict where targets put them.
     """
-    by_targets = {k: _by_targets(one, scan) for k, (one, scan) in enumerate(zip(given, scans, strict=True))
+    begins = np.zeros(3) if origin is None else origin
+    by_targets = {k: _by_targets(one, scan, begins) for k, (one, scan) in enumerate(zip(given, scans, strict=True))
                   if one.targets is not None}  # fmt: skip
     placed = [
         replace(scan, world_from_scanner=by_targets[k].world_from_scanner) if k in by_targets
@@ -137,8 +139,8 @@ def place_stations(
     return Stations(tuple(_led_to(each, network.pairs) if by_targets else each), network.pairs)
 
 
-def _by_targets(one: SurveyScan, scan: Scan) -> TargetRegistration:
-    """Return where a scanner stood by the targets in its scan."""
+def _by_targets(one: SurveyScan, scan: Scan, origin: Matrix) -> TargetRegistration:
+    """Return where a scanner stood by the targets in its scan, from an origin (3,) in their coordinates, m."""
     from ladarreg_core.formats.documents.targets_file import read_targets
 
     assert one.targets is not None
@@ -150,11 +152,6 @@ def _by_targets(one: SurveyScan, scan: Scan) -> TargetRegistration:
             f"scan {one.id}: the radius of the targets {', '.join(unknown[:5])} is not known; give it as 'radius_m' of "
             "the scan, or in a column radius_m"
         )
-    if max(abs(value) for entry in entries for value in entry.coordinates) > _MAX_COORDINATE_M:
-        raise OptionError(
-            f"scan {one.id}: coordinates of its targets are more than {_MAX_COORDINATE_M / 1000:g} km from their "
-            "origin, where an adjustment loses digits; subtract the same offset from all targets of the survey"
-        )
     targets = {}
     for entry in entries:
         try:
@@ -163,7 +160,9 @@ def _by_targets(one: SurveyScan, scan: Scan) -> TargetRegistration:
             raise type(error)(f"scan {one.id}, target {entry.name}: {error}") from None
     try:
         return register_targets(
-            targets, {entry.name: entry.coordinates for entry in entries}, sigma_m=one.targets.sigma_m
+            targets,
+            {entry.name: np.asarray(entry.coordinates) - origin for entry in entries},
+            sigma_m=one.targets.sigma_m,
         )
     except LadarregError as error:
         raise type(error)(f"scan {one.id}: {error}") from None

@@ -16,6 +16,7 @@ from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.photograph import Lighting, take_photograph
 from ladarreg_core.simulate.stations import scan_stations, station_room, upright_pose, with_spheres
+from ladarreg_core.survey.local_world import local_origin
 from ladarreg_core.survey.parts import ScanTargets, SurveyScan
 from ladarreg_core.survey.problem import pose_difference
 from ladarreg_core.survey.stations import place_stations
@@ -143,11 +144,16 @@ def test_targets_with_exchanged_names_or_no_radius_are_refused_by_name(hall, tar
         place_stations(_given(scans[:1], replace(targets(0), radius_m=0.3)), scans[:1])
 
 
-def test_coordinates_of_a_whole_country_are_refused(hall, targets) -> None:
+def test_coordinates_of_a_national_grid_lose_no_digits(hall, targets) -> None:
     scans, _ = hall
-    grid = Rigid(np.eye(3), np.array([512_300.0, 5_400_100.0, 0.0]))
-    with pytest.raises(OptionError, match="subtract the same offset"):
-        place_stations(_given(scans[:1], targets(0, grid)), scans[:1])
+    grid = Rigid(np.eye(3), np.array([512_300.0, 5_400_100.0, 0.0])) @ WORLD
+    given = _given(scans, targets(0, grid), targets(1, grid))
+    origin = local_origin(given, scans)
+    assert np.abs(origin - grid.translation).max() < 30
+    found = place_stations(given, scans, origin=origin)
+    for station, pose in zip(found.each, POSES, strict=True):
+        local = Rigid(np.eye(3), -origin) @ grid @ pose
+        assert _apart(station.world_from_scanner, local) < 0.004
 
 
 def _survey_file(folder: Path, scan: dict[str, object]) -> Path:
