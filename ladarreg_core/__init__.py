@@ -103,6 +103,7 @@ if TYPE_CHECKING:
     from ladarreg_core.surface.texture.registered_texture import intensity_picture as intensity_picture
     from ladarreg_core.surface.texture.registered_texture import texture_scan as texture_scan
     from ladarreg_core.survey.adjust import adjust as adjust
+    from ladarreg_core.survey.adjustment import AdjustedTie as AdjustedTie
     from ladarreg_core.survey.adjustment import Adjustment as Adjustment
     from ladarreg_core.survey.audit import Audit as Audit
     from ladarreg_core.survey.audit import audit as audit
@@ -110,11 +111,13 @@ if TYPE_CHECKING:
     from ladarreg_core.survey.parts import SurveyCamera as SurveyCamera
     from ladarreg_core.survey.parts import SurveyPhoto as SurveyPhoto
     from ladarreg_core.survey.parts import SurveyScan as SurveyScan
+    from ladarreg_core.survey.parts import SurveyTie as SurveyTie
     from ladarreg_core.survey.survey import Survey as Survey
 
 __version__ = VERSION
 
 _HOMES = {
+    "AdjustedTie": "survey.adjustment",
     "Adjustment": "survey.adjustment",
     "Audit": "survey.audit",
     "AutoOptions": "matching.auto",
@@ -165,6 +168,7 @@ _HOMES = {
     "SurveyCamera": "survey.parts",
     "SurveyPhoto": "survey.parts",
     "SurveyScan": "survey.parts",
+    "SurveyTie": "survey.parts",
     "SurveyTarget": "registration.stations.targets",
     "TargetRegistration": "registration.stations.target_pose",
     "ThesisParameters": "frames",

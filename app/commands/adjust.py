@@ -86,6 +86,8 @@ def run(arguments: Arguments) -> ExitCode:
         sigma = f" +- {camera.sigmas['focal_px']:.2f}" if "focal_px" in camera.sigmas else ""
         shown = f"focal length {focal.focal_px:.2f}{sigma} px" if focal is not None else "as given"
         print(f"Camera   {name}: {shown}, {len(camera.photos)} photos")
+    for tie in found.ties:
+        print(f"Tie      {tie.id} of {' and '.join(tie.photos)}: {tie.reason}")
     accepted = sum(one.accepted for one in found.photos.values())
     noise = f"; noise of the ties {found.sigma_px:.2f} px" if found.residuals else ""
     print(f"Accepted {accepted} of {len(found.photos)} photos{noise}")

@@ -355,6 +355,7 @@ def _attach_scene(workbench: Workbench, server: viser.ViserServer) -> None:
         client = workbench.clients.find(person)
         if client is not None:
             workbench.selection.show(client, photo)
+            workbench.tell({"event": "flown", "photo": photo}, {person})
 
     person_of = partial(client_id_of, server)
     workbench.attach_scene(Scene3D(server, clicked, person_of=person_of, on_camera=camera_clicked, on_draft=dragged))

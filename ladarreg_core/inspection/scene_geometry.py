@@ -20,6 +20,8 @@ _NEAR_OF_DISTANCE = 0.01
 _FACTORS = tuple(int(step * 10**power) for power in range(5) for step in (1, 2, 5))[:13]
 """By how much ellipses may be enlarged."""
 _RING_PARTS = 24
+_SHEET_SQUARES = 16
+"""Of a picture's sheet: interpolation within them displaces a picture 60 deg wide by at most 0.03 % of its width."""
 _HEAD_LENGTH, _HEAD_WIDTH = 0.25, 0.1
 """Of an arrow, as shares of its length."""
 
@@ -49,6 +51,28 @@ def camera_outlines(camera: CameraModel, poses: tuple[Rigid, ...], *, depth_m: f
     if not poses:
         return np.zeros((0, 2, 3), dtype=np.float32)
     return np.concatenate([camera_outline(camera, pose, depth_m=depth_m) for pose in poses])
+
+
+def picture_sheet(
+    camera: CameraModel, camera_from_scanner: Rigid, *, distance_m: float, squares: int = _SHEET_SQUARES
+) -> FloatArray:
+    """Return a curved sheet before a camera that bears its picture: seen from the camera, each pixel lies on its ray.
+
+    Args:
+        camera: intrinsics, of any model; its distortion bends the sheet's net.
+        camera_from_scanner: its pose.
+        distance_m: distance of every corner of the net from the camera's centre.
+        squares: how many of the net's squares lie along the longer side of the picture.
+
+    Returns:
+        (R, C, 3) corners of the net, m, scanner frame, which divide the picture evenly from its upper left corner to
+        its lower right one; NaN where the camera has no ray.
+    """
+    longest = max(camera.size)
+    columns, rows = (max(2, round(squares * side / longest)) + 1 for side in camera.size)
+    shares = np.stack(np.meshgrid(np.linspace(0, 1, columns), np.linspace(0, 1, rows)), axis=-1)
+    rays = camera.unproject(shares * np.array(camera.size, np.float64) - 0.5)
+    return camera_from_scanner.centre + distance_m * rays @ camera_from_scanner.rotation
 
 
 def distance_of_picture(

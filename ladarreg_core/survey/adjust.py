@@ -23,6 +23,7 @@ import numpy as np
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.export.json import plain
+from ladarreg_core.foundations.arrays import IntArray
 from ladarreg_core.foundations.validation import require_type
 from ladarreg_core.frames import Rigid
 from ladarreg_core.many.cache import ContentCache
@@ -43,6 +44,7 @@ from ladarreg_core.survey.rigs import Rigs, rig_factors, rigs_of, start_from_rig
 from ladarreg_core.survey.solver import Adjusted, solve
 from ladarreg_core.survey.stations import place_stations
 from ladarreg_core.survey.survey import Survey
+from ladarreg_core.survey.ties import DrawnEnds, with_drawn
 from ladarreg_core.survey.verdicts import (
     Solution,
     TakenOut,
@@ -152,7 +154,7 @@ class _Run:
         files = [one for one, _ in scans]
         del scans
         states = self._states(headers)
-        matches = self._matches(states)
+        matches, drawn = self._with_drawn(states, self._matches(states))
         self._begin("placement")
         placement = Placement(
             states,
@@ -163,6 +165,7 @@ class _Run:
             self.workers,
             self._reporter(3 * len(states)),
             self._tick,
+            drawn,
         )
         placement.run()
         cameras = camera_unknowns(self.survey, states)
@@ -214,6 +217,18 @@ class _Run:
             i, j = waiting[future]
             report(f"{states[i].given.id} and {states[j].given.id}")
         return {pair: future.result() for future, pair in waiting.items() if len(future.result())}
+
+    def _with_drawn(
+        self, states: list[PhotoState], matches: dict[tuple[int, int], IntArray]
+    ) -> tuple[dict[tuple[int, int], IntArray], DrawnEnds]:
+        """Give photographs the ends of the ties that were drawn as features, and return all matches, and which are."""
+        index = {one.given.id: k for k, one in enumerate(states)}
+        ties = [((index[one.photos[0]], index[one.photos[1]]), np.array(one.uv), one.sigma_px)
+                for one in self.survey.ties]  # fmt: skip
+        features, joined, drawn = with_drawn([one.features for one in states], matches, ties)
+        for state, own in zip(states, features, strict=True):
+            state.features = own
+        return joined, drawn
 
     # -- the adjustment --------------------------------------------------------------------------------------------
 

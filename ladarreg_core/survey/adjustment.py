@@ -138,6 +138,21 @@ class AdjustedPhoto:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class AdjustedTie:
+    """A tie that was drawn by hand, and whether it agrees with all else."""
+
+    id: str
+    photos: tuple[str, str]
+    """Ids of its photographs."""
+    agrees: bool
+    """Whether it was kept."""
+    residual_px: float
+    """The larger of its two residuals, px; NaN: it was no part of the adjustment."""
+    reason: str
+    """A sentence."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Adjustment:
     """The result of `adjust`."""
 
@@ -156,6 +171,8 @@ class Adjustment:
     """The ties that disagree most."""
     rigs: Mapping[str, Mapping[str, AdjustedSensor]] = field(default_factory=dict)
     """By their ids and the names of their sensors."""
+    ties: tuple[AdjustedTie, ...] = ()
+    """Those that were drawn by hand."""
     folder: Path | None = None
     """Where the results were written; None: nowhere."""
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -202,6 +219,16 @@ class Adjustment:
                 }
                 for rig, sensors in self.rigs.items()
             },
+            "ties": [
+                {
+                    "id": one.id,
+                    "photos": list(one.photos),
+                    "agrees": one.agrees,
+                    "residual_px": _number(one.residual_px),
+                    "reason": one.reason,
+                }
+                for one in self.ties
+            ],
             "chi2_per_dof": _number(self.chi2_per_dof),
             "sigma_px": _number(self.sigma_px),
             "options": dict(self.options),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,12 +13,14 @@ from ladarreg_core.survey.adjustment import (
     AdjustedPhoto,
     AdjustedScan,
     AdjustedSensor,
+    AdjustedTie,
     Adjustment,
     SurveyEvidence,
     TieResidual,
     scan_covariance,
 )
 from ladarreg_core.survey.build import Bodies
+from ladarreg_core.survey.parts import SurveyTie
 from ladarreg_core.survey.placement import Placement
 from ladarreg_core.survey.problem import Matrix, projected
 from ladarreg_core.survey.rigs import Rigs
@@ -68,6 +70,7 @@ def adjustment_of(
         scans=scans, cameras=_cameras(survey, adjusted, photos), photos=photos, chi2_per_dof=adjusted.chi2_per_dof,
         sigma_px=adjusted.sigma_px, joint=joint, joint_ids=tuple((kind, name) for kind, name, _ in order),
         residuals=_worst_ties(adjusted, bodies, names), rigs=_rigs(survey, rigs), options=options, inputs=inputs,
+        ties=drawn_ties(survey.ties, solution, photos),
     )  # fmt: skip
 
 
@@ -125,6 +128,45 @@ def _tie_marks(adjusted: Adjusted, body: int) -> Matrix:
         own = own[np.linspace(0, len(own) - 1, _MAX_MARKS).astype(int)]
     uv, off = adjusted.problem.ties.uv[own], adjusted.tie_residuals_px[own]
     return np.column_stack([uv, off, agree[own]]).astype(np.float64)
+
+
+def drawn_ties(
+    ties: Sequence[SurveyTie], solution: Solution, photos: Mapping[str, AdjustedPhoto]
+) -> tuple[AdjustedTie, ...]:
+    """Return of each tie that was drawn by hand whether it agrees, and why it does not.
+
+    Args:
+        ties: all that were drawn, in the order in which the adjustment numbers them.
+        solution: the adjustment.
+        photos: their results, by id.
+    """
+    return tuple(_drawn_tie(one, number, solution, photos) for number, one in enumerate(ties))
+
+
+def _drawn_tie(
+    given: SurveyTie, number: int, solution: Solution, photos: Mapping[str, AdjustedPhoto]
+) -> AdjustedTie:  # fmt: skip
+    """Return whether a tie that was drawn by hand agrees, and why it does not."""
+    adjusted = solution.adjusted
+
+    def judged(reason: str, residual_px: float = float("nan"), *, agrees: bool = False) -> AdjustedTie:
+        return AdjustedTie(id=given.id, photos=given.photos, agrees=agrees, residual_px=residual_px, reason=reason)
+
+    refused = [name for name in given.photos if not photos[name].accepted]
+    if refused:
+        return judged(f"Left out: the photograph {' and '.join(refused)} is not accepted.")
+    ties = adjusted.problem.ties
+    own = np.flatnonzero(ties.drawn[ties.point] == number)
+    if not len(own):
+        return judged(
+            "Left out: its two rays pass each other by far, or meet no surface and are nearly parallel; draw it again."
+        )
+    worst = float(np.nan_to_num(np.linalg.norm(adjusted.tie_residuals_px[own], axis=1), nan=np.inf).max())
+    if adjusted.tie_inliers[own].all():
+        return judged(f"It agrees within {worst:.1f} px.", worst, agrees=True)
+    if not np.isfinite(worst):
+        return judged("Left out: what it shows would lie behind one of the cameras; draw it again.")
+    return judged(f"Left out: it lies {worst:.1f} px from where all else puts it.", worst)
 
 
 def _rigs(survey: Survey, rigs: Rigs) -> dict[str, dict[str, AdjustedSensor]]:

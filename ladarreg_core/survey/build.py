@@ -115,6 +115,7 @@ def with_ties(problem: Problem, bodies: Bodies, placement: Placement) -> Problem
         placement.matches, [one.features.uv for one in placement.states], poses, cameras, laser,
         [problem.poses[bodies.scans[scan]] for scan in scans],
         body_of_scan=[bodies.scans[scan] for scan in scans], body_of_photo=bodies.photos,
+        drawn=placement.drawn,
     )  # fmt: skip
     return replace(problem, ties=ties)
 

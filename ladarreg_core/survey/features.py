@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.foundations.arrays import ByteArray, IntArray
+from ladarreg_core.foundations.arrays import ByteArray, FloatArray, IntArray
 
 MAX_FEATURES = 4000
 """Of a photograph: those with the highest contrast are kept."""
@@ -39,6 +39,15 @@ class Features:
 
     def __len__(self) -> int:
         return len(self.uv)
+
+    def extended(self, uv: FloatArray) -> Features:
+        """Return these and further places (M, 2), px, behind them, which resemble nothing."""
+        count = len(uv)
+        return Features(
+            np.concatenate([self.uv, np.asarray(uv, np.float32).reshape(-1, 2)]),
+            np.concatenate([self.descriptors, np.zeros((count, 128), np.float32)]),
+            np.concatenate([self.scale_px, np.zeros(count, np.float32)]),
+        )
 
 
 def detect(pixels: ByteArray, *, limit: int = MAX_FEATURES) -> Features:

@@ -19,6 +19,8 @@ from ladarreg_core.scan import Scan
 
 Estimate = Literal["auto", "none"] | tuple[str, ...]
 """Which intrinsics of a camera are estimated: all where nothing but an assumption is known, none, or those named."""
+DRAWN_SIGMA_PX = 1.0
+"""Standard deviation of a tie that is drawn by hand where nobody states another, px."""
 _MAX_LISTED = 20
 
 
@@ -115,6 +117,20 @@ class SurveyPhoto:
     """Its place in a rig."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurveyTie:
+    """A place that two photographs show, as somebody drew it."""
+
+    id: str
+    """Unique among the ties."""
+    photos: tuple[str, str]
+    """Ids of the photographs."""
+    uv: tuple[tuple[float, float], tuple[float, float]]
+    """Where each shows it, px; of a photograph that EXIF turns, in its upright pixels."""
+    sigma_px: float = DRAWN_SIGMA_PX
+    """Standard deviation of each of these, in either direction."""
+
+
 class SurveyParts(Protocol):
     """What a survey consists of, also before it is one."""
 
@@ -134,6 +150,10 @@ class SurveyParts(Protocol):
     def rigs(self) -> Mapping[str, Mapping[str, Rigid | None]]:
         """The rigs."""
 
+    @property
+    def ties(self) -> Sequence[SurveyTie]:
+        """The ties that were drawn."""
+
 
 def faults_of(parts: SurveyParts) -> list[str]:
     """Return what is wrong with the parts of a survey, a clause each."""
@@ -152,9 +172,11 @@ def _faults_of_ids(survey: SurveyParts) -> list[str]:
     from ladarreg_core.storage.replacement import is_file_name
 
     faults = [f"it has no {what}" for what in ("scans", "photos") if not getattr(survey, what)]
-    for what in ("scans", "cameras", "photos"):
+    for what in ("scans", "cameras", "photos", "ties"):
         ids = [one.id for one in getattr(survey, what)]
         faults += [f"{count} {what} have the id {name!r}" for name, count in Counter(ids).items() if count > 1]
+        if what == "ties":
+            continue
         faults += [
             f"the id {name!r:.60} of one of the {what} is no name of a file"
             for name in ids if not is_file_name(name) or "/" in name
@@ -176,6 +198,12 @@ def _faults_of_references(survey: SurveyParts) -> list[str]:
         elif one.rig.sensor not in sensors:
             faults.append(f"the photo {one.id} is of the sensor {one.rig.sensor!r:.60}, which its rig does not have")
         places[(one.rig.id, one.rig.frame, one.rig.sensor)] += 1
+    photos = {one.id for one in survey.photos}
+    for tie in survey.ties:
+        faults += [f"the tie {tie.id} names the photo {name!r:.60}, which is not listed"
+                   for name in tie.photos if name not in photos]  # fmt: skip
+        if tie.photos[0] == tie.photos[1]:
+            faults.append(f"the tie {tie.id} names the photo {tie.photos[0]!r:.60} twice; it needs two photos")
     faults += [f"{count} photos are of the rig {rig}, frame {frame}, sensor {sensor}"
                for (rig, frame, sensor), count in places.items() if count > 1]  # fmt: skip
     return faults
@@ -201,6 +229,11 @@ def _faults_of_values(survey: SurveyParts) -> list[str]:
             faults.append(
                 f"the scan {scan.id} is fixed and has targets, which move it within their covariance; leave out one"
             )
+    for tie in survey.ties:
+        if not np.isfinite(tie.uv).all():
+            faults.append(f"the tie {tie.id} has no place in one of its photos: its uv must be numbers")
+        if not (np.isfinite(tie.sigma_px) and tie.sigma_px > 0):
+            faults.append(f"the tie {tie.id} has the sigma_px {tie.sigma_px:g}; it must be positive")
     for photo in survey.photos:
         if photo.prior is not None and np.shape(photo.prior.covariance) != (6, 6):
             faults.append(f"the prior of the photo {photo.id} has a covariance that is not 6 x 6")

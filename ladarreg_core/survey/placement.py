@@ -25,7 +25,7 @@ from ladarreg_core.results import Registration
 from ladarreg_core.survey.features import Features
 from ladarreg_core.survey.parts import SurveyPhoto
 from ladarreg_core.survey.stations import Stations
-from ladarreg_core.survey.ties import LaserPoints
+from ladarreg_core.survey.ties import DrawnEnds, LaserPoints
 from ladarreg_core.survey.work import PairTask, PhotoFiles, finished, laser_under, registered
 
 _MIN_START = 15  # inliers of a pose from features
@@ -78,6 +78,8 @@ class Placement:
     report: Callable[[str], None]
     tick: Callable[[], None]
     """Called several times a second; may raise to stop."""
+    drawn: DrawnEnds = field(default_factory=dict)
+    """Which features are ends of ties that were drawn by hand."""
     laser: dict[tuple[int, int], LaserPoints] = field(default_factory=dict)
     """Places on the surface of scan s under all features of photograph p, by (p, s)."""
 

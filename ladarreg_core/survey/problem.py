@@ -120,12 +120,18 @@ class Ties:
     """(K, 3) unit normals there."""
     sigma_m: Matrix
     """(K,) standard deviation across the surface, m."""
+    stated_px: Matrix
+    """(N,) standard deviation of each observation where it is stated, px; NaN: the noise that all residuals show."""
+    drawn: IntArray
+    """(P,) number of the tie that was drawn by hand; -1: it was found."""
 
     @staticmethod
     def none() -> Ties:
         """Return no ties."""
         empty, indices = np.zeros((0, 3)), np.zeros(0, np.int64)
-        return Ties(empty, indices, indices, np.zeros((0, 2)), indices, indices, empty, empty, np.zeros(0))
+        return Ties(
+            empty, indices, indices, np.zeros((0, 2)), indices, indices, empty, empty, np.zeros(0), np.zeros(0), indices
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

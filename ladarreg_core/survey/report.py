@@ -212,7 +212,11 @@ def _residuals(adjustment: Adjustment) -> Html:
         f"The noise of the ties is {adjustment.sigma_px:.2f} px; chi squared per degree of freedom of what was kept "
         f"is {adjustment.chi2_per_dof:.2f}."
     )
-    return joined(tag("p", words), table(("photograph", "pixel", "residual, px", "also seen in"), rows, numbers=(2,)))
+    found = joined(tag("p", words), table(("photograph", "pixel", "residual, px", "also seen in"), rows, numbers=(2,)))
+    if not adjustment.ties:
+        return found
+    drawn = [(one.id, " and ".join(one.photos), one.reason) for one in adjustment.ties]
+    return joined(found, tag("p", "Drawn by hand:"), table(("tie", "photographs", "verdict"), drawn))
 
 
 def _provenance(adjustment: Adjustment) -> Html:

@@ -196,9 +196,10 @@ class _System:
     def at(problem: Problem, noise: _Noise, width: float) -> _System:
         """Return the equations for a noise of the ties and a width of the loss relative to the last one."""
         of_body, of_camera, size = problem.columns
-        ties, count, sigma_px = problem.ties, len(problem.ties.points), noise.px
+        ties, count = problem.ties, len(problem.ties.points)
         sigma_m = noise.surface * ties.sigma_m
         residual, by_pose, by_camera, by_point = tie_residuals(problem)
+        sigma_px = np.where(np.isnan(ties.stated_px), noise.px, ties.stated_px)
         r2 = np.einsum("ni,ni->n", residual, residual) / sigma_px**2
         seen = np.isfinite(r2) & np.isfinite(by_pose).all(axis=(1, 2)) & np.isfinite(by_camera).all(axis=(1, 2))
         w = np.where(seen, _weight(r2, width * _WIDTH), 0.0)
@@ -366,7 +367,8 @@ def _loss(squared: Matrix, limit: float) -> Matrix:
 def _estimated_noise(system: _System, before: _Noise) -> _Noise:
     """Return the noise of the ties that were kept: by the medians, corrected for the points that were fitted."""
     ties = system.problem.ties
-    kept, on = system.tie_weights > 0.25, system.surface_weights > 0.25
+    found = np.isnan(ties.stated_px)  # of what was drawn by hand the noise is stated
+    kept, on = (system.tie_weights > 0.25) & found, system.surface_weights > 0.25
     if kept.sum() < 20:
         return before
     length = np.linalg.norm(system.residual[kept], axis=1)

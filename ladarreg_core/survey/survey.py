@@ -12,7 +12,15 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Report
 from ladarreg_core.scan import Scan
-from ladarreg_core.survey.parts import SurveyCamera, SurveyParts, SurveyPhoto, SurveyScan, faults_of, listed_faults
+from ladarreg_core.survey.parts import (
+    SurveyCamera,
+    SurveyParts,
+    SurveyPhoto,
+    SurveyScan,
+    SurveyTie,
+    faults_of,
+    listed_faults,
+)
 from ladarreg_core.survey.survey_file import read_survey_parts, survey_parts_of_folder, write_survey
 
 
@@ -33,6 +41,8 @@ class Survey:
     rigs: Mapping[str, Mapping[str, Rigid | None]] = field(default_factory=dict)
     """For each rig, by the names of its sensors, `sensor_from_reference` if it is known; the first sensor is the
     reference."""
+    ties: tuple[SurveyTie, ...] = ()
+    """Places that two photographs show, as somebody drew them."""
 
     def __post_init__(self) -> None:
         faults = faults_of(self)
@@ -91,7 +101,10 @@ class Survey:
 
 
 def _of_parts(parts: SurveyParts) -> Survey:
-    return Survey(scans=tuple(parts.scans), cameras=tuple(parts.cameras), photos=tuple(parts.photos), rigs=parts.rigs)
+    return Survey(
+        scans=tuple(parts.scans), cameras=tuple(parts.cameras), photos=tuple(parts.photos), rigs=parts.rigs,
+        ties=tuple(parts.ties),
+    )  # fmt: skip
 
 
 def _ids(names: Sequence[str]) -> list[str]:

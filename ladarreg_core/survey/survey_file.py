@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,6 +22,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.many.photo_list import camera_groups, folder_contents, photo_entries
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.survey.parts import (
+    DRAWN_SIGMA_PX,
     Estimate,
     PosePrior,
     RigMember,
@@ -30,6 +31,7 @@ from ladarreg_core.survey.parts import (
     SurveyParts,
     SurveyPhoto,
     SurveyScan,
+    SurveyTie,
     faults_of,
     listed_faults,
 )
@@ -40,6 +42,7 @@ _FIELDS = {
     "scans": {"id", "path", "scan", "options", "world_from_scanner", "fixed", "targets", "radius_m", "sigma_m"},
     "cameras": {"id", "camera", "path", "estimate", "options"},
     "photos": {"id", "path", "camera", "initial", "prior", "matches", "rig"},
+    "ties": {"id", "photos", "uv", "sigma_px"},
 }
 _ESTIMATED = {"focal": "focal_px"}  # what the file calls it
 _PHOTO_OPTIONS = ("focal_px", "focal_mm", "sensor_mm", "camera_model")
@@ -51,6 +54,7 @@ class _Parts:
     cameras: list[SurveyCamera]
     photos: list[SurveyPhoto]
     rigs: Mapping[str, Mapping[str, Rigid | None]]
+    ties: list[SurveyTie] = field(default_factory=list)
 
 
 class _Faults:
@@ -84,7 +88,7 @@ def read_survey_parts(path: str | Path) -> SurveyParts:
                 f"unsupported version {fields.get('version')!r:.20} of a survey ({_VERSION} is supported)"
             )
         faults = _Faults()
-        unknown = sorted(set(fields) - {"version", "scans", "cameras", "photos", "rigs"})
+        unknown = sorted(set(fields) - {"version", *_FIELDS, "rigs"})
         if unknown:
             faults.add("survey", f"unknown fields {', '.join(unknown)}")
         folder = file.parent
@@ -94,7 +98,8 @@ def read_survey_parts(path: str | Path) -> SurveyParts:
         photos = [_photo(one, folder, faults) for one in parts["photos"]]
         none: dict[str, dict[str, Rigid | None]] = {}
         rigs = faults.taken("rigs", lambda: _rigs(fields.get("rigs", [])), none)
-        parts_read = _Parts(scans, cameras, photos, rigs)
+        ties = [tie for one in parts["ties"] if (tie := _tie(one, faults)) is not None]
+        parts_read = _Parts(scans, cameras, photos, rigs, ties)
         faults.found += faults_of(parts_read)
     if faults.found:  # here, since errors of reading are shortened
         raise FormatError(f"{shown_name(path)}: {listed_faults('it', faults.found)}")
@@ -162,6 +167,10 @@ def survey_fields(survey: SurveyParts, path: str | Path) -> dict[str, Any]:
              "sensors": {sensor: {"sensor_from_reference": matrix(pose)} for sensor, pose in sensors.items()}}
             for name, sensors in survey.rigs.items()
         ],
+        **({"ties": [
+            {"id": one.id, "photos": list(one.photos), "uv": [list(uv) for uv in one.uv], "sigma_px": one.sigma_px}
+            for one in survey.ties
+        ]} if survey.ties else {}),
     }  # fmt: skip
 
 
@@ -300,6 +309,22 @@ def _photo(one: Mapping[str, Any], folder: Path, faults: _Faults) -> SurveyPhoto
         matches=None if matches is None else _path(matches, folder, f"{where}, matches", faults),
         rig=faults.taken(where, lambda: _member(one.get("rig")), None),
     )  # fmt: skip
+
+
+def _tie(one: Mapping[str, Any], faults: _Faults) -> SurveyTie | None:
+    def made() -> SurveyTie:
+        photos, uv, sigma_px = one.get("photos"), one.get("uv"), one.get("sigma_px", DRAWN_SIGMA_PX)
+        if not isinstance(photos, list) or len(photos) != 2 or not all(isinstance(name, str) for name in photos):
+            raise OptionError("its photos must be the ids of two")
+        places = np.asarray(uv, np.float64)
+        if places.shape != (2, 2):
+            raise OptionError("its uv must be two pixels, [[u, v], [u, v]], one in each of its photos")
+        if not is_number(sigma_px):
+            raise OptionError(f"its sigma_px is {sigma_px!r:.20}; it must be a number of pixels")
+        first, second = ((float(u), float(v)) for u, v in places)
+        return SurveyTie(id=one["id"], photos=(photos[0], photos[1]), uv=(first, second), sigma_px=float(sigma_px))
+
+    return faults.taken(f"tie {one['id']}", made, None)
 
 
 def _prior(value: Any) -> PosePrior | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +17,13 @@ from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M
 from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.photo_points import xyz_of_photo
+from ladarreg_core.survey.features import Features
 from ladarreg_core.survey.problem import Matrix, Ties
 
 PairMatches = Mapping[tuple[int, int], IntArray]
 """Matches (M, 2) of features of two photographs, by their indices i < j."""
+DrawnEnds = Mapping[tuple[int, int], tuple[int, float]]
+"""Number and pixel sigma of the ties that were drawn by hand, by their ends: (photograph, feature)."""
 _SURFACE_SIGMA_M = 0.0025  # of the smoothed surface beside its range noise: texture is not exactly where the laser hit
 _MIN_PARALLAX_RAD = float(np.radians(2.0))  # of a tie that lies on no surface
 _FAR_PX = 60.0  # of a photograph 1000 px wide: what lies farther from where the poses put it is a wrong match
@@ -48,11 +52,52 @@ def laser_points(scan: Scan, camera: CameraModel, camera_from_scanner: Rigid, uv
     return LaserPoints(found.xyz.astype(np.float32), found.normals, _SURFACE_SIGMA_M)
 
 
-def thinned(matches: IntArray, uv: FloatArray, limit: int = _PAIR_LIMIT) -> IntArray:
+def with_drawn(
+    features: Sequence[Features], matches: PairMatches, drawn: Sequence[tuple[tuple[int, int], FloatArray, float]]
+) -> tuple[list[Features], dict[tuple[int, int], IntArray], dict[tuple[int, int], tuple[int, float]]]:
+    """Return features and matches with those that were drawn by hand: each end is a further feature of its photograph.
+
+    Args:
+        features: of each photograph.
+        matches: of pairs of them.
+        drawn: of each tie its two photographs, its two pixels (2, 2) and their standard deviation, px.
+
+    Returns:
+        the features, the matches, and which features are the ends of what was drawn (`DrawnEnds`).
+    """
+    more: dict[int, list[FloatArray]] = {}
+    pairs: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    ends: dict[tuple[int, int], tuple[int, float]] = {}
+    for number, (photos, uv, sigma_px) in enumerate(drawn):
+        nodes = []
+        for photo, place in zip(photos, uv, strict=True):
+            own = more.setdefault(photo, [])
+            nodes.append((photo, len(features[photo]) + len(own)))
+            own.append(place)
+        (i, a), (j, b) = sorted(nodes)
+        pairs.setdefault((i, j), []).append((a, b))
+        ends |= dict.fromkeys(nodes, (number, sigma_px))
+    extended = [one.extended(np.array(more[k])) if k in more else one for k, one in enumerate(features)]
+    joined = dict(matches)
+    for pair, rows in pairs.items():
+        known = joined.get(pair)
+        joined[pair] = np.array(rows) if known is None else np.concatenate([known, np.array(rows)])
+    return extended, joined, ends
+
+
+def thinned(matches: IntArray, uv: FloatArray, limit: int = _PAIR_LIMIT, *, keep: BoolArray | None = None) -> IntArray:
     """Return matches (M, 2) thinned to `limit`, evenly over the first photograph: the order of `uv` (N, 2) decides.
 
     A cell of a grid gives one after the other, so that crowded places give no more than others.
+
+    Args:
+        matches: the matches.
+        uv: features of the first photograph.
+        limit: how many are left.
+        keep: (M,) which stay besides these; None: none.
     """
+    if keep is not None and keep.any():
+        return np.concatenate([thinned(matches[~keep], uv, limit), matches[keep]])
     if len(matches) <= limit:
         return matches
     at = uv[matches[:, 0]]
@@ -97,6 +142,7 @@ def tie_points(
     *,
     body_of_scan: Sequence[int],
     body_of_photo: Mapping[int, int],
+    drawn: DrawnEnds = MappingProxyType({}),
 ) -> Ties:
     """Return the ties of photographs that have poses.
 
@@ -113,11 +159,16 @@ def tie_points(
         scan_poses: `scanner_from_world` of each scan.
         body_of_scan: index of each scan in the problem.
         body_of_photo: index of each photograph.
+        drawn: which features are ends of ties that were drawn by hand.
     """
-    usable = {key: thinned(value, uv[key[0]]) for key, value in pairs.items() if key[0] in poses and key[1] in poses}
+    usable = {}
+    for (i, j), matches in pairs.items():
+        if i in poses and j in poses:
+            by_hand = np.array([(i, a) in drawn for a in matches[:, 0].tolist()], np.bool_)
+            usable[i, j] = thinned(matches, uv[i], keep=by_hand)
     groups = tracks(usable)
     out: dict[str, list[object]] = {
-        name: [] for name in ("points", "point", "photo", "uv", "on", "scan", "xyz", "n", "s")
+        name: [] for name in ("points", "drawn", "point", "photo", "uv", "px", "on", "scan", "xyz", "n", "s")
     }
     for group in groups:
         candidates = _places(group, on_laser, scan_poses)
@@ -132,11 +183,14 @@ def tie_points(
         if near.sum() < 2:
             continue
         out["points"].append(point)
+        which, sigma_px = drawn.get(group[0], (-1, np.nan))
+        out["drawn"].append(which)
         for (photo, feature), kept in zip(group, near.tolist(), strict=True):
             if kept:
                 out["point"].append(number)
                 out["photo"].append(body_of_photo[photo])
                 out["uv"].append(uv[photo][feature])
+                out["px"].append(sigma_px)
         for scan, place in _one_of_each_scan(candidates, point).items():
             out["on"].append(number)
             out["scan"].append(body_of_scan[scan])
@@ -152,7 +206,7 @@ def tie_points(
 
     return Ties(
         array("points", 3), indices("point"), indices("photo"), array("uv", 2), indices("on"), indices("scan"),
-        array("xyz", 3), array("n", 3), array("s", 1),
+        array("xyz", 3), array("n", 3), array("s", 1), array("px", 1), indices("drawn"),
     )  # fmt: skip
 
 

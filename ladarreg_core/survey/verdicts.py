@@ -154,6 +154,7 @@ def without_photo(problem: Problem, bodies: Bodies, photo: int) -> tuple[Problem
     left = Ties(
         ties.points[enough], points[ties.point[seen]], number[ties.photo[seen]], ties.uv[seen],
         points[ties.on_point[on]], number[ties.scan[on]], ties.xyz[on], ties.normal[on], ties.sigma_m[on],
+        ties.stated_px[seen], ties.drawn[enough],
     )  # fmt: skip
     relative = tuple(
         replace(one, body=int(number[one.body]), base=int(number[one.base]) if one.base >= 0 else one.base)

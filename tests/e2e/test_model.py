@@ -331,3 +331,56 @@ def test_the_photograph_slides_over_the_model_and_is_replayed(browser: Browser, 
     socket.socket.close()
     assert not visit.errors
     visit.context.close()
+
+
+SHEET = """() => {
+  const { camera, scene } = window.__viserMutable;
+  const sheet = scene.getObjectByName("photograph before its camera");
+  if (!sheet) return null;
+  sheet.updateWorldMatrix(true, false);
+  const { position, uv } = sheet.geometry.attributes;
+  return Array.from({ length: position.count }, (_, k) => {
+    const at = camera.position.clone().fromArray(position.array, 3 * k).applyMatrix4(sheet.matrixWorld).project(camera);
+    return [(at.x + 1) / 2 * innerWidth, (1 - at.y) / 2 * innerHeight, uv.array[2 * k], uv.array[2 * k + 1]];
+  });
+}"""
+
+
+def test_who_looks_from_the_camera_sees_its_photograph_as_opaque_as_the_slider_says(visit: Visit) -> None:
+    """At 100 % the photograph is what is seen, pixel by pixel; at 0 %, and from elsewhere, nothing of it is."""
+    page, frame = visit.page, visit.drawn()
+    slider = page.get_by_role("group", name="Opacity of the photograph").get_by_role("slider")
+    page.get_by_role("button", name="Overview", exact=True).click()
+    slider.wait_for(state="hidden")
+    page.get_by_role("button", name="Camera", exact=True).click()
+    slider.wait_for()
+    assert frame.evaluate(SHEET) is None, "nobody asked for it yet"
+    photograph = np.asarray(Image.open(next(sample_folder().glob("photo.*"))).convert("RGB")).astype(int)
+    height, width = photograph.shape[:2]
+
+    def seen(_: np.ndarray) -> bool:
+        if frame.evaluate(SHEET) is None:
+            return False
+        shot = np.asarray(Image.open(io.BytesIO(page.locator(".model-frame").screenshot())).convert("RGB"))
+        corners = np.array(frame.evaluate(SHEET))
+        warp, _ = cv2.findHomography(corners[:, 2:] * [width, height] - 0.5, corners[:, :2] - 0.5)
+        shown = cv2.warpPerspective(photograph.astype(np.uint8), warp, shot.shape[1::-1], flags=cv2.INTER_AREA)
+        inside = cv2.warpPerspective(np.ones((height, width), np.uint8), warp, shot.shape[1::-1]) > 0
+        inside[:70] = False  # the controls
+        inside[-110:] = False
+        blurred = [cv2.GaussianBlur(picture, (0, 0), 3).astype(int) for picture in (shot, shown)]
+        off = np.abs(blurred[0] - blurred[1]).max(axis=-1)[inside]
+        return bool(inside.mean() > 0.15 and np.median(off) < 4)
+
+    slider.fill("1")
+    visit.until(seen, "the photograph where it was taken")
+    slider.fill("0.3")
+    assert page.get_by_role("group", name="Opacity of the photograph").locator("output").text_content() == "30 %"
+    page.keyboard.press("m")
+    slider.fill("0")
+    frame.wait_for_function(f"({SHEET})() === null")
+    slider.fill("0.6")
+    frame.wait_for_function(f"({SHEET})() !== null")
+    page.get_by_role("button", name="Overview", exact=True).click()
+    slider.wait_for(state="hidden")
+    assert frame.evaluate(SHEET) is None, "from elsewhere nothing would lie on its place"

@@ -23,6 +23,8 @@ from ladarreg_core.inspection.model_textures import (
     texture_choices,
     usable_texture,
 )
+from ladarreg_core.inspection.scene_geometry import picture_sheet
+from ladarreg_core.inspection.viewpoints import typical_range
 
 from ...gateway.protocol import Picture
 from ...scene.model_view import DETAILS, LAYERS
@@ -50,6 +52,8 @@ LEGEND_HEADER = "x-legend"
 _OF_CODES = ("label", "photo_id")
 """Textures whose colours are codes, which a lossy format would blur."""
 _NEED_VISIBILITY = ("resolution", "label")
+_SHEET_DECIMALS = 4
+"""Of the corners of a photograph's sheet, m."""
 _LOSSY_QUALITY = 84
 _PHOTO_QUALITY = 90
 MAX_VERTICES = 400_000
@@ -130,7 +134,34 @@ class ModelParts:
             choices[0] |= {"usable": True, "said": "each place in the colours of the photograph that shows it best"}
         choices += self._layer_choices(document)
         rev = hashlib.sha256(repr(made_of).encode()).hexdigest()[:12]
-        return {"rev": rev, "accepted": bool(result is not None and result.accepted), "choices": choices}
+        accepted = result if result is not None and result.accepted else None
+        sheet = None if accepted is None or entry is None else self._sheet(document, entry, accepted)
+        return {"rev": rev, "accepted": accepted is not None, "choices": choices, "sheet": sheet}
+
+    def _sheet(self, document: Document, entry: PhotoEntry, result: PoseResult) -> dict[str, Any] | None:
+        """Return the sheet that shows the photograph to who looks from its camera; None without a scan."""
+        try:
+            scan = self._loader.scan(document)
+        except LadarregError:  # its file has gone, which the slice `scan` states
+            return None
+        if scan is None:
+            return None
+
+        def made() -> dict[str, Any]:
+            distance = typical_range(scan)
+            net = picture_sheet(result.camera, result.camera_from_scanner, distance_m=distance)
+            corners = net.round(_SHEET_DECIMALS).reshape(-1, 3)
+            return {
+                "photo": entry.id,
+                "centre": result.camera_from_scanner.centre.tolist(),
+                "distance": distance,
+                "columns": net.shape[1],
+                "corners": [corner if np.isfinite(corner).all() else None for corner in corners.tolist()],
+            }
+
+        assert entry.pose is not None, "it has a result"
+        key = ("sheet", document.scan, entry.id, entry.pose.camera_from_scanner, repr(entry.pose.camera))
+        return self._loader.cached("model", key, made)
 
     def _layer_choices(self, document: Document) -> list[dict[str, Any]]:
         """Return the textures made of all accepted photographs, as entries of `choices`."""

@@ -19,6 +19,7 @@ from ladarreg.cli import main
 import ladarreg_core as lr
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.simulate.sample import sample_survey_folder
+from testing.scenes.shared_places import shared_places
 from testing.scenes.survey_set import SurveySet, simulate_survey, write_survey_set
 
 pytest.importorskip("embreex")
@@ -241,3 +242,27 @@ def test_the_worked_example_of_the_documentation(tmp_path: Path) -> None:
     assert document["photos"]["close_01"]["evidence"] == "ties"
     for camera, focal in zip(document["cameras"].values(), truth["focal_px"], strict=True):
         assert abs(camera["camera"]["fx"] - focal) < 4 * camera["sigmas"]["focal_px"]
+
+
+@pytest.mark.slow
+def test_ties_that_were_drawn_are_part_of_the_adjustment_and_a_wrong_one_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    job, out, pair = tmp_path / "job", tmp_path / "results", shared_places()
+    job.mkdir()
+    for name in ("station1.npz", *(f"{one}.jpg" for one in pair.names)):
+        shutil.copy(sample_survey_folder() / name, job / name)
+    assert main(["survey", str(job), "-o", str(job / "survey.json"), "--quiet"]) == 0
+    fields = json.loads((job / "survey.json").read_text(encoding="utf-8"))
+    places = pair.uv[:: len(pair.uv) // 8] + np.random.default_rng(1).normal(0, 0.5, (2,))
+    ties = [{"id": f"t{k}", "photos": list(pair.names), "uv": uv} for k, uv in enumerate(places.tolist())]
+    (u, v), (s, t) = places[0].tolist()
+    wrong = {"id": "wrong", "photos": list(pair.names), "uv": [[u, v], [s + 18.0, t - 14.0]], "sigma_px": 0.5}
+    fields["ties"] = [*ties, wrong]
+    (job / "survey.json").write_text(json.dumps(fields), encoding="utf-8")
+    assert main(["adjust", str(job / "survey.json"), "-o", str(out), "--quiet"]) == 0
+    verdicts = {one["id"]: one for one in _document(out)["ties"]}
+    assert [name for name, one in verdicts.items() if one["agrees"]] == [one["id"] for one in ties]
+    assert verdicts["wrong"]["residual_px"] > 5
+    assert f"Tie      wrong of {' and '.join(pair.names)}: Left out" in capsys.readouterr().out
+    assert "wrong" in (out / "report.html").read_text(encoding="utf-8")

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import Camera, FisheyeCamera
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.export.models.viser_colors import line_colors_for_viewer, shown_colors
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, look_along
@@ -21,6 +21,7 @@ from ladarreg_core.inspection.scene_geometry import (
     dashed,
     distance_of_picture,
     faded,
+    picture_sheet,
     rays_to,
     spread,
 )
@@ -184,3 +185,24 @@ def test_the_overview_looks_along_a_given_direction() -> None:
     there = overview(WALL, None, forward=np.array([0.2, 1, 5]))
     along = (there.look_at - there.position)[:2]
     assert along @ [0.2, 1] / np.linalg.norm(along) / np.linalg.norm([0.2, 1]) > 0.9
+
+
+@given(poses(reach_m=5.0), st.floats(0.5, 30.0))
+def test_a_pictures_sheet_shows_each_pixel_on_its_ray(pose: Rigid, distance: float) -> None:
+    camera = Camera(640, 480, 500.0, 510.0, 317.0, 241.0, distortion=(-0.12, 0.03, 0.001, -0.002))
+    net = picture_sheet(camera, pose, distance_m=distance, squares=12)
+    assert net.shape == (10, 13, 3)
+    assert np.linalg.norm(net - pose.centre, axis=-1) == pytest.approx(distance)
+    uv = camera.project(pose @ net.reshape(-1, 3)).reshape(10, 13, 2)
+    assert uv[0, 0] == pytest.approx([-0.5, -0.5], abs=1e-3)
+    assert uv[-1, -1] == pytest.approx([639.5, 479.5], abs=1e-3)
+    assert uv[3, 6] == pytest.approx([319.5, 159.5], abs=1e-3)
+
+
+def test_a_pictures_sheet_is_open_where_its_camera_has_no_ray() -> None:
+    camera = FisheyeCamera(500, 500, 130.0, 130.0, 249.5, 249.5)
+    net = picture_sheet(camera, Rigid.identity(), distance_m=2.0)
+    has_ray = np.isfinite(camera.unproject([[-0.5, -0.5], [249.5, 249.5]])).all(axis=1)
+    assert np.isfinite(net[0, 0]).all() == has_ray[0]
+    assert np.isfinite(net[8, 8]).all()
+    assert has_ray[1]

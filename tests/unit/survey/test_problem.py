@@ -59,6 +59,7 @@ def room(seed: int, *, photos: int = 5, points: int = 160, noise: float = 1.0) -
         Ties(
             walls, point, photo, np.zeros((len(point), 2)), np.arange(points), np.zeros(points, int),
             scanner @ walls, normal @ scanner.rotation.T, np.full(points, _RANGE),
+            np.full(len(point), np.nan), np.full(points, -1),
         ),
     )  # fmt: skip
     exact = -tie_residuals(truth)[0]

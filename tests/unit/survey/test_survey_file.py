@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import ladarreg_core as lr
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import ExportError, FormatError, OptionError
 from ladarreg_core.frames import Rigid
-from ladarreg_core.survey.parts import PosePrior, RigMember, SurveyCamera, SurveyPhoto, SurveyScan
+from ladarreg_core.survey.parts import PosePrior, RigMember, SurveyCamera, SurveyPhoto, SurveyScan, SurveyTie
 from ladarreg_core.survey.survey import Survey
 
 
@@ -47,6 +48,10 @@ def _survey(folder: Path) -> Survey:
                                         covariance=np.diag([np.inf] * 3 + [0.01] * 3))),
         ),
         rigs={"car": {"front": None, "left": pose}},
+        ties=(
+            SurveyTie(id="t1", photos=("one", "two"), uv=((1.5, 2.0), (30.0, 40.25)), sigma_px=0.4),
+            SurveyTie(id="t2", photos=("three", "one"), uv=((3.0, 4.0), (5.0, 6.0))),
+        ),
     )  # fmt: skip
 
 
@@ -69,6 +74,8 @@ def test_what_is_written_is_read(files: Path) -> None:
     np.testing.assert_allclose(position.pose.centre, [4, 5, 6])
     np.testing.assert_allclose(np.diag(position.covariance)[3:], 0.01)
     assert list(read.rigs["car"]) == ["front", "left"]
+    assert read.ties == survey.ties
+    assert read.ties[1].sigma_px == 1.0
     read.to_file(files / "again.json")
     assert json.loads((files / "again.json").read_text()) == stated
 
@@ -93,6 +100,29 @@ def test_all_faults_are_told_at_once(files: Path) -> None:
         "unknown fields colour", "8 faults", "nothing was done",
     ):  # fmt: skip
         assert words in text, (words, text)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"photos": ["one", "nobody"]}, "tie t1 names the photo 'nobody', which is not listed"),
+        ({"photos": ["one", "one"]}, "tie t1 names the photo 'one' twice"),
+        ({"photos": ["one"]}, "tie t1: its photos must be the ids of two"),
+        ({"uv": [[1, 2]]}, "tie t1: its uv must be two pixels"),
+        ({"sigma_px": 0}, "tie t1 has the sigma_px 0"),
+        ({"sigma_px": "fine"}, "tie t1: its sigma_px is 'fine'"),
+        ({"id": "t2"}, "2 ties have the id 't2'"),
+        ({"weight": 1}, "unknown fields weight"),
+    ],
+)
+def test_faults_of_ties_are_told(files: Path, changes: dict[str, Any], words: str) -> None:
+    _survey(files).to_file(files / "survey.json")
+    fields = json.loads((files / "survey.json").read_text())
+    fields["ties"][0] |= changes
+    (files / "survey.json").write_text(json.dumps(fields))
+    with pytest.raises(FormatError, match="1 fault") as caught:
+        Survey.from_file(files / "survey.json")
+    assert words in str(caught.value)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import { store } from "../../net/store.js";
 import { isRunning } from "../../state/pipeline.js";
 import { simplexRun } from "../../state/simplex_run.js";
 import { whenFirstPicturesArrived } from "../../ui/first_pictures.js";
-import { blockAddress, layerAddress, meshAddress, ModelParts, textureAddress } from "./model_parts.js";
+import { blockAddress, layerAddress, meshAddress, ModelParts, pictureAddress, textureAddress } from "./model_parts.js";
 import { ModelSurface } from "./model_surface.js";
 import { thrownOnto } from "./photo_slide.js";
 import { blocksAt } from "./model_view.js";
@@ -65,8 +65,8 @@ export class ModelLoader {
   }
 
   /** @returns {ImageBitmap | null} null while it is being loaded; it is shown as soon as it is there */
-  #slidingPicture({ id, rev }) {
-    const address = `picture/photo/${encodeURIComponent(id)}?rev=${encodeURIComponent(rev ?? id)}&form=quick`;
+  #slidingPicture(photo) {
+    const address = pictureAddress(photo);
     if (this.#sliding?.address === address) return this.#sliding.bitmap;
     const sliding = { address, bitmap: null };
     this.#sliding = sliding;
@@ -78,6 +78,11 @@ export class ModelLoader {
       () => this.#sliding === sliding && (this.#sliding = null), // the next frame tries again
     );
     return null;
+  }
+
+  /** @returns {ModelSurface} what is drawn */
+  get surface() {
+    return this.#surface;
   }
 
   /** Call `listen(state)` at each change. @param {(state: ModelState) => void} listen */

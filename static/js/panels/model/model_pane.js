@@ -9,6 +9,7 @@ import { mountModelCover } from "./model_cover.js";
 import { mountModelFrame } from "./model_frame.js";
 import { mountModelLegend } from "./model_legend.js";
 import { ModelLoader, usableTexture } from "./model_loader.js";
+import { mountPhotoSheet } from "./photo_sheet.js";
 import { placingBar, roughPose } from "./rough_pose.js";
 import { drawsInSoftware, mountSoftwareHint } from "./software_drawing.js";
 
@@ -120,7 +121,7 @@ export const mountModelPane = (pane) => {
   const cover = mountModelCover(loader);
   const legend = mountModelLegend(loader);
   const chip = element("p", { class: "model-loading", role: "status", hidden: true });
-  body.append(frame, cover.element, legend.element, chip, empty, placingBar());
+  body.append(frame, cover.element, mountPhotoSheet(loader), legend.element, chip, empty, placingBar());
   pane.querySelector(".pane-controls").append(viewpoints(), textureSelect(), ...display(legend));
   mountModelFrame(frame, { loaded: (got, total) => loader.count("viewer", got, total), failed: cover.fail });
   mountSoftwareHint(body);

@@ -27,6 +27,9 @@ export const layerAddress = (photo, { rev }, detail) => ({
   picture: addressOf("photo", { photo, detail, rev }),
 });
 
+/** @returns {string} a photograph as it is shown at once, of its own size */
+export const pictureAddress = ({ id, rev }) => `picture/photo/${encodeURIComponent(id)}?rev=${encodeURIComponent(rev ?? id)}&form=quick`;
+
 /**
  * Download a part.
  * @param {string} address

@@ -12,6 +12,9 @@ const LAYER = "photo layer";
 const BLOCK = "block";
 const SLIDE = "sliding photograph";
 const BELOW_SLIDE = 0.3; // brightness
+const SHEET = "photograph before its camera";
+const OVER_ALL = 1000; // order of drawing
+const BOTH_SIDES = 2; // of three.js: DoubleSide
 const [REPEAT, TRILINEAR] = [1000, 1008]; // of three.js: RepeatWrapping, LinearMipmapLinearFilter
 const MARKS = ["/matches/points", "/highlight/halo", "/highlight/point"];
 
@@ -61,6 +64,7 @@ export class ModelSurface {
   #layer = null;
   #slide = null;
   #blocks = [];
+  #sheet = null;
 
   /** @param {HTMLIFrameElement} frame */
   constructor(frame) {
@@ -233,9 +237,58 @@ export class ModelSurface {
     this.#viewer?.requestRender();
   }
 
+  /** @returns {number[] | null} where one looks from, m, scanner frame */
+  get eye() {
+    const camera = this.#viewer?.camera;
+    if (!camera || !this.intact) return null;
+    return camera.position.clone().setFromMatrixPosition(camera.matrixWorld).applyMatrix4(this.#mesh.matrixWorld.clone().invert()).toArray();
+  }
+
+  /**
+   * Draw a picture over everything, on a sheet that stands before its camera.
+   * @param {ImageBitmap} bitmap of this window; the same one as long as it is the same photograph
+   * @param {{positions: Float32Array, uv: Float32Array, faces: Uint32Array}} arrays the same ones as long as it stands there
+   * @param {number} opacity 0 to 1
+   */
+  drawSheet(bitmap, arrays, opacity) {
+    if (!this.intact) return;
+    const known = this.#sheet;
+    if (known && (known.bitmap !== bitmap || known.arrays !== arrays || known.node.parent !== this.#mesh)) this.endSheet();
+    if (!this.#sheet) {
+      const mesh = this.#mesh;
+      const material = mesh.material.clone();
+      material.map = mesh.material.map.clone();
+      material.map.source = new mesh.material.map.source.constructor(bitmap);
+      material.map.needsUpdate = true;
+      material.color.setScalar(1);
+      Object.assign(material, { transparent: true, depthTest: false, depthWrite: false, side: BOTH_SIDES });
+      const node = new mesh.constructor(geometryOf(mesh.geometry, arrays, this.#frame.contentWindow), material);
+      node.name = SHEET;
+      node.renderOrder = OVER_ALL;
+      node.raycast = () => {};
+      mesh.add(node);
+      this.#sheet = { node, bitmap, arrays };
+    } else if (known.node.material.opacity === opacity) return;
+    this.#sheet.node.material.opacity = opacity;
+    this.#viewer.requestRender();
+  }
+
+  /** Remove the sheet. */
+  endSheet() {
+    if (!this.#sheet) return;
+    const { node } = this.#sheet;
+    node.removeFromParent();
+    node.geometry.dispose();
+    node.material.map.dispose();
+    node.material.dispose();
+    this.#sheet = null;
+    this.#viewer?.requestRender();
+  }
+
   /** Show nothing. */
   clear() {
     this.endSlide();
+    this.endSheet();
     this.#dropLayer();
     this.#dropBlocks();
     const mesh = this.#find();

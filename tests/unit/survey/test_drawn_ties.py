@@ -1,0 +1,172 @@
+"""Ties that somebody drew between two photographs: what they give to weak poses, and what a wrong one does not do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import ladarreg_core as lr
+from ladarreg_core.frames import Rigid, rotvec_from_rotation
+from ladarreg_core.survey.adjustment import AdjustedPhoto
+from ladarreg_core.survey.assembly import drawn_ties
+from ladarreg_core.survey.build import Bodies
+from ladarreg_core.survey.features import Features
+from ladarreg_core.survey.parts import SurveyTie
+from ladarreg_core.survey.problem import (
+    WORLD,
+    CameraUnknowns,
+    Matrix,
+    PhotoView,
+    Problem,
+    RelativePose,
+    Ties,
+    moved_pose,
+    pose_difference,
+)
+from ladarreg_core.survey.solver import Adjusted, solve
+from ladarreg_core.survey.ties import laser_points, thinned, tie_points, with_drawn
+from ladarreg_core.survey.verdicts import Solution
+from testing.scenes.shared_places import SharedPlaces, shared_places
+
+_NO_FEATURES = Features(np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32), np.zeros(0, np.float32))
+_WEAK = np.array([*[np.radians(0.3)] * 3, *[0.015] * 3])
+"""Standard deviation of the weak poses: 0.3 deg and 15 mm, about 5 px."""
+_NOISE_PX = 0.5
+_DRAWN = 12
+
+
+def _drawn(pair: SharedPlaces, rng: np.random.Generator, count: int) -> list[SurveyTie]:
+    chosen = pair.uv[rng.choice(len(pair.uv), count, replace=False)]
+    places = chosen + rng.normal(0, _NOISE_PX, chosen.shape)
+    return [
+        SurveyTie(
+            id=f"t{k + 1}", photos=pair.names, uv=((one[0][0], one[0][1]), (one[1][0], one[1][1])), sigma_px=_NOISE_PX
+        )
+        for k, one in enumerate(places.tolist())
+    ]
+
+
+def _adjusted(
+    pair: SharedPlaces, start: list[Rigid], drawn: list[SurveyTie], *, on_laser: bool
+) -> tuple[Adjusted, Bodies]:
+    """Adjust two photographs at weak poses by the ties that were drawn alone, as the survey does it, twice."""
+    features, matches, ends = with_drawn(
+        [_NO_FEATURES, _NO_FEATURES], {}, [((0, 1), np.array(one.uv), one.sigma_px) for one in drawn]
+    )
+    known = [RelativePose(k + 1, WORLD, pose, np.diag(_WEAK**2), name="its prior") for k, pose in enumerate(start)]
+    cameras = tuple(CameraUnknowns(one, np.zeros(0), np.zeros(0), np.zeros((0, 0))) for one in pair.cameras)
+    views = (None, *(PhotoView(k, np.eye(4), np.zeros(4), one) for k, one in enumerate(pair.cameras)))
+    fixed = np.array([True, False, False])
+    problem = Problem((Rigid.identity(), *start), fixed, views, cameras, tuple(known), Ties.none())
+    bodies = Bodies([0], {0: 1, 1: 2})
+    for _ in range(2):
+        poses, models = dict(enumerate(problem.poses[1:])), dict(enumerate(pair.cameras))
+        laser = {
+            (k, 0): laser_points(pair.scan, models[k], poses[k], features[k].uv.astype(np.float64))
+            for k in poses if on_laser
+        }  # fmt: skip
+        ties = tie_points(
+            matches, [one.uv for one in features], poses, models, laser, [Rigid.identity()],
+            body_of_scan=[0], body_of_photo=bodies.photos, drawn=ends,
+        )  # fmt: skip
+        found = solve(replace(problem, ties=ties))
+        problem = found.problem
+    return found, bodies
+
+
+def _errors(pair: SharedPlaces, poses: tuple[Rigid, ...]) -> Matrix:
+    return np.array([pose_difference(true, found) for true, found in zip(pair.poses, poses, strict=True)])
+
+
+def _weak_start(pair: SharedPlaces, rng: np.random.Generator) -> list[Rigid]:
+    return [moved_pose(pose, _WEAK * rng.normal(size=6)) for pose in pair.poses]
+
+
+def _verdicts(pair: SharedPlaces, found: Adjusted, bodies: Bodies, drawn: list[SurveyTie]) -> dict[str, lr.AdjustedTie]:
+    photos = {
+        name: AdjustedPhoto(
+            camera_from_world=pose, covariance=np.eye(6), camera=camera, camera_id="c", evidence="image", reasons=()
+        )
+        for name, pose, camera in zip(pair.names, found.problem.poses[1:], pair.cameras, strict=True)
+    }
+    return {one.id: one for one in drawn_ties(drawn, Solution(found, bodies), photos)}
+
+
+@pytest.mark.slow
+def test_drawn_ties_bring_two_weak_poses_closer_together_and_to_the_surface() -> None:
+    pair, before, after, between, held, agree = shared_places(), [], [], [], [], []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        start, drawn = _weak_start(pair, rng), _drawn(pair, rng, _DRAWN)
+        found, bodies = _adjusted(pair, start, drawn, on_laser=True)
+        before.append(_errors(pair, tuple(start)))
+        after.append(_errors(pair, found.problem.poses[1:]))
+        agree.append(sum(one.agrees for one in _verdicts(pair, found, bodies, drawn).values()))
+        rotations = [pose.rotation for pose in (*pair.poses, *start, *found.problem.poses[1:])]
+        true, weak, solved = (rotations[k + 1] @ rotations[k].T for k in (0, 2, 4))
+        between.append([np.linalg.norm(rotvec_from_rotation(one @ true.T)) for one in (weak, solved)])
+        held.append([off @ np.linalg.solve(found.covariance_of(k + 1), off) / 6 for k, off in enumerate(after[-1])])
+    turn, shift = (
+        np.sqrt(np.mean(np.array(after)[..., part] ** 2) / np.mean(np.array(before)[..., part] ** 2))
+        for part in (slice(0, 3), slice(3, 6))
+    )
+    assert sum(agree) >= 0.96 * 12 * _DRAWN, agree
+    assert turn < 0.85, turn  # how both stand together, the surface says little of
+    assert shift < 0.85, shift
+    relative = np.median(np.array(between), axis=0)
+    assert relative[1] < 0.4 * relative[0], relative
+    assert 0.2 < np.mean(held) < 3, "the errors are those that the covariance states"
+
+
+@pytest.mark.slow
+def test_a_wrong_tie_is_left_out_and_named_and_moves_nothing() -> None:
+    pair, rng = shared_places(), np.random.default_rng(4)
+    start, drawn = _weak_start(pair, rng), _drawn(pair, rng, _DRAWN)
+    right, _ = _adjusted(pair, start, drawn, on_laser=True)
+    (u, v), there = drawn[5].uv
+    wrong = SurveyTie(id="wrong", photos=pair.names, uv=((u, v), (there[0] + 22.0, there[1] - 17.0)), sigma_px=0.5)
+    far = SurveyTie(id="far", photos=pair.names, uv=((u, v), (there[0] + 200.0, there[1] + 150.0)), sigma_px=0.5)
+    every = [*drawn, wrong, far]
+    found, bodies = _adjusted(pair, start, every, on_laser=True)
+    verdicts = _verdicts(pair, found, bodies, every)
+    assert [name for name, one in verdicts.items() if not one.agrees] == ["wrong", "far"]
+    assert "px from where all else puts it" in verdicts["wrong"].reason
+    assert verdicts["wrong"].residual_px == pytest.approx(np.hypot(22, 17), abs=4)
+    assert "draw it again" in verdicts["far"].reason
+    for one, other in zip(right.problem.poses, found.problem.poses, strict=True):
+        assert one.distance_to(other) < 1e-3
+
+
+@pytest.mark.slow
+def test_where_the_laser_met_nothing_drawn_ties_are_triangulated() -> None:
+    pair, rng = shared_places(), np.random.default_rng(8)
+    start, drawn = _weak_start(pair, rng), _drawn(pair, rng, _DRAWN)
+    found, _ = _adjusted(pair, start, drawn, on_laser=False)
+    assert len(found.problem.ties.scan) == 0
+    assert len(found.problem.ties.points) >= _DRAWN - 2
+    kept = np.linalg.norm(found.tie_residuals_px[found.tie_inliers], axis=1)
+    assert np.median(kept) < 2 * _NOISE_PX
+
+
+def test_what_is_drawn_is_never_thinned_out() -> None:
+    rng = np.random.default_rng(2)
+    uv, by_hand = rng.uniform(0, 600, (900, 2)), np.arange(900) >= 890
+    kept = thinned(np.stack([np.arange(900)] * 2, axis=1), uv, 300, keep=by_hand)
+    assert len(kept) == 310
+    assert set(range(890, 900)) <= set(kept[:, 0].tolist())
+
+
+def test_drawn_ties_follow_the_features_that_were_found() -> None:
+    found = Features(np.zeros((3, 2), np.float32), np.ones((3, 128), np.float32), np.ones(3, np.float32))
+    places = np.array([[5.0, 6.0], [7.0, 8.0]])
+    features, matches, ends = with_drawn(
+        [found, found, found], {(0, 2): np.array([[1, 1]])}, [((2, 0), places, 0.4), ((0, 1), places, 2.0)]
+    )
+    assert [len(one) for one in features] == [5, 4, 4]
+    assert features[2].uv[3].tolist() == [5.0, 6.0]
+    assert features[0].uv[3:].tolist() == [[7.0, 8.0], [5.0, 6.0]]
+    assert matches[0, 2].tolist() == [[1, 1], [3, 3]]
+    assert matches[0, 1].tolist() == [[4, 3]]
+    assert ends == {(2, 3): (0, 0.4), (0, 3): (0, 0.4), (0, 4): (1, 2.0), (1, 3): (1, 2.0)}
