@@ -19,7 +19,7 @@ EXAMPLES = (
     "ladarreg audit scan.e57 photo.jpg --camera camera.json --pose pose.json",
     "# a registration of last month, against the images of today:",
     "ladarreg audit scan.e57 photo.jpg --pose results/registration.json",
-    "# all poses of a survey that an earlier adjustment found, against the files of today:",
+    "# the poses that an earlier adjustment of a survey found:",
     "ladarreg audit survey.json --pose results",
 )
 _CODES = {"right": ExitCode.ACCEPTED, "wrong": ExitCode.NOT_ACCEPTED, "undecidable": ExitCode.UNDECIDABLE}
