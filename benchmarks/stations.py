@@ -20,6 +20,7 @@ import numpy as np
 from benchmarks.acquisition.unit_camera import unit_camera_rows
 from benchmarks.page.panorama_page import page_rows
 from benchmarks.shared.bars import Row, table
+from ladarreg_core.errors import LadarregError
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.registration.stations.network import adjusted
@@ -31,7 +32,7 @@ from ladarreg_core.registration.stations.target_pose import register_targets
 from ladarreg_core.registration.stations.targets import fit_target
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.alike import alike_corridor, equal_rooms, symmetric_room
-from ladarreg_core.simulate.stations import scan_stations, station_room, upright_pose, with_spheres
+from ladarreg_core.simulate.stations import scan_stations, station_room, upright_pose, with_plates, with_spheres
 
 _SCENES = ("office", "boxes", "people", "desk", "plain")
 _FIRST_SEED = 7000
@@ -251,6 +252,47 @@ def targets_rows(quick: bool, show: Show) -> list[Row]:
     ]  # fmt: skip
 
 
+def plates_rows(quick: bool, show: Show) -> list[Row]:
+    """Flat targets of 15 cm, turned and tilted by up to 35 deg, 2-8 m away, with beams of 2 to 8 mm at 5 m."""
+    count, side = 20 if quick else 200, 0.15
+    azimuth = np.radians(np.arange(4, -4, -0.08))
+    ratios: list[float] = []
+    squares: list[float] = []
+    refused = 0
+    walls = np.full((len(azimuth), len(azimuth)), 12.0)
+    for k in range(count):
+        rng = np.random.default_rng([_FIRST_SEED, 8, k])
+        noise_m, distance = float(rng.uniform(0.001, 0.003)), float(rng.uniform(2, 8))
+        center = distance * np.array([1.0, *rng.uniform(-0.015, 0.015, 2)])
+        empty = Scan.from_grid(
+            ranges=walls + rng.normal(0, noise_m, walls.shape), azimuth_rad=azimuth, elevation_rad=azimuth
+        )
+        turn = np.array([rng.uniform(-np.pi, np.pi), 0.0, 0.0]), np.array([0.0, *rng.uniform(-0.6, 0.6, 2)])
+        facing = rotvec_from_rotation((Rigid.from_rotvec(turn[1]) @ Rigid.from_rotvec(turn[0])).rotation)
+        scan = with_plates(
+            empty, center[None], facing[None], side, noise_m=noise_m, beam_rad=float(rng.uniform(4e-4, 1.6e-3)), seed=k
+        )
+        off = center + np.array([0.0, *rng.uniform(-0.2, 0.2, 2)]) * side
+        row, column = np.unravel_index(np.argmax(scan.rays @ (off / np.linalg.norm(off))), scan.shape)
+        try:
+            found = fit_target(scan, (int(row), int(column)), side_m=side)
+        except LadarregError as error:
+            refused += 1
+            show(json.dumps({"plates": k, "refused": str(error)}))
+            continue
+        error_m = found.center - center
+        ratios.append(float(np.linalg.norm(error_m)) / noise_m)
+        squares.append(float(error_m @ np.linalg.solve(found.covariance, error_m)) / 3)
+        show(json.dumps({"plates": k, "mm": 1000 * float(np.linalg.norm(error_m)), "m_at": distance}))
+    middle, most, rms = np.median(ratios), np.percentile(ratios, 95), float(np.sqrt(np.mean(squares)))
+    return [
+        Row("flat targets: error of the middle / range noise, median (95 %)", "<= .3", f"{middle:.2f} ({most:.2f})",
+            bool(most <= 0.3)),
+        Row("flat targets: Mahalanobis distance / sqrt 3, RMS", ".8 to 1.2", f"{rms:.2f}", 0.8 <= rms <= 1.2),
+        Row("flat targets refused", "reported", f"{refused} of {count}", True),
+    ]  # fmt: skip
+
+
 def _direction(rng: np.random.Generator) -> FloatArray:
     direction = rng.normal(size=3)
     return np.asarray(direction / np.linalg.norm(direction))
@@ -331,6 +373,7 @@ ROWS: dict[str, Callable[[bool, Show], list[Row]]] = {
     "loop": loop_rows,
     "covariance": covariance_rows,
     "targets": targets_rows,
+    "plates": plates_rows,
     "unit_camera": unit_camera_rows,
     "page_28m": page_rows,
 }  # fmt: skip

@@ -83,9 +83,9 @@ if TYPE_CHECKING:
     from ladarreg_core.registration.stations.registration import register_scans as register_scans
     from ladarreg_core.registration.stations.results import StationNetwork as StationNetwork
     from ladarreg_core.registration.stations.results import StationPair as StationPair
+    from ladarreg_core.registration.stations.survey_target import SurveyTarget as SurveyTarget
     from ladarreg_core.registration.stations.target_pose import TargetRegistration as TargetRegistration
     from ladarreg_core.registration.stations.target_pose import register_targets as register_targets
-    from ladarreg_core.registration.stations.targets import SurveyTarget as SurveyTarget
     from ladarreg_core.registration.stations.targets import fit_target as fit_target
     from ladarreg_core.results import ComparedBlocks as ComparedBlocks
     from ladarreg_core.results import PoseResult as PoseResult
@@ -169,7 +169,7 @@ _HOMES = {
     "SurveyPhoto": "survey.parts",
     "SurveyScan": "survey.parts",
     "SurveyTie": "survey.parts",
-    "SurveyTarget": "registration.stations.targets",
+    "SurveyTarget": "registration.stations.survey_target",
     "TargetRegistration": "registration.stations.target_pose",
     "ThesisParameters": "frames",
     "View": "surface.perspective",

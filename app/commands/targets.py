@@ -14,6 +14,8 @@ from ..progress_bar import progress_bar
 
 EXAMPLES = (
     "ladarreg targets hall.e57 spheres.csv --radius .0725 -o station",
+    "# flat black-and-white targets of 15 cm:",
+    "ladarreg targets hall.e57 plates.csv --side .15 -o station",
     "# coordinates by a total station that is good to 2 mm:",
     "ladarreg targets hall.npz spheres.csv --radius .1 --sigma .002 -o station",
 )
@@ -26,11 +28,13 @@ class Arguments:
     scan: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCAN")]
     """The scan."""
     targets: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TARGETS")]
-    """CSV with a line a sphere: name, row and column of a cell on it, and its surveyed x, y, z in metres."""
+    """CSV with a line a target: name, row and column of a cell on it, and its surveyed x, y, z in metres."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
     """Output folder; an existing one is refused, but see --force."""
     radius: Annotated[float | None, tyro.conf.arg(metavar="M")] = None
     """Radius of the spheres, where the file has no column radius_m."""
+    side: Annotated[float | None, tyro.conf.arg(metavar="M")] = None
+    """Side of flat black-and-white targets, all four quadrants together, where the file has no column side_m."""
     sigma: Annotated[float, tyro.conf.arg(metavar="M")] = 0.001
     """Standard deviation of the surveyed coordinates."""
     force: bool = False
@@ -44,7 +48,7 @@ class Arguments:
 
 
 def run(arguments: Arguments) -> ExitCode:
-    """Fit the spheres, place the scanner, and write the statement."""
+    """Fit the targets, place the scanner, and write the statement."""
     from ladarreg_core.errors import LadarregError, OptionError
     from ladarreg_core.export.targets.folder import check_folder
     from ladarreg_core.formats import read_scan
@@ -57,16 +61,20 @@ def run(arguments: Arguments) -> ExitCode:
     files = [arguments.scan, arguments.targets]
     check_folder(arguments.out, force=arguments.force, inputs=files)
     entries = read_targets(arguments.targets)
-    radii = {one.name: one.radius_m if one.radius_m is not None else arguments.radius for one in entries}
-    unknown = [name for name, radius in radii.items() if radius is None]
+    if arguments.radius is not None and arguments.side is not None:
+        raise OptionError("spheres and flat targets in one file need a column radius_m or side_m; give one option only")
+    sizes = {one.name: one.size_or(radius_m=arguments.radius, side_m=arguments.side) for one in entries}
+    unknown = [name for name, size in sizes.items() if not size]
     if unknown:
-        raise OptionError(f"the radius of {', '.join(unknown[:5])} is not known; give it with --radius")
+        raise OptionError(
+            f"the size of {', '.join(unknown[:5])} is not known; give it with --radius, or --side for flat targets"
+        )
     with progress_bar(quiet=arguments.quiet or arguments.json) as bar:
         scan = read_scan(arguments.scan, report=bar.loading)
         targets = {}
         for one in entries:
             try:
-                targets[one.name] = fit_target(scan, one.pick, radius_m=radii[one.name] or 0.0)
+                targets[one.name] = fit_target(scan, one.pick, **sizes[one.name])
             except LadarregError as error:
                 raise type(error)(f"target {one.name}: {error}") from None
         found = register_targets(targets, {one.name: one.coordinates for one in entries}, sigma_m=arguments.sigma)

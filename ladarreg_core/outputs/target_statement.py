@@ -12,8 +12,8 @@ import numpy as np
 
 from ladarreg_core.export.json import software_document, write_result
 from ladarreg_core.export.targets.folder import FileJob, write_folder
+from ladarreg_core.registration.stations.survey_target import SurveyTarget
 from ladarreg_core.registration.stations.target_pose import TargetRegistration
-from ladarreg_core.registration.stations.targets import SurveyTarget
 from ladarreg_core.storage.atomic_write import write_bytes
 
 TARGETS_FILE, TABLE_FILE = "targets.json", "targets.csv"
@@ -45,6 +45,7 @@ def write_target_statement(
     fields = found.as_fields()
     for one in fields["targets"]:
         target = targets[one["name"]]
+        one |= {"kind": "sphere" if target.side_m is None else "flat"}
         one |= {"center_m": target.center.tolist(), "center_sigma_m": np.sqrt(np.diag(target.covariance)).tolist()}
     document = {
         "version": 1,

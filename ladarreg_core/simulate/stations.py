@@ -111,3 +111,47 @@ def with_spheres(
         behind = np.where(np.isfinite(ranges), ranges, seen)
         ranges = np.where(hit, share * seen + (1 - share) * behind, ranges)
     return replace(scan, ranges=ranges.astype(np.float32))
+
+
+def with_plates(
+    scan: Scan, centers: FloatArray, facing: FloatArray, side_m: float, *, noise_m: float, light_noise: float = 0.04,
+    beam_rad: float = 5e-4, seed: int = 0,
+) -> Scan:  # fmt: skip
+    """Return a scan with flat survey targets in front of what it saw: four quadrants, of intensity .1 and .9.
+
+    Args:
+        scan: the scan.
+        centers: (N, 3) in the scanner's frame, m.
+        facing: (N, 3) rotation vectors, rad, that turn each from facing the scanner along -X with level edges.
+        side_m: side of the four quadrants together, m.
+        noise_m: standard deviation of the ranges on the plates, m.
+        light_noise: standard deviation of the intensities.
+        beam_rad: diameter of the beam, rad, at two standard deviations.
+        seed: random seed.
+    """
+    rng = np.random.default_rng(seed)
+    rays, ranges = scan.rays.astype(np.float64), scan.ranges.astype(np.float64)
+    light = scan.intensity.astype(np.float64)
+    spread = rng.normal(0, beam_rad / 4, (16, 3))
+    spread = np.concatenate([spread, -spread])  # so that the beam is not off its axis
+    for center, turn in zip(np.asarray(centers, np.float64), np.asarray(facing, np.float64), strict=True):
+        axes = Rigid.from_rotvec(turn).rotation.T
+        normal, across = -axes[0], axes[1:]
+
+        def on_plate(d: FloatArray, normal: FloatArray = normal, center: FloatArray = center) -> FloatArray:
+            slope = d @ normal
+            return np.where(slope > 1e-6, (center @ normal) / np.where(slope > 1e-6, slope, 1.0), np.inf)
+
+        reach = on_plate(rays) if center @ normal > 0 else on_plate(rays, -normal)
+        with np.errstate(invalid="ignore"):
+            at = (rays * reach[..., None] - center) @ across.T
+        hit = np.isfinite(reach) & (np.abs(at) < side_m / 2).all(axis=-1) & ~(reach > ranges)
+        d, brightness = rays[hit], np.zeros(int(hit.sum()))
+        toward = normal if center @ normal > 0 else -normal
+        for off in spread:
+            beam = d + off
+            place = (beam * ((center @ toward) / (beam @ toward))[:, None] - center) @ across.T
+            brightness += np.where(place[:, 0] * place[:, 1] > 0, 0.9, 0.1) / len(spread)
+        ranges[hit] = reach[hit] + rng.normal(0, noise_m, len(d))
+        light[hit] = brightness + rng.normal(0, light_noise, len(d))
+    return replace(scan, ranges=ranges.astype(np.float32), intensity=light.astype(np.float32))

@@ -145,17 +145,17 @@ def _by_targets(one: SurveyScan, scan: Scan, origin: Matrix) -> TargetRegistrati
 
     assert one.targets is not None
     entries = read_targets(one.targets.source)
-    radii = {entry.name: entry.radius_m or one.targets.radius_m for entry in entries}
-    unknown = [name for name, radius in radii.items() if radius is None]
+    sizes = {entry.name: entry.size_or(radius_m=one.targets.radius_m) for entry in entries}
+    unknown = [name for name, size in sizes.items() if not size]
     if unknown:
         raise OptionError(
             f"scan {one.id}: the radius of the targets {', '.join(unknown[:5])} is not known; give it as 'radius_m' of "
-            "the scan, or in a column radius_m"
+            "the scan, or in a column radius_m, that of flat ones in a column side_m"
         )
     targets = {}
     for entry in entries:
         try:
-            targets[entry.name] = fit_target(scan, entry.pick, radius_m=radii[entry.name] or 0.0)
+            targets[entry.name] = fit_target(scan, entry.pick, **sizes[entry.name])
         except LadarregError as error:
             raise type(error)(f"scan {one.id}, target {entry.name}: {error}") from None
     try:

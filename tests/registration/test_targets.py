@@ -1,6 +1,7 @@
 """Spheres found in scans, and the pose of a scanner by them."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 import ladarreg_core as lr
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.frames import rotvec_from_rotation
-from ladarreg_core.simulate.stations import with_spheres
+from ladarreg_core.simulate.stations import with_plates, with_spheres
 
 _RADIUS, _NOISE = 0.0725, 0.002
 _NAMES = ("A", "B", "C", "D", "E", "F")
@@ -161,3 +162,68 @@ def test_coordinates_that_are_none_are_refused(targets):
     coordinates = dict(zip(_NAMES, _WORLD, strict=True)) | {"B": [1, np.nan, 2]}
     with pytest.raises(OptionError, match="target B"):
         lr.register_targets(targets, coordinates)
+
+
+def _plate_scan(side: float = 0.15, *, seed: int = 0) -> tuple[lr.Scan, np.ndarray, np.ndarray]:
+    """Three flat targets, turned and tilted, before a wall."""
+    azimuth = np.radians(np.arange(30, -30, -0.08))
+    elevation = np.radians(np.arange(8, -8, -0.08))
+    walls = np.full((len(elevation), len(azimuth)), 9.0)
+    walls += np.random.default_rng(seed).normal(0, _NOISE, walls.shape)
+    centers = np.array([[4.0, 1.0, 0.2], [3.5, -0.8, -0.1], [5.0, 0.1, 0.3]])
+    facing = np.array([[0.3, 0.1, 0.2], [1.2, -0.3, -0.2], [-0.4, 0.0, 0.4]])
+    scan = with_plates(
+        lr.Scan.from_grid(ranges=walls, azimuth_rad=azimuth, elevation_rad=elevation), centers, facing, side,
+        noise_m=_NOISE, seed=seed,
+    )  # fmt: skip
+    return scan, centers, facing
+
+
+def test_the_middle_of_a_flat_target_is_found_far_below_the_spacing_of_the_cells() -> None:
+    squares = []
+    for seed in range(5):
+        scan, centers, _ = _plate_scan(seed=seed)
+        for center in centers:
+            found = lr.fit_target(scan, _pick(scan, center, beside_m=0.03), side_m=0.15)
+            off = found.center - center
+            assert np.linalg.norm(off) < 0.0015, "cells are 5 to 7 mm apart"
+            assert found.radius_m is None
+            assert found.side_m == 0.15
+            squares.append(off @ np.linalg.solve(found.covariance, off) / 3)
+    assert 0.4 < np.sqrt(np.mean(squares)) < 1.5
+
+
+def test_spheres_and_flat_targets_place_a_scanner_together(pose: lr.Rigid) -> None:
+    scan, centers, _ = _plate_scan()
+    ball = np.array([4.2, -1.6, 0.1])
+    scan = with_spheres(scan, ball[None], _RADIUS, noise_m=_NOISE)
+    found = {f"P{k}": lr.fit_target(scan, _pick(scan, center), side_m=0.15) for k, center in enumerate(centers)}
+    found["S"] = lr.fit_target(scan, _pick(scan, ball), radius_m=_RADIUS)
+    surveyed = {f"P{k}": pose @ center for k, center in enumerate(centers)} | {"S": pose @ ball}
+    placed = lr.register_targets(found, surveyed, sigma_m=0.001)
+    assert placed.world_from_scanner.distance_to(pose) < 0.004
+
+
+def test_what_is_no_flat_target_is_refused() -> None:
+    scan, centers, _ = _plate_scan()
+    wall = _pick(scan, np.array([4.0, 0.5, -0.3]))
+    rng = np.random.default_rng(4)
+    for light in (scan.intensity, rng.normal(1, 0.1, scan.shape).astype(np.float32)):  # one grey, and noise
+        with pytest.raises(DegenerateGeometryError, match="no black-and-white target"):
+            lr.fit_target(replace(scan, intensity=light), wall, side_m=0.15)
+    with pytest.raises(DegenerateGeometryError, match=r"at least 40 are needed|fewer than 40 cells"):
+        lr.fit_target(scan, _pick(scan, centers[2]), side_m=0.02)
+    edge = lr.fit_target(scan, _pick(scan, centers[0]), side_m=0.15)
+    assert edge.cells > 40
+    for sizes in ({}, {"radius_m": 0.1, "side_m": 0.1}):
+        with pytest.raises(OptionError, match="either its `radius_m` or its `side_m`"):
+            lr.fit_target(scan, wall, **sizes)
+
+
+def test_an_edge_alone_is_no_flat_target() -> None:
+    scan, centers, _ = _plate_scan(side=0.6)
+    row, column = _pick(scan, centers[1])
+    quarter = _pick(scan, centers[1] + np.array([0.0, 0.0, 0.17]))
+    assert (row, column) != quarter
+    with pytest.raises(DegenerateGeometryError, match="four quadrants explain"):
+        lr.fit_target(scan, quarter, side_m=0.12)

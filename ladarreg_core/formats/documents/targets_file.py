@@ -12,9 +12,9 @@ from ladarreg_core.formats.parsing.csv_table import read_csv_table
 from ladarreg_core.formats.parsing.untrusted import one_line, reading
 
 _PICK, _PLACE = ("row", "column"), ("x", "y", "z")
-_RADIUS = "radius_m"
+_SIZES = ("radius_m", "side_m")
 _MAX_BYTES = 4 << 20
-_NEEDS = "a CSV with the columns name, row, column, x, y, z and, where targets differ, radius_m"
+_NEEDS = "a CSV with the columns name, row, column, x, y, z and, where targets differ, radius_m or side_m"
 _MAX_SHOWN = 8
 
 
@@ -30,6 +30,14 @@ class TargetEntry:
     """Surveyed, m."""
     radius_m: float | None = None
     """Of the sphere; None: not said."""
+    side_m: float | None = None
+    """Of the quadrants of a flat one; None: it is a sphere, or not said."""
+
+    def size_or(self, *, radius_m: float | None = None, side_m: float | None = None) -> dict[str, float]:
+        """Return what `fit_target` is to be told of its size, where the file is silent by what is given; or nothing."""
+        own = {"radius_m": self.radius_m, "side_m": self.side_m}
+        stated = own if any(own.values()) else {"radius_m": radius_m, "side_m": side_m}
+        return {name: size for name, size in stated.items() if size is not None}
 
 
 def read_targets(path: str | Path) -> list[TargetEntry]:
@@ -41,7 +49,7 @@ def read_targets(path: str | Path) -> list[TargetEntry]:
     with reading(path) as file:
         header, rows = read_csv_table(file, most_bytes=_MAX_BYTES, needs=_NEEDS)
         missing = [name for name in ("name", *_PICK, *_PLACE) if name not in header]
-        unknown = [name for name in header if name not in ("name", *_PICK, *_PLACE, _RADIUS)]
+        unknown = [name for name in header if name not in ("name", *_PICK, *_PLACE, *_SIZES)]
         if missing or unknown or len(set(header)) != len(header):
             raise FormatError(f"its first line is {one_line(','.join(header), 60)!r}; give {_NEEDS}")
         faults: list[str] = []
@@ -67,15 +75,17 @@ def _entry(number: int, cells: dict[str, str], surplus: int, faults: list[str]) 
         return None
     values = {key: _number(cells.get(key, "")) for key in (*_PICK, *_PLACE)}
     wrong = [key for key, value in values.items() if value is None or (key in _PICK and (value < 0 or value % 1))]
-    radius = _number(cells[_RADIUS]) if cells.get(_RADIUS) else None
-    if cells.get(_RADIUS) and (radius is None or radius <= 0):
-        wrong.append(_RADIUS)
+    sizes = {key: _number(cells[key]) if cells.get(key) else None for key in _SIZES}
+    wrong += [key for key, size in sizes.items() if cells.get(key) and (size is None or size <= 0)]
     if wrong:
         given = ", ".join(f"{key} {one_line(cells.get(key, '') or 'empty', 20)}" for key in wrong)
         faults.append(f"{called} has {given}; rows and columns are whole numbers from 0, lengths are in metres")
         return None
+    if None not in sizes.values():
+        faults.append(f"{called} has both radius_m and side_m; a target is a sphere or flat")
+        return None
     row, column, x, y, z = (value for value in values.values() if value is not None)
-    return TargetEntry(name, (int(row), int(column)), (x, y, z), radius)
+    return TargetEntry(name, (int(row), int(column)), (x, y, z), sizes["radius_m"], sizes["side_m"])
 
 
 def _number(text: str) -> float | None:

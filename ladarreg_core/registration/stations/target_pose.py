@@ -14,7 +14,7 @@ from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.foundations.arrays import read_only
 from ladarreg_core.foundations.validation import require_number
 from ladarreg_core.frames import Rigid, rotation_from_rotvec, skew
-from ladarreg_core.registration.stations.targets import SurveyTarget
+from ladarreg_core.registration.stations.survey_target import SurveyTarget
 
 _MIN_TARGETS = 3
 _MIN_BREADTH = 0.02  # of the targets across their longest extent, as a share of it
