@@ -165,6 +165,33 @@ def test_a_killed_survey_goes_on_and_ends_as_if_nothing_had_happened(adjusted: t
     assert (again / "adjustment.json").read_bytes() == (out / "adjustment.json").read_bytes()
 
 
+@pytest.mark.long
+@pytest.mark.slow
+def test_the_poses_of_an_adjustment_are_right_against_its_own_files(
+    adjusted: tuple[int, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, out = adjusted
+    capsys.readouterr()
+    code = main(["audit", str(out.parent / "job/survey.json"), "--pose", str(out), "--quiet", "--json"])
+    said = json.loads(capsys.readouterr().out)
+    accepted = [name for name, one in _document(out)["photos"].items() if one["accepted"]]
+    assert sorted(said["photos"]) == sorted(accepted)
+    assert {one["outcome"] for one in said["photos"].values()} <= {"right", "undecidable"}
+    assert sum(one["outcome"] == "right" for one in said["photos"].values()) >= 7
+    assert list(said["left_out"]) == ["elsewhere_1"]
+    assert code == 4
+
+
+def test_an_audit_says_what_it_needs(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scan = str(job / "station1.npz")
+    assert main(["audit", scan, "--quiet"]) == 2
+    assert "is no survey; give the photo and --pose" in capsys.readouterr().err
+    assert main(["audit", scan, str(job / "IMG_0001.jpg"), "--quiet"]) == 2
+    assert "no pose is given that could be judged" in capsys.readouterr().err
+    assert main(["audit", str(job), "--quiet"]) == 2
+    assert "no pose of a photograph of this survey is stated" in capsys.readouterr().err
+
+
 def test_faults_of_a_survey_are_listed_and_nothing_is_done(
     job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
