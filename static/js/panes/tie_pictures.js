@@ -122,8 +122,9 @@ const makePicture = ({ store, name, placed, marks }) => {
     get uv() {
       return uv;
     },
-    clear() {
-      uv = null;
+    /** @param {number[] | null} end the end that is drawn; null: none */
+    put(end) {
+      uv = end;
       draw();
     },
     /** Show a photograph; the same one stays as it is. */
@@ -184,14 +185,14 @@ export const mountTiePictures = ({ store, view }) => {
   dialog.addEventListener("close", () => view.set({ tying: null }));
 
   const keep = async () => {
-    const { first, second } = pictures;
-    if (first.uv && second.uv) {
-      const made = await request("add_tie", {
-        photos: [chosen.first, chosen.second],
-        uv: [first.uv, second.uv],
-        sigma_px: Number(sigma.value) > 0 ? Number(sigma.value) : SIGMA.usual,
-      });
-      if (made) SIDES.forEach((side) => pictures[side].clear());
+    const ends = SIDES.map((side) => pictures[side].uv);
+    const photos = SIDES.map((side) => chosen[side]);
+    if (ends.every(Boolean)) {
+      SIDES.forEach((side) => pictures[side].put(null)); // at once: the next click begins another tie
+      const sigma_px = Number(sigma.value) > 0 ? Number(sigma.value) : SIGMA.usual;
+      const made = await request("add_tie", { photos, uv: ends, sigma_px });
+      const free = SIDES.every((side, k) => !pictures[side].uv && chosen[side] === photos[k]);
+      if (!made && free) SIDES.forEach((side, k) => pictures[side].put(ends[k]));
     }
     say();
   };
@@ -246,7 +247,7 @@ export const mountTiePictures = ({ store, view }) => {
     if (!changed.has("tying") || state.tying === null) return;
     chosen.first = state.tying;
     chosen.second = "";
-    SIDES.forEach((side) => pictures[side].clear());
+    SIDES.forEach((side) => pictures[side].put(null));
     open();
     show();
   });
