@@ -13,7 +13,7 @@ import msgspec
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.formats.documents.own_results import edited_note
 from ladarreg_core.outputs.saved_results import missing_scans, recorded_scans
-from ladarreg_core.project import edits
+from ladarreg_core.project import edits, tie_edits
 from ladarreg_core.project.document import CameraGiven, Source
 from ladarreg_core.project.history import NOBODY
 
@@ -22,7 +22,7 @@ from .files.opening import HowScans
 from .files.reading import with_reading
 
 if TYPE_CHECKING:
-    from ladarreg_core.project.document import PhotoEntry
+    from ladarreg_core.project.document import Document, PhotoEntry
     from ladarreg_core.survey.survey import Survey
 
     from .workbench import Workbench
@@ -155,6 +155,28 @@ def add_survey(workbench: Workbench, survey: Survey, reading: Reading, check: Ca
             temperature_unit=camera.options.get("temperature_unit", reading.temperature_unit),
         )
         _add_photo(workbench, Path(os.path.abspath(str(photo.source))), own)
+    _add_ties(workbench, survey)
+
+
+def _add_ties(workbench: Workbench, survey: Survey) -> None:
+    """Take over the ties that were drawn, those that the project does not have yet."""
+    session = workbench.session
+    entries = {session.folder.source_path(one.source.path): one.id for one in session.document.photos}
+    ids = {one.id: entries.get(Path(os.path.abspath(str(one.source)))) for one in survey.photos}
+    there = {(one.photos, one.uv) for one in session.document.ties}
+    new = [
+        (photos, one) for one in survey.ties
+        if None not in (photos := (ids[one.photos[0]], ids[one.photos[1]])) and (photos, one.uv) not in there
+    ]  # fmt: skip
+    if not new:
+        return
+
+    def edit(document: Document) -> Document:
+        for photos, one in new:
+            document, _ = tie_edits.with_tie(document, photos, one.uv, one.sigma_px)
+        return document
+
+    session.commit("Draw a tie" if len(new) == 1 else f"Draw {len(new)} ties", edit, author=NOBODY)
 
 
 def _open(workbench: Workbench, clouds: Sequence[Path], how: HowScans, reading: Reading) -> None:

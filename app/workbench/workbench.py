@@ -56,7 +56,7 @@ from .state.slices import (
 )
 from .state.smoothing import Smoothing
 from .state.stations import Stations
-from .state.survey import survey_slice, ties_slice
+from .state.survey import drawn_ties_slice, survey_slice, ties_slice
 
 if TYPE_CHECKING:
     from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
@@ -304,6 +304,9 @@ class Workbench:
             "acquisition": self.acquisition.slice(),
             "stations": self.stations.slice(),
             "measurements": self._measurement_entries.get("", document.measurements),
+            "drawn_ties": self._slices.get(
+                ("drawn ties", document.ties, document.adjusted), partial(drawn_ties_slice, document)
+            ),
             "survey": survey_slice(document, partial(self._is_stale, document)),
             "progress": progress_slice(loader, document, None, exported={}),
             "limits": {"upload_bytes": self.limits.upload_bytes, "photos": MAX_PHOTOS},

@@ -21,6 +21,7 @@ from ladarreg_core.project.document import (
     AdjustedCameraEntry,
     AdjustedPhotoEntry,
     AdjustedScanEntry,
+    AdjustedTieEntry,
     CameraGiven,
     Document,
     PhotoEntry,
@@ -35,7 +36,7 @@ from ladarreg_core.project.storage.folder import ProjectFolder
 from ladarreg_core.project.stored_arrays import StoredArrays
 from ladarreg_core.scan import Scan
 from ladarreg_core.survey.adjustment import Adjustment
-from ladarreg_core.survey.parts import PosePrior, SurveyCamera, SurveyPhoto, SurveyScan
+from ladarreg_core.survey.parts import PosePrior, SurveyCamera, SurveyPhoto, SurveyScan, SurveyTie
 from ladarreg_core.survey.survey import Survey
 
 _HELD = np.diag([1e-5**2] * 3 + [1e-4**2] * 3)
@@ -85,6 +86,10 @@ def survey_of_project(document: Document, folder: ProjectFolder, photos: Collect
             )
             for one in chosen
         ),
+        ties=tuple(
+            SurveyTie(id=one.id, photos=one.photos, uv=one.uv, sigma_px=one.sigma_px)
+            for one in document.ties if set(one.photos) <= set(camera_of)
+        ),
     )  # fmt: skip
 
 
@@ -132,6 +137,10 @@ def adjusted_entry(document: Document, adjustment: Adjustment, poses: Mapping[st
         },
         chi2_per_dof=_finite(adjustment.chi2_per_dof),
         ties=_ties(adjustment),
+        drawn={
+            one.id: AdjustedTieEntry(agrees=one.agrees, residual_px=_finite(one.residual_px), reason=one.reason)
+            for one in adjustment.ties
+        },
         sigma_px=_finite(adjustment.sigma_px) if any(one.ties for one in adjustment.photos.values()) else None,
     )  # fmt: skip
 

@@ -375,6 +375,30 @@ class AdjustedPhotoEntry(msgspec.Struct, frozen=True, kw_only=True):
     """How far the adjustment turned it."""
 
 
+class TieEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """A place that two photographs show, as somebody drew it."""
+
+    id: str
+    """Stable id of letters and digits."""
+    photos: tuple[str, str]
+    """Ids of the photographs."""
+    uv: tuple[tuple[float, float], tuple[float, float]]
+    """Where each shows it, px."""
+    sigma_px: float
+    """Standard deviation of each of these."""
+
+
+class AdjustedTieEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """What an adjustment said of a tie that was drawn."""
+
+    agrees: bool
+    """Whether it was kept."""
+    residual_px: float | None = None
+    """The larger of its two residuals, px; None: it was no part of it."""
+    reason: str = ""
+    """A sentence."""
+
+
 class AdjustedScanEntry(msgspec.Struct, frozen=True, kw_only=True):
     """Where a scanner stood."""
 
@@ -415,6 +439,9 @@ class Adjusted(msgspec.Struct, frozen=True, kw_only=True):
     ties: StoredArrays | None = None
     """Where the photographs show ties: `AdjustedPhoto.tie_marks` by their ids; None: there were none."""
 
+    drawn: dict[str, AdjustedTieEntry] = {}
+    """The ties that were drawn, by their ids."""
+
     def scan(self, source: Source) -> AdjustedScanEntry | None:
         """Return what is known of a scan; None: it was not among them."""
         return next((one for one in self.scans if one.source == source), None)
@@ -447,6 +474,10 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
     """What was measured on the scan, in the order of its making."""
     numbered_measurements: int = 0
     """Last number given to a measurement."""
+    ties: tuple[TieEntry, ...] = ()
+    """Places that two photographs show, in the order in which they were drawn."""
+    numbered_ties: int = 0
+    """Last number used in a tie's id."""
 
     @property
     def clouds(self) -> int:

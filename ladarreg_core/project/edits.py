@@ -93,9 +93,13 @@ def with_photo(
 
 
 def without_photo(document: Document, photo_id: str) -> Document:
-    """Return the document without a photograph."""
+    """Return the document without a photograph, and without the ties that were drawn in it."""
     require_photo(document, photo_id)
-    return replace(document, photos=tuple(p for p in document.photos if p.id != photo_id))
+    return replace(
+        document,
+        photos=tuple(p for p in document.photos if p.id != photo_id),
+        ties=tuple(tie for tie in document.ties if photo_id not in tie.photos),
+    )
 
 
 def require_photo(document: Document, photo_id: object) -> PhotoEntry:

@@ -1,8 +1,8 @@
 """The inverse of one edit, applied to a later document: what the edit touched gets its former value, all else stays.
 
-A document is compared by parts: its fields, the settings, the measurements, and of each photograph its fields, poses
-and picks, by path: `("name",)`, `("settings", "t1")`, `("measurements", "m1")`, `("photos", "p1")` where the photograph
-exists on one side only, else `("photos", "p1", "camera")`, `("photos", "p1", "poses", "auto")`,
+A document is compared by parts: its fields, the settings, the measurements and ties, and of each photograph its fields,
+poses and picks, by path: `("name",)`, `("settings", "t1")`, `("measurements", "m1")`, `("photos", "p1")` where the
+photograph exists on one side only, else `("photos", "p1", "camera")`, `("photos", "p1", "poses", "auto")`,
 `("photos", "p1", "picks", "3", "on")`.
 Counters of given numbers are no part: a number is never given twice.
 """
@@ -22,9 +22,11 @@ Part = tuple[str, ...]
 Parts = dict[Part, tuple[Any, Any]]
 """Parts with their values before and after an edit."""
 T = TypeVar("T", bound=msgspec.Struct)
-_COUNTERS = ("numbered", "numbered_stations", "numbered_measurements")
+_COUNTERS = ("numbered", "numbered_stations", "numbered_measurements", "numbered_ties")
 _LISTS = ("picks", "poses")
-_KEYS = {"photos": "id", "picks": "id", "poses": "stage", "measurements": "id"}
+_KEYS = {"photos": "id", "picks": "id", "poses": "stage", "measurements": "id", "ties": "id"}
+_WHOLE = ("measurements", "ties")
+"""Lists of the document whose items are compared as wholes."""
 
 
 class _Missing:
@@ -52,7 +54,7 @@ def changed_parts(before: Document, after: Document) -> Parts:
     """Return the parts in which two documents differ."""
     found: Parts = {}
     for name in before.__struct_fields__:
-        if name in ("photos", "settings", "measurements", *_COUNTERS):
+        if name in ("photos", "settings", *_WHOLE, *_COUNTERS):
             continue
         _note(found, (name,), getattr(before, name), getattr(after, name))
     for name in before.settings.__struct_fields__:
@@ -62,8 +64,9 @@ def changed_parts(before: Document, after: Document) -> Parts:
             found[path] = old, new
         else:
             _compare_photos(found, path, old, new)
-    for path, old, new in _differing(("measurements",), before.measurements, after.measurements):
-        found[path] = old, new
+    for name in _WHOLE:
+        for path, old, new in _differing((name,), getattr(before, name), getattr(after, name)):
+            found[path] = old, new
     return found
 
 
@@ -153,10 +156,10 @@ def _with_former(present: Document, before: Document, former: Mapping[Part, Any]
     """Return the document with former values of parts, each of which exists unless its value says otherwise."""
     fields = {part[0]: value for part, value in former.items() if len(part) == 1}
     settings = {part[1]: value for part, value in former.items() if part[0] == "settings"}
-    photos, measurements = (
-        {part[1]: value for part, value in former.items() if part[0] == name and len(part) == 2}
-        for name in ("photos", "measurements")
-    )
+    items = {
+        name: {part[1]: value for part, value in former.items() if part[0] == name and len(part) == 2}
+        for name in ("photos", *_WHOLE)
+    }
     inner: dict[str, dict[Part, Any]] = {}
     for part, value in former.items():
         if part[0] == "photos" and len(part) > 2:
@@ -169,8 +172,8 @@ def _with_former(present: Document, before: Document, former: Mapping[Part, Any]
         present,
         **fields,
         settings=replace(present.settings, **settings),
-        photos=_merged(found, before.photos, photos, "photos"),
-        measurements=_merged(present.measurements, before.measurements, measurements, "measurements"),
+        photos=_merged(found, before.photos, items["photos"], "photos"),
+        **{name: _merged(getattr(present, name), getattr(before, name), items[name], name) for name in _WHOLE},
     )
 
 

@@ -152,9 +152,10 @@ def _drawn_tie(
     def judged(reason: str, residual_px: float = float("nan"), *, agrees: bool = False) -> AdjustedTie:
         return AdjustedTie(id=given.id, photos=given.photos, agrees=agrees, residual_px=residual_px, reason=reason)
 
-    refused = [name for name in given.photos if not photos[name].accepted]
+    refused = [word for word, name in zip(("first", "second"), given.photos, strict=True) if not photos[name].accepted]
     if refused:
-        return judged(f"Left out: the photograph {' and '.join(refused)} is not accepted.")
+        which = "both its photographs are" if len(refused) == 2 else f"its {refused[0]} photograph is"
+        return judged(f"Left out: {which} not accepted.")
     ties = adjusted.problem.ties
     own = np.flatnonzero(ties.drawn[ties.point] == number)
     if not len(own):

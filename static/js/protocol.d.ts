@@ -17,6 +17,7 @@ export interface Commands {
   add_embedded: { images: number[] };
   add_measurement: { kind: "point" | "distance" | "polyline" | "angle" | "area" | "height"; places: (Record<string, unknown>)[] };
   add_pick: { photo: string; kind: "point" | "line"; scan: number[][]; photo_uv: number[][] };
+  add_tie: { photos: string[]; uv: number[][]; sigma_px?: number };
   adjust: { photos?: string[] | null };
   apply_smoothing: { photo: string; rev: string; edges?: boolean };
   call_me: { name: string };
@@ -59,6 +60,7 @@ export interface Commands {
   remove_photo: { photo: string };
   remove_picks: { photo: string; picks: string[] };
   remove_station: { station: string };
+  remove_ties: { ties: string[] };
   rename: { name: string };
   rename_measurement: { measurement: string; name: string };
   restore_ranges: Record<string, never>;

@@ -15,6 +15,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.simulate.sample import sample_survey_folder
 from ladarreg_core.survey.problem import Matrix
 from ladarreg_core.survey.ties import laser_points
+from testing.scenes.survey_set import sample_cameras
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,8 +39,7 @@ def shared_places() -> SharedPlaces:
     names = [name for name in truth["camera_from_world"] if name.startswith("IMG")]
     cameras, poses = {}, {}
     for number, name in enumerate(names):  # of two cameras in turn
-        size = lr.read_photo(folder / f"{name}.jpg", focal_px=500.0).camera.size
-        cameras[name] = Camera.from_focal(*size, truth["focal_px"][number % 2])
+        cameras[name] = sample_cameras()[number % 2]
         poses[name] = Rigid.from_matrix(truth["camera_from_world"][name])
     best: SharedPlaces | None = None
     for one, other in combinations(names, 2):

@@ -30,6 +30,7 @@ from testing.scenes.photo_set import write_phone_photo
 
 CAMERAS = (Camera.from_focal(960, 640, 780.0), Camera.from_focal(1152, 768, 1000.0))
 """The true cameras."""
+_SAMPLE_SEED, _SAMPLE_SIZE = 12, 0.6
 _FREE_M = 0.45  # around a camera
 _STEP_M = 2.0**-9  # of the sample's coordinates, which so are compressed well
 _STATIONS = (np.array([-0.9, -0.5, 0.0]), np.array([0.8, 0.7, 0.1]), np.array([1.2, -0.8, 0.0]))
@@ -95,16 +96,8 @@ def simulate_survey(
     """
     rng = np.random.default_rng([seed, 411])
     room = station_room(scene, seed)
-    poses = [upright_pose(place, float(rng.uniform(-np.pi, np.pi))) for place in _STATIONS[:stations]]
+    poses, errors, cameras = _drawn(rng, stations, size)
     scans = scan_stations(room, poses, seed=seed, step_deg=step_deg)
-    errors = tuple(float(rng.choice((-1, 1)) * rng.uniform(0.01, 0.03)) for _ in CAMERAS)
-    cameras = [
-        replace(camera, cx=camera.cx + dx, cy=camera.cy + dy, distortion=(float(rng.normal(0, 0.02)), 0.0, 0.0, 0.0))
-        for camera, (dx, dy) in zip(
-            [Camera.from_focal(round(size * one.width), round(size * one.height), size * one.fx) for one in CAMERAS],
-            rng.normal(0, 0.004 * CAMERAS[0].width * size, (len(CAMERAS), 2)), strict=True,
-        )
-    ]  # fmt: skip
     taken = []
     for k in range(photos):
         where = _standpoint(room, rng)
@@ -117,6 +110,26 @@ def simulate_survey(
         one = _taken(other, f"elsewhere_{k + 1}.jpg", k % 2, cameras, _standpoint(other, rng), rng)
         taken.append(replace(one, camera_from_world=None))
     return SurveySet(scans, poses, taken, cameras, errors)
+
+
+def sample_cameras() -> list[Camera]:
+    """Return the true cameras of the sample survey, whose photographs alternate between them."""
+    rng = np.random.default_rng([_SAMPLE_SEED, 411])
+    return _drawn(rng, 2, _SAMPLE_SIZE)[2]
+
+
+def _drawn(rng: np.random.Generator, stations: int, size: float) -> tuple[list[Rigid], tuple[float, ...], list[Camera]]:
+    """Return where the scanners stand, the relative errors of the focal lengths that EXIF states, and the cameras."""
+    poses = [upright_pose(place, float(rng.uniform(-np.pi, np.pi))) for place in _STATIONS[:stations]]
+    errors = tuple(float(rng.choice((-1, 1)) * rng.uniform(0.01, 0.03)) for _ in CAMERAS)
+    cameras = [
+        replace(camera, cx=camera.cx + dx, cy=camera.cy + dy, distortion=(float(rng.normal(0, 0.02)), 0.0, 0.0, 0.0))
+        for camera, (dx, dy) in zip(
+            [Camera.from_focal(round(size * one.width), round(size * one.height), size * one.fx) for one in CAMERAS],
+            rng.normal(0, 0.004 * CAMERAS[0].width * size, (len(CAMERAS), 2)), strict=True,
+        )
+    ]  # fmt: skip
+    return poses, errors, cameras
 
 
 def simulate_rig_survey(
@@ -170,7 +183,7 @@ def write_survey_set(folder: Path, found: SurveySet) -> None:
 
 def write_sample_survey(folder: Path) -> None:
     """Write the sample survey of the package, and what is true of it, into a folder."""
-    found = simulate_survey("office", seed=12, photos=8, close_ups=1, size=0.6, step_deg=0.3)
+    found = simulate_survey("office", photos=8, close_ups=1, step_deg=0.3, seed=_SAMPLE_SEED, size=_SAMPLE_SIZE)
     write_survey_set(folder, found)
     for k, scan in enumerate(found.scans):
         xyz = (np.round(scan.points / _STEP_M) * _STEP_M).astype(np.float32)

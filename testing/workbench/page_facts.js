@@ -100,7 +100,7 @@
       ]),
     },
     survey: {
-      count: text(".part-head > .figures", survey), summary: text(".acquire-said", survey),
+      ties: text("button[aria-label='Draw ties']", survey), count: text(".part-head > .figures", survey), summary: text(".acquire-said", survey),
       rows: all(".survey-photo .survey-row", survey).map((row) => [...row.children].slice(1).map((part) => text(part))),
     },
     notices: all(".notice").map((notice) => clean(notice.textContent)),

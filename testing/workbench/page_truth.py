@@ -129,7 +129,7 @@ def page_contradictions(
         figures = [*(f"{_fixed(each, 3)} m" for each in lengths), *(f"{_fixed(degrees(each), 2)}°" for each in angles)]
         constants = [*constants, *figures]
     found = _Comparison(facts, slices).everything(constants)
-    found += page_survey(facts, slices.get("photos") or [], slices.get("survey"))
+    found += page_survey(facts, slices.get("photos") or [], slices.get("survey"), slices.get("drawn_ties") or [])
     found += page_smoothing(facts, slices.get("smoothing") or {})
     found += page_measurements(facts, slices.get("measurements") or [], slices.get("measured") or [])
     return [*found, *page_stations(facts, slices.get("stations"), slices.get("survey"))]

@@ -8,11 +8,14 @@ _NEVER_ADJUSTED = "Adjust solves all photographs"
 _NO_PHOTOGRAPH = "Add photographs"
 
 
-def page_survey(facts: dict[str, Any], photos: list[dict[str, Any]], survey: dict[str, Any] | None) -> list[str]:
+def page_survey(
+    facts: dict[str, Any], photos: list[dict[str, Any]], survey: dict[str, Any] | None, drawn_ties: list[dict[str, Any]]
+) -> list[str]:
     """Return where the page says something else of the photographs than the slices."""
     said = facts["survey"]
     accepted = sum(photo["state"] == "accepted" for photo in photos)
     compared = [
+        ("ties", said["ties"], f"Ties {len(drawn_ties)}" if drawn_ties else "Ties"),
         ("count", said["count"], f"{accepted} of {len(photos)} accepted" if photos else ""),
         ("rows", said["rows"], [_row(photo, _of(photo, survey)) for photo in photos]),
         ("summary", said["summary"].startswith(_summary(photos, survey)), True),

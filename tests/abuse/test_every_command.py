@@ -174,6 +174,11 @@ SOUND: dict[str, list[dict[str, Any]]] = {
         {"photos": ["p99"], "part": "free"},
         {"photos": [], "part": "held"},
     ],
+    "add_tie": [
+        {"photos": ["p1", "p2"], "uv": [[300.0, 200.5], [310, 210]], "sigma_px": 0.5},
+        {"photos": ["p1", "p2"], "uv": [[120, 80], [130, 90]]},
+    ],
+    "remove_ties": [{"ties": ["t1"]}],
     "hold_camera": [{"camera": "camera-1", "held": True}],
     "refine": [{"photo": "p1", "camera_from_scanner": [[1, 0, 0, 9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}],
     "job_control": [{"action": "speed", "value": 3}],

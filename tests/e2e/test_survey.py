@@ -6,13 +6,15 @@ import re
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
+from ladarreg_core.simulate.sample import sample_survey_folder
 from testing.workbench.operator import Operator, at_work
 from testing.workbench.shared import SharedWorkbench
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import Browser, FloatRect
 
 pytestmark = pytest.mark.slow
 
@@ -39,3 +41,54 @@ def test_photographs_are_adjusted_and_taken_back(operator: Operator) -> None:
     page.get_by_role("button", name=re.compile("Undo")).first.click()
     part.get_by_text(re.compile("^Adjust solves all photographs")).wait_for()
     part.get_by_text("1 of 1 accepted").wait_for()
+
+
+def test_a_tie_is_drawn_in_two_photographs_listed_and_removed(
+    browser: Browser, workbench: SharedWorkbench, request: pytest.FixtureRequest
+) -> None:
+    folder = sample_survey_folder()
+    workbench.open_files([folder / name for name in ("station1.npz", "IMG_0001.jpg", "IMG_0003.jpg")]).socket.close()
+    with at_work(browser, workbench.server, request) as operator:
+        operator.open()
+        page = operator.page
+        operator.step("Survey")
+        page.get_by_role("region", name="All photographs").get_by_role("button", name="Draw ties").click()
+        dialog = page.get_by_role("dialog", name="Ties drawn by hand")
+        pictures = [dialog.get_by_role("img", name=f"{side} photograph") for side in ("first", "second")]
+        first, second = (picture.bounding_box() for picture in pictures)
+        assert first is not None
+        assert second is not None
+        page.wait_for_function(  # both pictures are there: a canvas is painted
+            "() => [...document.querySelectorAll('.tie-picture')].every((c) => c.width && c.getContext('2d')"
+            ".getImageData(c.width / 2, c.height / 2, 1, 1).data[3] === 255)"
+        )
+        scale = min(first["width"] / 576, first["height"] / 384)
+
+        def at(box: FloatRect, u: float, v: float) -> tuple[float, float]:
+            left, top = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+            return left + scale * (u + 0.5 - 288), top + scale * (v + 0.5 - 192)
+
+        page.mouse.click(*at(first, 100, 80))
+        dialog.get_by_text("Now click the same place in the second photograph.").wait_for()
+        page.mouse.click(*at(second, 400, 300))
+        row = dialog.get_by_role("listitem")
+        row.wait_for()
+        (tie,) = operator.slice("drawn_ties")
+        assert tie["photos"] == ["p2", "p1"], "from the photograph that is shown"
+        assert np.abs(np.array(tie["uv"]) - [[100, 80], [400, 300]]).max() < 1 / scale
+        assert "not adjusted yet" in (row.text_content() or "")
+        operator.shot("ties")
+
+        pictures[0].focus()  # the same by keys, to the pixel
+        for key in ("ArrowRight", "Shift+ArrowDown", "Enter"):
+            page.keyboard.press(key)
+        pictures[1].focus()
+        page.keyboard.press("Enter")
+        operator.wait(lambda: len(operator.slice("drawn_ties")) == 2, "the second tie")
+        dialog.get_by_role("button", name="Remove tie 1").click()
+        operator.wait(lambda: [one["id"] for one in operator.slice("drawn_ties")] == ["t2"], "the first one is gone")
+        page.keyboard.press("Escape")
+        dialog.wait_for(state="hidden")
+        assert page.get_by_role("button", name="Draw ties").text_content() == "Ties 1"
+        page.get_by_role("button", name=re.compile("Undo")).first.click()
+        operator.wait(lambda: len(operator.slice("drawn_ties")) == 2, "what was removed is back")

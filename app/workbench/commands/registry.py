@@ -11,7 +11,7 @@ from ladarreg_core.errors import LadarregError, OptionError
 from ...decoding import quoted
 from ...gateway.protocol import READ_ONLY
 from ...messages import internal_error, sentence
-from . import acquisition, edits, files, jobs, matches, measuring, people, smoothing, stations
+from . import acquisition, edits, files, jobs, matches, measuring, people, smoothing, stations, ties
 from .command import Command, Context, Reply, WorkbenchCommand, commands_in
 from .former import present_form
 from .projects import PROJECT_COMMANDS
@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 COMMANDS: dict[str, type[WorkbenchCommand]] = {
     name: command
     for module in (
-        matches, measuring, smoothing, edits, files, people, jobs, stations, acquisition,
+        matches, measuring, smoothing, edits, files, people, jobs, stations, ties, acquisition,
     )
     for name, command in commands_in(vars(module), WorkbenchCommand).items()
 }  # fmt: skip

@@ -50,9 +50,10 @@ def survey_slice(document: Document, is_stale: Callable[[PhotoEntry], bool]) -> 
         "chi2_per_dof": adjusted.chi2_per_dof,
         "sigma_px": adjusted.sigma_px,
         "since": _since(
-            len(changed), later, out, scans_changed={one.source for one in adjusted.scans} != set(scans_of(document))
+            len(changed), later, out, _drawn_since(adjusted, document),
+            scans_changed={one.source for one in adjusted.scans} != set(scans_of(document)),
         ),
-    }
+    }  # fmt: skip
 
 
 def ties_slice(document: Document, entry: PhotoEntry) -> list[list[float]] | None:
@@ -66,6 +67,20 @@ def ties_slice(document: Document, entry: PhotoEntry) -> list[list[float]] | Non
     except LadarregError:  # the file is lost: the poses are not
         return None
     return None if marks is None else np.round(np.asarray(marks, np.float64), 2).tolist()
+
+
+def drawn_ties_slice(document: Document) -> list[dict[str, Any]]:
+    """Return the slice `drawn_ties`: the ties that were drawn, and what the last adjustment said of each."""
+    said = {} if document.adjusted is None else document.adjusted.drawn
+    return [
+        {
+            "id": tie.id, "photos": list(tie.photos), "uv": [list(uv) for uv in tie.uv], "sigma_px": tie.sigma_px,
+            "agrees": said[tie.id].agrees if tie.id in said else None,
+            "residual_px": said[tie.id].residual_px if tie.id in said else None,
+            "reason": as_fields(said[tie.id].reason) if tie.id in said else "",
+        }
+        for tie in document.ties
+    ]  # fmt: skip
 
 
 def _photo(adjusted: Adjusted, entry: PhotoEntry, *, stale: bool) -> dict[str, Any]:
@@ -134,7 +149,14 @@ def _scan(found: AdjustedScanEntry) -> dict[str, Any]:
     }
 
 
-def _since(changed: int, later: list[str], out: int, *, scans_changed: bool) -> str:
+def _drawn_since(adjusted: Adjusted, document: Document) -> int:
+    """Return how many ties were drawn between photographs that took part, or removed, since."""
+    there = {tie.id for tie in document.ties}
+    drawn = [tie for tie in document.ties if tie.id not in adjusted.drawn and set(tie.photos) <= set(adjusted.photos)]
+    return len(drawn) + len(set(adjusted.drawn) - there)
+
+
+def _since(changed: int, later: list[str], out: int, ties: int, *, scans_changed: bool) -> str:
     """Return what has changed since, as a sentence; empty: nothing."""
     causes = []
     if scans_changed:
@@ -145,6 +167,8 @@ def _since(changed: int, later: list[str], out: int, *, scans_changed: bool) -> 
         causes.append(f"{len(later)} photograph{' was' if len(later) == 1 else 's were'} added")
     if out:
         causes.append(f"{out} photograph{' was' if out == 1 else 's were'} taken out")
+    if ties:
+        causes.append(f"{ties} tie{' was' if ties == 1 else 's were'} drawn or removed")
     if not causes:
         return ""
     return f"{', '.join(causes)[:1].upper()}{', '.join(causes)[1:]} since: adjust again."

@@ -12,6 +12,7 @@ from ladarreg_core.project.document import VERSION, Document, PoseEntry
 from ladarreg_core.project.measurement_edits import checked_measurement
 from ladarreg_core.project.station_edits import checked_survey
 from ladarreg_core.project.stored_arrays import StoredArrays
+from ladarreg_core.project.tie_edits import checked_tie
 
 
 class _Versioned(msgspec.Struct):
@@ -59,6 +60,8 @@ def decode_document(data: bytes, find: FindArrays) -> Document:
             pick.as_pick()  # validates
     for measurement in (*found.measurements, *(each for station in found.stations for each in station.measurements)):
         checked_measurement(measurement)
+    for tie in found.ties:
+        checked_tie(tie)
     if found.survey is not None:
         checked_survey(found.survey)
     return found

@@ -1,7 +1,7 @@
 """Differences between documents, small enough to be written for every commit.
 
-A change names the fields that differ. `photos`, `picks` and `measurements`, lists of objects with ids, are stored as
-`{"in": {id: change}, "new": [objects], "gone": [ids], "order": [ids]}`, without the parts that are empty.
+A change names the fields that differ. `photos`, `picks`, `measurements` and `ties`, lists of objects with ids, are
+stored as `{"in": {id: change}, "new": [objects], "gone": [ids], "order": [ids]}`, without the parts that are empty.
 """
 
 from __future__ import annotations
@@ -14,16 +14,18 @@ import msgspec
 from msgspec.structs import replace
 
 from ladarreg_core.errors import FormatError, LadarregError
-from ladarreg_core.project.document import Document, MeasurementEntry, PhotoEntry, PickEntry
+from ladarreg_core.project.document import Document, MeasurementEntry, PhotoEntry, PickEntry, TieEntry
 from ladarreg_core.project.measurement_edits import checked_measurement
 from ladarreg_core.project.storage.codec import FindArrays, arrays_of, encode, from_plain
+from ladarreg_core.project.tie_edits import checked_tie
 
 Change = dict[str, Any]
 T = TypeVar("T", bound=msgspec.Struct)
-_LISTS: Mapping[str, type[PhotoEntry] | type[PickEntry] | type[MeasurementEntry]] = {
+_LISTS: Mapping[str, type[PhotoEntry] | type[PickEntry] | type[MeasurementEntry] | type[TieEntry]] = {
     "photos": PhotoEntry,
     "picks": PickEntry,
     "measurements": MeasurementEntry,
+    "ties": TieEntry,
 }
 
 
@@ -112,6 +114,8 @@ def _validate(thing: object) -> None:
         thing.as_pick()
     elif isinstance(thing, MeasurementEntry):
         checked_measurement(thing)
+    elif isinstance(thing, TieEntry):
+        checked_tie(thing)
 
 
 @cache

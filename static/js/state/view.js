@@ -39,12 +39,13 @@
  *             edge?: {near_m: number, far_m: number, near: number[], far: number[]} | null, zoom?: number} | null} readout
  *   values under the cursor; `edge`: the surfaces on both sides of a depth edge
  * @property {string | null} hint one sentence on what the current tool expects next
+ * @property {string | null} tying id of a photograph from which ties are drawn to another, in a dialog
  * @property {{left: number | null, middle: number | null, dock: number | null}} layout shares of the window, 0 to 1;
  *   null: as suits the pictures
  */
 
 const KEY = "ladarreg-view";
-const TRANSIENT = new Set(["stretching", "hovered", "placement", "offer", "reveal", "reveal_uv", "reveal_place", "smoothed", "smooth_edges", "readout", "hint"]);
+const TRANSIENT = new Set(["stretching", "hovered", "placement", "offer", "reveal", "reveal_uv", "reveal_place", "smoothed", "smooth_edges", "readout", "hint", "tying"]);
 const NESTED = ["scan", "photo", "layout"];
 
 /** @returns {ViewState} */
@@ -77,6 +78,7 @@ const defaults = () => ({
   smooth_edges: false,
   readout: null,
   hint: null,
+  tying: null,
   layout: { left: null, middle: null, dock: null },
 });
 

@@ -23,6 +23,7 @@ NEVER_HERE = {
     "audit:pID",
     "embedded",
     "corners:pID",
+    "drawn_ties",
     "self_test:pID",
     "served",
     "smoothing",

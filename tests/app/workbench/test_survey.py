@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from ladarreg_core.outputs.project_survey import survey_of_project
 from ladarreg_core.simulate.sample import sample_survey_folder
+from testing.scenes.shared_places import shared_places
 from testing.workbench.workbench_driver import WorkbenchDriver, kept_bench, open_bench, registered
 
 pytestmark = pytest.mark.slow
@@ -98,6 +100,7 @@ def test_a_survey_opens_as_a_project_and_again(tmp_path: Path) -> None:
             {"id": "one", "path": "IMG_0001.jpg", "camera": "given"},
             {"id": "two", "path": "IMG_0002.jpg", "camera": "exif"},
         ],
+        "ties": [{"id": "seen", "photos": ["two", "one"], "uv": [[1.5, 2], [3, 4]], "sigma_px": 0.5}],
     }
     survey = job / "survey.json"
     survey.write_text(json.dumps(fields))
@@ -106,6 +109,9 @@ def test_a_survey_opens_as_a_project_and_again(tmp_path: Path) -> None:
         assert bench.slice("scan")["name"] == "station1.npz"
         assert [one["name"] for one in bench.slice("stations")["stations"]] == ["station1.npz", "station2.npz"]
         first, second = bench.slice("photos")
+        (tie,) = bench.slice("drawn_ties")
+        assert tie["photos"] == [second["id"], first["id"]]
+        assert (tie["uv"], tie["sigma_px"], tie["agrees"]) == ([[1.5, 2], [3, 4]], 0.5, None)
         assert first["camera"]["calibrated"]
         assert first["camera"]["fx"] == 468
         assert not second["camera"]["calibrated"]
@@ -180,3 +186,35 @@ def test_ties_are_shown_where_the_photographs_show_them_and_kept(tmp_path: Path)
     again.do("undo")
     assert again.slice(f"ties:{tied[0]}") is None
     again.workbench.close()
+
+
+def test_ties_are_drawn_and_taken_back_adjusted_and_a_wrong_one_is_named(tmp_path: Path) -> None:
+    job, pair = tmp_path / "job", shared_places()
+    job.mkdir()
+    for name in ("station1.npz", *(f"{one}.jpg" for one in pair.names)):
+        shutil.copy(sample_survey_folder() / name, job / name)
+    bench = open_bench(tmp_path / "project", job)
+    ids = {Path(photo["name"]).stem: photo["id"] for photo in bench.slice("photos")}
+    photos = [ids[name] for name in pair.names]
+    assert "same photograph" in bench.refused("add_tie", photos=photos[:1] * 2, uv=[[1, 2], [3, 4]])
+    for uv in pair.uv[:: len(pair.uv) // 6].tolist():
+        bench.do("add_tie", photos=photos, uv=uv, sigma_px=0.5)
+    right = [one["id"] for one in bench.slice("drawn_ties")]
+    (u, v), (s, t) = pair.uv[0].tolist()
+    wrong = bench.do("add_tie", photos=photos, uv=[[u, v], [s + 18, t - 14]], sigma_px=0.5)["tie"]
+    assert bench.slice("history")["entries"][-1]["label"] == "Draw a tie"
+    bench.do("undo")
+    assert [one["id"] for one in bench.slice("drawn_ties")] == right
+    bench.do("redo")
+    assert "2 of 2" in done(bench, "adjust")
+    said = {one["id"]: one for one in bench.slice("drawn_ties")}
+    assert [name for name, one in said.items() if one["agrees"]] == right
+    assert said[wrong]["reason"].startswith("Left out: it lies")
+    assert bench.slice("survey")["since"] == ""
+    bench.do("remove_ties", ties=[wrong])
+    assert bench.slice("survey")["since"] == "1 tie was drawn or removed since: adjust again."
+    survey = survey_of_project(bench.workbench.session.document, bench.workbench.session.folder)
+    assert [one.id for one in survey.ties] == right
+    bench.do("remove_photo", photo=photos[0])
+    assert bench.slice("drawn_ties") == []
+    bench.workbench.close()

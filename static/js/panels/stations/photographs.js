@@ -4,6 +4,7 @@ import { request } from "../../net/requests.js";
 import { store } from "../../net/store.js";
 import { isRunning } from "../../state/pipeline.js";
 import { ORDERS, SHOWN, rowsOf, summaryOf, tiesSaid } from "../../state/survey.js";
+import { view } from "../../state/view.js";
 import { button, fill } from "../../ui/controls.js";
 import { element, setChildren, setText } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
@@ -35,6 +36,8 @@ export const mountPhotographs = () => {
   };
   const registerAll = button({ label: "Register all", kind: "small", act: () => request("register_all", { photos: wanted() }) });
   const adjust = button({ label: "Adjust", kind: "primary small", act: () => request("adjust", { photos: wanted() }) });
+  const draw = button({ label: "Draw ties", text: "Ties", kind: "small", act: () => view.set({ tying: wanted()?.[0] ?? store.shown() }),
+    title: "Draw ties by hand: a place in one photograph, and the same place in another" });
   const orders = element("select", { class: "select small", "aria-label": "Order of the photographs" });
   const filters = element("select", { class: "select small", "aria-label": "Which photographs are listed" });
   orders.addEventListener("change", () => { order = orders.value; show(); });
@@ -117,6 +120,9 @@ export const mountPhotographs = () => {
     registerAll.disabled = adjust.disabled = !idle || photos.length === 0;
     setText(registerAll, ids ? `Register ${ids.length}` : "Register all");
     setText(adjust, ids ? `Adjust ${ids.length}` : "Adjust");
+    draw.disabled = photos.length < 2;
+    const byHand = store.get("drawn_ties")?.length ?? 0;
+    setText(draw, byHand ? `Ties ${byHand}` : "Ties");
     registerAll.title = ids
       ? `Register ${some} from the images, one after the other`
       : "Register all photographs that are not accepted yet from the images, one after the other";
@@ -176,7 +182,7 @@ export const mountPhotographs = () => {
       )),
     );
   };
-  store.watch(["photos", "survey", "ties:*", "shown", "scan", "job", "people"], show);
+  store.watch(["photos", "survey", "drawn_ties", "ties:*", "shown", "scan", "job", "people"], show);
   const panel = element(
     "section",
     { class: "dock-part survey", "aria-label": "All photographs" },
@@ -185,7 +191,7 @@ export const mountPhotographs = () => {
       { class: "part-head" },
       element("h2", {}, "All photographs"),
       count,
-      element("div", { class: "end" }, filters, orders, element("span", { class: "edits row" }, registerAll, adjust)),
+      element("div", { class: "end" }, filters, orders, draw, element("span", { class: "edits row" }, registerAll, adjust)),
     ),
     element("div", { class: "part-body" }, summary, drawnTies, parts, heads, list, cameras),
   );

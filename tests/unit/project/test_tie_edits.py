@@ -1,0 +1,87 @@
+"""Ties in a project: what is kept, what is refused, what goes with a photograph, undo, and storage."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from ladarreg_core.errors import OptionError
+from ladarreg_core.project.document import Document, PhotoEntry, Source
+from ladarreg_core.project.edits import without_photo
+from ladarreg_core.project.inverse import ChangedSinceError, restored
+from ladarreg_core.project.storage.codec import decode_document, encode
+from ladarreg_core.project.storage.delta import change_between, check_readable
+from ladarreg_core.project.tie_edits import with_tie, without_ties
+
+_UV = [[10.5, 20], [30, 40.25]]
+
+
+def _document() -> Document:
+    photos = tuple(
+        PhotoEntry(id=name, source=Source(path=f"{name}.jpg", name=f"{name}.jpg", size=1))
+        for name in ("p1", "p2", "p3")
+    )
+    return Document(photos=photos)
+
+
+def test_ties_are_numbered_and_removed() -> None:
+    document, first = with_tie(_document(), ["p1", "p2"], _UV, 0.5)
+    document, second = with_tie(document, ["p3", "p1"], _UV, 1)
+    assert (first.id, first.photos, first.uv, first.sigma_px) == (
+        "t1",
+        ("p1", "p2"),
+        ((10.5, 20.0), (30.0, 40.25)),
+        0.5,
+    )
+    document = without_ties(document, ["t2"])
+    document, third = with_tie(document, ["p2", "p3"], _UV, 1)
+    assert [one.id for one in document.ties] == ["t1", "t3"]
+    assert third.id != second.id
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"photos": ["p1", "p1"]}, "same photograph"),
+        ({"photos": ["p1", "p9"]}, "no longer in the project"),
+        ({"photos": ["p1"]}, "needs two"),
+        ({"uv": [[1, 2]]}, "needs two"),
+        ({"uv": [[1, 2], [3]]}, r"\[u, v\]"),
+        ({"uv": [[1, 2], [3, float("nan")]]}, "no number"),
+        ({"uv": [[1, 2], [3, 1e9]]}, "pick in the image"),
+        ({"sigma_px": 0}, "must be positive"),
+        ({"sigma_px": "1"}, "no number"),
+    ],
+)
+def test_what_is_no_tie_is_refused(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(OptionError, match=words):
+        with_tie(_document(), **({"photos": ["p1", "p2"], "uv": _UV, "sigma_px": 1.0} | changes))
+
+
+def test_a_photograph_takes_its_ties_with_it_and_undo_brings_both_back() -> None:
+    document, _ = with_tie(_document(), ["p1", "p2"], _UV, 1.0)
+    document, kept = with_tie(document, ["p3", "p1"], _UV, 1.0)
+    gone = without_photo(document, "p2")
+    assert gone.ties == (kept,)
+    assert restored(gone, document, gone) == document
+
+
+def test_each_takes_back_its_own_tie() -> None:
+    before = _document()
+    one, _ = with_tie(before, ["p1", "p2"], _UV, 1.0)
+    two, second = with_tie(one, ["p1", "p3"], _UV, 1.0)
+    assert restored(two, before, one).ties == (second,)
+    with pytest.raises(ChangedSinceError):
+        restored(without_ties(two, ["t1"]), before, one)
+
+
+def test_ties_are_stored_by_difference_and_damage_is_told() -> None:
+    before, _ = with_tie(_document(), ["p1", "p2"], _UV, 1.0)
+    after, _ = with_tie(without_ties(before, ["t1"]), ["p1", "p3"], _UV, 2.0)
+    check_readable(before, after)
+    assert set(change_between(before, after)["ties"]) == {"new", "gone"}
+    data = encode(after)
+    assert decode_document(data, {}.__getitem__) == after
+    with pytest.raises(OptionError, match="standard deviation"):
+        decode_document(data.replace(b'"sigma_px":2.0', b'"sigma_px":-2.0'), {}.__getitem__)
