@@ -19,6 +19,7 @@ import { mountFramesButton } from "./panels/files/scan_clouds.js";
 import { openProjects } from "./panels/project/start_page.js";
 import { mountStatusBar } from "./panels/project/status_bar.js";
 import { mountPanes } from "./panes/index.js";
+import { mountTiePictures } from "./panes/tie_pictures.js";
 import { linkHovering } from "./state/hover.js";
 import { isRunning } from "./state/pipeline.js";
 import { followProject, projectNotice } from "./state/project.js";
@@ -50,6 +51,7 @@ mountPanes({
   view,
   ask,
 });
+mountTiePictures({ store, view });
 mountFramesButton(part("scan-pane", "pane-head"), () => openFiles("frames"));
 mountLiveScan(part("scan-pane", "pane-body"));
 listenToShortcuts();

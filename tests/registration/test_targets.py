@@ -216,7 +216,7 @@ def test_what_is_no_flat_target_is_refused() -> None:
     edge = lr.fit_target(scan, _pick(scan, centers[0]), side_m=0.15)
     assert edge.cells > 40
     for sizes in ({}, {"radius_m": 0.1, "side_m": 0.1}):
-        with pytest.raises(OptionError, match="either its `radius_m` or its `side_m`"):
+        with pytest.raises(OptionError, match="either its radius or its side"):
             lr.fit_target(scan, wall, **sizes)
 
 

@@ -39,4 +39,4 @@ def fit_target(
         return fit_sphere(scan, pick, radius_m=radius_m)
     if side_m is not None and radius_m is None:
         return fit_flat_target(scan, pick, side_m=side_m)
-    raise OptionError("a target is a sphere or flat; give either its `radius_m` or its `side_m`", field="radius_m")
+    raise OptionError("a target is a sphere or flat; give either its radius or its side", field="radius_m")

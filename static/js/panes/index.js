@@ -13,7 +13,6 @@ import { readoutOf } from "./readout.js";
 import { listenToReveals } from "./reveal.js";
 import { SimplexPreview } from "./simplex_preview.js";
 import { mountStrip } from "./strip.js";
-import { mountTiePictures } from "./tie_pictures.js";
 import { Tools } from "./tools.js";
 import { keepUnfinished } from "./unfinished.js";
 
@@ -47,7 +46,6 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
   listenToKeys(controller, tools, space);
   listenToReveals(controller);
   mountStrip(scanBody, controller);
-  mountTiePictures({ store, view });
 
   keepUnfinished(controller.picking, store);
 
