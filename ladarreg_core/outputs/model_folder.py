@@ -17,6 +17,7 @@ from ladarreg_core.export.json import input_document, software_document, write_r
 from ladarreg_core.export.layered_scan import LayeredScan
 from ladarreg_core.export.pictures.images import layer_picture, write_png
 from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.targets.e57 import layered_e57_files
 from ladarreg_core.export.targets.folder import FileJob, write_folder
 from ladarreg_core.export.targets.laz import layered_laz_files
 from ladarreg_core.export.targets.model import layered_glb_files
@@ -37,9 +38,12 @@ _KINDS: Mapping[str, Callable[[Sequence[LayeredScan], Report | None], Sequence[F
     "glb": layered_glb_files,
     "laz": layered_laz_files,
     "ply": layered_ply_files,
+    "e57": layered_e57_files,
 }
 MODEL_FORMATS = tuple(_KINDS)
 """Files of a model that may be asked for; layers are always written as pictures, too."""
+USUAL_FORMATS = ("glb", "laz", "ply")
+"""Those that are written unless others are asked for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +78,7 @@ def write_model(
     folder: str | Path,
     sources: ModelSources,
     *,
-    formats: Sequence[str] = MODEL_FORMATS,
+    formats: Sequence[str] = USUAL_FORMATS,
     values: Sequence[PhotoValues] = (),
     force: bool = False,
     report: Report | None = None,

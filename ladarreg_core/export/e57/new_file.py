@@ -1,16 +1,22 @@
-"""New E57 files of scans that were read from other formats: every return, with its colour."""
+"""New E57 files of scans that were read from other formats: every return, with its colour and its layers.
+
+Layers are fields of the points in a namespace of our own, which programs that do not know it pass over. Fields of whole
+numbers are 0 where there is nothing, those of floating-point numbers NaN.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from ladarreg_core.export.e57.colors import COLORS, INVALID, Gray, add_color_fields, color_limits
 from ladarreg_core.export.e57.nodes import (
+    LAYERS,
     NOTE,
     declare_note,
+    layer_field,
     new_guid,
     note_of,
     number_nodes,
@@ -20,9 +26,11 @@ from ladarreg_core.export.e57.nodes import (
     time_node,
 )
 from ladarreg_core.export.e57.tree import library, record_buffers, record_writer
+from ladarreg_core.export.layered_scan import LayerValues
 from ladarreg_core.export.registered_scan import RegisteredScan
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.best_photo import NO_PHOTO, CellColors
+from ladarreg_core.surface.texture.registered_texture import Label
 
 _CELLS_AT_ONCE = 131_072
 
@@ -70,6 +78,7 @@ def append_scan(
     report: Callable[[int], None],
     *,
     colors: CellColors | None = None,
+    values: Mapping[str, LayerValues] | None = None,
 ) -> str:
     """Append a scan with its pose and every return to a new file.
 
@@ -79,7 +88,8 @@ def append_scan(
         scan: the scan.
         note: its description.
         report: receives the numbers of points; may raise `Cancelled`.
-        colours: of its cells by photographs; None: there are none.
+        colors: of its cells by photographs; None: there are none.
+        values: layers of its cells by their names, beside those of the colours; None: there are none.
 
     Returns:
         the GUID of the scan.
@@ -114,15 +124,46 @@ def append_scan(
     else:
         for name in COLORS:
             prototype.set(name, e57.IntegerNode(file, 0, 0, 255))
+    layers = {**_layers_of(colors), **(values or {})}
+    if layers:
+        said = e57.StructureNode(file)
+        for name, layer in layers.items():
+            whole = np.issubdtype(layer.values.dtype, np.integer)
+            most = int(np.iinfo(layer.values.dtype).max) if whole else 0
+            kind = e57.IntegerNode(file, 0, 0, most) if whole else e57.FloatNode(file, 0.0, e57.E57_SINGLE)
+            prototype.set(layer_field(name), kind)
+            said.set(layer_field(name), e57.StringNode(file, plain(layer.meaning)))
+        node.set(LAYERS, said)
     points = e57.CompressedVectorNode(file, prototype, e57.VectorNode(file, True))
     node.set("points", points)
     data3d.append(node)
-    _write_cells(file, points, prototype, scan, colors, report)
+    _write_cells(file, points, prototype, scan, colors, layers, report)
     return guid
 
 
+def _layers_of(colors: CellColors | None) -> dict[str, LayerValues]:
+    """Return what the colours of cells rest on, as layers; none without colours."""
+    if colors is None:
+        return {}
+    photo = np.where(colors.photo == NO_PHOTO, 0, colors.photo + np.uint16(1)).astype(np.uint16)
+    classes = ", ".join(f"{int(label)} {label.name.lower().replace('_', ' ')}" for label in Label)
+    return {
+        "photo_id": LayerValues(
+            photo, "photograph that colours the point, from 1 as the description lists them; 0: none"
+        ),
+        "label": LayerValues(colors.labels, f"visibility class: {classes}"),
+        "sigma_px": LayerValues(colors.sigma_px, "standard deviation of the place in that photograph, px"),
+    }
+
+
 def _write_cells(
-    file: Any, points: Any, prototype: Any, scan: Scan, colors: CellColors | None, report: Callable[[int], None]
+    file: Any,
+    points: Any,
+    prototype: Any,
+    scan: Scan,
+    colors: CellColors | None,
+    layers: Mapping[str, LayerValues],
+    report: Callable[[int], None],
 ) -> None:
     gray = Gray(scan)
     rows_at_once = max(1, _CELLS_AT_ONCE // scan.shape[1])
@@ -150,6 +191,8 @@ def _write_cells(
             for k, name in enumerate(COLORS):
                 buffers[name][:count] = rgb[:, k]
             buffers["intensity"][:count] = intensity
+            for name, layer in layers.items():
+                buffers[layer_field(name)][:count] = layer.values[rows][valid]
             buffers["rowIndex"][:count], buffers["columnIndex"][:count] = row + first, column
             write(count)
             report(count)

@@ -14,6 +14,8 @@ from ladarreg_core.formats.parsing.untrusted import one_line
 from ladarreg_core.frames import Rigid
 
 _PREFIX, _NAMESPACE = "ladarreg", "urn:ladarreg:e57"
+LAYERS = f"{_PREFIX}:layers"
+"""The element of a scan that says what its layers are, by their names."""
 NOTE = f"{_PREFIX}:note"
 """The element of the file that names the photographs, and says which poses were given."""
 _GPS_EPOCH_S = 315_964_800  # 1980-01-06 in Unix time
@@ -21,8 +23,13 @@ _LEAP_SECONDS = 18  # of GPS time since then
 _LONGEST_NAME = 200
 
 
+def layer_field(name: str) -> str:
+    """Return the name that a layer has in the records of points, and in `LAYERS`."""
+    return f"{_PREFIX}:{name}"
+
+
 def declare_note(file: Any) -> None:
-    """Declare the namespace of `NOTE`, unless the file has it already."""
+    """Declare the namespace of `NOTE` and the layers, unless the file has it already."""
     if not file.extensionsLookupPrefix(_PREFIX, ""):
         file.extensionsAdd(_PREFIX, _NAMESPACE)
 

@@ -7,7 +7,7 @@ a new E57 with the scan's returns is made.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,7 @@ from ladarreg_core.export.e57.nodes import (
 from ladarreg_core.export.e57.pictures import Picture, pictures
 from ladarreg_core.export.e57.tree import E57Copy, Made, library, new_e57
 from ladarreg_core.export.json import software_document
+from ladarreg_core.export.layered_scan import LayeredScan
 from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan, RegisteredSurvey, photo_id
 from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.stations import StationScans, stations_e57_files, stations_e57_refusal
@@ -84,11 +85,22 @@ def e57_files(
     """Return `NAME.e57`, named like the scan's file; of a survey or stations, one with all scans."""
     del options
     if isinstance(handed, RegisteredSurvey):
-        return [("survey.e57", lambda path: _write_survey(path, handed, report))]
+        parts = [LayeredScan(one) for one in handed.scans]
+        return [("survey.e57", lambda path: _write_scans(path, parts, note_of(handed), report))]
     if isinstance(handed, StationScans):
         return stations_e57_files(handed, report)
     name = photo_id(handed.scan.name if handed.scan_file is None else handed.scan_file.name)
     return [(f"{name}.e57", lambda path: _write(path, handed, report))]
+
+
+def layered_e57_files(parts: Sequence[LayeredScan], report: Report | None) -> Sequence[FileJob]:
+    """Return `cloud.e57` with the scans of a model, their layers as fields, and each photograph once.
+
+    Raises:
+        DependencyError: if the bindings of libe57 are not installed.
+    """
+    library()
+    return [("cloud.e57", lambda path: _write_scans(path, parts, note_of(parts[0].handed), report))]
 
 
 class _Told:
@@ -146,16 +158,21 @@ def _write(path: Path, handed: RegisteredScan, report: Report | None) -> None:
         ) from error
 
 
-def _write_survey(path: Path, handed: RegisteredSurvey, report: Report | None) -> None:
-    """Write all scans with the poses that the survey found; what their files had beside their returns is left out."""
-    points = sum(int(np.count_nonzero(one.scan.valid)) for one in handed.scans)
-    told = _Told(points + _PICTURE_WEIGHT * len(handed.photos), path.name, report)
+def _write_scans(path: Path, parts: Sequence[LayeredScan], note: str, report: Report | None) -> None:
+    """Write scans with their poses and layers; what their files had beside their returns is left out."""
+    photos = {one.id for part in parts for one in part.handed.photos}
+    points = sum(int(np.count_nonzero(part.handed.scan.valid)) for part in parts)
+    told = _Told(points + _PICTURE_WEIGHT * len(photos), path.name, report)
     with new_e57(path) as file:
-        data3d = start_tree(file, note_of(handed))
-        for one in handed.scans:
+        data3d = start_tree(file, note)
+        for part in parts:
+            one = part.handed
             one.compute_colors(report)
-            guid = append_scan(file, data3d, one.scan, note_of(one), told, colors=one.colors)
-            _add_images(file, one, guid, told)
+            guid = append_scan(
+                file, data3d, one.scan, note_of(one), told, colors=one.colors, values=part.values
+            )  # fmt: skip
+            _add_images(file, one, guid, told, only=photos)
+            photos -= {each.id for each in one.photos}  # one that several scans see is there once
 
 
 def _copy(old: E57File, file: Any, handed: RegisteredScan, told: _Told, info: E57ScanInfo) -> None:
@@ -200,10 +217,14 @@ def _painted(scan: E57Node, file: Any, copy: E57Copy, painter: PointPainter) -> 
     return made
 
 
-def _add_images(file: Any, handed: RegisteredScan, scan_guid: str, told: _Told) -> None:
-    """Append the photographs to the images of the file."""
+def _add_images(
+    file: Any, handed: RegisteredScan, scan_guid: str, told: _Told, *, only: Collection[str] | None = None
+) -> None:
+    """Append the photographs to the images of the file, all or `only` those of some ids."""
     images = file.root()["images2D"]
     for one in handed.photos:
+        if only is not None and one.id not in only:
+            continue
         for picture in pictures(one, told):
             _add_image(file, images, handed, one, picture, scan_guid)
             told()

@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import laspy
 import numpy as np
+import pye57
 import pytest
 from ladarreg.cli import main
 from ladarreg.exit_codes import ExitCode
@@ -22,6 +23,7 @@ from ladarreg_core.outputs.integrity import check_integrity
 from ladarreg_core.storage.checksums import checksum_state
 from testing.scenes.kept import kept_folder
 from testing.scenes.photo_tour import photo_tour, scan_of_tour, write_tour
+from tests.unit.export.e57_samples import libe57, raw_values
 
 CELLS, SIZE = (120, 168), (200, 140)
 
@@ -46,7 +48,8 @@ def model(job: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("model") / "out"
     results = [str(job / "one" / f"results-{k}") for k in range(6)]
     values = f"gamma:counts:IMG_0002:{job / 'one' / 'counts.tif'}"
-    assert main(["model", *results, "--values", values, "-o", str(out), "--quiet"]) == ExitCode.ACCEPTED
+    words = ["model", *results, "--values", values, "--to", "glb,laz,ply,e57", "-o", str(out), "--quiet"]
+    assert main(words) == ExitCode.ACCEPTED
     return out
 
 
@@ -131,6 +134,37 @@ def test_clouds_have_the_layers_and_agree(model: Path, job: Path) -> None:
     np.testing.assert_array_equal(points["red"], np.asarray(cloud.red) // 257)
 
 
+def test_the_layers_of_an_e57_are_read_by_another_reader_and_passed_over(model: Path, job: Path) -> None:
+    cloud = laspy.read(model / "cloud.laz")
+    file = libe57.ImageFile(str(model / "cloud.e57"), "r")
+    try:
+        (node,) = (file.root()["data3D"][k] for k in range(file.root()["data3D"].childCount()))
+        values, said = raw_values(node["points"]), node["ladarreg:layers"]
+        meanings = {said[k].elementName(): said[k].value() for k in range(said.childCount())}
+        assert file.root()["images2D"].childCount() == 5
+    finally:
+        file.close()
+    names = ["photo_id", "label", "sigma_px", "seen_by", "resolution_mm", "gamma_counts"]
+    assert sorted(meanings) == sorted(f"ladarreg:{name}" for name in names)
+    assert ", mm" in meanings["ladarreg:resolution_mm"]
+    assert "counts" in meanings["ladarreg:gamma_counts"]
+    for name in names:
+        np.testing.assert_array_equal(values[f"ladarreg:{name}"], np.asarray(cloud[name]), err_msg=name)
+    for name, plain in (("colorRed", cloud.red), ("colorGreen", cloud.green), ("colorBlue", cloud.blue)):
+        colored = values["ladarreg:photo_id"] > 0
+        np.testing.assert_array_equal(values[name][colored], np.asarray(plain)[colored] // 257)
+
+    whole = pye57.E57(str(model / "cloud.e57"))
+    points = whole.read_scan(0, ignore_missing_fields=True, intensity=True, colors=True)
+    whole.close()
+    scan = read_scan(job / "one" / "scan.npz")
+    found = np.stack([points[f"cartesian{axis}"] for axis in "XYZ"], axis=-1)
+    np.testing.assert_allclose(found, scan.points[scan.valid], atol=1e-4)
+    again = read_scan(model / "cloud.e57")
+    assert again.valid.sum() == scan.valid.sum()
+    np.testing.assert_allclose(np.sort(again.ranges[again.valid]), np.sort(scan.ranges[scan.valid]), atol=1e-4)
+
+
 def test_the_textured_model_has_the_layers_as_variants_on_the_grid(model: Path, job: Path) -> None:
     found, content = glb(model / "model.glb")
     variants = [one["name"] for one in found["extensions"]["KHR_materials_variants"]["variants"]]
@@ -173,9 +207,16 @@ def test_parts_of_several_scans_meet_without_doubled_walls(tmp_path: Path) -> No
     write_tour(tmp_path / "two", replace(tour, scan=other, views=views), name="other", first=4)
     results = [str(one) for one in sorted(tmp_path.glob("*/results-*"))]
     out = tmp_path / "out"
-    assert main(["model", *results, "-o", str(out), "--quiet"]) == ExitCode.ACCEPTED
+    words = ["model", *results, "--to", "glb,laz,ply,e57", "-o", str(out), "--quiet"]
+    assert main(words) == ExitCode.ACCEPTED
     found = document(out)
     assert found["frame"]["frame"] == "world"
+    file = libe57.ImageFile(str(out / "cloud.e57"), "r")
+    counts = [file.root()[name].childCount() for name in ("data3D", "images2D")]
+    records = [file.root()["data3D"][k]["points"].childCount() for k in range(counts[0])]
+    file.close()
+    assert counts == [2, 6], "each photograph is there once, though both scans see it"
+    assert records == [one["returns"] - one["cut"] for one in found["scans"]]
     assert len(found["photos"]) == 6
     cut = [one["cut"] / one["returns"] for one in found["scans"]]
     assert 0.2 < sum(cut) < 1.2

@@ -139,6 +139,11 @@ def test_a_scan_of_another_format_becomes_a_file_of_its_returns(tmp_path: Path) 
     truth = paint(scan.points[row, column])
     assert np.median(np.abs(values["colorGreen"] - truth[:, 1])[seen]) < 1
     colored = replace(scan, color=np.full((*scan.shape, 3), 77, np.uint8))
+    assert (values["ladarreg:photo_id"] == seen).all()
+    assert np.isfinite(values["ladarreg:sigma_px"][seen]).all()
+    assert np.isnan(values["ladarreg:sigma_px"][~seen]).all()
+    assert set(values["ladarreg:label"][seen].tolist()) < set(range(8))
+    assert "0: none" in node["ladarreg:layers"]["ladarreg:photo_id"].value()
     second = exported(RegisteredScan(colored, (registered(photo_of(PINHOLE)),)), tmp_path / "second")
     of_scanner = raw_values(opened(second).root()["data3D"][0]["points"])
     assert (of_scanner["colorRed"][~seen] == 77).all(), "the scanner's own colours stay where no photograph sees"
