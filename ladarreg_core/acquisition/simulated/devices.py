@@ -156,6 +156,8 @@ class TwinDevices:
         now = self.server.now_s()
         if device not in self.addresses:
             raise OptionError(f"there is no device {device!r}; use {' or '.join(self.addresses)}")
+        if device == LIDAR and kind == "none":
+            return  # it has no failures of its own
         if device in self._folders and kind == "none":
             self._folders[device].mend()
         elif device in self._folders:
