@@ -11,7 +11,7 @@ import { element, newId } from "./dom.js";
  */
 export const makeDialog = (title, { kind = "" } = {}, ...children) => {
   const id = newId("title");
-  const body = element("div", { class: "dialog-body" }, ...children);
+  const body = element("div", { class: "dialog-body", tabindex: "0" }, ...children);
   const dialog = element("dialog", { class: `dialog ${kind}`.trim(), "aria-labelledby": id });
   const close = () => dialog.close();
   dialog.append(
