@@ -58,7 +58,7 @@ def survey_about(survey: Survey, origin: Matrix) -> Survey:
 
 
 def scan_about(scan: Scan, origin: Matrix) -> Scan:
-    """Return a scan with what is known of its place told in the same world."""
+    """Return a scan whose stated place is moved into the same world."""
     if scan.world_from_scanner is None or not origin.any():
         return scan
     return replace(scan, world_from_scanner=_moved(-origin) @ scan.world_from_scanner)

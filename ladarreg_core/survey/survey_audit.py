@@ -47,12 +47,9 @@ class StatedPoses:
     @staticmethod
     def of_survey(survey: Survey) -> StatedPoses:
         """Return those that a survey states: `initial`, or else a `prior` with a direction."""
-        poses = {
-            one.id: one.initial if one.initial is not None else one.prior.pose if one.prior is not None else None
-            for one in survey.photos
-            if one.initial is not None or (one.prior is not None and not one.prior.is_position)
-        }
-        return StatedPoses(photos={name: pose for name, pose in poses.items() if pose is not None})
+        poses = {one.id: one.prior.pose for one in survey.photos if one.prior is not None and not one.prior.is_position}
+        poses |= {one.id: one.initial for one in survey.photos if one.initial is not None}
+        return StatedPoses(photos=poses)
 
     @staticmethod
     def of_adjustment(folder: str | Path) -> StatedPoses:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ladarreg_core.acquisition.devices.flir_unit import FlirUnit
-from ladarreg_core.acquisition.devices.ports import PortSource
+from ladarreg_core.acquisition.devices.ports import Ports, PortSource
 from ladarreg_core.acquisition.devices.scip_scanner import ScipScanner
 from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.acquisition.plan import Axis, Plan, ScannerPlan, UnitPlan
-from ladarreg_core.acquisition.runs.run_folder import RunFolder, RunWriter
+from ladarreg_core.acquisition.plan_reading import plan_from_fields
+from ladarreg_core.acquisition.runs.connected import connected
+from ladarreg_core.acquisition.runs.run_folder import RunFolder, RunWriter, ScanPiece
 from ladarreg_core.acquisition.runs.runner import Paused, Run, RunEvent
 from ladarreg_core.acquisition.simulated.devices import TwinDevices
 from ladarreg_core.acquisition.simulated.world import LINE_MOUNT
@@ -74,3 +79,22 @@ def same(a: list[LineSweep], b: list[LineSweep]) -> bool:
         and np.array_equal(x.pan_rad, y.pan_rad)
         for x, y in zip(a, b, strict=True)
     )  # fmt: skip
+
+
+def recorded_pieces(fields: Mapping[str, Any], folder: Path) -> list[LineSweep | ScanPiece]:
+    """Run a plan, given as the content of `plan.json`, on the devices that it names; return its pieces in order."""
+    plan, faults = plan_from_fields(fields), list[str]()
+
+    def note(event: object) -> None:
+        if isinstance(event, Paused):
+            faults.append(event.reason)
+            run.stop()  # it would wait for ever
+
+    with (
+        closing(RunWriter.begin(folder, plan)) as writer,
+        connected(plan, ports=partial(Ports, guarded=False)) as found,
+    ):
+        run = found.run(plan, writer, note)
+        assert run.go(), faults
+    recorded = RunFolder.open(folder)
+    return [recorded.piece(k) for k in sorted(recorded.records)]

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import socket
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing
-from functools import partial
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -15,16 +13,13 @@ import pytest
 pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
 
 from ladarreg_core.acquisition.devices.packet_stream import PacketStream
-from ladarreg_core.acquisition.devices.ports import Ports
 from ladarreg_core.acquisition.interfaces import Arrival, PanTilt
-from ladarreg_core.acquisition.plan_reading import plan_from_fields
-from ladarreg_core.acquisition.runs.connected import connected
-from ladarreg_core.acquisition.runs.run_folder import RunFolder, RunWriter, ScanPiece
-from ladarreg_core.acquisition.runs.runner import Paused
+from ladarreg_core.acquisition.runs.run_folder import ScanPiece
 from ladarreg_core.acquisition.simulated.lidar_twin import LidarTwin, VelodyneOnBench
 from ladarreg_core.acquisition.simulated.world import FRAME_MOUNT, Bench
 from ladarreg_core.errors import Cancelled, DeviceError
 from ladarreg_core.formats import read_scan
+from testing.devices.runs import recorded_pieces
 from testing.files.ouster_recordings import write_ouster_recording
 
 Connect = Callable[..., PacketStream]
@@ -151,23 +146,8 @@ def test_a_mosaic_is_recorded_from_packets(tmp_path: Path) -> None:
         "pan_deg": [0, 40, 40],
         "mount": {"xyz_m": FRAME_MOUNT.translation.tolist(), "rpy_deg": [0, 0, 0]},
     }
-    plan = plan_from_fields(json.loads(json.dumps(fields)))
-    faults: list[str] = []
-
-    def note(event: object) -> None:
-        if isinstance(event, Paused):
-            faults.append(event.reason)
-            run.stop()
-
-    with (
-        closing(RunWriter.begin(tmp_path / "run", plan)) as folder,
-        connected(plan, ports=partial(Ports, guarded=False)) as found,
-    ):
-        run = found.run(plan, folder, note)
-        assert run.go(), faults
     bench = Bench("plain", 3)
-    recorded = RunFolder.open(tmp_path / "run")
-    pieces = [recorded.piece(k) for k in sorted(recorded.records)]
+    pieces = recorded_pieces(fields, tmp_path / "run")
     assert len(pieces) == 2
     for piece in pieces:
         assert isinstance(piece, ScanPiece)

@@ -1,4 +1,4 @@
-"""Surveys in a national grid: solved about an origin nearby, told in the grid."""
+"""Surveys in a national grid: solved about an origin nearby, with results in the grid."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _survey(world: Rigid | None) -> lr.Survey:
     return lr.Survey.of([scan], [Photo(np.zeros((30, 40, 3), np.uint8), camera)])
 
 
-def test_the_origin_is_near_where_a_scanner_is_told_to_stand() -> None:
+def test_the_origin_is_near_where_a_scanner_is_stated_to_stand() -> None:
     for world, origin in ((None, [0, 0, 0]), (Rigid(np.eye(3), np.array([900.0, 0, 0])), [0, 0, 0]),
                           (GRID, [500_123, 5_400_456, 120])):  # fmt: skip
         survey = _survey(world)
@@ -36,7 +36,7 @@ def test_the_origin_is_near_where_a_scanner_is_told_to_stand() -> None:
     assert local_origin(given, [one.source for one in given])[0] == 500_123, "what is fixed defines the world"
 
 
-def test_what_is_known_beforehand_is_told_about_the_origin() -> None:
+def test_what_is_known_beforehand_is_moved_to_the_origin() -> None:
     survey, origin = _survey(GRID), np.round(GRID.translation)
     pose = Rigid.from_rotvec([0.1, -0.2, 0.3], [0.0, 0.0, 1.0]) @ GRID.inverse
     prior = PosePrior(pose=pose, covariance=np.eye(6))

@@ -11,7 +11,7 @@ import pytest
 import ladarreg_core as lr
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
-from ladarreg_core.survey.audit import FALSE_ALARM, Audit, judged
+from ladarreg_core.survey.audit import FALSE_ALARM, judged
 from ladarreg_core.survey.parts import PosePrior
 from ladarreg_core.survey.problem import moved_pose
 from ladarreg_core.survey.survey_audit import StatedPoses, audit_survey, judged_together
@@ -33,15 +33,11 @@ def test_as_many_surveys_of_right_poses_are_called_wrong_as_stated(case: lr.simu
         audits = {}
         for k in range(each):
             pose = moved_pose(at, rng.normal(0, 1, 6) * np.sqrt(np.diag(COVARIANCE)))
-            audits[str(k)] = _fast(replace(found, camera_from_scanner=pose, covariance=COVARIANCE), at)
+            audits[str(k)] = judged(replace(found, camera_from_scanner=pose, covariance=COVARIANCE), at)
         single += sum(one.outcome == "wrong" for one in audits.values())
         wrong += judged_together(audits).outcome == "wrong"
     assert abs(wrong / trials - FALSE_ALARM) < 0.054, "three standard deviations of the count"
     assert single > 2 * wrong
-
-
-def _fast(found: lr.Registration, pose: Rigid) -> Audit:
-    return judged(found, pose)
 
 
 def test_what_one_photograph_excuses_several_do_not(case: lr.simulate.SimulatedCase) -> None:

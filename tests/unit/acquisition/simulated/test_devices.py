@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import closing
 from functools import partial
 from pathlib import Path
 
@@ -15,14 +14,11 @@ pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`"
 
 import ladarreg_core as lr
 from ladarreg_core.acquisition.devices.flir_unit import FlirUnit
-from ladarreg_core.acquisition.devices.ports import Ports
 from ladarreg_core.acquisition.devices.scip_scanner import ScipScanner
 from ladarreg_core.acquisition.interfaces import PanTilt
 from ladarreg_core.acquisition.plan import ScannerPlan, UnitPlan
 from ladarreg_core.acquisition.plan_reading import plan_from_fields
-from ladarreg_core.acquisition.runs.connected import connected
-from ladarreg_core.acquisition.runs.run_folder import RunFolder, RunWriter, ScanPiece
-from ladarreg_core.acquisition.runs.runner import Paused
+from ladarreg_core.acquisition.runs.run_folder import ScanPiece
 from ladarreg_core.acquisition.simulated.devices import CAMERA, SCANNER, TwinDevices
 from ladarreg_core.acquisition.simulated.folder_twin import CAMERA as CAMERA_MODEL
 from ladarreg_core.acquisition.simulated.folder_twin import FRAME
@@ -30,6 +26,7 @@ from ladarreg_core.acquisition.simulated.world import FRAME_MOUNT, Bench
 from ladarreg_core.acquisition.twin_address import watched_folder
 from ladarreg_core.errors import DeviceError, OptionError
 from ladarreg_core.scanner.grids import AzimuthElevation
+from testing.devices.runs import recorded_pieces
 from testing.devices.simulated_clock import SimulatedClock
 from testing.devices.simulated_ports import MemoryPorts, MemoryServer
 
@@ -125,23 +122,8 @@ def test_a_mosaic_is_recorded_by_the_addresses_of_twins(tmp_path: Path) -> None:
         "tilt_deg": [0, 0, 0],
         "mount": {"xyz_m": FRAME_MOUNT.translation.tolist(), "rpy_deg": [0, 0, 0]},
     }
-    plan = plan_from_fields(fields)
-    faults: list[str] = []
-
-    def note(event: object) -> None:
-        if isinstance(event, Paused):
-            faults.append(event.reason)
-            run.stop()
-
-    with (
-        closing(RunWriter.begin(tmp_path / "run", plan)) as folder,
-        connected(plan, ports=partial(Ports, guarded=False)) as found,
-    ):
-        run = found.run(plan, folder, note)
-        assert run.go(), faults
     bench = Bench("plain", 3)
-    recorded = RunFolder.open(tmp_path / "run")
-    pieces = [recorded.piece(k) for k in sorted(recorded.records)]
+    pieces = recorded_pieces(fields, tmp_path / "run")
     assert len(pieces) == 2
     for piece in pieces:
         assert isinstance(piece, ScanPiece)
