@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from ladarreg_core.camera import Camera, EquirectangularCamera
-from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress
