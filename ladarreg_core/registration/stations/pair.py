@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +28,10 @@ _GATES = ((0.06, 4.0), (0.02, 2.0))  # m and deg
 _HELD_OUT = 4  # of so many blocks of the room one
 _FIXED = 1e10  # information of a pose that does not move, 1/rad^2 and 1/m^2
 _HOPELESS = 4  # times worse than the limit: not worth a refinement
+_WORTH_A_SECOND_LOOK = 10  # times worse: different rooms mostly are by more
 _NEAR_M = 1.0  # what lies farther from a rough pose is no refinement of it
+_NEAR_RAD = 0.12
+_SAME_M, _SAME_RAD = 0.02, 0.005  # up to which two placements are one
 _AROUND = np.array([[x, y, 0.0] for x in (-0.6, 0.0, 0.6) for y in (-0.6, 0.0, 0.6) if (x, y) != (0, 0)])  # m
 _SPACING_OF_A_ROOM_M = 0.06
 _SPARSE_VOXELS_M = (1.0, 0.5, 0.25)  # of a room's spacing; twice as large in halls
@@ -99,6 +102,9 @@ def register_pair(
     if least < _ALIGNED_POINTS // 5:
         return _nothing(indices, start, "one of the scans has too few even surfaces to be compared")
     ranked = _ranked(first, second, rough, seed)
+    worst = _WORTH_A_SECOND_LOOK * o.most_contradicted
+    if rough is None and ranked and o.most_contradicted < ranked[0][1].contradicted <= worst:
+        ranked = _best_first([*ranked, *_ranked(first, second, None, seed, by_free_space=True)], o)
     if not ranked:
         return _nothing(indices, start, "no placement brings surfaces of both scans together")
     best = ranked[0][0]
@@ -118,7 +124,7 @@ def register_pair(
         pose = best
     looked = seen(first.view, second.view, checked, tolerance_m=tolerance)
     printed = compared_print(first.view.surfels, second.view.surfels, pose)
-    other = _alternative(ranked, looked, o)
+    other = _alternative(ranked, looked, o, lambda other: _is_settled(first, second, other, pose, voxels, o))
     covariance = about_centre(done.covariance[6:, 6:], pose)
     lost = _not_determined(covariance, o)
     runner = ranked[1][1] if len(ranked) > 1 else None
@@ -198,12 +204,14 @@ def _tolerance(first: Prepared, second: Prepared) -> float:
     return _NOISE_SHARE * max(first.view.surfels.spacing_m, second.view.surfels.spacing_m)
 
 
-def _ranked(first: Prepared, second: Prepared, rough: Rigid | None, seed: int) -> list[tuple[Rigid, Seen]]:
+def _ranked(
+    first: Prepared, second: Prepared, rough: Rigid | None, seed: int, *, by_free_space: bool = False
+) -> list[tuple[Rigid, Seen]]:
     """Return aligned placements that differ, the best one first, with what is seen of each."""
     surfels = second.view.surfels
     index = np.random.default_rng(seed).permutation(len(surfels.points))[:_ALIGNED_POINTS]
     if rough is None:
-        starts = search(first.view, second.view, keep=_HYPOTHESES, seed=seed)
+        starts = search(first.view, second.view, keep=_HYPOTHESES, by_free_space=by_free_space, seed=seed)
     else:
         around = [Rigid(rough.rotation, rough.translation + shift) for shift in _AROUND]
         starts = [Hypothesis(pose, 0.0) for pose in (rough, *around)]
@@ -222,19 +230,49 @@ def _ranked(first: Prepared, second: Prepared, rough: Rigid | None, seed: int) -
     return [(one.first_from_second, looked) for one, looked in found if any(one is other for other in kept)]
 
 
+def _best_first(placements: Sequence[tuple[Rigid, Seen]], o: PairOptions) -> list[tuple[Rigid, Seen]]:
+    """Return placements that differ, those first that what is seen does not refuse, whatever the others' overlap."""
+
+    def is_refused(looked: Seen) -> bool:
+        return looked.contradicted > o.most_contradicted or looked.agreeing < o.least_overlap
+
+    ordered = sorted(placements, key=lambda one: (is_refused(one[1]), -_rank(one[1])))
+    kept = apart([Hypothesis(pose, _rank(looked)) for pose, looked in ordered], keep=len(ordered))
+    return [(pose, looked) for pose, looked in ordered if any(pose is one.first_from_second for one in kept)]
+
+
 def _rank(looked: Seen) -> float:
     """Return what placements are ranked by: overlap less five times what is contradicted."""
     against = looked.contradicted / max(1 - looked.contradicted, 1e-9) * looked.agreeing
     return looked.agreeing - 5 * against
 
 
-def _alternative(ranked: Sequence[tuple[Rigid, Seen]], best: Seen, o: PairOptions) -> tuple[Rigid, Seen] | None:
-    """Return another placement that what is seen does not exclude."""
+def _alternative(
+    ranked: Sequence[tuple[Rigid, Seen]], best: Seen, o: PairOptions, is_settled: Callable[[Rigid], bool]
+) -> tuple[Rigid, Seen] | None:
+    """Return another placement that neither what is seen nor its own fit excludes."""
     for pose, looked in ranked[1:]:
         enough = looked.agreeing >= o.alternative_overlap * best.agreeing
-        if enough and looked.contradicted <= best.contradicted + o.alternative_contradicted:
+        if enough and looked.contradicted <= best.contradicted + o.alternative_contradicted and is_settled(pose):
             return pose, looked
     return None
+
+
+def _is_settled(
+    first: Prepared, second: Prepared, pose: Rigid, best: Rigid, voxels_m: Sequence[float], o: PairOptions
+) -> bool:
+    """Return whether a placement is one of its own, and not the best one's that the alignment stopped short of.
+
+    That is asked of placements near the best one only, in which large surfaces still cover each other.
+    """
+    if differ(pose, best, _NEAR_M, _NEAR_RAD):
+        return True
+    views = _range_views(first, second, pose)
+    there = adjust(views, gates=_GATES, use_blocks=_used, voxels_m=voxels_m).poses[1]
+    if not differ(there, best, _SAME_M, _SAME_RAD):
+        return False
+    count, ratio = _held_out(views, there, voxels_m)
+    return count < o.least_held_out or ratio <= o.most_held_out_ratio
 
 
 def _used(block: IntArray) -> BoolArray:

@@ -26,6 +26,11 @@ _HEIGHTS = 3
 _OF_A_YAW = 6
 _OF_ALL = 90
 _SAMPLE = 900
+_BEARINGS = 240
+_BAND = 0.14  # tangent of the elevations that free space is taken from
+_AS_HIGH_M = 0.8  # and of the walls that may not stand in it, above or below the scanner
+_BLOCKED_SHARE = 0.25  # of the rays of a bearing that something may stop before its free space ends
+_CLEARANCE_CELLS = 2.0
 _LEVEL_WEIGHT = 0.15  # floors and ceilings agree in any two rooms
 _CONTRADICTION = 2.0
 
@@ -47,16 +52,18 @@ class Hypothesis:
     """Weighted share of agreeing surfaces less those that are contradicted, -2 to 1."""
 
 
-def search(first: View, second: View, *, keep: int, seed: int = 0) -> list[Hypothesis]:
+def search(first: View, second: View, *, keep: int, by_free_space: bool = False, seed: int = 0) -> list[Hypothesis]:
     """Return the best poses of the second scan in the frame of the first, the best one first.
 
     Args:
         first: the scan whose frame is used; it and the other one stand upright, within a few degrees.
         second: the scan that is placed.
         keep: number of hypotheses.
+        by_free_space: whether a wall of one scan where the other saw through speaks against a place on the plan
+            already. It takes longer, and finds stations that have few walls in common.
         seed: of the samples.
     """
-    places = _places(first.surfels, second.surfels)
+    places = _places(first.surfels, second.surfels, by_free_space=by_free_space)
     heights = _heights(first.surfels, second.surfels)
     poses = [Rigid(rotation_about("z", yaw), np.array([x, y, z])) for _, yaw, x, y in places for z in heights]
     samples = (judged_sample(first.surfels, _SAMPLE, seed), judged_sample(second.surfels, _SAMPLE, seed + 1))
@@ -137,8 +144,8 @@ def _heights(first: Surfels, second: Surfels) -> list[float]:
     return [float((k - (bins - 1)) * _HEIGHT_BIN_M) for k in best] or [0.0]
 
 
-def _places(first: Surfels, second: Surfels) -> list[tuple[float, float, float, float]]:
-    """Return (score, yaw, x, y) of the second station, best first, by the walls of both."""
+def _places(first: Surfels, second: Surfels, *, by_free_space: bool) -> list[tuple[float, float, float, float]]:
+    """Return (score, yaw, x, y) of the second station, best first, by the walls of both, and by what is free."""
     from scipy import fft, ndimage
 
     reach = max(first.reach_m, second.reach_m)
@@ -147,11 +154,17 @@ def _places(first: Surfels, second: Surfels) -> list[tuple[float, float, float, 
     size = fft.next_fast_len(4 * half, real=True)
     plan = ndimage.gaussian_filter(_plan(first, 0.0, cell, half), (0, 1.0, 1.0))
     spectrum = np.conj(fft.rfft2(plan, (size, size)))
+    if by_free_space:
+        free, walls = (np.conj(fft.rfft2(one(first, 0.0, cell, half), (size, size))) for one in (_free, _standing))
     found = []
     for k in range(_YAWS):
         yaw = 2 * np.pi * k / _YAWS
         turned = fft.rfft2(_plan(second, yaw, cell, half), (size, size))
-        score = fft.irfft2((np.conj(spectrum) * np.conj(turned)).sum(0), (size, size))
+        shared = (np.conj(spectrum) * np.conj(turned)).sum(0)
+        if by_free_space:
+            for known, one in ((free, _standing), (walls, _free)):
+                shared -= np.conj(known) * np.conj(fft.rfft2(one(second, yaw, cell, half), (size, size)))
+        score = fft.irfft2(shared, (size, size))
         peak = score == ndimage.maximum_filter(score, 5, mode="wrap")
         at = np.flatnonzero(peak)
         at = at[np.argsort(-score.ravel()[at], kind="stable")][:_OF_A_YAW]
@@ -179,3 +192,35 @@ def _plan(surfels: Surfels, yaw: float, cell: float, half: int) -> NDArray[np.fl
             np.mod(layer.astype(np.intp), _FACINGS) * (2 * half) ** 2 + place, weight, len(plan)
         )  # fmt: skip
     return np.sqrt(plan).reshape(_FACINGS, 2 * half, 2 * half).astype(np.float32)
+
+
+def _free(surfels: Surfels, yaw: float, cell: float, half: int) -> NDArray[np.float32]:
+    """Return the plan (2 half, 2 half) of what nearly all level rays pass: 1 where it is free, else 0."""
+    across = np.hypot(surfels.returns[:, 0], surfels.returns[:, 1])
+    level = np.abs(surfels.returns[:, 2]) < _BAND * across
+    bearing = _bearing_of(surfels.returns[level, 0], surfels.returns[level, 1])
+    order = np.lexsort((across[level], bearing))
+    count = np.bincount(bearing, minlength=_BEARINGS)
+    first = np.cumsum(count) - count
+    reach = np.zeros(_BEARINGS)
+    seen = count > 0
+    reach[seen] = across[level][order][(first + (_BLOCKED_SHARE * count).astype(np.intp))[seen]]
+    at = (np.arange(-half, half) + 0.5) * cell
+    x, y = np.meshgrid(at, at, indexing="ij")
+    turn = rotation_about("z", -yaw)[:2, :2]
+    own = _bearing_of(turn[0, 0] * x + turn[0, 1] * y, turn[1, 0] * x + turn[1, 1] * y)
+    return (np.hypot(x, y) < reach[own] - _CLEARANCE_CELLS * cell).astype(np.float32)
+
+
+def _bearing_of(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.intp]:
+    return np.floor(np.mod(np.arctan2(y, x) / (2 * np.pi), 1.0) * _BEARINGS).astype(np.intp) % _BEARINGS
+
+
+def _standing(surfels: Surfels, yaw: float, cell: float, half: int) -> NDArray[np.float32]:
+    """Return the plan (2 half, 2 half) of the walls at the height of the scanner: their number in each cell."""
+    wall = surfels.is_wall & (np.abs(surfels.points[:, 2]) < _AS_HIGH_M)
+    xy = surfels.points[wall, :2] @ rotation_about("z", yaw)[:2, :2].T
+    at = np.floor(xy / cell).astype(np.intp) + half
+    at = at[((at >= 0) & (at < 2 * half)).all(-1)]
+    place = at[:, 0] * 2 * half + at[:, 1]
+    return np.bincount(place, minlength=(2 * half) ** 2).reshape(2 * half, 2 * half).astype(np.float32)
