@@ -51,7 +51,7 @@ def panorama_camera(camera: CameraModel) -> EquirectangularCamera:
     return EquirectangularCamera(width, max(1, width // 2))
 
 
-def camera_xml(camera: Camera) -> str:
+def camera_xml(camera: CameraModel) -> str:
     """Return the file of a camera for Potree's `OrientedImageLoader`."""
     return (
         '<?xml version="1.0" encoding="UTF-8"?>\n<calibration>\n  <projection>frame</projection>\n'

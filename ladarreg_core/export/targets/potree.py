@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from ladarreg_core.camera import Camera
 from ladarreg_core.export.clouds.cloud_part import CloudPart
 from ladarreg_core.export.json import write_document
 from ladarreg_core.export.layered_scan import LayeredScan
@@ -121,7 +120,6 @@ class _Photographs:
         jobs: list[FileJob] = []
         for group in self._cameras.values():
             folder, camera = self._folders[group[0].one.id], group[0].camera
-            assert isinstance(camera, Camera)
             jobs.append((f"{folder}/camera.xml", text_writer(camera_xml(camera))))
             lines = [ORIENTED_HEADER, *(self._line(each, oriented_line) for each in group)]
             jobs.append((f"{folder}/photographs.txt", text_writer("\n".join(lines) + "\n")))
