@@ -73,7 +73,7 @@ def test_photographs_stand_in_the_cloud_where_they_were_taken(page_3d: Page, fol
     with published({"/export": folder, "/npm": NPM, "/view": VIEW}) as address:
         page_3d.goto(f"{address}/view/")
         page_3d.wait_for_selector("html[data-ready]", state="attached")
-        page_3d.wait_for_function("points().visible > 40000")
+        page_3d.wait_for_function("points().visible > 40000 && points().waiting === 0")
 
         true = np.random.default_rng(1).uniform(0.2, 0.8, (50, 2)) * CAMERA.size
         points = ROLLED.inverse @ (CAMERA.unproject(true) * 4)

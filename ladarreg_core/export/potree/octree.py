@@ -40,6 +40,7 @@ _PART_DEPTH = 7
 _MAX_PART_POINTS = 2_000_000
 _MAX_LEAF_POINTS = 10_000
 _NODE_BYTES = 22
+_PASSES, _SORTING = 4, "sorting the cloud"
 _HASH = np.uint64(0x9E3779B97F4A7C15)  # of Fibonacci hashing
 _SIXTEEN_BITS = np.uint16(257)  # 255 becomes 65535
 _HEAD = [("position", "<i4", 3), ("intensity", "<u2"), ("rgb", "<u2", 3), ("label", "|u1"), ("photo_id", "<u2")]
@@ -147,6 +148,7 @@ class PotreeOctree:
             for points in cloud_points(one.part):
                 if len(points):
                     low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
+                self._progress(len(points), _SORTING)
         self._low = np.floor(low / _CORNER_ROUNDED_TO_M) * _CORNER_ROUNDED_TO_M
         self._side = max(float((high - self._low).max()), _SMALLEST_CUBE_M)
         self._scale = _SCALE_M if self._side / _SCALE_M < _LARGEST_INTEGER else _COARSER_SCALE_M
@@ -174,6 +176,7 @@ class PotreeOctree:
         for one in self._parts:
             for points in cloud_points(one.part):
                 np.add.at(counts, self._keys(self._stored(points)) >> shift, 1)
+                self._progress(len(points), _SORTING)
         cells, depths = _parts_of(counts)
         sums = np.concatenate([[0], np.cumsum(counts)])
         sizes = sums[np.append(cells[1:], len(counts))] - sums[cells]
@@ -190,7 +193,7 @@ class PotreeOctree:
                     spool.seek(int(filled[part]) * self._dtype.itemsize)
                     spool.write(records[begin:end].tobytes())
                     filled[part] += end - begin
-                self._progress(len(records), "sorting the cloud")
+                self._progress(len(records), _SORTING)
         assert (filled == starts + sizes).all(), "the points are the same in every pass"
         return starts, sizes, depths
 
@@ -228,13 +231,13 @@ class PotreeOctree:
             spool.seek(start * self._dtype.itemsize)
             records = np.frombuffer(spool.read(size * self._dtype.itemsize), self._dtype)
             for level, codes, chosen in self._levels(records, depth):
+                self._progress(len(chosen), "building the octree")
                 for begin, end in _runs(codes):
                     node = (level, int(codes[begin]))
                     if level < depth:
                         above.setdefault(node, []).append(records[chosen[begin:end]])
                     else:
                         self._put(file, node, [records[chosen[begin:end]]])
-            self._progress(size, "building the octree")
         for node in list(above):
             self._put(file, node, above.pop(node))
 
@@ -321,7 +324,7 @@ class PotreeOctree:
     def _progress(self, points: int, label: str) -> None:
         self._done += points
         if self._report is not None:
-            self._report(Progress(self._done, 2 * self._count, label))
+            self._report(Progress(self._done, _PASSES * self._count, label))
 
 
 def _spread(values: NDArray[np.int64]) -> NDArray[np.int64]:

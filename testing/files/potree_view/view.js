@@ -121,13 +121,15 @@ window.overview = (place, target) => {
   camera.updateProjectionMatrix();
 };
 
+let waiting = 1;
+
 function draw() {
-  potree.updatePointClouds([cloud], camera, renderer);
+  waiting = potree.updatePointClouds([cloud], camera, renderer).nodeLoadPromises.length;
   renderer.render(scene, camera);
   requestAnimationFrame(draw);
 }
 
 window.show("cloud", 0);
 draw();
-window.points = () => ({ stated: cloud.pcoGeometry.root.numPoints, visible: cloud.numVisiblePoints });
+window.points = () => ({ visible: cloud.numVisiblePoints, waiting });
 document.documentElement.dataset.ready = "yes";
