@@ -256,9 +256,10 @@ def test_a_survey_is_one_cloud_with_all_photographs(tmp_path: Path) -> None:
         handed_over(photograph(CAMERAS["0 terms"], "q"), frame="world"), id="other", scan=shifted,
         frame=replace(one.frame, world_from_scanner=shifted.world_from_scanner),
     )  # fmt: skip
-    folder = exported(tmp_path, RegisteredSurvey([one, other]))
+    bare = replace(one, id="bare", photos=(), of_survey=True)
+    folder = exported(tmp_path, RegisteredSurvey([one, bare, other]))
     records = read_cloud(folder / "pointcloud").records
-    assert len(records) == 2 * len(world_points(one))
+    assert len(records) == 3 * len(world_points(one))
     assert set(records["photo_id"]) == {0, 1, 2}
     images = read_oriented(folder / "photographs/1/camera.xml", folder / "photographs/1/photographs.txt")
     np.testing.assert_allclose(images[1].place - images[0].place, [0.5, 0, 0], atol=1e-8)
