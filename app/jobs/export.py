@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from ladarreg_core.export.output_frame import FrameName
     from ladarreg_core.export.targets.pipeline import Source as ExportSource
     from ladarreg_core.export.targets.target import Crop, ExportOptions, Target
-    from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry, Source
+    from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
+    from ladarreg_core.project.source import Source
 
 log = logging.getLogger(__name__)
 ALL = "all"

@@ -12,7 +12,8 @@ import msgspec
 from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress
-from ladarreg_core.project.document import Document, PhotoCheck, PhotoEntry, Source, Survey
+from ladarreg_core.project.document import Document, PhotoCheck, PhotoEntry, Survey
+from ladarreg_core.project.source import Source
 from ladarreg_core.project.station_edits import scans_of, surveyed_pose
 
 from ..session.exported import stations_fault
@@ -120,7 +121,7 @@ class StationJobs:
             photo=entry.id,
             name=entry.source.name,
             scan=source,
-            pose=entry.pose.arrays.name,
+            pose=entry.pose.name,
             outcome="undecidable",
             sentence="",
         )

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from ladarreg_core.export.targets.target import Target
     from ladarreg_core.matches import Pick
     from ladarreg_core.photo import Photo
-    from ladarreg_core.project.document import Document, PhotoEntry, Source, Survey
+    from ladarreg_core.project.document import Document, PhotoEntry, Survey
+    from ladarreg_core.project.source import Source
     from ladarreg_core.project.storage.folder import ProjectFolder
     from ladarreg_core.quality.assessment import Assessment
     from ladarreg_core.quality.smoothing import SmoothedScan

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from ladarreg_core.inspection.pictures import NamedView
     from ladarreg_core.matches import Pick
     from ladarreg_core.photo import Photo
-    from ladarreg_core.project.document import Document, PhotoEntry, PickEntry, PoseEntry, Source
+    from ladarreg_core.project.document import Document, PhotoEntry, PickEntry, PoseEntry
+    from ladarreg_core.project.source import Source
     from ladarreg_core.project.storage.folder import ProjectFolder
     from ladarreg_core.quality.assessment import Assessment
     from ladarreg_core.results import Registration

@@ -27,10 +27,10 @@ from ladarreg_core.project.document import (
     PhotoEntry,
     PoseEntry,
     Rows,
-    Source,
 )
 from ladarreg_core.project.results import pose_of
 from ladarreg_core.project.smoothing_edits import with_smoothings
+from ladarreg_core.project.source import Source
 from ladarreg_core.project.station_edits import scans_of, surveyed_pose
 from ladarreg_core.project.storage.folder import ProjectFolder
 from ladarreg_core.project.stored_arrays import StoredArrays
@@ -126,7 +126,7 @@ def adjusted_entry(document: Document, adjustment: Adjustment, poses: Mapping[st
                 ties_left_out=one.ties_left_out, median_px=_finite(one.median_px), partners=tuple(one.partners),
                 camera=one.camera_id, sigma_m=_finite(one.sigma_position_m) if one.accepted else None,
                 sigma_rad=_finite(one.sigma_angle_rad) if one.accepted else None,
-                pose=poses[name].arrays.name if name in poses else "",
+                pose=poses[name].name if name in poses else "",
                 **_movement(document.photo(name), poses.get(name)),
             )
             for name, one in adjustment.photos.items()

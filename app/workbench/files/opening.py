@@ -15,8 +15,9 @@ import msgspec
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project import edits
-from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source
+from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry
 from ladarreg_core.project.history import NOBODY, Author
+from ladarreg_core.project.source import Source
 from ladarreg_core.project.station_edits import scans_of, with_stations
 
 from ...session.isolated_readers import READERS

@@ -19,7 +19,8 @@ from ...session.session import Session
 from .pose_state import pick_errors
 
 if TYPE_CHECKING:
-    from ladarreg_core.project.document import Document, PhotoEntry, Source
+    from ladarreg_core.project.document import Document, PhotoEntry
+    from ladarreg_core.project.source import Source
     from ladarreg_core.scan import Scan
 
     from ...jobs.runner import Job

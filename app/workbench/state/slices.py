@@ -23,8 +23,9 @@ from ...session.session import Session
 from .recent import project_id
 
 if TYPE_CHECKING:
-    from ladarreg_core.project.document import Document, PhotoEntry, PickEntry, Source
+    from ladarreg_core.project.document import Document, PhotoEntry, PickEntry
     from ladarreg_core.project.history import Author, Entry, History
+    from ladarreg_core.project.source import Source
 
     from ...jobs.runner import Job
     from ...session.cache import ListCache
