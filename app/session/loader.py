@@ -38,10 +38,10 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 T = TypeVar("T")
 _LIMITS = {
-    "scan": (1, 1),
+    "scan": (3, 700_000_000),
     "photo": (8, 600_000_000),
     "header": (1024, 10_000_000),
-    "views": (1, 1),
+    "views": (6, 100_000_000),
     "view": (16, 280_000_000),
     "registration": (64, 100_000_000),
     "solved_on": (64, 50_000_000),
@@ -51,6 +51,8 @@ _LIMITS = {
     "partners": (3, 400_000_000),
     "measured": (8, 200_000_000),
     "picture": (64, 420_000_000),
+    "carried": (256, 20_000_000),
+    "seen": (4, 1_000_000),
     "model": (40, 150_000_000),
     "line": (512, 50_000_000),
     "station": (16, 20_000_000),
@@ -66,7 +68,7 @@ STATION_POINTS = 60_000
 _LARGE_SCAN_CELLS = 4_000_000
 
 _DERIVED_FROM_SCAN = ("views", "view", "assessment", "partners", "measured", "picture", "model", "line")
-"""Kinds whose values would keep the previous scan in memory."""
+"""Kinds whose values would keep a scan in memory that is dropped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +138,7 @@ class Loader:
         return None if cached is None else cached[0]
 
     def scan(self, document: Document) -> Scan | None:
-        """Return the scan; None where none is open.
+        """Return the scan; None where none is open. The most recently used ones of a project are kept.
 
         Raises:
             LadarregError: if its file can no longer be read.
@@ -348,6 +350,37 @@ class Loader:
         self.cached("scan", source, lambda: scan)
         self.cached("views", source, lambda: views)
 
+    def seen_from_scan(self, document: Document) -> Document:
+        """Return a document with all photographs beside its scan: the poses of others are carried over.
+
+        What is carried over is the same object as long as nothing that it rests on changes.
+        """
+        if not any(photo.station for photo in document.photos):
+            return document
+
+        def seen(photo: PhotoEntry) -> PhotoEntry:
+            if not photo.station:
+                return photo
+            rests_on = (photo, document.scan, document.stations, document.survey, document.adjusted)
+            key = tuple(map(id, rests_on))
+            return self.cached("carried", key, lambda: (rests_on, self._current_only(document, photo)))[1]
+
+        def made() -> Document:
+            return msgspec.structs.replace(document, photos=tuple(map(seen, document.photos)))
+
+        return self.cached("seen", id(document), lambda: (document, made()))[1]
+
+    def _current_only(self, document: Document, photo: PhotoEntry) -> PhotoEntry:
+        """Return a photograph as it is beside the document's scan; a pose that is out of date stays so."""
+        from ladarreg_core.project.station_edits import seen_from_scan
+
+        found, pose = seen_from_scan(document, photo), photo.pose
+        if pose is None or not found.poses or not self.stale(document, photo, pose):
+            return found
+        return msgspec.structs.replace(
+            found, poses=tuple(msgspec.structs.replace(each, ranges="former") for each in found.poses)
+        )
+
     def registration(self, pose: PoseEntry) -> Registration:
         """Return the registration that a stored pose belongs to.
 
@@ -368,7 +401,8 @@ class Loader:
         """Return why a photograph's pose is out of date; empty if it is current."""
         from ladarreg_core.project.staleness import stale
 
-        scan = document.clouds, document.ranges
+        beside = document.beside(entry)
+        scan = beside.clouds, beside.ranges
         key = (id(entry.picks), id(pose), *scan)
         return self.cached("stale", key, lambda: ((entry, pose), stale(entry, pose, self.solved_on(pose), *scan)))[1]
 

@@ -239,7 +239,7 @@ def _set_initial(workbench: Workbench, entry: PhotoEntry, photo: Path, reading: 
     from ladarreg_core.formats.documents.pose_file import read_initial
 
     session = workbench.session
-    scan = workbench.loader.scan(session.document)
+    scan = workbench.loader.scan(session.document.beside(entry))
     file = reading.initials.get(photo.name, reading.initial)
     if file is None or scan is None:
         return

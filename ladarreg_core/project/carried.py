@@ -17,7 +17,8 @@ def carried_pose(pose: PoseEntry, from_new: Rigid, source: Source, *, sigma_m: f
     """Return a pose as it is at another scan; its verdict stays, its matches, which lie on the former scan, do not.
 
     A rotation dt of the one scan in the frame of the other turns the camera by -R dt and moves its centre, which lies
-    at l from the scanner, by dt x l; the covariance grows by these, and by the scanner's position.
+    at l from that scanner, by dt x l; the covariance grows by these, l being that of the farther scanner, and by the
+    scanner's position.
 
     Args:
         pose: the pose at the former scan.
@@ -32,7 +33,8 @@ def carried_pose(pose: PoseEntry, from_new: Rigid, source: Source, *, sigma_m: f
     if pose.covariance:
         J = np.eye(6)
         J[3:, 3:] = from_new.rotation.T
-        turned = np.vstack([-now.rotation, -skew(from_new.rotation.T @ was.centre)])
+        farther = max(now.centre, from_new.rotation.T @ was.centre, key=lambda at: float(np.linalg.norm(at)))
+        turned = np.vstack([-now.rotation, -skew(farther)])
         found = J @ np.array(pose.covariance) @ J.T + turned @ turned.T * sigma_rad**2 / 3
         found[3:, 3:] += np.eye(3) * sigma_m**2 / 3
         covariance = _rows((found + found.T) / 2)

@@ -25,9 +25,15 @@ def require_registered(document: Document, photo_id: str) -> PoseEntry:
     Raises:
         OptionError: if there is no scan, photograph or accepted pose.
     """
-    pose = require_photo(document, photo_id).pose
+    photo = require_photo(document, photo_id)
+    pose = photo.pose
     if document.scan is None:
         raise OptionError("there is no scan; open one")
+    if photo.station:
+        raise OptionError(
+            f"{photo.source.name} is matched with another station; ranges are replaced in {document.scan.name}: choose "
+            "a photograph beside that scan"
+        )
     if pose is None or not pose.accepted:
         raise OptionError("ranges are smoothed by an accepted pose; register the photograph first")
     return pose

@@ -235,7 +235,7 @@ class Files:
         return made
 
     def _matches(self, path: Path, name: str, entry: PhotoEntry, client: Client | None) -> str:
-        scan = self._loader.scan(self._session.document)
+        scan = self._loader.scan(self._session.document.beside(entry))
         if scan is None:
             raise OptionError("matches need a scan; open the scan first")
         picks = [replace(pick, origin="file") for pick in self._loader.read_matches(path, scan)]

@@ -96,7 +96,7 @@ class SceneSync:
 
     def watch_simplex(self, frame: Frame) -> None:
         """Show an iteration of the simplex."""
-        if self._scene is None:
+        if self._scene is None or frame.inputs.entry.station:  # the 3-D view is of the project's scan
             return
         from ...scene import SimplexFrame
 
@@ -142,7 +142,7 @@ class SceneSync:
             return
         from ...scene import Shown, Subject
 
-        document, people = self._session.document, self._people()
+        document, people = self._loader.seen_from_scan(self._session.document), self._people()
         scene.set_people(people)
         scan_shown = self._shown_scan(document)
         photos: dict[str | None, Shown] = {}

@@ -14,7 +14,7 @@ const LABEL_PX = 6;
  */
 export const measuredMarks = (measurements, side) =>
   measurements.flatMap(({ id, name, kind, value, drawn, in_photo: photos }) => {
-    const rows = side.name === "scan" ? drawn : photos[side.id];
+    const rows = side.name === "photo" ? photos[side.id] : side.isOwn ? drawn : null;
     if (!rows) return [];
     const pixel = (at) => at && side.toPixel(at);
     const ends = rows.ends.map(pixel).filter(Boolean);
