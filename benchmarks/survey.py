@@ -31,7 +31,7 @@ from ladarreg_core.camera import CameraModel
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.survey.adjustment import Adjustment
 from ladarreg_core.survey.audit import power_of
-from ladarreg_core.survey.problem import moved_pose
+from ladarreg_core.survey.least_squares.problem import moved_pose
 from testing.scenes.survey_set import SurveySet, TakenPhoto, simulate_survey, write_survey_set
 
 SCENES = ("office", "boxes", "desk", "people")

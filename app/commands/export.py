@@ -101,7 +101,7 @@ def run(arguments: Arguments) -> ExitCode:
     ]
     if missing:
         raise OptionError(f"missing {', '.join(missing)}; see ladarreg export --help, or --list for the targets")
-    arguments = _with_accepted_photos(arguments)
+    given, arguments = arguments.results, _with_accepted_photos(arguments)
     assert arguments.to is not None
     assert arguments.out is not None
     started = time.perf_counter()
@@ -121,7 +121,7 @@ def run(arguments: Arguments) -> ExitCode:
         elif stations:
             sources = [_of_stations(arguments, first)]
         else:
-            sources = [_of_results(arguments, targets, bar)]
+            sources = [_of_results(arguments, given, targets, bar)]
         for handed in photographed(sources):
             for one in handed.scans:
                 suit_heap(one.scan)
@@ -179,10 +179,18 @@ def _state(photo: RegisteredPhoto) -> str:
     return f"{result.caveat or 'accepted'}, {evidence}"
 
 
-def _of_results(arguments: Arguments, targets: Sequence[Target], bar: ProgressBar) -> Registered:
-    """Return results on one scan or those of a survey, whose inputs are found by their names and hashes."""
+def _of_results(arguments: Arguments, given: Sequence[Path], targets: Sequence[Target], bar: ProgressBar) -> Registered:
+    """Return results on one scan or those of a survey, whose inputs are found by their names and hashes.
+
+    Args:
+        arguments: the arguments, with folders of results of one photograph each.
+        given: the folders as they were given, surveys among them.
+        targets: the targets.
+        bar: receives the progress.
+    """
     from ladarreg_core.errors import OptionError
     from ladarreg_core.export.targets.pipeline import require_shown
+    from ladarreg_core.outputs.placed_scans import placed_scans
     from ladarreg_core.outputs.saved_results import registered_results
 
     saved = read_results(arguments.results, trust_edited=arguments.trust_edited)
@@ -198,6 +206,7 @@ def _of_results(arguments: Arguments, targets: Sequence[Target], bar: ProgressBa
         bar,
         lambda: registered_results(
             saved,
+            placed=placed_scans(given, trust_edited=arguments.trust_edited),
             folders=[*files, *arguments.root],
             scan_file=arguments.scan,
             scan_options=arguments.scan_options,

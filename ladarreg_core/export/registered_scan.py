@@ -99,6 +99,8 @@ class RegisteredScan:
     """The matches of photographs without a pose, by their ids: results contain them, and nothing else does."""
     id: str = "scan"
     """Unique among the scans of a survey, and a file name."""
+    of_survey: bool = False
+    """Whether it is one of a survey's scans, which need not have photographs of their own."""
     ranges_as_read: bool = True
     """Whether the scan has the ranges of its file; if not, formats that copy points of files write the scan's."""
 
@@ -108,7 +110,7 @@ class RegisteredScan:
         object.__setattr__(self, "refused", refused)
         if any(one.registration.is_shown for one in refused):
             raise ExportError("a photograph with a pose is listed as refused; list it among the others")
-        if not photos and not refused and not self.drawn:
+        if not photos and not refused and not self.drawn and not self.of_survey:
             raise ExportError("there is no registered photograph to export; register one, or give its pose")
         ids = [*(one.id for one in (*photos, *refused)), *self.drawn]
         if len(set(ids)) < len(ids):
@@ -193,16 +195,16 @@ class RegisteredSurvey:
     """Scans of several places with their photographs, in the world that they share.
 
     Raises:
-        ExportError: if there is no scan, one is not written in the world or with another offset, or two scans or two
-            photographs have the same id.
+        ExportError: if there is no photograph, a scan is not written in the world or with another offset, or two scans
+            or two photographs have the same id.
     """
 
     scans: Sequence[RegisteredScan]
-    """The scans, each with the photographs that are registered to it."""
+    """The scans, each with the photographs that are registered to it, if any."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scans", tuple(self.scans))
-        if not self.scans:
+        if not self.photos and not self.refused:
             raise ExportError("there is no registered photograph to export; register one, or give its pose")
         frames = [one.frame for one in self.scans]
         if any(one.name != "world" or one.offset_m != frames[0].offset_m for one in frames):

@@ -12,6 +12,7 @@ from ladarreg_core.export.output_frame import FrameName
 from ladarreg_core.export.registered_scan import RegisteredScan, RegisteredSurvey
 from ladarreg_core.many.folder import is_batch_folder
 from ladarreg_core.many.photo_summary import read_photos_result
+from ladarreg_core.outputs.placed_scans import placed_scans
 from ladarreg_core.outputs.saved_results import SavedResult, is_saved_result, read_saved_result, registered_results
 from ladarreg_core.progress import Report
 
@@ -68,8 +69,8 @@ def read_model_sources(
             f"no photo was accepted, so there is no model to make ({named or 'there is none'}); register one first"
         )
     found = registered_results(
-        used, folders=folders, scan_options=scan_options, temperature_unit=temperature_unit, frame=frame, option=option,
-        report=report,
+        used, placed=placed_scans(results, trust_edited=trust_edited), folders=folders, scan_options=scan_options,
+        temperature_unit=temperature_unit, frame=frame, option=option, report=report,
     )  # fmt: skip
     scans = found.scans if isinstance(found, RegisteredSurvey) else (found,)
     return ModelSources(tuple(scans), tuple(left_out))

@@ -17,6 +17,7 @@ from ladarreg_core.export.registered_scan import Registered, RegisteredPhoto, Re
 from ladarreg_core.formats import read_photo, read_scan
 from ladarreg_core.formats.documents.registration_file import read_result
 from ladarreg_core.formats.scans.scan_request import ScanOptions, stated_options
+from ladarreg_core.outputs.placed_scans import PlacedScan
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.results import Registration
@@ -78,6 +79,14 @@ class SavedResult:
         else:
             (scan,) = find_inputs(self.inputs[:1], [scan_file], option=option)
         return scan, self._find(self.inputs[1], near, option=option)
+
+    def find_scan(self, record: Mapping[str, Any], folders: Sequence[Path], *, option: str = "`inputs`") -> Path:
+        """Return the file of another scan of the same survey, looked for where this result's files are.
+
+        Raises:
+            ExportError: if it is not found.
+        """
+        return self._find(record, self._near(folders), option=option)
 
     def _find(self, record: Mapping[str, Any], near: Sequence[Path], *, option: str = "`inputs`") -> Path:
         """Return the file of an input, which lies in a folder or where the result states it.
@@ -281,6 +290,7 @@ def missing_scans(result: Path, scan: Path, more: Sequence[Path], *, within: Seq
 def registered_results(
     results: Sequence[SavedResult],
     *,
+    placed: Sequence[PlacedScan] = (),
     folders: Sequence[Path] = (),
     scan_file: Path | None = None,
     scan_options: Mapping[str, Any] | None = None,
@@ -295,6 +305,7 @@ def registered_results(
 
     Args:
         results: the results, accepted, given or refused; refused ones are listed as such.
+        placed: scans of the survey, see `placed_scans`; those without results follow the others.
         folders: where inputs are looked for before the folders of the results, the folders above them, and the working
             folder; a file among them stands for itself. Files are recognised by their SHA-256.
         scan_file: the scan's file; None: it is looked for.
@@ -313,21 +324,27 @@ def registered_results(
     if not results:
         raise OptionError("there is no result to export; give one or several folders of results")
     groups = _by_scan(results, scan_options)
-    if len(groups) > 1 and scan_file is not None:
-        raise OptionError(f"the results are on {len(groups)} scans, and one file is given for them; give their folder")
+    on = {_of_scan(group[0].inputs[0]) for group in groups}
+    others = [one for one in placed if _of_scan(one.input) not in on]
+    several = len(groups) + len(others)
+    if several > 1 and scan_file is not None:
+        raise OptionError(f"the results are on {several} scans, and one file is given for them; give their folder")
     opened = _Opened(tuple(folders), scan_file, dict(scan_options or {}), temperature_unit, option, report)
-    if len(groups) == 1:
-        (scan, reading, file), placed = opened.scan(groups[0]), None
+    if several == 1:
+        scan, reading, file = opened.scan(groups[0])
         return opened.registered(groups[0], scan, reading, file, OutputFrame.of(scan, frame), "scan", [])
     found: list[RegisteredScan] = []
-    placed = None
-    for group in groups:
-        scan, reading, file = opened.scan(group)
+    read: list[tuple[Sequence[SavedResult], tuple[Scan, dict[str, Any], Path]]] = [
+        (group, opened.scan(group)) for group in groups
+    ]
+    beside = read[0][1][2].parent
+    read += [([], opened.other_scan(one, groups[0][0], beside)) for one in others]
+    for group, (scan, reading, file) in read:
         own = OutputFrame.of(scan, "world")
-        placed = own if placed is None else replace(own, offset_m=placed.offset_m)
+        in_world = replace(own, offset_m=found[0].frame.offset_m) if found else own
         taken = [one.id for other in found for one in (*other.photos, *other.refused)]
         name = photo_id(file.name, [one.id for one in found])
-        found.append(opened.registered(group, scan, reading, file, placed, name, taken))
+        found.append(opened.registered(group, scan, reading, file, in_world, name, taken, of_survey=True))
     return RegisteredSurvey(found)
 
 
@@ -353,9 +370,16 @@ class _Opened:
             scan = replace(scan, world_from_scanner=world)
         return scan, reading, file
 
+    def other_scan(self, placed: PlacedScan, result: SavedResult, beside: Path) -> tuple[Scan, dict[str, Any], Path]:
+        """Return a scan of a survey as `scan`, its file found as those of one of the results, or in a folder."""
+        file = result.find_scan(placed.input, [*self.folders, beside], option=self.option)
+        reading = {**(_recorded_scan(placed.input) or {}), **_changed(self.scan_options)}
+        scan = read_scan(file, report=self.report, **reading)
+        return replace(scan, world_from_scanner=placed.world_from_scanner), reading, file
+
     def registered(
         self, results: Sequence[SavedResult], scan: Scan, reading: dict[str, Any], scan_file: Path,
-        frame: OutputFrame, name: str, taken: Sequence[str],
+        frame: OutputFrame, name: str, taken: Sequence[str], *, of_survey: bool = False,
     ) -> RegisteredScan:  # fmt: skip
         """Return a scan with the photographs of its results."""
         photos: list[RegisteredPhoto] = []
@@ -382,6 +406,7 @@ class _Opened:
             frame,
             [one for one in photos if not one.registration.is_shown],
             id=name,
+            of_survey=of_survey,
         )
 
 
@@ -417,6 +442,11 @@ def _by_scan(results: Sequence[SavedResult], scan_options: Mapping[str, Any] | N
 
 def _index(result: SavedResult) -> int:
     return int(result.scan_options.get("scan_index") or 0)
+
+
+def _of_scan(record: Mapping[str, Any]) -> tuple[Any, int]:
+    """Return the content of a scan's file, and which of its scans is meant."""
+    return record.get("sha256"), int((_recorded_scan(record) or {}).get("scan_index") or 0)
 
 
 def _recorded(record: Mapping[str, Any], kind: type[msgspec.Struct]) -> dict[str, Any] | None:

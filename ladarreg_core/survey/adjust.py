@@ -34,17 +34,24 @@ from ladarreg_core.registration.register import RegisterOptions
 from ladarreg_core.results import Registration
 from ladarreg_core.survey.adjustment import Adjustment
 from ladarreg_core.survey.assembly import adjustment_of
-from ladarreg_core.survey.build import Bodies, build_problem, camera_unknowns, pair_factor, photo_view, with_ties
-from ladarreg_core.survey.features import propose_pairs
+from ladarreg_core.survey.build import (
+    Bodies,
+    build_problem,
+    camera_unknowns,
+    pair_factor,
+    photo_view,
+    with_ties,
+)
 from ladarreg_core.survey.inputs import PhotoHeader, SurveyInputs
+from ladarreg_core.survey.least_squares.problem import WORLD, CameraUnknowns, Problem, RelativePose, pose_difference
+from ladarreg_core.survey.least_squares.solver import Adjusted, solve
 from ladarreg_core.survey.local_world import adjustment_from, local_origin, scan_about, survey_about
 from ladarreg_core.survey.placement import PhotoState, Placement
-from ladarreg_core.survey.problem import WORLD, CameraUnknowns, Problem, RelativePose, pose_difference
 from ladarreg_core.survey.rigs import Rigs, rig_factors, rigs_of, start_from_rig
-from ladarreg_core.survey.solver import Adjusted, solve
 from ladarreg_core.survey.stations import place_stations
 from ladarreg_core.survey.survey import Survey
-from ladarreg_core.survey.ties import DrawnEnds, with_drawn
+from ladarreg_core.survey.ties.features import propose_pairs
+from ladarreg_core.survey.ties.ties import DrawnEnds, with_drawn
 from ladarreg_core.survey.verdicts import (
     Solution,
     TakenOut,

@@ -14,8 +14,8 @@ from ladarreg_core.errors import OptionError
 from ladarreg_core.export.json import software_document
 from ladarreg_core.frames import Rigid
 from ladarreg_core.results import COARSE_SIGMA_PX
-from ladarreg_core.survey.problem import Matrix
-from ladarreg_core.survey.solver import Adjusted
+from ladarreg_core.survey.least_squares.problem import Matrix
+from ladarreg_core.survey.least_squares.solver import Adjusted
 
 SurveyEvidence = Literal["image", "ties", "rig", "none"]
 VERSION = 1

@@ -28,7 +28,7 @@ from ladarreg_core.progress import StepReport
 from ladarreg_core.registration.register import RegisterOptions, register
 from ladarreg_core.results import Registration
 from ladarreg_core.scan import Scan
-from ladarreg_core.survey.problem import pose_difference
+from ladarreg_core.survey.least_squares.problem import pose_difference
 
 Outcome = Literal["right", "wrong", "undecidable"]
 FALSE_ALARM = 0.05

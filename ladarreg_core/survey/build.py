@@ -12,11 +12,19 @@ from ladarreg_core.camera.uncertainty import CALIBRATED_CAMERA_PRIOR, DEFAULT_CA
 from ladarreg_core.frames import Rigid
 from ladarreg_core.many.pooled_camera import CameraEstimate, camera_estimate, pool, pose_by_camera, turn_of
 from ladarreg_core.results import Registration
+from ladarreg_core.survey.least_squares.problem import (
+    WORLD,
+    CameraUnknowns,
+    Matrix,
+    PhotoView,
+    Problem,
+    RelativePose,
+    Ties,
+)
 from ladarreg_core.survey.parts import SurveyCamera
 from ladarreg_core.survey.placement import PhotoState, Placement
-from ladarreg_core.survey.problem import WORLD, CameraUnknowns, Matrix, PhotoView, Problem, RelativePose, Ties
 from ladarreg_core.survey.survey import Survey
-from ladarreg_core.survey.ties import tie_points
+from ladarreg_core.survey.ties.ties import tie_points
 
 _KNOWN = 1e-6  # relative standard deviation of an intrinsic that is not estimated
 _MAX_FROM_STATED = 3.0  # standard deviations of what was stated

@@ -11,7 +11,7 @@ import numpy as np
 
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
-from ladarreg_core.export.json import input_document, plain
+from ladarreg_core.export.json import input_document, input_documents, plain
 from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.photos.photo_facts import photo_facts
 from ladarreg_core.many.cache import ContentCache
@@ -56,7 +56,7 @@ class SurveyInputs:
             if isinstance(one.source, Scan):
                 content = [ContentCache.key(ranges=_digest(one.source.ranges), intensity=_digest(one.source.intensity))]
             else:
-                document = input_document(one.source)
+                (document,) = input_documents([one.source], [options])
                 self.documents[f"scan/{one.id}"] = document
                 content = [document["sha256"]]
             stated = None if one.world_from_scanner is None else one.world_from_scanner.matrix.tolist()

@@ -12,8 +12,8 @@ import numpy as np
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.survey.adjustment import Adjustment
+from ladarreg_core.survey.least_squares.problem import Matrix
 from ladarreg_core.survey.parts import SurveyPhoto, SurveyScan
-from ladarreg_core.survey.problem import Matrix
 from ladarreg_core.survey.survey import Survey
 
 _FAR_M = 1_000.0  # where single precision steps by .06 mm

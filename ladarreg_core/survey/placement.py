@@ -22,10 +22,10 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.many.photo_task import ScanFiles
 from ladarreg_core.registration.register import RegisterOptions
 from ladarreg_core.results import Registration
-from ladarreg_core.survey.features import Features
 from ladarreg_core.survey.parts import SurveyPhoto
 from ladarreg_core.survey.stations import Stations
-from ladarreg_core.survey.ties import DrawnEnds, LaserPoints
+from ladarreg_core.survey.ties.features import Features
+from ladarreg_core.survey.ties.ties import DrawnEnds, LaserPoints
 from ladarreg_core.survey.work import PairTask, PhotoFiles, finished, laser_under, registered
 
 _MIN_START = 15  # inliers of a pose from features

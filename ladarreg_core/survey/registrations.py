@@ -14,7 +14,7 @@ from ladarreg_core.registration.register import RegisterOptions
 from ladarreg_core.results import PoseResult, Registration
 from ladarreg_core.survey.adjust import Solved
 from ladarreg_core.survey.adjustment import Adjustment
-from ladarreg_core.survey.problem import Matrix
+from ladarreg_core.survey.least_squares.problem import Matrix
 from ladarreg_core.survey.survey import Survey
 
 METHOD = "survey"

@@ -13,7 +13,7 @@ from ladarreg_core.foundations.markup import Content, DataUri, Html, joined, sec
 from ladarreg_core.storage.checksums import sealed_page
 from ladarreg_core.storage.replacement import REPORT_FILE
 from ladarreg_core.survey.adjustment import AdjustedPhoto, Adjustment
-from ladarreg_core.survey.problem import Matrix
+from ladarreg_core.survey.least_squares.problem import Matrix
 from ladarreg_core.survey.survey import Survey
 
 _WIDTH, _HEIGHT, _MARGIN = 760.0, 520.0, 40.0

@@ -15,9 +15,9 @@ import numpy as np
 
 from ladarreg_core.frames import Rigid, skew
 from ladarreg_core.survey.build import Bodies
+from ladarreg_core.survey.least_squares.problem import RIG, Matrix, RelativePose, moved_pose, pose_difference
+from ladarreg_core.survey.least_squares.solver import Adjusted
 from ladarreg_core.survey.placement import PhotoState
-from ladarreg_core.survey.problem import RIG, Matrix, RelativePose, moved_pose, pose_difference
-from ladarreg_core.survey.solver import Adjusted
 from ladarreg_core.survey.survey import Survey
 
 _MIN_FRAMES = 3  # frames that have to agree on a relative pose that nobody stated

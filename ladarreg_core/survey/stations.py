@@ -15,8 +15,8 @@ from ladarreg_core.registration.stations.results import StationPair
 from ladarreg_core.registration.stations.target_pose import TargetRegistration, register_targets
 from ladarreg_core.registration.stations.targets import fit_target
 from ladarreg_core.scan import Scan
+from ladarreg_core.survey.least_squares.problem import WORLD, Matrix, RelativePose, relative_residual
 from ladarreg_core.survey.parts import SurveyScan
-from ladarreg_core.survey.problem import WORLD, Matrix, RelativePose, relative_residual
 
 _DIFFERS = 27.9  # squared Mahalanobis distance with 6 degrees of freedom, exceeded once in 10,000
 _FLOOR = np.diag([float(np.radians(0.002)) ** 2] * 3 + [2e-4**2] * 3)  # pairs share surfaces, and none is quite flat

@@ -11,9 +11,9 @@ from ladarreg_core.foundations.arrays import BoolArray
 from ladarreg_core.foundations.formatting import format_length
 from ladarreg_core.frames import Rigid
 from ladarreg_core.survey.build import Bodies
-from ladarreg_core.survey.problem import RIG, Problem, Ties, pose_difference
-from ladarreg_core.survey.solver import Adjusted, solve
-from ladarreg_core.survey.ties import spread
+from ladarreg_core.survey.least_squares.problem import RIG, Problem, Ties, pose_difference
+from ladarreg_core.survey.least_squares.solver import Adjusted, solve
+from ladarreg_core.survey.ties.ties import spread
 
 _MIN_FACTOR_WEIGHT = 0.25  # of what a scan's image says of a pose: beyond, it contradicts the adjustment
 _MIN_JUDGED = 30  # ties by which a photograph is judged

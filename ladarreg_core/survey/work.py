@@ -25,8 +25,8 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.registration.register import RegisterOptions, register
 from ladarreg_core.results import Registration
 from ladarreg_core.survey.colored_view import ColorSource, colored_view
-from ladarreg_core.survey.features import MAX_FEATURES, Features, detect, matches_between
-from ladarreg_core.survey.ties import LaserPoints, laser_points
+from ladarreg_core.survey.ties.features import MAX_FEATURES, Features, detect, matches_between
+from ladarreg_core.survey.ties.ties import LaserPoints, laser_points
 
 T = TypeVar("T")
 _TICK_S = 0.25

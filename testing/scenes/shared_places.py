@@ -13,8 +13,8 @@ import ladarreg_core as lr
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.simulate.sample import sample_survey_folder
-from ladarreg_core.survey.problem import Matrix
-from ladarreg_core.survey.ties import laser_points
+from ladarreg_core.survey.least_squares.problem import Matrix
+from ladarreg_core.survey.ties.ties import laser_points
 from testing.scenes.survey_set import sample_cameras
 
 

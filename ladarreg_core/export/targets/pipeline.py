@@ -140,7 +140,8 @@ def _read_by(target: Target, sources: Sequence[Source]) -> list[tuple[str, Sourc
         if isinstance(one, target.reads):
             found.append(("", one))
         elif isinstance(one, RegisteredSurvey) and RegisteredScan in target.reads:
-            found += [(f"{scan.id}/", scan) for scan in one.scans]
+            written = [scan for scan in one.scans if scan.photos or scan.refused or target.without_photos]
+            found += [(f"{scan.id}/", scan) for scan in written]
     return found
 
 

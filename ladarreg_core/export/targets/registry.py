@@ -74,6 +74,7 @@ TARGETS: tuple[Target, ...] = (
         title="LAS / LAZ",
         purpose="The coloured cloud as LAS 1.4, compressed: CloudCompare, QGIS, PDAL, and surveying programs.",
         files=laz_files,
+        without_photos=True,
         refusal=laz_refusal,
     ),
     Target(
@@ -81,6 +82,7 @@ TARGETS: tuple[Target, ...] = (
         title="PLY cloud",
         purpose="The coloured cloud with intensity, label and uncertainty as fields: CloudCompare, MeshLab, Open3D.",
         files=ply_files,
+        without_photos=True,
     ),
     Target(
         name="opencv",

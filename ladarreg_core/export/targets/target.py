@@ -60,5 +60,7 @@ class Target:
     """Whether it writes the matches of photographs without a pose."""
     together: bool = False
     """Whether two of its files may be written at a time if the scan is not large."""
+    without_photos: bool = False
+    """Whether it is written, too, for a scan of a survey that no photograph is registered on."""
     refusal: Callable[[Any, ExportOptions], str | None] = lambda source, options: None
     """Returns a sentence (found, needed, what to do) if it cannot be written, before anything is; None otherwise."""

@@ -114,10 +114,10 @@ def best_photo(
         report: receives the progress, in photographs, several times for each one on a large scan.
 
     Raises:
-        ShapeError: if there is no photograph or there are more than 65,535, or a camera is not of its photo's size.
+        ShapeError: if there are more than 65,534 photographs, or a camera is not of its photo's size.
     """
-    if not 0 < len(views) < NO_PHOTO:
-        raise ShapeError(f"there are {len(views)} photographs; give 1 to {NO_PHOTO - 1}")
+    if len(views) >= NO_PHOTO:
+        raise ShapeError(f"there are {len(views)} photographs; give at most {NO_PHOTO - 1}")
     shape = scan.shape
     image = np.empty((*shape, 3), np.uint8)
     image[:] = np.array(background, np.uint8)

@@ -177,7 +177,7 @@ def test_the_poses_of_an_adjustment_are_right_against_its_own_files(
     accepted = [name for name, one in _document(out)["photos"].items() if one["accepted"]]
     assert sorted(said["photos"]) == sorted(accepted)
     assert {one["outcome"] for one in said["photos"].values()} <= {"right", "undecidable"}
-    assert sum(one["outcome"] == "right" for one in said["photos"].values()) >= 7
+    assert sum(one["outcome"] == "right" for one in said["photos"].values()) >= len(accepted) - 1
     assert list(said["left_out"]) == ["elsewhere_1"]
     assert code == 4
 

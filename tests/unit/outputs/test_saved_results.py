@@ -16,6 +16,8 @@ from ladarreg_core.errors import ExportError, FormatError, OptionError, Underspe
 from ladarreg_core.export.targets.folder import export_registration
 from ladarreg_core.export.targets.pipeline import export_to
 from ladarreg_core.formats import read_photo, read_scan
+from ladarreg_core.frames import Rigid
+from ladarreg_core.outputs.placed_scans import PlacedScan
 from ladarreg_core.outputs.saved_results import SavedResult, read_saved_result, recorded_options, registered_results
 from testing.files.rewritten import rewrite
 from testing.scenes.small_registration import sample_photo, sample_registration, sample_scan
@@ -94,6 +96,25 @@ def test_several_results_on_one_scan_are_one_hand_over(inputs: Path, tmp_path: P
         registered_results([one, read_saved_result(tmp_path / "d")], folders=[inputs])
     with pytest.raises(OptionError, match="no result"):
         registered_results([])
+
+
+def test_a_scan_of_a_survey_without_photographs_is_handed_over_too(inputs: Path, tmp_path: Path) -> None:
+    saved = results(tmp_path / "a", inputs)
+    moved = Rigid.from_rotvec([0.0, 0.0, 0.1], [5.0, 0.0, 1.0])
+    listed = [
+        PlacedScan({**saved.inputs[0], "read_with": {"scan_index": index}}, moved) for index in (1, 0)
+    ]  # the first of them is that of the results
+    handed = registered_results([saved], placed=listed, folders=[inputs])
+    assert [(one.id, len(one.photos)) for one in handed.scans] == [("two", 1), ("two-2", 0)]
+    assert np.array_equal(handed.scans[1].scan.ranges, read_scan(inputs / "two.ptx").ranges, equal_nan=True)
+    assert np.array_equal(handed.scans[1].scan.world_from_scanner.matrix, moved.matrix)
+    assert handed.scans[0].frame.offset_m == handed.scans[1].frame.offset_m
+    export_to(tmp_path / "out", handed, ["ply", "glb"])
+    assert {path.parent.name for path in (tmp_path / "out").glob("ply/*/*.ply")} == {"two", "two-2"}
+    assert {path.parent.name for path in (tmp_path / "out").glob("glb/*/*.glb")} == {"two"}  # a model needs a texture
+    gone = PlacedScan({**saved.inputs[0], "name": "gone.ptx", "sha256": "0" * 64, "size": 1}, moved)
+    with pytest.raises(ExportError, match=r"gone\.ptx is needed, but there is no such file"):
+        registered_results([saved], placed=[gone], folders=[inputs])
 
 
 def test_the_unit_of_a_thermal_photograph_is_recorded(inputs: Path, tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from ladarreg_core.camera import Camera, EquirectangularCamera
-from ladarreg_core.errors import ShapeError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress
@@ -133,6 +132,8 @@ def test_large_scans_are_colored_alike_by_tiles(monkeypatch: pytest.MonkeyPatch)
     assert (whole.labels == tiled.labels).mean() > 0.99
 
 
-def test_no_photograph_is_refused() -> None:
-    with pytest.raises(ShapeError, match="give 1 to"):
-        best_photo(room(), [])
+def test_without_a_photograph_nothing_is_colored() -> None:
+    scan = room()
+    found = best_photo(scan, [])
+    assert (found.photo == NO_PHOTO).all()
+    assert (found.labels == np.where(scan.valid, Label.OUT_OF_FRAME, Label.NO_RETURN)).all()

@@ -13,7 +13,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.survey.audit import FALSE_ALARM, SEEN, audit, judged, power_of, probability_of
-from ladarreg_core.survey.problem import moved_pose, pose_difference
+from ladarreg_core.survey.least_squares.problem import moved_pose, pose_difference
 
 COVARIANCE = np.diag([2e-4, 3e-4, 1e-4, 0.004, 0.006, 0.003]) ** 2
 

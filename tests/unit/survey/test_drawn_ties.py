@@ -12,9 +12,7 @@ from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.survey.adjustment import AdjustedPhoto
 from ladarreg_core.survey.assembly import drawn_ties
 from ladarreg_core.survey.build import Bodies
-from ladarreg_core.survey.features import Features
-from ladarreg_core.survey.parts import SurveyTie
-from ladarreg_core.survey.problem import (
+from ladarreg_core.survey.least_squares.problem import (
     WORLD,
     CameraUnknowns,
     Matrix,
@@ -25,8 +23,10 @@ from ladarreg_core.survey.problem import (
     moved_pose,
     pose_difference,
 )
-from ladarreg_core.survey.solver import Adjusted, solve
-from ladarreg_core.survey.ties import laser_points, thinned, tie_points, with_drawn
+from ladarreg_core.survey.least_squares.solver import Adjusted, solve
+from ladarreg_core.survey.parts import SurveyTie
+from ladarreg_core.survey.ties.features import Features
+from ladarreg_core.survey.ties.ties import laser_points, thinned, tie_points, with_drawn
 from ladarreg_core.survey.verdicts import Solution
 from testing.scenes.shared_places import SharedPlaces, shared_places
 

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ladarreg_core.survey.features import Features, detect, matches_between, propose_pairs
-from ladarreg_core.survey.ties import spread, thinned, tracks
+from ladarreg_core.survey.ties.features import Features, detect, matches_between, propose_pairs
+from ladarreg_core.survey.ties.ties import spread, thinned, tracks
 
 
 def _picture(seed: int, side: int = 420) -> NDArray[np.uint8]:

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, look_along
-from ladarreg_core.survey.problem import (
+from ladarreg_core.survey.least_squares.problem import (
     CameraUnknowns,
     PhotoView,
     Problem,
@@ -21,7 +21,7 @@ from ladarreg_core.survey.problem import (
     surface_residuals,
     tie_residuals,
 )
-from ladarreg_core.survey.solver import solve
+from ladarreg_core.survey.least_squares.solver import solve
 
 CAMERA = Camera(640, 480, 520.0, 520.0, 322.0, 236.0, (-0.08, 0.01, 0.0, 0.0))
 _PIXEL, _RANGE = 0.5, 0.003

@@ -12,10 +12,7 @@ import ladarreg_core as lr
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
 from ladarreg_core.survey.build import Bodies
-from ladarreg_core.survey.features import Features
-from ladarreg_core.survey.parts import RigMember, SurveyCamera, SurveyPhoto, SurveyScan
-from ladarreg_core.survey.placement import PhotoState
-from ladarreg_core.survey.problem import (
+from ladarreg_core.survey.least_squares.problem import (
     RIG,
     WORLD,
     CameraUnknowns,
@@ -26,8 +23,11 @@ from ladarreg_core.survey.problem import (
     moved_pose,
     pose_difference,
 )
+from ladarreg_core.survey.least_squares.solver import Adjusted, solve
+from ladarreg_core.survey.parts import RigMember, SurveyCamera, SurveyPhoto, SurveyScan
+from ladarreg_core.survey.placement import PhotoState
 from ladarreg_core.survey.rigs import rig_factors, rigs_of, start_from_rig
-from ladarreg_core.survey.solver import Adjusted, solve
+from ladarreg_core.survey.ties.features import Features
 from ladarreg_core.survey.verdicts import is_held_by_rig
 from ladarreg_core.survey.work import PhotoFiles
 

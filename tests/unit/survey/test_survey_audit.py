@@ -12,8 +12,8 @@ import ladarreg_core as lr
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.survey.audit import FALSE_ALARM, judged
+from ladarreg_core.survey.least_squares.problem import moved_pose
 from ladarreg_core.survey.parts import PosePrior
-from ladarreg_core.survey.problem import moved_pose
 from ladarreg_core.survey.survey_audit import StatedPoses, audit_survey, judged_together
 
 COVARIANCE = np.diag([2e-4, 3e-4, 1e-4, 0.004, 0.006, 0.003]) ** 2

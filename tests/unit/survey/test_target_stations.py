@@ -16,9 +16,9 @@ from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.photograph import Lighting, take_photograph
 from ladarreg_core.simulate.stations import scan_stations, station_room, upright_pose, with_spheres
+from ladarreg_core.survey.least_squares.problem import pose_difference
 from ladarreg_core.survey.local_world import local_origin
 from ladarreg_core.survey.parts import ScanTargets, SurveyScan
-from ladarreg_core.survey.problem import pose_difference
 from ladarreg_core.survey.stations import place_stations
 from ladarreg_core.survey.survey import Survey
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ladarreg_core.foundations.arrays import BoolArray, IntArray
-from ladarreg_core.survey.problem import (
+from ladarreg_core.survey.least_squares.problem import (
     WORLD,
     Matrix,
     Problem,

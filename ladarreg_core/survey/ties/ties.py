@@ -17,8 +17,8 @@ from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M
 from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.photo_points import xyz_of_photo
-from ladarreg_core.survey.features import Features
-from ladarreg_core.survey.problem import Matrix, Ties
+from ladarreg_core.survey.least_squares.problem import Matrix, Ties
+from ladarreg_core.survey.ties.features import Features
 
 PairMatches = Mapping[tuple[int, int], IntArray]
 """Matches (M, 2) of features of two photographs, by their indices i < j."""

@@ -1,0 +1,1 @@
+"""What several photographs show: features, matches between two, and ties of them all on the laser's surface."""
