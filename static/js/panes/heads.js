@@ -83,14 +83,17 @@ export const mountScanHead = (head, controller) => {
   });
   const { opener, sheet } = foldOut("Contrast", "Contrast of the scan", ...Object.values(rows).map(({ row }) => row), reset);
   const zoom = zoomControls(controller, "scan");
-  head.append(station, display, viewed, opener, sheet, zoom);
+  const beside = element("label", { class: "pane-station" }, element("span", { class: "dim" }, "Station"), station);
+  station.className = "select";
+  head.closest(".pane-head").after(beside);
+  head.append(display, viewed, opener, sheet, zoom);
 
   const show = () => {
     const { scan } = view.get();
     const slice = store.scanBeside();
     const choices = store.get("partner")?.choices ?? [];
     fill(station, choices.map((each) => [each.station, stationText(each)]), store.station());
-    station.hidden = choices.length < 2;
+    beside.hidden = choices.length < 2;
     station.disabled = store.readOnly;
     station.title = "The scan that this photograph is matched with: that of the station that sees most of it, or the one chosen here";
     const displays = DISPLAYS.filter(([name]) => slice?.has_intensity !== false || !["intensity", "raw"].includes(name));
