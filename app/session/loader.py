@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -56,6 +56,7 @@ _LIMITS = {
     "model": (40, 150_000_000),
     "line": (512, 50_000_000),
     "station": (16, 20_000_000),
+    "small photo": (1024, 20_000_000),
 }
 """The largest number of values of each kind, and their largest total size besides the newest, bytes."""
 
@@ -96,10 +97,12 @@ def _header_fields(header: PhotoHeader) -> dict[str, Any]:
     return {**asdict(replace(header, camera=None)), "notes": list(header.notes), "camera": camera}
 
 
-def _header_of(fields: dict[str, Any]) -> PhotoHeader | None:
+def _header_of(fields: Any) -> PhotoHeader | None:
     """Return a header that was kept; None: it is of another version."""
     from ladarreg_core.formats.cameras.camera_file import camera_from_fields
 
+    if not isinstance(fields, dict):
+        return None
     try:
         camera = None if fields["camera"] is None else camera_from_fields(json.loads(fields["camera"]))
         return PhotoHeader(**{**fields, "camera": camera, "notes": tuple(fields["notes"])})
@@ -172,6 +175,8 @@ class Loader:
     def station_points(self, source: Source, scan: Scan | None = None) -> NDArray[np.float32]:
         """Return points (N, 3) of a station for the 3-D view, m, at most `STATION_POINTS`, frame of its scanner.
 
+        They are kept on disk: a project of many large scans opens without reading them all.
+
         Args:
             source: its file.
             scan: its scan, if it was read just now.
@@ -184,7 +189,10 @@ class Loader:
             from ladarreg_core.inspection.scene_geometry import spread_points
 
             try:
-                return spread_points(scan or self.read_scan(source), STATION_POINTS)
+                return self._kept_on_disk(
+                    "station points", [source], {"ranges": source.ranges, "most": STATION_POINTS},
+                    lambda: spread_points(scan or self.read_scan(source), STATION_POINTS),
+                )  # fmt: skip
             except LadarregError as error:  # kept, too: a damaged file is not read again with every drawing
                 return error
 
@@ -241,15 +249,11 @@ class Loader:
         """
 
         def made() -> PhotoHeader:
-            from ladarreg_core.many.cache import ContentCache
-
-            kept, key = ContentCache.of_user(), self._header_key(entry)
-            known = kept.get(key) if key else None
-            found = _header_of(known) if isinstance(known, dict) else None
-            if found is None:
-                found = measured()
-                if key:
-                    kept.put(key, _header_fields(found))
+            fields = self._kept_on_disk(
+                "photo header", *self._made_of(entry), lambda: _header_fields(measured()), is_sound=_header_of
+            )
+            found = _header_of(fields)
+            assert found is not None, "it was made, or found to be sound"
             return found
 
         def measured() -> PhotoHeader:
@@ -266,21 +270,48 @@ class Loader:
 
         return self.cached("header", (entry.source, entry.camera), made)
 
-    def _header_key(self, entry: PhotoEntry) -> str:
-        """Return the key of a photograph's header, by its files as they are now; empty: they are not there."""
+    def small_photo(self, entry: PhotoEntry, make: Callable[[], T]) -> T:
+        """Return the small picture of a photograph, plain values and arrays, made once and kept on disk."""
+        key = entry.source, entry.camera.file
+        return self.cached(
+            "small photo", key, lambda: self._kept_on_disk("small photo", *self._made_of(entry), make, is_sound=bool)
+        )
+
+    def _made_of(self, entry: PhotoEntry) -> tuple[list[Source], dict[str, Any]]:
+        """Return what the values that are kept of a photograph are made of."""
+        from ladarreg_core.export.json import plain
+
+        files = [entry.source, *([entry.camera.file] if entry.camera.file else [])]
+        return files, {"camera": plain(msgspec.to_builtins(entry.camera))}
+
+    def _kept_on_disk(
+        self,
+        kind: str,
+        files: Sequence[Source],
+        made_of: Mapping[str, Any],
+        make: Callable[[], T],
+        *,
+        is_sound: Callable[[Any], Any] = lambda value: value is not None,
+    ) -> T:
+        """Return a value that is kept on disk by its files as they are now; make it where it is not, or not sound."""
         from ladarreg_core.export.json import plain
         from ladarreg_core.many.cache import ContentCache
 
-        files = [entry.source, *([entry.camera.file] if entry.camera.file else [])]
         try:
-            stats = [self._folder.source_path(one.path).stat() for one in files]
+            stats = [path.stat() for file in files for path in self._folder.source_files(file)]
         except OSError:
-            return ""
-        return ContentCache.key(
-            kind="photo header", files=[[one.st_size, one.st_mtime_ns, one.st_ino] for one in stats],
-            source=plain(msgspec.to_builtins(entry.source)), camera=plain(msgspec.to_builtins(entry.camera)),
-            folder=str(self._folder.path),
+            return make()
+        kept = ContentCache.of_user()
+        key = ContentCache.key(
+            kind=kind, files=[[one.st_size, one.st_mtime_ns, one.st_ino] for one in stats],
+            sources=plain(msgspec.to_builtins(list(files))), folder=str(self._folder.path), **made_of,
         )  # fmt: skip
+        known = kept.get(key)
+        if known is not None and is_sound(known):
+            return known  # type: ignore[no-any-return]
+        found = make()
+        kept.put(key, found)
+        return found
 
     def _read_photo(self, entry: PhotoEntry) -> Photo | LadarregError:
         from ladarreg_core.formats import read_photo

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
+import numpy as np
 from msgspec.structs import replace
 
 from ladarreg_core.errors import LadarregError, OptionError
@@ -20,7 +21,6 @@ from ...session.session import Session
 from .slices import photo_revision, scan_id
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from ladarreg_core.frames import Rigid
@@ -60,6 +60,8 @@ class Images:
         entry = document.photo(photo_id)
         if entry is None:
             raise OptionError("there is no such photograph")
+        if kind == "photo" and query.get("form") == "small" and "part" not in query:
+            return self._small_photo(entry)
         if kind == "photo":
             key: Any = ("photo", entry.source, entry.camera.file)
             return self._sent(key, lambda: self._loader.viewable_photo(entry).pixels, query, natural=True)
@@ -73,6 +75,18 @@ class Images:
             raise OptionError("there is no pose to overlay; solve first")
         make = self._overlay if kind == "overlay" else self._registered
         return self._sent((kind, id(pose), options), lambda: make(entry, pose, query), query, keep=pose)
+
+    def _small_photo(self, entry: PhotoEntry) -> Picture:
+        """Return the small picture of a photograph, for lists of many: it is not read for it again."""
+        from ladarreg_core.inspection import picture_forms
+
+        def made() -> dict[str, Any]:
+            picture = picture_forms.small(self._loader.viewable_photo(entry).pixels)
+            return {"data": np.frombuffer(picture.data, np.uint8), "media_type": picture.media_type}
+
+        found = self._loader.small_photo(entry, made)
+        data = np.asarray(found["data"]).tobytes()
+        return _with_etag(picture_forms.EncodedPicture(data, str(found["media_type"])))
 
     def first_pictures(self, shown: PhotoEntry | None) -> dict[str, str]:
         """Return the URLs that a new page requests first (static/js/panes/sides.js), for a photograph that it shows.
