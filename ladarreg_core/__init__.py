@@ -84,8 +84,10 @@ if TYPE_CHECKING:
     from ladarreg_core.registration.stations.results import StationNetwork as StationNetwork
     from ladarreg_core.registration.stations.results import StationPair as StationPair
     from ladarreg_core.registration.stations.survey_target import SurveyTarget as SurveyTarget
+    from ladarreg_core.registration.stations.target_names import name_targets as name_targets
     from ladarreg_core.registration.stations.target_pose import TargetRegistration as TargetRegistration
     from ladarreg_core.registration.stations.target_pose import register_targets as register_targets
+    from ladarreg_core.registration.stations.target_search import find_targets as find_targets
     from ladarreg_core.registration.stations.targets import fit_target as fit_target
     from ladarreg_core.results import ComparedBlocks as ComparedBlocks
     from ladarreg_core.results import PoseResult as PoseResult
@@ -183,11 +185,13 @@ _HOMES = {
     "estimate_pose": "pose.estimate",
     "export_registration": "export.targets.folder",
     "export_to": "export.targets.pipeline",
+    "find_targets": "registration.stations.target_search",
     "fit_target": "registration.stations.targets",
     "fuse": "fusion.fused_model",
     "given_pose": "registration.given",
     "intensity_picture": "surface.texture.registered_texture",
     "measure": "measuring.measurement",
+    "name_targets": "registration.stations.target_names",
     "perspective_view": "surface.perspective",
     "picks_of_arrays": "matches",
     "read_camera": "formats",

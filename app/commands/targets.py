@@ -14,7 +14,7 @@ from ..progress_bar import progress_bar
 
 EXAMPLES = (
     "ladarreg targets hall.e57 spheres.csv --radius .0725 -o station",
-    "# flat black-and-white targets of 15 cm:",
+    "# flat black-and-white targets of 15 cm, which are found if no cells on them are given:",
     "ladarreg targets hall.e57 plates.csv --side .15 -o station",
     "# coordinates by a total station that is good to 2 mm:",
     "ladarreg targets hall.npz spheres.csv --radius .1 --sigma .002 -o station",
@@ -28,7 +28,8 @@ class Arguments:
     scan: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCAN")]
     """The scan."""
     targets: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TARGETS")]
-    """CSV with a line a target: name, row and column of a cell on it, and its surveyed x, y, z in metres."""
+    """CSV with a line a target: name, row and column of a cell on it, and its surveyed x, y, z in metres. Without row
+    and column the targets are found, and named by their distances."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
     """Output folder; an existing one is refused, but see --force."""
     radius: Annotated[float | None, tyro.conf.arg(metavar="M")] = None
@@ -49,13 +50,13 @@ class Arguments:
 
 def run(arguments: Arguments) -> ExitCode:
     """Fit the targets, place the scanner, and write the statement."""
-    from ladarreg_core.errors import LadarregError, OptionError
+    from ladarreg_core.errors import OptionError
     from ladarreg_core.export.targets.folder import check_folder
     from ladarreg_core.formats import read_scan
     from ladarreg_core.formats.documents.targets_file import read_targets
     from ladarreg_core.outputs.target_statement import write_target_statement
+    from ladarreg_core.registration.stations.target_names import locate_targets
     from ladarreg_core.registration.stations.target_pose import register_targets
-    from ladarreg_core.registration.stations.targets import fit_target
 
     started = time.perf_counter()
     files = [arguments.scan, arguments.targets]
@@ -71,13 +72,9 @@ def run(arguments: Arguments) -> ExitCode:
         )
     with progress_bar(quiet=arguments.quiet or arguments.json) as bar:
         scan = read_scan(arguments.scan, report=bar.loading)
-        targets = {}
-        for one in entries:
-            try:
-                targets[one.name] = fit_target(scan, one.pick, **sizes[one.name])
-            except LadarregError as error:
-                raise type(error)(f"target {one.name}: {error}") from None
-        found = register_targets(targets, {one.name: one.coordinates for one in entries}, sigma_m=arguments.sigma)
+        picks, coordinates = ({one.name: getattr(one, field) for one in entries} for field in ("pick", "coordinates"))
+        targets = locate_targets(scan, picks, sizes, coordinates, sigma_m=arguments.sigma)
+        found = register_targets(targets, coordinates, sigma_m=arguments.sigma)
         details = {"scan": arguments.scan.name, "coordinates_sigma_m": arguments.sigma}
         document = write_target_statement(
             arguments.out, found, targets, details=details, inputs=files, force=arguments.force
@@ -95,6 +92,8 @@ def run(arguments: Arguments) -> ExitCode:
     for one in document["targets"]:
         dx, dy, dz = (1000 * value for value in one["residual_m"])
         print(f"Target   {one['name']}: {dx:+.1f} {dy:+.1f} {dz:+.1f} mm{'' if one['used'] else ', left out'}")
+    for name in (name for name in coordinates if name not in targets):
+        print(f"Target   {name}: not found in the scan")
     print(f"Fit      chi squared {found.chi2:.1f} at {found.dof} degrees of freedom")
     print(f"Wrote    targets.json, targets.csv in {arguments.out}")
     print(f"Took     {time.perf_counter() - started:.1f} s")

@@ -12,8 +12,8 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Report
 from ladarreg_core.registration.stations.registration import register_scans
 from ladarreg_core.registration.stations.results import StationPair
+from ladarreg_core.registration.stations.target_names import locate_targets
 from ladarreg_core.registration.stations.target_pose import TargetRegistration, register_targets
-from ladarreg_core.registration.stations.targets import fit_target
 from ladarreg_core.scan import Scan
 from ladarreg_core.survey.least_squares.problem import WORLD, Matrix, RelativePose, relative_residual
 from ladarreg_core.survey.parts import SurveyScan
@@ -152,18 +152,11 @@ def _by_targets(one: SurveyScan, scan: Scan, origin: Matrix) -> TargetRegistrati
             f"scan {one.id}: the radius of the targets {', '.join(unknown[:5])} is not known; give it as 'radius_m' of "
             "the scan, or in a column radius_m, that of flat ones in a column side_m"
         )
-    targets = {}
-    for entry in entries:
-        try:
-            targets[entry.name] = fit_target(scan, entry.pick, **sizes[entry.name])
-        except LadarregError as error:
-            raise type(error)(f"scan {one.id}, target {entry.name}: {error}") from None
+    picks, sigma_m = {entry.name: entry.pick for entry in entries}, one.targets.sigma_m
+    coordinates = {entry.name: np.asarray(entry.coordinates) - origin for entry in entries}
     try:
-        return register_targets(
-            targets,
-            {entry.name: np.asarray(entry.coordinates) - origin for entry in entries},
-            sigma_m=one.targets.sigma_m,
-        )
+        targets = locate_targets(scan, picks, sizes, coordinates, sigma_m=sigma_m)
+        return register_targets(targets, coordinates, sigma_m=sigma_m)
     except LadarregError as error:
         raise type(error)(f"scan {one.id}: {error}") from None
 

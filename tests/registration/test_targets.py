@@ -9,7 +9,7 @@ import pytest
 import ladarreg_core as lr
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.frames import rotvec_from_rotation
-from ladarreg_core.simulate.stations import with_plates, with_spheres
+from ladarreg_core.simulate.stations import scan_stations, station_room, upright_pose, with_plates, with_spheres
 
 _RADIUS, _NOISE = 0.0725, 0.002
 _NAMES = ("A", "B", "C", "D", "E", "F")
@@ -225,3 +225,91 @@ def test_an_edge_alone_is_no_flat_target() -> None:
     assert (row, column) != quarter
     with pytest.raises(DegenerateGeometryError, match="four quadrants explain"):
         lr.fit_target(scan, quarter, side_m=0.12)
+
+
+def _room_with(centers: np.ndarray, seed: int) -> lr.Scan:
+    """A furnished room, all around, with spheres."""
+    pytest.importorskip("embreex")
+    room = station_room("office", seed)
+    (scan,) = scan_stations(room, [upright_pose(np.zeros(3), 0.4)], seed=seed, step_deg=0.2)
+    return with_spheres(scan, centers, _RADIUS, noise_m=_NOISE, seed=seed)
+
+
+def _around(seed: int, count: int = 6) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    bearings = rng.uniform(0, 2 * np.pi / count, count) * 0.8 + np.arange(count) * 2 * np.pi / count
+    heights = rng.uniform(-0.15, 0.15, count)
+    away = np.column_stack([np.cos(bearings), np.sin(bearings), heights])
+    return rng.uniform(0.9, 1.2, (count, 1)) * away
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [11, 12])
+def test_spheres_are_found_in_a_room_and_named(seed):
+    centers = _around(seed)
+    scan = _room_with(centers, seed)
+    found = lr.find_targets(scan, radius_m=_RADIUS)
+    away = np.linalg.norm(np.array([one.center for one in found])[:, None] - centers, axis=-1)
+    assert (away.min(axis=0) < 0.003).all()
+    pose = lr.Rigid.from_rotvec([0.0, 0.0, 2.0], [100.0, 50.0, 3.0])
+    world = dict(zip(_NAMES, pose @ centers, strict=True))
+    named = lr.name_targets(found, world)
+    assert all(
+        np.linalg.norm(named[name].center - center) < 0.003 for name, center in zip(_NAMES, centers, strict=True)
+    )
+    assert np.linalg.norm(lr.register_targets(named, world).world_from_scanner.translation - pose.translation) < 0.003
+    # a sphere that was moved is still named, and then left out
+    moved = world | {"B": world["B"] + [0.0, 0.03, 0.0]}
+    assert lr.register_targets(lr.name_targets(found, moved), moved).left_out == ("B",)
+    # the targets of another scan are coordinates as well
+    other = {f"T{k}": one for k, one in enumerate(found)}
+    assert set(lr.name_targets(found, other).values()) <= set(found)
+
+
+def test_targets_at_even_distances_are_not_named_at_random():
+    square = np.array([[2.0, 2.0, 0.0], [2.0, -2.0, 0.0], [-2.0, -2.0, 0.0], [-2.0, 2.0, 0.0]])
+    found = [_target(center) for center in square]
+    with pytest.raises(DegenerateGeometryError, match="others would fit as well"):
+        lr.name_targets(found, dict(zip("ABCD", square, strict=True)))
+    # the control: one of them elsewhere
+    uneven = square + np.array([[0, 0, 0], [0, 0, 0], [0, 0, 0], [0.7, 0.2, 0.1]])
+    named = lr.name_targets([_target(center) for center in uneven[::-1]], dict(zip("ABCD", uneven, strict=True)))
+    assert all(np.allclose(named[name].center, center) for name, center in zip("ABCD", uneven, strict=True))
+
+
+def test_the_mirror_image_of_the_coordinates_is_not_taken():
+    found = [_target(center) for center in _WORLD]
+    mirrored = dict(zip(_NAMES, _WORLD * [1, -1, 1], strict=True))
+    with pytest.raises(DegenerateGeometryError):
+        lr.name_targets(found, mirrored)
+
+
+def test_three_of_very_many_fit_by_chance():
+    rng = np.random.default_rng(5)
+    found = [_target(center) for center in rng.uniform(-4, 4, (90, 3))]
+    names = dict(zip([f"T{k}" for k in range(40)], rng.uniform(-4, 4, (40, 3)), strict=True))
+    with pytest.raises(DegenerateGeometryError, match="fit"):
+        lr.name_targets(found, names)
+
+
+def test_flat_targets_are_found_among_pictures_on_the_wall():
+    scan = _empty_scan()
+    light = np.random.default_rng(2).uniform(0.2, 0.7, (12, 30)).repeat(18, 0).repeat(18, 1)
+    scan = replace(scan, intensity=light[: scan.shape[0], : scan.shape[1]].astype(np.float32))
+    centers = _WORLD * 0.6
+    scan = with_plates(scan, centers, np.tile([0.3, 0.2, 0.1], (len(centers), 1)), 0.2, noise_m=_NOISE)
+    found = lr.find_targets(scan, side_m=0.2)
+    away = np.linalg.norm(np.array([one.center for one in found])[:, None] - centers, axis=-1)
+    assert (away.min(axis=0) < 0.003).all()
+    assert all(one.side_m == 0.2 for one in found)
+    assert len(lr.name_targets(found, dict(zip(_NAMES, _WORLD * 0.6, strict=True)))) == len(_NAMES)
+
+
+@pytest.mark.parametrize("size", [{}, {"radius_m": 0.1, "side_m": 0.1}, {"radius_m": -1.0}, {"side_m": np.nan}])
+def test_sizes_that_are_none_are_refused_in_the_search(size):
+    with pytest.raises(OptionError):
+        lr.find_targets(_empty_scan(), **size)
+
+
+def _target(center: np.ndarray) -> lr.SurveyTarget:
+    return lr.SurveyTarget(np.asarray(center), 1e-6 * np.eye(3), _RADIUS, 0.001, 50, 0)

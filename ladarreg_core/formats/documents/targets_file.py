@@ -1,4 +1,4 @@
-"""Files of survey targets: where each was picked in a scan, and its surveyed coordinates; CSV."""
+"""Files of survey targets: their surveyed coordinates, and where each was picked in a scan, if it was; CSV."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from ladarreg_core.formats.parsing.untrusted import one_line, reading
 _PICK, _PLACE = ("row", "column"), ("x", "y", "z")
 _SIZES = ("radius_m", "side_m")
 _MAX_BYTES = 4 << 20
-_NEEDS = "a CSV with the columns name, row, column, x, y, z and, where targets differ, radius_m or side_m"
+_NEEDS = (
+    "a CSV with the columns name, x, y, z, row and column if they were picked, and, where targets differ, radius_m or "
+    "side_m"
+)
 _MAX_SHOWN = 8
 
 
@@ -24,8 +27,8 @@ class TargetEntry:
 
     name: str
     """Its name, which is unique."""
-    pick: tuple[int, int]
-    """Row and column of a cell on it."""
+    pick: tuple[int, int] | None
+    """Row and column of a cell on it; None: the file has no such columns."""
     coordinates: tuple[float, float, float]
     """Surveyed, m."""
     radius_m: float | None = None
@@ -48,7 +51,8 @@ def read_targets(path: str | Path) -> list[TargetEntry]:
     """
     with reading(path) as file:
         header, rows = read_csv_table(file, most_bytes=_MAX_BYTES, needs=_NEEDS)
-        missing = [name for name in ("name", *_PICK, *_PLACE) if name not in header]
+        picked = any(name in header for name in _PICK)
+        missing = [name for name in ("name", *(_PICK if picked else ()), *_PLACE) if name not in header]
         unknown = [name for name in header if name not in ("name", *_PICK, *_PLACE, *_SIZES)]
         if missing or unknown or len(set(header)) != len(header):
             raise FormatError(f"its first line is {one_line(','.join(header), 60)!r}; give {_NEEDS}")
@@ -73,7 +77,8 @@ def _entry(number: int, cells: dict[str, str], surplus: int, faults: list[str]) 
     if surplus > 0 or not name:
         faults.append(f"{called} has {'too many cells' if surplus > 0 else 'no name'}")
         return None
-    values = {key: _number(cells.get(key, "")) for key in (*_PICK, *_PLACE)}
+    picked = _PICK if _PICK[0] in cells else ()
+    values = {key: _number(cells.get(key, "")) for key in (*_PLACE, *picked)}
     wrong = [key for key, value in values.items() if value is None or (key in _PICK and (value < 0 or value % 1))]
     sizes = {key: _number(cells[key]) if cells.get(key) else None for key in _SIZES}
     wrong += [key for key, size in sizes.items() if cells.get(key) and (size is None or size <= 0)]
@@ -84,8 +89,9 @@ def _entry(number: int, cells: dict[str, str], surplus: int, faults: list[str]) 
     if None not in sizes.values():
         faults.append(f"{called} has both radius_m and side_m; a target is a sphere or flat")
         return None
-    row, column, x, y, z = (value for value in values.values() if value is not None)
-    return TargetEntry(name, (int(row), int(column)), (x, y, z), sizes["radius_m"], sizes["side_m"])
+    x, y, z, *pick = (value for value in values.values() if value is not None)
+    at = (int(pick[0]), int(pick[1])) if pick else None
+    return TargetEntry(name, at, (x, y, z), sizes["radius_m"], sizes["side_m"])
 
 
 def _number(text: str) -> float | None:

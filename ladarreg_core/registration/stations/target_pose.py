@@ -94,7 +94,7 @@ def register_targets(
         )
     own = np.array([targets[name].center for name in names])
     own_covariance = np.array([targets[name].covariance for name in names])
-    known = [_known(name, coordinates[name], sigma_m) for name in names]
+    known = [known_place(name, coordinates[name], sigma_m) for name in names]
     world, world_covariance = np.array([k[0] for k in known]), np.array([k[1] for k in known])
 
     def fitted(used: NDArray[np.intp]) -> tuple[Rigid, NDArray[np.float64], float]:
@@ -113,9 +113,10 @@ def register_targets(
     )  # fmt: skip
 
 
-def _known(
+def known_place(
     name: str, value: SurveyTarget | ArrayLike, sigma_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return where a target is known to be, (3,) m, and its covariance (3, 3); arguments as of `register_targets`."""
     if isinstance(value, SurveyTarget):
         return value.center, value.covariance
     point = read_only(value, np.float64, (3,), f"the coordinates of target {name}")
@@ -163,14 +164,23 @@ def _chance(chi2: float, count: int) -> float:
     return float(chdtrc(3 * count - 6, chi2))
 
 
+def rigid_motion(own: NDArray[np.float64], world: NDArray[np.float64]) -> Rigid:
+    """Return the rigid motion of points (N, 3) onto others by least squares; N is 3 or more.
+
+    Source: Kabsch 1976; Umeyama 1991 for the sign.
+    """
+    u, _, vt = np.linalg.svd((world - world.mean(0)).T @ (own - own.mean(0)))
+    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return Rigid(rotation, world.mean(0) - rotation @ own.mean(0))
+
+
 def _fit(
     own: NDArray[np.float64], own_covariance: NDArray[np.float64], world: NDArray[np.float64],
     world_covariance: NDArray[np.float64],
 ) -> tuple[Rigid, NDArray[np.float64], float]:  # fmt: skip
     """Return the pose of least squares weighted by the covariances of both sides, its (6, 6) covariance and chi2."""
-    u, _, vt = np.linalg.svd((world - world.mean(0)).T @ (own - own.mean(0)))
-    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    translation = world.mean(0) - rotation @ own.mean(0)
+    start = rigid_motion(own, world)
+    rotation, translation = start.rotation, start.translation
     normal, chi2 = np.eye(6), 0.0
     for _ in range(_ROUNDS):
         turned = own @ rotation.T

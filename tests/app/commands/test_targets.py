@@ -53,6 +53,26 @@ def test_the_statement_says_where_the_scanner_stood(tmp_path: Path, capsys: pyte
     assert "--force" in capsys.readouterr().err
 
 
+def test_spheres_need_not_be_picked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [*write(tmp_path), "--radius", str(RADIUS), "--json"]
+    assert main(words) == ExitCode.ACCEPTED
+    picked = json.loads(capsys.readouterr().out)
+    lines = [line.split(",") for line in (tmp_path / "spheres.csv").read_text().splitlines()]
+    (tmp_path / "spheres.csv").write_text("\n".join(",".join([name, *place]) for name, _, _, *place in lines))
+    assert main([*words, "--force"]) == ExitCode.ACCEPTED
+    found = json.loads(capsys.readouterr().out)
+    assert [one["name"] for one in found["targets"]] == [f"S{k}" for k in range(5)]
+    assert np.allclose(found["world_from_scanner"], picked["world_from_scanner"], atol=1e-4)
+    half = [",".join(line) for line in lines[:3]] + [f"{name},,,{','.join(place)}" for name, _, _, *place in lines[3:]]
+    (tmp_path / "spheres.csv").write_text("\n".join(half))
+    assert main([*words, "--force"]) == ExitCode.BAD_INPUT
+    assert "S2 has row empty" in capsys.readouterr().out
+    lines[1][3], lines[2][4], lines[3][5] = "9", "7", "3"  # the control: elsewhere, nothing fits
+    (tmp_path / "spheres.csv").write_text("\n".join(",".join([name, *place]) for name, _, _, *place in lines[:4]))
+    assert main([*words, "--force"]) == ExitCode.BAD_INPUT
+    assert "no three of them are as far from each other" in capsys.readouterr().out
+
+
 def test_a_moved_sphere_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*write(tmp_path, moved=True), "--radius", str(RADIUS), "--json"]) == ExitCode.ACCEPTED
     document = json.loads(capsys.readouterr().out)
@@ -64,7 +84,7 @@ def test_a_moved_sphere_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixtur
     [
         (lambda text: text, [], "--radius"),
         (lambda text: text.replace("S1,", "S0,"), ["--radius", "0.0725"], "2 targets are called S0"),
-        (lambda text: text.replace("row,", "line,"), ["--radius", "0.0725"], "name, row, column"),
+        (lambda text: text.replace("row,", "line,"), ["--radius", "0.0725"], "row and column if they were picked"),
         (lambda text: text.replace("4.0,1.0,0.5", "4.0,,0.5"), ["--radius", "0.0725"], "S0 has y empty"),
         (lambda text: text.splitlines()[0], ["--radius", "0.0725"], "no targets"),
         (lambda text: text, ["--radius", "0.4"], "S0"),

@@ -140,7 +140,7 @@ def test_targets_with_exchanged_names_or_no_radius_are_refused_by_name(hall, tar
         place_stations(_given(scans[:1], targets(0, exchanged=True)), scans[:1])
     with pytest.raises(OptionError, match="scan s0: the radius of the targets S0"):
         place_stations(_given(scans[:1], replace(targets(0), radius_m=None)), scans[:1])
-    with pytest.raises(DegenerateGeometryError, match="scan s0, target S0: "):
+    with pytest.raises(DegenerateGeometryError, match="scan s0: target S0: "):
         place_stations(_given(scans[:1], replace(targets(0), radius_m=0.3)), scans[:1])
 
 
