@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 
 T = TypeVar("T")
 S = TypeVar("S")
-_JSON_ENTRIES = 256
+_JSON_ENTRIES = 4096
 _JSON_BYTES = 200_000_000
 _GROWING_BELOW = 100
 

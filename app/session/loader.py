@@ -43,11 +43,11 @@ _LIMITS = {
     "header": (1024, 10_000_000),
     "views": (6, 100_000_000),
     "view": (16, 280_000_000),
-    "registration": (64, 100_000_000),
-    "solved_on": (64, 50_000_000),
-    "stale": (128, 1_000_000),
-    "assessment": (32, 200_000_000),
-    "agreeing": (32, 10_000_000),
+    "registration": (1024, 100_000_000),
+    "solved_on": (1024, 50_000_000),
+    "stale": (4096, 10_000_000),
+    "assessment": (256, 200_000_000),
+    "agreeing": (256, 10_000_000),
     "partners": (3, 400_000_000),
     "measured": (8, 200_000_000),
     "picture": (64, 420_000_000),
@@ -58,7 +58,8 @@ _LIMITS = {
     "station": (16, 20_000_000),
     "small photo": (1024, 20_000_000),
 }
-"""The largest number of values of each kind, and their largest total size besides the newest, bytes."""
+"""The largest number of values of each kind, and their largest total size besides the newest, bytes; of what is asked
+for of every photograph with every edit there is room for all: with one too few, all would be made again."""
 
 DEFAULT_CACHE_BYTES = 640_000_000
 """Largest total size of everything that is kept besides the scan and the newest value."""
