@@ -28,7 +28,9 @@ from ladarreg_core.registration.stations.pair import prepare, register_pair
 from ladarreg_core.registration.stations.registration import register_scans
 from ladarreg_core.registration.stations.search import search
 from ladarreg_core.registration.stations.surfels import surfels_of
+from ladarreg_core.registration.stations.target_names import name_targets
 from ladarreg_core.registration.stations.target_pose import register_targets
+from ladarreg_core.registration.stations.target_search import find_targets
 from ladarreg_core.registration.stations.targets import fit_target
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.alike import alike_corridor, equal_rooms, symmetric_room
@@ -252,6 +254,54 @@ def targets_rows(quick: bool, show: Show) -> list[Row]:
     ]  # fmt: skip
 
 
+def found_rows(quick: bool, show: Show) -> list[Row]:
+    """Six spheres in furnished rooms and halls, at least 8 cells across, found and named by their coordinates alone."""
+    count, sigma_m = 4 if quick else 20, 0.001
+    spheres, seen, others, right, wrong = 0, 0, 0, 0, 0
+    for k in range(count):
+        rng = np.random.default_rng([_FIRST_SEED, 9, k])
+        room = station_room((*_SCENES, "hall")[k % 6], _FIRST_SEED + 500 + k)
+        step, radius, pose = np.radians(rng.uniform(0.08, 0.25)), float(rng.choice([0.0725, 0.1])), _pose(rng, [0, 0])
+        (scan,) = scan_stations(room, [pose], seed=k, step_deg=float(np.degrees(step)))
+        own = _in_free_space(scan, radius, step, rng)
+        scan = with_spheres(scan, own, radius, noise_m=float(rng.uniform(0.001, 0.003)), seed=k)
+        found = find_targets(scan, radius_m=radius)
+        away = np.array([[np.linalg.norm(one.center - center) for one in found] for center in own])
+        near = int((away.min(axis=1, initial=np.inf) < 0.01).sum())
+        spheres, seen, others = spheres + len(own), seen + near, others + len(found) - near
+        surveyed = {f"S{n}": pose @ center + rng.normal(0, sigma_m, 3) for n, center in enumerate(own)}
+        mm = np.nan
+        try:
+            placed = register_targets(name_targets(found, surveyed, sigma_m=sigma_m), surveyed, sigma_m=sigma_m)
+            mm, deg, _ = _error(pose, placed.world_from_scanner, placed.covariance)
+            right, wrong = right + (mm < 5 and deg < 0.1), wrong + (mm > 30)
+        except LadarregError as error:
+            show(json.dumps({"found": k, "refused": str(error)}))
+        show(json.dumps({"found": k, "spheres": len(own), "seen": near, "others": len(found) - near, "mm": mm}))
+    return [
+        Row("spheres in rooms: found without picks", "reported", f"{seen} of {spheres}, and {others} others", True),
+        Row("scanners placed by found spheres, within 5 mm and .1 deg", "reported", f"{right} of {count}", True),
+        Row("scanners placed by found spheres: wrong", "0", f"{wrong}", wrong == 0),
+    ]
+
+
+def _in_free_space(scan: Scan, radius: float, step: float, rng: np.random.Generator) -> FloatArray:
+    """Return six places (6, 3), m, before what a scan saw, where a sphere is at least 8 cells across."""
+    found: list[FloatArray] = []
+    while len(found) < 6:
+        row = int(rng.integers(scan.shape[0] // 4, 2 * scan.shape[0] // 3))
+        column = int(rng.integers(scan.shape[1]))
+        behind = float(scan.ranges[row, column])
+        distance = min(behind - float(rng.uniform(0.15, 1.5)), radius / (4 * step), 8.0)
+        center = scan.rays[row, column].astype(np.float64) * distance
+        clear = np.isfinite(behind) and distance > max(1.0, 5 * radius)
+        if clear and all(np.linalg.norm(center - other) > 0.5 for other in found):
+            around = scan.rays @ (center / distance) > np.cos(1.5 * radius / distance)
+            if np.nanmin(scan.ranges[around]) > distance + radius:
+                found.append(center)
+    return np.array(found)
+
+
 def plates_rows(quick: bool, show: Show) -> list[Row]:
     """Flat targets of 15 cm, turned and tilted by up to 35 deg, 2-8 m away, with beams of 2 to 8 mm at 5 m."""
     count, side = 20 if quick else 200, 0.15
@@ -374,6 +424,7 @@ ROWS: dict[str, Callable[[bool, Show], list[Row]]] = {
     "covariance": covariance_rows,
     "targets": targets_rows,
     "plates": plates_rows,
+    "found": found_rows,
     "unit_camera": unit_camera_rows,
     "page_28m": page_rows,
 }  # fmt: skip

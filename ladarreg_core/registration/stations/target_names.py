@@ -92,9 +92,8 @@ def locate_targets(
     found = [target for size in each.values() for target in find_targets(scan, **size)]
 
     def is_alike(target: SurveyTarget, name: str) -> bool:
-        return {"radius_m": target.radius_m, "side_m": target.side_m} | sizes[name] == {
-            "radius_m": target.radius_m, "side_m": target.side_m,
-        }  # fmt: skip
+        size = sizes[name]
+        return (target.radius_m, target.side_m) == (size.get("radius_m"), size.get("side_m"))
 
     return _named(found, coordinates, is_alike, sigma_m)
 
