@@ -67,8 +67,8 @@ def chain(folder: Path) -> dict[str, Any]:
     from ladarreg.process_resources import keep_heap_small
 
     import ladarreg_core as lr
+    from ladarreg_core.export.clouds.ply import write_ply
     from ladarreg_core.export.models.glb import write_model_glb
-    from ladarreg_core.export.models.ply import write_ply
     from ladarreg_core.export.pictures.images import write_registered_png
     from ladarreg_core.formats.documents.pose_file import read_pose
     from ladarreg_core.surface.texture.photo_model import ModelPhoto, photo_model

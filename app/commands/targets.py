@@ -14,7 +14,7 @@ from ..progress_bar import progress_bar
 
 EXAMPLES = (
     "ladarreg targets hall.e57 spheres.csv --radius .0725 -o station",
-    "# flat black-and-white targets of 15 cm, which are found if no cells on them are given:",
+    "# flat black-and-white targets of 15 cm, found if no cells on them are given:",
     "ladarreg targets hall.e57 plates.csv --side .15 -o station",
     "# coordinates by a total station that is good to 2 mm:",
     "ladarreg targets hall.npz spheres.csv --radius .1 --sigma .002 -o station",

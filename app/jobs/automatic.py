@@ -23,7 +23,7 @@ from .solve import SolveJobs
 if TYPE_CHECKING:
     from ladarreg_core.matching.image_check import Proposal
     from ladarreg_core.progress import Step
-    from ladarreg_core.project.document import PhotoEntry
+    from ladarreg_core.project.document import Document, PhotoEntry
 
     from ..session.session import Change
 
@@ -73,11 +73,15 @@ class AutomaticSolver:
         self._thread.join(60)
 
     def _edited(self, change: Change) -> None:
-        grown = any(getattr(change.before, name) != getattr(change.document, name) for name in ("clouds", "ranges"))
         edited = [
             photo.id
             for photo in change.document.photos
-            if (before := change.before.photo(photo.id)) is not None and (grown or before.picks is not photo.picks)
+            if (before := change.before.photo(photo.id)) is not None
+            and before.station == photo.station
+            and (
+                before.picks is not photo.picks
+                or _has_grown(change.before.beside(before), change.document.beside(photo))
+            )
         ]
         if not edited:
             return
@@ -149,7 +153,7 @@ class AutomaticSolver:
         document = self._workspace.session.document
         now = document.photo(inputs.entry.id)
         same_photo = now is not None and now.picks is inputs.entry.picks and now.camera == inputs.entry.camera
-        return same_photo and document.scan == inputs.document.scan
+        return same_photo and document.beside(now).scan == inputs.document.scan
 
     def _is_wanted(self, entry: PhotoEntry) -> bool:
         session, loader = self._workspace.session, self._workspace.loader
@@ -163,6 +167,11 @@ class AutomaticSolver:
         if pose is None or (pose.stage == "auto" and not pose.accepted):
             return any(pick.origin in _DRAWN for pick in enabled)
         return pose.stage in ("robust", "refined") and bool(loader.stale(session.document, entry, pose))
+
+
+def _has_grown(before: Document, document: Document) -> bool:
+    """Return whether the scan has further clouds, or other ranges."""
+    return (before.clouds, before.ranges) != (document.clouds, document.ranges)
 
 
 def _chosen_as_drawn(entry: PhotoEntry) -> bool:

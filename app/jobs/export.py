@@ -16,7 +16,7 @@ from ladarreg_core.project.edits import require_photo
 from ladarreg_core.project.station_edits import scans_of
 from ladarreg_core.storage.atomic_write import write_bytes
 
-from ..session.exported import Chosen, chosen_photos, exported_pose, project_sources, stations_fault
+from ..session.exported import Chosen, beside_one_scan, chosen_photos, exported_pose, project_sources, stations_fault
 from .inputs import Workspace
 from .runner import JobContext
 
@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from ladarreg_core.export.output_frame import FrameName
     from ladarreg_core.export.targets.pipeline import Source as ExportSource
     from ladarreg_core.export.targets.target import Crop, ExportOptions, Target
-    from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry, Source
+    from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
+    from ladarreg_core.project.source import Source
 
 log = logging.getLogger(__name__)
 ALL = "all"
@@ -155,7 +156,7 @@ class ExportJobs:
             raise OptionError(fault)
         if any(MeasurementList in target.reads for target in targets) and not document.measurements:
             raise OptionError(NOTHING_MEASURED)
-        scan = self._workspace.loader.scan(document)
+        scan = self._workspace.loader.scan(beside_one_scan(self._workspace.loader, document, chosen.entries)[0])
         if scan is None:
             raise OptionError("there is no scan; open one")
         OutputFrame.of(scan, wanted.frame)
@@ -197,6 +198,7 @@ class ExportJobs:
         """
         document, loader = self._workspace.session.document, self._workspace.loader
         entry = require_photo(document, photo)
+        document = document.beside(entry)
         if entry.pose is None:
             raise OptionError("there is no pose to report on; solve first")
 
@@ -366,4 +368,4 @@ def _size_of(path: Path) -> str:
 
 def _name_of(pose: PoseEntry) -> str:
     """Return the name of a pose's arrays, which every pose has for itself, with that of the ranges it holds for."""
-    return " ".join(filter(None, [pose.arrays.name, pose.ranges]))
+    return " ".join(filter(None, [pose.name, pose.ranges]))

@@ -27,6 +27,7 @@ class Inputs:
     """The document, scan and photograph that a job works on."""
 
     document: Document
+    """With the scan that the photograph is matched with."""
     entry: PhotoEntry
     scan: Scan
     photo: Photo
@@ -114,10 +115,11 @@ class Workspace:
         """
         document = self.session.document
         entry = require_photo(document, photo_id)
-        scan = self.loader.scan(document)
+        beside = document.beside(entry)
+        scan = self.loader.scan(beside)
         if scan is None:
             raise OptionError("there is no scan; open one")
-        return Inputs(document, entry, scan, self.loader.photo(entry))
+        return Inputs(beside, entry, scan, self.loader.photo(entry))
 
     def commit(
         self,
@@ -146,7 +148,11 @@ class Workspace:
         def apply(document: Document) -> Document:
             now = require_photo(document, inputs.entry.id)
             was = inputs.entry
-            same = document.scan == inputs.document.scan and now.source == was.source and now.camera == was.camera
+            same = (
+                document.beside(now).scan == inputs.document.scan
+                and now.source == was.source
+                and now.camera == was.camera
+            )
             if not same or (of_picks and now.picks != was.picks):
                 what = "matches" if same else "scan or the photograph"
                 raise OptionError(f"the {what} changed while the job ran, so its result was discarded; run it again")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,8 @@ import msgspec
 from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress
-from ladarreg_core.project.document import Document, PhotoCheck, PhotoEntry, Source, Survey
+from ladarreg_core.project.document import Document, PhotoCheck, PhotoEntry, Survey
+from ladarreg_core.project.source import Source
 from ladarreg_core.project.station_edits import scans_of, surveyed_pose
 
 from ..session.exported import stations_fault
@@ -65,7 +67,7 @@ class StationJobs:
         sources, scans = scans_of(document), []
         for number, (source, name) in enumerate(zip(sources, _names(sources), strict=True)):
             context.progress(Progress(number, len(sources), f"reading {source.name}"))
-            scans.append(replace(self._scan(document, source), name=name))
+            scans.append(replace(self._scan(source), name=name))
         if poses == "refine":
             scans = _with_rough_poses(document, scans)
         network = lr.register_scans(scans, poses=poses, seed=document.settings.seed, report=context.progress)
@@ -83,19 +85,23 @@ class StationJobs:
     def check_photos(self, context: JobContext) -> str:
         """Verify the poses of the accepted photographs, carried over, by the scans of the other stations."""
         document, survey = self.require_survey()
-        here = surveyed_pose(survey, document.scan)
         entries = [entry for entry in document.photos if self._is_registered(entry)]
-        others = [(s.source, pose) for s in document.stations if (pose := surveyed_pose(survey, s.source)) is not None]
+        placed = {source: pose for source in scans_of(document) if (pose := surveyed_pose(survey, source)) is not None}
         if not entries:
             raise OptionError("no photograph is registered yet; register one at the scan that is shown")
-        if here is None or not others:
+        wanted = [
+            (source, there, entry, placed[own])
+            for source, there in placed.items() for entry in entries
+            if (own := document.beside(entry).scan) in placed and own is not None and own != source
+        ]  # fmt: skip
+        if not wanted:
             raise OptionError("no other station is registered to the scan that is shown; register the stations first")
-        checks = []
-        for number, (source, there) in enumerate(others):
-            scan = self._scan(document, source)
-            for k, entry in enumerate(entries):
-                done, total = number * len(entries) + k, len(others) * len(entries)
-                context.progress(Progress(done, total, f"comparing {entry.source.name} with {source.name}"))
+        checks: list[PhotoCheck] = []
+        for source, of_scan in groupby(wanted, key=lambda each: each[0]):
+            scan = self._scan(source)
+            for _, there, entry, here in of_scan:
+                said = f"comparing {entry.source.name} with {source.name}"
+                context.progress(Progress(len(checks), len(wanted), said))
                 checks.append(self._check(entry, source, scan, here.inverse @ there, document.settings.seed))
         self._commit(
             context, "Check photographs at the other stations", document,
@@ -120,7 +126,7 @@ class StationJobs:
             photo=entry.id,
             name=entry.source.name,
             scan=source,
-            pose=entry.pose.arrays.name,
+            pose=entry.pose.name,
             outcome="undecidable",
             sentence="",
         )
@@ -131,9 +137,9 @@ class StationJobs:
         fraction = None if found.verification is None else float(found.verification.fraction)
         return msgspec.structs.replace(check, outcome=found.outcome, sentence=found.sentence, fraction=fraction)
 
-    def _scan(self, document: Document, source: Source) -> Scan:
+    def _scan(self, source: Source) -> Scan:
         loader = self._workspace.loader
-        found = loader.scan(document) if source == document.scan else None
+        found: Scan | None = loader.known("scan", source)
         return loader.read_scan(source) if found is None else found
 
     def _commit(self, context: JobContext, label: str, before: Document, survey: Survey) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,7 @@ from ladarreg_core.progress import Progress
 from ladarreg_core.project.document import Document, PhotoEntry
 from ladarreg_core.project.edits import edited_photo, with_pose
 from ladarreg_core.project.results import pose_entry
-from ladarreg_core.project.station_edits import scans_of
+from ladarreg_core.project.station_edits import scans_of, with_partner
 
 from .inputs import Workspace
 from .registration import RegistrationJobs
@@ -122,12 +122,18 @@ class SurveyJobs:
         shown = survey.scans[0].id
         if not solved.adjustment.scans[shown].accepted:
             raise OptionError("the scan that is shown has no place among the others; register the stations first")
+        numbers = {"": 0} | {station.id: number for number, station in enumerate(document.stations, 1)}
+        beside = {one.id: numbers[one.station] for one in taking.photos}
+        lost = {
+            name for name, number in beside.items()
+            if not solved.adjustment.scans[survey.scans[number].id].accepted
+        }  # fmt: skip
         found = {
-            one.id: photo_registration(survey, solved, k, 0, options)
+            one.id: photo_registration(survey, solved, k, 0 if one.id in lost else beside[one.id], options)
             for k, one in enumerate(survey.photos)
             if solved.adjustment.photos[one.id].accepted
         }
-        self._commit(document, survey, solved, found, context)
+        self._commit(document, survey, solved, found, context, lost & found.keys())
         return " ".join(filter(None, [_sentence(document, solved), taking.sentence]))
 
     def _taking(self, document: Document, chosen: Sequence[str] | None) -> _Taking:
@@ -149,13 +155,21 @@ class SurveyJobs:
         return taking
 
     def _commit(
-        self, before: Document, survey: Survey, solved: Solved, found: dict[str, Registration], context: JobContext
+        self,
+        before: Document,
+        survey: Survey,
+        solved: Solved,
+        found: dict[str, Registration],
+        context: JobContext,
+        lost: Collection[str],
     ) -> None:
+        """Commit the result; photographs beside a scan that is lost, with no place, return to the first one."""
         from ladarreg_core.outputs.project_survey import adjusted_entry
 
-        poses = {
-            name: pose_entry("survey", one, clouds=before.clouds, ranges=before.ranges) for name, one in found.items()
-        }
+        poses = {}
+        for name, one in found.items():
+            scan = before if name in lost else before.beside(before.photo(name))
+            poses[name] = pose_entry("survey", one, clouds=scan.clouds, ranges=scan.ranges)
         kept = poses | {one.id: one.pose for one in before.photos if one.part == "held" and one.pose is not None}
         adjustment = solved.adjustment
         taken_out = {
@@ -180,6 +194,8 @@ class SurveyJobs:
             if scans_of(document) != scans_of(before):
                 raise OptionError(_CHANGED)
             for one in survey.photos:
+                if one.id in lost:
+                    document = with_partner(document, one.id, "", given=False)
                 document = edited_photo(document, one.id, edited)
             return msgspec.structs.replace(document, adjusted=adjusted_entry(before, adjustment, kept))
 
@@ -190,7 +206,8 @@ class SurveyJobs:
 
 def _given(photo: PhotoEntry) -> tuple[Any, ...]:
     """Return what the result of a photograph rests on; of one that is held also its pose."""
-    return photo.source, photo.camera, photo.part, photo.camera_held, photo.pose if photo.part == "held" else None
+    held = photo.pose if photo.part == "held" else None
+    return photo.source, photo.camera, photo.part, photo.camera_held, photo.station, held
 
 
 def _sentence(document: Document, solved: Solved) -> str:

@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 
 T = TypeVar("T")
 S = TypeVar("S")
-_JSON_ENTRIES = 256
+_JSON_ENTRIES = 4096
 _JSON_BYTES = 200_000_000
 _GROWING_BELOW = 100
 
@@ -64,8 +64,8 @@ class BoundedCache(Generic[T]):
             self._used_at[key] = self._clock()
             return self._entries[key][0]
 
-    def put(self, key: Hashable, value: T) -> None:
-        """Store a value; drop the least recently used ones that exceed the limits."""
+    def put(self, key: Hashable, value: T) -> int:
+        """Store a value; drop the least recently used ones that exceed the limits, and return how many."""
         with self._lock:
             if self._values_grow:
                 for name, (one, _) in self._entries.items():
@@ -73,9 +73,10 @@ class BoundedCache(Generic[T]):
             self._entries[key] = value, self._size_of(value)
             self._entries.move_to_end(key)
             self._used_at[key] = self._clock()
-            total = sum(size for _, size in self._entries.values())
+            total, before = sum(size for _, size in self._entries.values()), len(self._entries)
             while len(self._entries) > 1 and (len(self._entries) > self._max_count or total > self._max_bytes):
                 total -= self._drop_oldest()
+            return before - len(self._entries)
 
     def clear(self) -> None:
         """Drop everything."""
@@ -105,7 +106,7 @@ class GroupedCache:
 
     Args:
         limits: the largest number of values and the largest total size, bytes, of each group.
-        derived: for a group, the groups that are emptied when it gets a new value.
+        derived: for a group, the groups that are emptied when one of its values is dropped.
         max_bytes: the largest total size of all groups besides the newest value; None: only the groups' own limits.
         uncounted: groups that do not count.
     """
@@ -140,9 +141,9 @@ class GroupedCache:
             entry = self._groups[group].get(key)
             if entry is None:
                 entry = (make(),)
-                self._groups[group].put(key, entry)
-                for name in self._derived.get(group, ()):
-                    self._groups[name].clear()
+                if self._groups[group].put(key, entry):
+                    for name in self._derived.get(group, ()):
+                        self._groups[name].clear()
                 self._shrink()
             return entry[0]
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.progress import Progress, Report
-from ladarreg_core.project.station_edits import is_stale, surveyed_pose
+from ladarreg_core.project.station_edits import is_stale, known_place, surveyed_pose
 
 from .loader import Loader
 from .measured import measured_places, photos_of, stale_poses
@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from ladarreg_core.export.targets.target import Target
     from ladarreg_core.matches import Pick
     from ladarreg_core.photo import Photo
-    from ladarreg_core.project.document import Document, PhotoEntry, Source, Survey
+    from ladarreg_core.project.document import Document, PhotoEntry, Survey
+    from ladarreg_core.project.source import Source
     from ladarreg_core.project.storage.folder import ProjectFolder
     from ladarreg_core.quality.assessment import Assessment
     from ladarreg_core.quality.smoothing import SmoothedScan
@@ -170,6 +171,7 @@ def chosen_photos(
     Raises:
         LadarregError: if matches are missing or damaged.
     """
+    single = len({entry.station for entry in document.photos if photos is None or entry.id in photos}) < 2
     with_refused = bool(targets) and all(target.shows_refused for target in targets)
     with_drawn = bool(targets) and all(target.shows_drawn for target in targets)
     entries, left_out = [], []
@@ -179,6 +181,8 @@ def chosen_photos(
         pose, name, stale = entry.pose, entry.source.name, ""
         if pose is None:
             why = "" if with_drawn and entry.picks else "it has no pose; register it"
+        elif not single and known_place(document, entry.station) is None:
+            why = "its station is not registered to the project's scan; register the stations, or export it by itself"
         elif not loader.registration(pose).is_shown and not with_refused:
             why = "its pose was not accepted; register it again"
         else:
@@ -237,6 +241,7 @@ def _measurements(loader: Loader, folder: ProjectFolder, document: Document, fra
     from ladarreg_core.export.targets.measurements import MeasurementList
     from ladarreg_core.measuring.measurement_list import in_frame, write_measurements
 
+    document = loader.seen_from_scan(document)
     scan = loader.scan(document)
     if document.scan is None or scan is None:
         raise OptionError("the project has no scan; open one in the workbench")
@@ -265,6 +270,18 @@ def stations_fault(document: Document) -> str:
     return ""
 
 
+def beside_one_scan(
+    loader: Loader, document: Document, entries: Sequence[PhotoEntry]
+) -> tuple[Document, Sequence[PhotoEntry]]:
+    """Return a document and photographs beside one scan: their own, or if they have several, that of the project, to
+    which poses are carried over without matches.
+    """
+    if len({entry.station for entry in entries}) == 1:
+        return document.beside(entries[0]), entries
+    seen = loader.seen_from_scan(document)
+    return seen, [found for entry in entries if (found := seen.photo(entry.id)) is not None]
+
+
 def _registered_scan(
     loader: Loader,
     folder: ProjectFolder,
@@ -277,6 +294,7 @@ def _registered_scan(
     from ladarreg_core.export.output_frame import OutputFrame
     from ladarreg_core.export.registered_scan import RegisteredScan, photo_id
 
+    document, entries = beside_one_scan(loader, document, entries)
     scan = loader.scan(document)
     if document.scan is None or scan is None:
         raise OptionError("the project has no scan; open one in the workbench")
@@ -338,14 +356,14 @@ def _station_scans(loader: Loader, folder: ProjectFolder, document: Document) ->
     inputs = [(folder.source_path(source.path), source.index) for source in survey.scans]
     fields = stations_document(survey.fields, inputs)
     scans = {
-        one["scan"]: partial(_placed, loader, document, survey, source, one["name"])
+        one["scan"]: partial(_placed, loader, survey, source, one["name"])
         for one, source in zip(fields["stations"], survey.scans, strict=True)
         if one["scan"] is not None
     }
     return StationScans(fields, scans, inputs=[path for path, _ in inputs])
 
 
-def _placed(loader: Loader, document: Document, survey: Survey, source: Source, name: str) -> Scan:
-    scan = loader.scan(document) if source == document.scan else None
-    found = loader.read_scan(source) if scan is None else scan
+def _placed(loader: Loader, survey: Survey, source: Source, name: str) -> Scan:
+    known: Scan | None = loader.known("scan", source)
+    found = loader.read_scan(source) if known is None else known
     return replace(found, name=name, world_from_scanner=surveyed_pose(survey, source))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from ladarreg_core.inspection.pictures import NamedView
     from ladarreg_core.matches import Pick
     from ladarreg_core.photo import Photo
-    from ladarreg_core.project.document import Document, PhotoEntry, PickEntry, PoseEntry, Source
+    from ladarreg_core.project.document import Document, PhotoEntry, PickEntry, PoseEntry
+    from ladarreg_core.project.source import Source
     from ladarreg_core.project.storage.folder import ProjectFolder
     from ladarreg_core.quality.assessment import Assessment
     from ladarreg_core.results import Registration
@@ -37,24 +38,28 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 T = TypeVar("T")
 _LIMITS = {
-    "scan": (1, 1),
+    "scan": (3, 700_000_000),
     "photo": (8, 600_000_000),
     "header": (1024, 10_000_000),
-    "views": (1, 1),
+    "views": (6, 100_000_000),
     "view": (16, 280_000_000),
-    "registration": (64, 100_000_000),
-    "solved_on": (64, 50_000_000),
-    "stale": (128, 1_000_000),
-    "assessment": (32, 200_000_000),
-    "agreeing": (32, 10_000_000),
+    "registration": (1024, 100_000_000),
+    "solved_on": (1024, 50_000_000),
+    "stale": (4096, 10_000_000),
+    "assessment": (256, 200_000_000),
+    "agreeing": (256, 10_000_000),
     "partners": (3, 400_000_000),
     "measured": (8, 200_000_000),
     "picture": (64, 420_000_000),
+    "carried": (256, 20_000_000),
+    "seen": (4, 1_000_000),
     "model": (40, 150_000_000),
     "line": (512, 50_000_000),
     "station": (16, 20_000_000),
+    "small photo": (1024, 20_000_000),
 }
-"""The largest number of values of each kind, and their largest total size besides the newest, bytes."""
+"""The largest number of values of each kind, and their largest total size besides the newest, bytes; of what is asked
+for of every photograph with every edit there is room for all: with one too few, all would be made again."""
 
 DEFAULT_CACHE_BYTES = 640_000_000
 """Largest total size of everything that is kept besides the scan and the newest value."""
@@ -65,7 +70,7 @@ STATION_POINTS = 60_000
 _LARGE_SCAN_CELLS = 4_000_000
 
 _DERIVED_FROM_SCAN = ("views", "view", "assessment", "partners", "measured", "picture", "model", "line")
-"""Kinds whose values would keep the previous scan in memory."""
+"""Kinds whose values would keep a scan in memory that is dropped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,10 +98,12 @@ def _header_fields(header: PhotoHeader) -> dict[str, Any]:
     return {**asdict(replace(header, camera=None)), "notes": list(header.notes), "camera": camera}
 
 
-def _header_of(fields: dict[str, Any]) -> PhotoHeader | None:
+def _header_of(fields: Any) -> PhotoHeader | None:
     """Return a header that was kept; None: it is of another version."""
     from ladarreg_core.formats.cameras.camera_file import camera_from_fields
 
+    if not isinstance(fields, dict):
+        return None
     try:
         camera = None if fields["camera"] is None else camera_from_fields(json.loads(fields["camera"]))
         return PhotoHeader(**{**fields, "camera": camera, "notes": tuple(fields["notes"])})
@@ -135,7 +142,7 @@ class Loader:
         return None if cached is None else cached[0]
 
     def scan(self, document: Document) -> Scan | None:
-        """Return the scan; None where none is open.
+        """Return the scan; None where none is open. The most recently used ones of a project are kept.
 
         Raises:
             LadarregError: if its file can no longer be read.
@@ -169,6 +176,8 @@ class Loader:
     def station_points(self, source: Source, scan: Scan | None = None) -> NDArray[np.float32]:
         """Return points (N, 3) of a station for the 3-D view, m, at most `STATION_POINTS`, frame of its scanner.
 
+        They are kept on disk: a project of many large scans opens without reading them all.
+
         Args:
             source: its file.
             scan: its scan, if it was read just now.
@@ -181,7 +190,10 @@ class Loader:
             from ladarreg_core.inspection.scene_geometry import spread_points
 
             try:
-                return spread_points(scan or self.read_scan(source), STATION_POINTS)
+                return self._kept_on_disk(
+                    "station points", [source], {"ranges": source.ranges, "most": STATION_POINTS},
+                    lambda: spread_points(scan or self.read_scan(source), STATION_POINTS),
+                )  # fmt: skip
             except LadarregError as error:  # kept, too: a damaged file is not read again with every drawing
                 return error
 
@@ -238,15 +250,11 @@ class Loader:
         """
 
         def made() -> PhotoHeader:
-            from ladarreg_core.many.cache import ContentCache
-
-            kept, key = ContentCache.of_user(), self._header_key(entry)
-            known = kept.get(key) if key else None
-            found = _header_of(known) if isinstance(known, dict) else None
-            if found is None:
-                found = measured()
-                if key:
-                    kept.put(key, _header_fields(found))
+            fields = self._kept_on_disk(
+                "photo header", *self._made_of(entry), lambda: _header_fields(measured()), is_sound=_header_of
+            )
+            found = _header_of(fields)
+            assert found is not None, "it was made, or found to be sound"
             return found
 
         def measured() -> PhotoHeader:
@@ -263,21 +271,48 @@ class Loader:
 
         return self.cached("header", (entry.source, entry.camera), made)
 
-    def _header_key(self, entry: PhotoEntry) -> str:
-        """Return the key of a photograph's header, by its files as they are now; empty: they are not there."""
+    def small_photo(self, entry: PhotoEntry, make: Callable[[], T]) -> T:
+        """Return the small picture of a photograph, plain values and arrays, made once and kept on disk."""
+        key = entry.source, entry.camera.file
+        return self.cached(
+            "small photo", key, lambda: self._kept_on_disk("small photo", *self._made_of(entry), make, is_sound=bool)
+        )
+
+    def _made_of(self, entry: PhotoEntry) -> tuple[list[Source], dict[str, Any]]:
+        """Return what the values that are kept of a photograph are made of."""
+        from ladarreg_core.export.json import plain
+
+        files = [entry.source, *([entry.camera.file] if entry.camera.file else [])]
+        return files, {"camera": plain(msgspec.to_builtins(entry.camera))}
+
+    def _kept_on_disk(
+        self,
+        kind: str,
+        files: Sequence[Source],
+        made_of: Mapping[str, Any],
+        make: Callable[[], T],
+        *,
+        is_sound: Callable[[Any], Any] = lambda value: value is not None,
+    ) -> T:
+        """Return a value that is kept on disk by its files as they are now; make it where it is not, or not sound."""
         from ladarreg_core.export.json import plain
         from ladarreg_core.many.cache import ContentCache
 
-        files = [entry.source, *([entry.camera.file] if entry.camera.file else [])]
         try:
-            stats = [self._folder.source_path(one.path).stat() for one in files]
+            stats = [path.stat() for file in files for path in self._folder.source_files(file)]
         except OSError:
-            return ""
-        return ContentCache.key(
-            kind="photo header", files=[[one.st_size, one.st_mtime_ns, one.st_ino] for one in stats],
-            source=plain(msgspec.to_builtins(entry.source)), camera=plain(msgspec.to_builtins(entry.camera)),
-            folder=str(self._folder.path),
+            return make()
+        kept = ContentCache.of_user()
+        key = ContentCache.key(
+            kind=kind, files=[[one.st_size, one.st_mtime_ns, one.st_ino] for one in stats],
+            sources=plain(msgspec.to_builtins(list(files))), folder=str(self._folder.path), **made_of,
         )  # fmt: skip
+        known = kept.get(key)
+        if known is not None and is_sound(known):
+            return known  # type: ignore[no-any-return]
+        found = make()
+        kept.put(key, found)
+        return found
 
     def _read_photo(self, entry: PhotoEntry) -> Photo | LadarregError:
         from ladarreg_core.formats import read_photo
@@ -347,6 +382,37 @@ class Loader:
         self.cached("scan", source, lambda: scan)
         self.cached("views", source, lambda: views)
 
+    def seen_from_scan(self, document: Document) -> Document:
+        """Return a document with all photographs beside its scan: the poses of others are carried over.
+
+        What is carried over is the same object as long as nothing that it rests on changes.
+        """
+        if not any(photo.station for photo in document.photos):
+            return document
+
+        def seen(photo: PhotoEntry) -> PhotoEntry:
+            if not photo.station:
+                return photo
+            rests_on = (photo, document.scan, document.stations, document.survey, document.adjusted)
+            key = tuple(map(id, rests_on))
+            return self.cached("carried", key, lambda: (rests_on, self._current_only(document, photo)))[1]
+
+        def made() -> Document:
+            return msgspec.structs.replace(document, photos=tuple(map(seen, document.photos)))
+
+        return self.cached("seen", id(document), lambda: (document, made()))[1]
+
+    def _current_only(self, document: Document, photo: PhotoEntry) -> PhotoEntry:
+        """Return a photograph as it is beside the document's scan; a pose that is out of date stays so."""
+        from ladarreg_core.project.station_edits import seen_from_scan
+
+        found, pose = seen_from_scan(document, photo), photo.pose
+        if pose is None or not found.poses or not self.stale(document, photo, pose):
+            return found
+        return msgspec.structs.replace(
+            found, poses=tuple(msgspec.structs.replace(each, ranges="former") for each in found.poses)
+        )
+
     def registration(self, pose: PoseEntry) -> Registration:
         """Return the registration that a stored pose belongs to.
 
@@ -367,7 +433,8 @@ class Loader:
         """Return why a photograph's pose is out of date; empty if it is current."""
         from ladarreg_core.project.staleness import stale
 
-        scan = document.clouds, document.ranges
+        beside = document.beside(entry)
+        scan = beside.clouds, beside.ranges
         key = (id(entry.picks), id(pose), *scan)
         return self.cached("stale", key, lambda: ((entry, pose), stale(entry, pose, self.solved_on(pose), *scan)))[1]
 

@@ -14,8 +14,9 @@ from ladarreg_core.errors import LadarregError
 from ladarreg_core.formats.documents.own_results import edited_note
 from ladarreg_core.outputs.saved_results import missing_scans, recorded_scans
 from ladarreg_core.project import edits, tie_edits
-from ladarreg_core.project.document import CameraGiven, Source
+from ladarreg_core.project.document import CameraGiven
 from ladarreg_core.project.history import NOBODY
+from ladarreg_core.project.source import Source
 
 from ..session.isolated_readers import READERS
 from .files.opening import HowScans
@@ -238,7 +239,7 @@ def _set_initial(workbench: Workbench, entry: PhotoEntry, photo: Path, reading: 
     from ladarreg_core.formats.documents.pose_file import read_initial
 
     session = workbench.session
-    scan = workbench.loader.scan(session.document)
+    scan = workbench.loader.scan(session.document.beside(entry))
     file = reading.initials.get(photo.name, reading.initial)
     if file is None or scan is None:
         return

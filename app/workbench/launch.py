@@ -348,7 +348,8 @@ def _attach_scene(workbench: Workbench, server: viser.ViserServer) -> None:
     def dragged(person: str, draft: Rigid) -> None:
         shown = workbench.selection.photo_of(workbench.clients.find(person))
         if shown is not None:
-            event = {"event": "placement", "photo": shown.id, "camera_from_scanner": draft.matrix.tolist()}
+            pose = draft @ workbench.queries.place_beside(shown)  # it was known when the camera was placed
+            event = {"event": "placement", "photo": shown.id, "camera_from_scanner": pose.matrix.tolist()}
             workbench.tell(event, {person})
 
     def camera_clicked(person: str, photo: str) -> None:

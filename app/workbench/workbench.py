@@ -35,6 +35,7 @@ from .state.clients import Client, Clients
 from .state.images import Images
 from .state.measured import Measured, measurement_entry
 from .state.model_parts import ModelParts
+from .state.partners import Partners
 from .state.pose_state import judged_slice, poses_slice, stage_state
 from .state.publisher import Publisher
 from .state.queries import Queries
@@ -116,8 +117,9 @@ class Workbench:
         workspace = Workspace(session, loader)
         self.runner = JobRunner(self._job_changed)
         self.stations = Stations(workspace, self.runner)
-        self.measured = Measured(session, loader, self._photos_looked_at)
+        self.measured = Measured(session, loader, partial(self._photos_looked_at, False))
         self.smoothing = Smoothing(session, loader)
+        self.partners = Partners(session, loader, self._photos_looked_at, self._publish)
         self.scene_sync = SceneSync(session, loader, self._people, self.stations.shown, self.measured.shown)
         self.files = Files(session, loader, self.queries, self.selection, served)
         self.batches = Batches(session, loader, self.files, self.selection, self._publish)
@@ -172,6 +174,7 @@ class Workbench:
         """
         client = self.clients.join(visitor)
         self.scene_sync.refresh()
+        self.partners.refresh()
         return client
 
     def leave(self, client: Client) -> None:
@@ -227,6 +230,7 @@ class Workbench:
         self._unsubscribe()
         self.jobs.close()
         self.runner.close()
+        self.partners.close()
         self.publisher.close()
         self.scene_sync.close()
         self.session.close()
@@ -338,6 +342,8 @@ class Workbench:
         return {
             "project": {**project_slice(self.session, client.author, alone=alone, start=start), "opened": opened},
             "shown": shown.id if shown else None,
+            "partner": self.partners.slice(shown),
+            "beside": self._scan_slice(shown) if shown and shown.station else None,
             "smoothing": self.smoothing.slice(client),
             "people": self.clients.slice(client, self._photo_id_of),
             "model": client.model.slice()
@@ -350,8 +356,9 @@ class Workbench:
     def _is_present(self, client_id: str) -> bool:
         return any(client.id == client_id for client in self.clients.present)
 
-    def _photos_looked_at(self) -> set[str]:
-        return {photo for client in self.clients.present if (photo := self._photo_id_of(client)) is not None}
+    def _photos_looked_at(self, by_editors: bool) -> set[str]:
+        people = [client for client in self.clients.present if not (by_editors and client.read_only)]
+        return {photo for client in people if (photo := self._photo_id_of(client)) is not None}
 
     def _photo_id_of(self, client: Client) -> str | None:
         entry = self.selection.photo_of(client)
@@ -367,7 +374,8 @@ class Workbench:
     def _shown_parts(self, shown: PhotoEntry | None) -> tuple[object, ...]:
         document = self.session.document
         own = () if shown is None else (shown.id, shown.source, shown.camera)
-        return ("model", document.scan, *own, *(entry.pose for entry in document.photos))
+        placed = document.stations, document.survey, document.adjusted
+        return ("model", document.scan, *placed, *own, *(entry.pose for entry in document.photos))
 
     def _people(self) -> dict[str, Person]:
         """Return what every client looks at in the 3-D scene."""
@@ -379,34 +387,42 @@ class Workbench:
             )
         return people
 
-    def _scan_slice(self) -> dict[str, Any] | None:
-        document, loader = self.session.document, self.loader
+    def _scan_slice(self, shown: PhotoEntry | None = None) -> dict[str, Any] | None:
+        """Return the slice of the scan beside a photograph; None: of the project's."""
+        document, loader = self.session.document.beside(shown), self.loader
         return loader.cached("picture", ("scan slice", document.scan), lambda: scan_slice(loader, document))
 
     def _outline_slice(self, entry: PhotoEntry) -> dict[str, Any] | None:
         document = self.session.document
-        key = ("outline", document.scan, entry.source, entry.camera, entry.pose)
+        key = ("outline", document.beside(entry).scan, entry.source, entry.camera, entry.pose)
         return self._slices.get(key, partial(outline_slice, self.loader, document, entry))
 
     def _slow_slices(self) -> dict[str, Any]:
         document, loader = self.session.document, self.loader
         found: dict[str, Any] = {"measured": self.measured.slice()}
-        try:
-            scan = loader.scan(document)
-        except LadarregError:
-            return found
-        if scan is None:
-            return found
-        for entry in document.photos:
+        for entry in self._by_station(document):
+            source = document.beside(entry).scan
+            if source is None:
+                continue
             try:
                 readable = loader.header(entry).camera is not None
             except LadarregError:
                 readable = False
             sigmas = document.settings.reject_sigma
-            key = (id(scan), entry.picks, id(entry.pose), entry.source, entry.camera, readable, sigmas)
-            make = partial(judged_slice, loader, scan, entry, readable=readable, sigmas=sigmas)
-            found[f"judged:{entry.id}"] = self._slices.get(key, make)
+            key = (source, entry.picks, entry.pose, entry.source, entry.camera, readable, sigmas)
+            make = partial(judged_slice, loader, document, entry, readable=readable, sigmas=sigmas)
+            with suppress(LadarregError):  # the slice `scan` or `partner` states it
+                found[f"judged:{entry.id}"] = self._slices.get(key, make)
         return found
+
+    def _by_station(self, document: Document) -> list[PhotoEntry]:
+        """Return the photographs that take work on a scan now: those beside the project's, then those looked at beside
+        others, so that each of these is read once, and none for a photograph that nobody sees.
+        """
+        seen = self._photos_looked_at(False)
+        here = [entry for entry in document.photos if not entry.station]
+        there = [entry for entry in document.photos if entry.station and entry.id in seen]
+        return [*here, *sorted(there, key=lambda entry: entry.station)]
 
     def _poses_slice(self, document: Document, entry: PhotoEntry) -> dict[str, Any]:
         stages = tuple(pose.stage for pose in entry.poses)
@@ -418,18 +434,19 @@ class Workbench:
             return self._slices.get(key, partial(stage_state, self.loader, pose, stale=stale, stages=stages))
 
         assessed = ",".join(str(k) for k, pose in enumerate(entry.poses) if self.loader.known_assessment(pose))
-        key = (document.clouds, document.ranges, entry.shown_stage, assessed, entry.picks, *entry.poses)
+        beside = document.beside(entry)
+        key = (beside.clouds, beside.ranges, entry.shown_stage, assessed, entry.picks, *entry.poses)
         return self._slices.get(key, partial(poses_slice, entry, stage_of))
 
     def _assess(self) -> None:
         """Assess the shown poses that are not assessed yet."""
         document = self.session.document
-        for entry in document.photos:
+        for entry in self._by_station(document):
             pose = entry.pose
             if pose is None or self.loader.known_assessment(pose) is not None:
                 continue
             with suppress(LadarregError):  # the slices `scan` and `poses` state the error
-                scan = self.loader.scan(document)
+                scan = self.loader.scan(document.beside(entry))
                 if scan is not None:
                     self.loader.assessment(scan, pose)
                     self._publish()
@@ -450,11 +467,14 @@ class Workbench:
             self.images.prerender()
         self.publisher.publish(slow=True)
         self.scene_sync.refresh()
+        self.partners.refresh()
         return_memory_soon()
 
     def _selection_changed(self) -> None:
-        self.publisher.publish(slow=bool(self.session.document.measurements))
+        document = self.session.document
+        self.publisher.publish(slow=bool(document.measurements) or any(photo.station for photo in document.photos))
         self.scene_sync.refresh()
+        self.partners.refresh()
 
     def _job_changed(self, job: Job) -> None:
         self._publish()

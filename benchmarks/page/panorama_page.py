@@ -163,7 +163,11 @@ def _descendants(pid: int) -> list[int]:
     found, waiting = [], [pid]
     while waiting:
         one = waiting.pop()
-        for task in Path(f"/proc/{one}/task").glob("*/children"):
+        try:
+            tasks = list(Path(f"/proc/{one}/task").glob("*/children"))
+        except OSError:  # it has ended
+            continue
+        for task in tasks:
             try:
                 children = [int(word) for word in task.read_text().split()]
             except OSError:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.camera import Camera, CameraModel, EquirectangularCamera
 from ladarreg_core.errors import ExportError
+from ladarreg_core.export.pictures.texture_image import texture_image
 from ladarreg_core.export.registered_scan import Registered, RegisteredPhoto
 from ladarreg_core.foundations.arrays import ByteArray
 from ladarreg_core.foundations.opened_image import opened_image
@@ -57,19 +58,22 @@ class WrittenPhoto:
 
     Args:
         one: the photograph.
-        camera: the camera of the written picture: the photograph's own, or a pinhole without distortion with the same
-            axes.
+        camera: the camera of the written picture: the photograph's own, or a pinhole without distortion or a panorama
+            with the same axes.
+        extension: of a picture that is not the photograph's file: `.png`, or `.jpg` where size matters more.
         report: receives the progress; may raise `Cancelled`.
     """
 
-    def __init__(self, one: RegisteredPhoto, camera: CameraModel, *, report: Report | None = None) -> None:
+    def __init__(
+        self, one: RegisteredPhoto, camera: CameraModel, *, extension: str = ".png", report: Report | None = None
+    ) -> None:
         self.one = one
         self.camera = camera
         copied = _copied(one) if camera == one.camera else None
         self._report = report
         self._file = None if copied is None else copied[0]
         mark = f".{one.mark.replace(', ', '-').replace(' ', '-')}" if one.mark else ""
-        self.name = f"{one.id}{mark}{'.png' if copied is None else copied[1]}"
+        self.name = f"{one.id}{mark}{extension if copied is None else copied[1]}"
         """File name of the picture; binary files have no other place for the mark of a pose that was not verified."""
 
     @property
@@ -85,19 +89,23 @@ class WrittenPhoto:
         return found
 
     def write(self, path: Path) -> None:
-        """Write the picture: the photograph's file where it has just its pixels, otherwise a PNG.
+        """Write the picture: the photograph's file where it has just its pixels, otherwise a new one.
 
         Raises:
             ExportError: if the file cannot be written.
         """
         if self._file is not None:
             write_bytes(path, self._file.read_bytes())
-        elif self.is_undistorted:
-            pinhole = self.camera.as_pinhole
-            assert pinhole is not None, "only a lens is taken out"
-            write_png_picture(path, undistorted(self.one.photo, self.one.camera, pinhole, report=self._report))
+            return
+        pixels = self.one.photo.pixels
+        if self.is_undistorted:
+            target = self.camera.as_pinhole or self.camera.as_panorama
+            assert target is not None, "only a lens is taken out"
+            pixels = undistorted(self.one.photo, self.one.camera, target, report=self._report)
+        if self.name.endswith(".png"):
+            write_png_picture(path, pixels)
         else:
-            write_png_picture(path, self.one.photo.pixels)
+            write_bytes(path, texture_image(pixels, lossless=False).data)
 
 
 def write_png_picture(path: Path, pixels: ByteArray) -> None:
@@ -154,13 +162,15 @@ def has_pixels(path: Path, pixels: ByteArray, *, modes: Collection[str] = ("RGB"
     return True
 
 
-def undistorted(photo: Photo, camera: CameraModel, ideal: Camera, *, report: Report | None = None) -> NDArray[np.uint8]:
+def undistorted(
+    photo: Photo, camera: CameraModel, ideal: Camera | EquirectangularCamera, *, report: Report | None = None
+) -> NDArray[np.uint8]:
     """Return the picture that an ideal camera at the same place would have taken; black where the photograph ends.
 
     Args:
         photo: the photograph.
         camera: its camera.
-        ideal: a pinhole without distortion, with the same axes.
+        ideal: a pinhole without distortion or a panorama, with the same axes.
         report: receives the progress; may raise `Cancelled`.
 
     Returns:

@@ -30,7 +30,7 @@ _MOST_IN_LEGEND = 24
 _LONGEST_NAME = 20
 _FIELDS_OF_POINTS = frozenset({
     "x", "y", "z", "red", "green", "blue", "nir", "label", "returns", "flags", "classification", "user_data",
-    "scan_angle", "point_source_id", "gps_time", "intensity",
+    "scan_angle", "point_source_id", "gps_time", "intensity", "position", "rgb", "rgba", "normal", "indices",
 })  # fmt: skip
 
 

@@ -27,11 +27,11 @@ from ladarreg_core.project.document import (
     PhotoEntry,
     PoseEntry,
     Rows,
-    Source,
 )
 from ladarreg_core.project.results import pose_of
 from ladarreg_core.project.smoothing_edits import with_smoothings
-from ladarreg_core.project.station_edits import scans_of, surveyed_pose
+from ladarreg_core.project.source import Source
+from ladarreg_core.project.station_edits import known_place, scans_of, surveyed_pose
 from ladarreg_core.project.storage.folder import ProjectFolder
 from ladarreg_core.project.stored_arrays import StoredArrays
 from ladarreg_core.scan import Scan
@@ -126,8 +126,8 @@ def adjusted_entry(document: Document, adjustment: Adjustment, poses: Mapping[st
                 ties_left_out=one.ties_left_out, median_px=_finite(one.median_px), partners=tuple(one.partners),
                 camera=one.camera_id, sigma_m=_finite(one.sigma_position_m) if one.accepted else None,
                 sigma_rad=_finite(one.sigma_angle_rad) if one.accepted else None,
-                pose=poses[name].arrays.name if name in poses else "",
-                **_movement(document.photo(name), poses.get(name)),
+                pose=poses[name].name if name in poses else "",
+                **_movement(document, document.photo(name), poses.get(name)),
             )
             for name, one in adjustment.photos.items()
         },
@@ -150,14 +150,14 @@ def _ties(adjustment: Adjustment) -> StoredArrays | None:
     return StoredArrays.of(marks) if marks else None
 
 
-def _movement(before: PhotoEntry | None, pose: PoseEntry | None) -> dict[str, Any]:
+def _movement(document: Document, before: PhotoEntry | None, pose: PoseEntry | None) -> dict[str, Any]:
     """Return how far an adjustment moved the camera of a photograph, as fields of its entry."""
     former = None if before is None else before.pose
-    if former is None or not former.accepted or pose is None:
+    if before is None or former is None or not former.accepted or pose is None:
         return {}
-    was, now = pose_of(former), pose_of(pose)
+    was, now, place = pose_of(former), pose_of(pose), known_place(document, before.station)
     return {
-        "former_centre": tuple(was.centre.tolist()),
+        "former_centre": None if place is None else tuple((place @ was.centre).tolist()),
         "moved_m": float(np.linalg.norm(now.centre - was.centre)),
         "moved_rad": float(np.linalg.norm(rotvec_from_rotation(now.rotation @ was.rotation.T))),
     }
@@ -172,11 +172,11 @@ def _finite(value: float) -> float | None:
 
 
 def _initial(document: Document, photo: PhotoEntry) -> Rigid | None:
-    """Return the accepted `camera_from_world` of a photograph."""
+    """Return the accepted `camera_from_world` of a photograph, which may be beside the scan of any station."""
     pose = photo.pose
     if pose is None or not pose.accepted:
         return None
-    world = surveyed_pose(document.survey, document.scan)
+    world = surveyed_pose(document.survey, document.beside(photo).scan)
     if world is None and pose.world_from_scanner is not None:
         world = Rigid.from_matrix(pose.world_from_scanner)
     found = pose_of(pose)

@@ -6,14 +6,13 @@ Everything in it is plain and small except the arrays of a pose's matches, which
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import PurePath
 from typing import Any, Literal, get_args
 
 import msgspec
 
-from ladarreg_core.formats.scans.scan_request import FileOptions
 from ladarreg_core.matches import Pick
 from ladarreg_core.project.settings import Settings
+from ladarreg_core.project.source import Source
 from ladarreg_core.project.stored_arrays import StoredArrays
 from ladarreg_core.results import Evidence, StageId
 
@@ -27,68 +26,6 @@ Numbers = tuple[float, ...]
 Rows = tuple[Numbers, ...]
 MeasurementKind = Literal["point", "distance", "polyline", "angle", "area", "height"]
 """As `ladarreg_core.measuring.measurement.MeasurementKind`, which is above this package."""
-
-
-class SmoothingEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """Ranges of a scan that were replaced by what an accepted registration says of them."""
-
-    id: str
-    """Name of all ranges of the scan after it."""
-    photo: str
-    """Id of the photograph that was registered."""
-    name: str
-    """Its file name."""
-    pose: str
-    """Name of the arrays of its pose."""
-    cells: tuple[tuple[int, int, float], ...]
-    """Row, column and new range, m, of each."""
-
-
-class Source(FileOptions, frozen=True, kw_only=True):
-    """Reference to an opened file."""
-
-    path: str
-    """Absolute path, or relative to the project folder for files inside it."""
-    name: str
-    """File name for display."""
-    size: int
-    """File size, bytes."""
-    index: int = 0
-    """Index of the scan in a file with several."""
-    temperature_unit: Literal["K", "C", "none"] | None = None
-    """Unit of a thermal image's pixels, if it was given."""
-    more: tuple[str, ...] = ()
-    """Further clouds of a scan's standpoint, which are accumulated with this file; paths as `path`."""
-    more_names: tuple[str, ...] = ()
-    """Their names for display, in the same order; empty: the names of the files."""
-    smoothings: tuple[SmoothingEntry, ...] = ()
-    """What was replaced in the ranges of a scan, in the order in which it was."""
-
-    @property
-    def ranges(self) -> str:
-        """Name of a scan's ranges: another one after each smoothing; empty: they are as measured."""
-        return self.smoothings[-1].id if self.smoothings else ""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The names of all files for display, that of `path` first."""
-        known = self.more_names if len(self.more_names) == len(self.more) else map(file_name, self.more)
-        return (self.name, *known)
-
-    @property
-    def paths(self) -> tuple[str, ...]:
-        """All files, `path` first."""
-        return (self.path, *self.more)
-
-    @property
-    def scan_options(self) -> dict[str, Any]:
-        """The arguments of `read_scan` for this file, except `more`: see `ProjectFolder.scan_options`."""
-        return {"scan_index": self.index, **{name: getattr(self, name) for name in FileOptions.__struct_fields__}}
-
-
-def file_name(path: str) -> str:
-    """Return the name of a file by its path in a `Source`."""
-    return PurePath(path).name
 
 
 class CameraGiven(msgspec.Struct, frozen=True, kw_only=True):
@@ -201,6 +138,13 @@ class PoseEntry(msgspec.Struct, frozen=True, kw_only=True):
     ranges: str = ""
     """Name of the ranges of the scan that it holds for, as `Source.ranges`: those that it was solved on, or those that
     it replaced itself."""
+    carried_from: str = ""
+    """Name of the pose at another station that it states here, without its matches; empty: it was found here."""
+
+    @property
+    def name(self) -> str:
+        """What the pose is called, wherever it is stated: the name of its arrays where it was found."""
+        return self.carried_from or self.arrays.name
 
 
 class StepEntry(msgspec.Struct, frozen=True, kw_only=True):
@@ -214,8 +158,22 @@ class StepEntry(msgspec.Struct, frozen=True, kw_only=True):
     """Details, JSON-ready."""
 
 
+class StationWork(msgspec.Struct, frozen=True, kw_only=True):
+    """What was done on a photograph beside the scan of a station, while it is beside another one."""
+
+    station: str
+    """Id of the station; empty: the scan of the project."""
+    stated_pose: Rows | None = None
+    """This and all else as of a photograph."""
+    stated_by: str = ""
+    picks: tuple[PickEntry, ...] = ()
+    numbered: int = 0
+    poses: tuple[PoseEntry, ...] = ()
+    shown_stage: StageId | None = None
+
+
 class PhotoEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """A photograph with its own matches and poses."""
+    """A photograph with its own matches and poses, which belong to the scan of its station."""
 
     id: str
     """Stable id of letters and digits."""
@@ -239,6 +197,12 @@ class PhotoEntry(msgspec.Struct, frozen=True, kw_only=True):
     """How it takes part in an adjustment."""
     camera_held: dict[str, Any] | None = None
     """Intrinsics that adjustments keep; None: they estimate them as far as they are assumed."""
+    station: str = ""
+    """Id of the station that it is matched with; empty: the scan of the project."""
+    station_given: bool = False
+    """Whether the operator chose it, so that no other is chosen unasked."""
+    elsewhere: tuple[StationWork, ...] = ()
+    """What was done on it beside the scans of other stations."""
 
     @property
     def photo_options(self) -> dict[str, Any]:
@@ -298,7 +262,7 @@ class MeasurementEntry(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class StationEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """A further station: a scan of the same place from elsewhere, beside the one that is shown."""
+    """A further station: a scan of the same place from elsewhere, beside the project's own."""
 
     id: str
     """Stable id of letters and digits."""
@@ -307,7 +271,8 @@ class StationEntry(msgspec.Struct, frozen=True, kw_only=True):
     rough: Rows | None = None
     """Rough pose (4, 4) of its scanner in the frame of the scan that is shown, where a search may begin."""
     photos: tuple[PhotoEntry, ...] = ()
-    """The photographs with their matches and poses as they were when this station was shown last."""
+    """The photographs with their matches and poses as they were when this station was shown last, by versions of the
+    program that did not keep them with the photographs."""
     measurements: tuple[MeasurementEntry, ...] = ()
     """What was measured on its scan."""
 
@@ -500,6 +465,24 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
             if photo.camera.file is not None:
                 yield photo.camera.file
 
+    @property
+    def work(self) -> Iterator[PhotoEntry | StationWork]:
+        """What was done on its photographs, beside the scans of all stations."""
+        for photo in (*self.photos, *(photo for station in self.stations for photo in station.photos)):
+            yield photo
+            yield from photo.elsewhere
+
     def photo(self, photo_id: str) -> PhotoEntry | None:
         """Return a photograph by its id; None if there is none."""
         return next((photo for photo in self.photos if photo.id == photo_id), None)
+
+    def beside(self, photo: PhotoEntry | None) -> Document:
+        """Return the document with the scan that a photograph is matched with as its scan.
+
+        Only that photograph, and others beside the same scan, may be looked at in it: poses are in the frames of the
+        scans that they were found on.
+        """
+        if photo is None or not photo.station:
+            return self
+        source = next((station.source for station in self.stations if station.id == photo.station), None)
+        return self if source is None else msgspec.structs.replace(self, scan=source)

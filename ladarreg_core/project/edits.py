@@ -12,18 +12,8 @@ from msgspec.structs import replace
 from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Pick, unit_rays
-from ladarreg_core.project.document import (
-    STAGES,
-    CameraGiven,
-    Document,
-    Part,
-    PhotoEntry,
-    PickEntry,
-    PoseEntry,
-    Rows,
-    Source,
-    file_name,
-)
+from ladarreg_core.project.document import STAGES, CameraGiven, Document, Part, PhotoEntry, PickEntry, PoseEntry, Rows
+from ladarreg_core.project.source import Source, file_name
 from ladarreg_core.results import StageId
 
 MAX_PHOTOS = 200
@@ -37,13 +27,23 @@ WEIGHTS = 1e-6, 1e6
 
 
 def with_scan(document: Document, scan: Source) -> Document:
-    """Return the document with another scan, without the picks, poses and measurements that belong to the old one."""
-    photos = tuple(
-        replace(p, picks=(), poses=(), shown_stage=None, stated_pose=None, stated_by="") for p in document.photos
-    )
+    """Return the document with another scan, without the picks, poses and measurements that belong to the old one.
+
+    Photographs that are matched with a station keep theirs.
+    """
     taken = {(path, scan.index) for path in scan.paths}
     others = (s for s in document.stations if (s.source.path, s.source.index) not in taken)
     stations = tuple(replace(station, rough=None) for station in others)  # rough places were seen from the old one
+    left = {station.id for station in stations}
+
+    def kept(photo: PhotoEntry) -> PhotoEntry:
+        elsewhere = tuple(work for work in photo.elsewhere if work.station in left)
+        if photo.station in left:
+            return replace(photo, elsewhere=elsewhere)
+        nothing: dict[str, Any] = {"picks": (), "poses": (), "shown_stage": None, "stated_pose": None, "stated_by": ""}
+        return replace(photo, station="", station_given=False, elsewhere=elsewhere, **nothing)
+
+    photos = tuple(map(kept, document.photos))
     return replace(document, scan=scan, photos=photos, stations=stations, measurements=())
 
 
@@ -122,7 +122,8 @@ def edited_photo(document: Document, photo_id: str, edit: Callable[[PhotoEntry],
 
 def with_camera(photo: PhotoEntry, camera: CameraGiven) -> PhotoEntry:
     """Return the photograph with another camera, without the poses found with the old one."""
-    return replace(photo, camera=camera, poses=(), shown_stage=None, camera_held=None)
+    elsewhere = tuple(replace(work, poses=(), shown_stage=None) for work in photo.elsewhere)
+    return replace(photo, camera=camera, poses=(), shown_stage=None, camera_held=None, elsewhere=elsewhere)
 
 
 def with_part(document: Document, photo_ids: Iterable[str], part: Part) -> Document:

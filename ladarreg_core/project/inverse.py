@@ -86,6 +86,10 @@ def restored(present: Document, before: Document, after: Document, *, ignore: Co
     for part, (_, new) in changes.items():
         if part not in ignore and not _same(_value_at(present, part), new):
             raise ChangedSinceError(part)
+    for name, photo_id, *_ in (part for part in changes if len(part) > 2):  # matches and poses belong to a scan, too
+        then, now = after.photo(photo_id), present.photo(photo_id)
+        if name == "photos" and then is not None and now is not None and then.station != now.station:
+            raise ChangedSinceError(("photos", photo_id, "station"))
     if ("scan",) in changes:  # rays belong to a scan: none may have been drawn in it since
         for photo in present.photos:
             then = after.photo(photo.id)

@@ -94,6 +94,15 @@ def pose_entry(
     )
 
 
+def no_matches() -> dict[str, Any]:
+    """Return the arrays of an entry without matches."""
+    matches = Matches.none()
+    shapes = {"inliers": (0,), "residuals_px": (0, 2), "residuals_m": (0,), "stereo_depth_error_m": (0,)}
+    arrays: dict[str, Any] = {name: getattr(matches, name) for name in _MATCH_ARRAYS}
+    arrays |= {name: np.zeros(shapes[name], np.bool_ if name == "inliers" else np.float64) for name in _RESULT_ARRAYS}
+    return {**arrays, "pick_ids": np.array([], np.str_)}
+
+
 def pose_of(entry: PoseEntry) -> Rigid:
     """Return the pose (camera_from_scanner) of an entry, which is available even if its matches are missing.
 

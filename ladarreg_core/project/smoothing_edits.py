@@ -10,8 +10,9 @@ import numpy as np
 from msgspec.structs import replace
 
 from ladarreg_core.errors import OptionError
-from ladarreg_core.project.document import Document, PoseEntry, SmoothingEntry, Source
+from ladarreg_core.project.document import Document, PoseEntry
 from ladarreg_core.project.edits import edited_photo, require_photo, with_pose
+from ladarreg_core.project.source import SmoothingEntry, Source
 
 if TYPE_CHECKING:
     from ladarreg_core.quality.smoothing import Replacements, SmoothedScan
@@ -24,9 +25,15 @@ def require_registered(document: Document, photo_id: str) -> PoseEntry:
     Raises:
         OptionError: if there is no scan, photograph or accepted pose.
     """
-    pose = require_photo(document, photo_id).pose
+    photo = require_photo(document, photo_id)
+    pose = photo.pose
     if document.scan is None:
         raise OptionError("there is no scan; open one")
+    if photo.station:
+        raise OptionError(
+            f"{photo.source.name} is matched with another station; ranges are replaced in {document.scan.name}: choose "
+            "a photograph beside that scan"
+        )
     if pose is None or not pose.accepted:
         raise OptionError("ranges are smoothed by an accepted pose; register the photograph first")
     return pose
@@ -56,9 +63,9 @@ def with_smoothing(document: Document, photo_id: str, replacements: Replacements
         for (row, column), range_m in zip(replacements.cells.tolist(), replacements.ranges.tolist(), strict=True)
     )
     name = require_photo(document, photo_id).source.name
-    made_of = msgspec.json.encode([document.scan.ranges, photo_id, pose.arrays.name, cells])
+    made_of = msgspec.json.encode([document.scan.ranges, photo_id, pose.name, cells])
     made = SmoothingEntry(
-        id=blake2b(made_of, digest_size=8).hexdigest(), photo=photo_id, name=name, pose=pose.arrays.name, cells=cells
+        id=blake2b(made_of, digest_size=8).hexdigest(), photo=photo_id, name=name, pose=pose.name, cells=cells
     )
     scan = replace(document.scan, smoothings=(*document.scan.smoothings, made))
     found = replace(document, scan=scan)
@@ -133,6 +140,6 @@ def smoothing_fault(document: Document) -> str:
         if photo is None:
             return f"{one.name}, by which ranges were replaced, is no longer in the project"
         pose = photo.pose
-        if pose is None or not pose.accepted or pose.arrays.name != one.pose:
+        if pose is None or not pose.accepted or pose.name != one.pose:
             return f"the pose of {one.name}, by which ranges were replaced, has changed since"
     return ""

@@ -1,4 +1,4 @@
-"""Edits of a document's stations: scans of one place from elsewhere, of which one is shown."""
+"""Edits of a document's stations: scans of one place from elsewhere, with one of which each photograph is matched."""
 
 from __future__ import annotations
 
@@ -10,12 +10,16 @@ from msgspec.structs import replace
 
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
 from ladarreg_core.frames import Rigid, rotation_about
-from ladarreg_core.project.document import Document, PhotoEntry, Rows, Source, StationEntry, Survey
-from ladarreg_core.project.edits import finite
+from ladarreg_core.project.carried import carried_pose
+from ladarreg_core.project.document import Document, PhotoEntry, Rows, StationEntry, StationWork, Survey
+from ladarreg_core.project.edits import finite, require_photo
+from ladarreg_core.project.source import Source
 
 MAX_STATIONS = 12
 """Most stations of a project besides the scan that is shown: every pair of them is compared."""
 _FARTHEST_M = 10_000.0
+_WORK = ("picks", "numbered", "poses", "shown_stage", "stated_pose", "stated_by")
+"""What belongs to a photograph beside one scan."""
 
 
 def scans_of(document: Document) -> tuple[Source, ...]:
@@ -60,9 +64,16 @@ def require_station(document: Document, station_id: object) -> StationEntry:
 
 
 def without_station(document: Document, station_id: object) -> Document:
-    """Return the document without a station."""
+    """Return the document without a station; photographs that are matched with it return to the project's scan."""
     gone = require_station(document, station_id)
-    return replace(document, stations=tuple(each for each in document.stations if each is not gone))
+    for photo in document.photos:
+        if photo.station == gone.id:
+            document = with_partner(document, photo.id, "", given=False)
+    photos = tuple(
+        replace(photo, elsewhere=tuple(work for work in photo.elsewhere if work.station != gone.id))
+        if photo.elsewhere else photo for photo in document.photos
+    )  # fmt: skip
+    return replace(document, photos=photos, stations=tuple(each for each in document.stations if each is not gone))
 
 
 def rough_pose(fields: Mapping[str, object]) -> Rigid:
@@ -174,26 +185,99 @@ def is_stale(document: Document) -> bool:
     return then != now
 
 
-def with_station_shown(document: Document, station_id: object) -> Document:
-    """Return the document with another station's scan shown, to which photographs are registered from now on.
+def known_place(document: Document, station_id: str) -> Rigid | None:
+    """Return `scan_from_station` of a station in the frame of the project's scan, as it was adjusted or registered.
 
-    The scan that was shown becomes a station, and keeps what was done on it: matches, poses and measurements return
-    with it. A photograph that has none at the new one begins at the pose that it had, if the stations are registered.
+    Args:
+        document: the document.
+        station_id: id of the station; empty: the project's scan itself.
+
+    Returns:
+        The pose; None where none was found: a rough place does not count.
+    """
+    if not station_id:
+        return Rigid.identity()
+    return place_of(document, replace(require_station(document, station_id), rough=None))
+
+
+def partner_of(document: Document, station_id: str) -> Source | None:
+    """Return the scan of a station; with an empty id that of the project; None if the project has none.
+
+    Raises:
+        OptionError: if there is no such station.
+    """
+    return require_station(document, station_id).source if station_id else document.scan
+
+
+def with_partner(document: Document, photo_id: object, station_id: str, *, given: bool) -> Document:
+    """Return the document with a photograph beside the scan of another station, with which it is matched from now on.
+
+    What was done on it beside the former scan is kept with it, and returns with that. Where nothing was done beside the
+    new one, a pose that is known is carried over: one that everything together determines stays accepted, any other
+    is where a search begins.
+
+    Args:
+        document: the document.
+        photo_id: id of the photograph.
+        station_id: id of the station; empty: the scan of the project.
+        given: whether the operator chose it.
+
+    Raises:
+        OptionError: if there is no such photograph or station, or the photograph is held in its pose.
+    """
+    photo = require_photo(document, photo_id)
+    partner_of(document, station_id)
+    if photo.part == "held" and photo.station != station_id:
+        raise OptionError(f"{photo.source.name} is held in its pose beside its station; let it take part freely first")
+    if photo.station == station_id:
+        new = photo if photo.station_given == given else replace(photo, station_given=given)
+    else:
+        new = replace(_beside(document, photo, station_id), station_given=given)
+    return replace(document, photos=tuple(new if each is photo else each for each in document.photos))
+
+
+def may_choose_partner(photo: PhotoEntry) -> bool:
+    """Return whether another station may be chosen for a photograph unasked: nothing was done beside the present one.
+
+    A pose that everything together determines holds beside all of them.
+    """
+    pose = photo.pose
+    found_here = pose is not None and pose.accepted and pose.stage != "survey"
+    return not (photo.station_given or photo.picks or found_here or photo.part == "held")
+
+
+def seen_from_scan(document: Document, photo: PhotoEntry) -> PhotoEntry:
+    """Return a photograph as it is beside the project's scan: where it is matched with another one, its pose is carried
+    over, without matches; it has none where it is not known how the two scans stand to each other.
+    """
+    if not photo.station:
+        return photo
+    place, pose = known_place(document, photo.station), photo.pose
+    assert document.scan is not None, "stations are added to a scan"
+    found: dict[str, Any] = {"poses": (), "shown_stage": None}
+    if place is not None and pose is not None:
+        sigma_m, sigma_rad = _place_sigmas(document, photo.station, "")
+        carried = carried_pose(pose, place.inverse, document.scan, sigma_m=sigma_m, sigma_rad=sigma_rad)
+        found = {"poses": (carried,), "shown_stage": pose.stage}
+    return replace(photo, station="", elsewhere=(), picks=(), stated_pose=None, stated_by="", **found)
+
+
+def with_station_shown(document: Document, station_id: object) -> Document:
+    """Return the document with another station's scan as the project's, to whose frame it refers from now on.
+
+    The former one becomes a station, and keeps what was measured on it. Photographs beside it come to be beside the new
+    one, see `with_partner`; those that are matched with other stations stay with them.
     """
     chosen = require_station(document, station_id)
     assert document.scan is not None, "stations are added to a scan"
     between = place_of(document, chosen)
-    registered = surveyed_pose(document.survey, chosen.source) is not None
-    kept = {photo.id: photo for photo in chosen.photos}
+    number = document.numbered_stations + 1
+    renamed = {"": f"s{number}", chosen.id: ""}
     photos = tuple(
-        _at_other_station(photo, kept.get(photo.id), between if registered else None, document.scan.name)
-        for photo in document.photos
+        _renamed(photo if photo.station else _beside(document, photo, chosen.id), renamed) for photo in document.photos
     )
     rough = None if between is None else _rows(between.inverse)
-    number = document.numbered_stations + 1
-    before = StationEntry(
-        id=f"s{number}", source=document.scan, photos=document.photos, rough=rough, measurements=document.measurements
-    )
+    before = StationEntry(id=f"s{number}", source=document.scan, rough=rough, measurements=document.measurements)
     stations = tuple(
         before if each is chosen else replace(each, rough=_seen_from(each.rough, between)) for each in document.stations
     )
@@ -203,16 +287,76 @@ def with_station_shown(document: Document, station_id: object) -> Document:
     )  # fmt: skip
 
 
-def _at_other_station(photo: PhotoEntry, kept: PhotoEntry | None, between: Rigid | None, name: str) -> PhotoEntry:
-    if kept is not None and kept.source == photo.source and kept.camera == photo.camera and (kept.picks or kept.poses):
-        return replace(
-            photo, picks=kept.picks, poses=kept.poses, shown_stage=kept.shown_stage, numbered=kept.numbered,
-            stated_pose=kept.stated_pose, stated_by=kept.stated_by,
-        )  # fmt: skip
-    stated, by = None, ""
-    if between is not None and photo.pose is not None and photo.pose.accepted:
-        stated, by = _rows(Rigid.from_matrix(photo.pose.camera_from_scanner) @ between), name
-    return replace(photo, picks=(), poses=(), shown_stage=None, stated_pose=stated, stated_by=by)
+def _renamed(photo: PhotoEntry, names: Mapping[str, str]) -> PhotoEntry:
+    elsewhere = tuple(replace(work, station=names.get(work.station, work.station)) for work in photo.elsewhere)
+    return replace(photo, station=names.get(photo.station, photo.station), elsewhere=elsewhere)
+
+
+def _beside(document: Document, photo: PhotoEntry, station_id: str) -> PhotoEntry:
+    """Return a photograph beside another scan than it is."""
+    kept = next((work for work in photo.elsewhere if work.station == station_id), None)
+    others = tuple(work for work in photo.elsewhere if work.station != station_id)
+    left = StationWork(station=photo.station, **{name: getattr(photo, name) for name in _WORK})
+    elsewhere = (*others, left) if left.picks or left.poses or left.stated_pose is not None else others
+    new = replace(photo, station=station_id, elsewhere=elsewhere)
+    found: PhotoEntry | StationWork | None = kept or _kept_by_station(document, photo, station_id)
+    if found is not None and (found.picks or found.poses):
+        return replace(new, **{name: getattr(found, name) for name in _WORK})
+    return replace(new, picks=(), **_carried(document, photo, station_id))
+
+
+def _kept_by_station(document: Document, photo: PhotoEntry, station_id: str) -> PhotoEntry | None:
+    """Return a photograph as an earlier version of the program kept it with a station."""
+    if not station_id:
+        return None
+    kept = next((each for each in require_station(document, station_id).photos if each.id == photo.id), None)
+    same = kept is not None and kept.source == photo.source and kept.camera == photo.camera
+    return kept if same else None
+
+
+def _carried(document: Document, photo: PhotoEntry, station_id: str) -> dict[str, Any]:
+    """Return the pose of a photograph as it is known beside another scan, as fields of its entry."""
+    found: dict[str, Any] = {"poses": (), "shown_stage": None, "stated_pose": None, "stated_by": ""}
+    was, now = known_place(document, photo.station), known_place(document, station_id)
+    source, pose = partner_of(document, station_id), photo.pose
+    former = partner_of(document, photo.station)
+    if was is None or now is None or source is None or former is None:
+        return found
+    from_new = was.inverse @ now
+    if pose is not None and pose.accepted:
+        found |= {
+            "stated_pose": _rows(Rigid.from_matrix(np.array(pose.camera_from_scanner)) @ from_new),
+            "stated_by": former.name,
+        }
+        if pose.stage == "survey":
+            sigma_m, sigma_rad = _place_sigmas(document, photo.station, station_id)
+            carried = carried_pose(pose, from_new, source, sigma_m=sigma_m, sigma_rad=sigma_rad)
+            found |= {"poses": (carried,), "shown_stage": "survey"}
+    elif photo.stated_pose is not None:
+        found |= {
+            "stated_pose": _rows(Rigid.from_matrix(np.array(photo.stated_pose)) @ from_new),
+            "stated_by": photo.stated_by or former.name,
+        }
+    return found
+
+
+def _place_sigmas(document: Document, one: str, other: str) -> tuple[float, float]:
+    """Return how well the places of two scans are known together, m and rad; those of the first scan are exact."""
+    total = np.zeros(2)
+    for source in (partner_of(document, one), partner_of(document, other)):
+        adjusted = () if document.adjusted is None or source is None else document.adjusted.scans
+        found = next((each for each in adjusted if source is not None and _key(each.source) == _key(source)), None)
+        stated = stated_station(document.survey, source)
+        if found is not None and found.world_from_scanner is not None:
+            sigmas = [found.sigma_m or 0.0, found.sigma_rad or 0.0]
+        elif stated is not None and stated["sigma_mm"] is not None and stated["sigma_deg"] is not None:
+            mm, deg = (np.array([0 if each is None else each for each in stated[n]]) for n in ("sigma_mm", "sigma_deg"))
+            sigmas = [float(np.linalg.norm(mm)) / 1000, float(np.radians(np.linalg.norm(deg)))]
+        else:
+            sigmas = [0.0, 0.0]
+        total += np.square(sigmas)
+    sigma_m, sigma_rad = np.sqrt(total).tolist()
+    return sigma_m, sigma_rad
 
 
 def _seen_from(rough: Rows | None, between: Rigid | None) -> Rows | None:

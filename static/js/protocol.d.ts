@@ -16,7 +16,7 @@ export interface Commands {
   acquire_take_over: Record<string, never>;
   add_embedded: { images: number[] };
   add_measurement: { kind: "point" | "distance" | "polyline" | "angle" | "area" | "height"; places: (Record<string, unknown>)[] };
-  add_pick: { photo: string; kind: "point" | "line"; scan: number[][]; photo_uv: number[][] };
+  add_pick: { photo: string; kind: "point" | "line"; scan: number[][]; photo_uv: number[][]; station?: string | null };
   add_tie: { photos: string[]; uv: number[][]; sigma_px?: number };
   adjust: { photos?: string[] | null };
   apply_smoothing: { photo: string; rev: string; edges?: boolean };
@@ -71,6 +71,7 @@ export interface Commands {
   set_part: { photos: string[]; part: "free" | "held" | "out" };
   set_pick: { photo: string; pick: string; scan?: number[][] | null; photo_uv?: number[][] | null; on?: boolean | null; weight?: number | null };
   set_settings: { [NAME: string]: unknown };
+  set_station: { photo: string; station?: string };
   show_photo: { photo: string };
   show_station: { station: string };
   show_view: { side: "scan" | "photo"; photo?: string | null; view?: number; zoom: number; centre?: number[] | null };

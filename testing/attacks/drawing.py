@@ -13,8 +13,9 @@ from ladarreg.session.session import Session
 
 from ladarreg_core.matches import Pick
 from ladarreg_core.project import edits
-from ladarreg_core.project.document import Document, Source
+from ladarreg_core.project.document import Document
 from ladarreg_core.project.history import NOBODY, History
+from ladarreg_core.project.source import Source
 from ladarreg_core.project.storage.folder import ProjectFolder
 from testing.attacks.full_disk import largest_file
 

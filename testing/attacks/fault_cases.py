@@ -28,8 +28,9 @@ from ladarreg_core.export.targets.zip_file import write_zip
 from ladarreg_core.formats.scans.npz import write_npz_xyz
 from ladarreg_core.outputs.integrity import check_integrity
 from ladarreg_core.project import edits
-from ladarreg_core.project.document import Document, Source
+from ladarreg_core.project.document import Document
 from ladarreg_core.project.history import NOBODY, History
+from ladarreg_core.project.source import Source
 from ladarreg_core.project.storage.duplicate import duplicate_project
 from ladarreg_core.project.storage.folder import ProjectFolder, is_project
 from ladarreg_core.storage.manifest import read_manifest

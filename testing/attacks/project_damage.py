@@ -15,8 +15,9 @@ from ladarreg.workbench.launch import open_workbench
 
 from ladarreg_core.errors import FormatError
 from ladarreg_core.project import edits
-from ladarreg_core.project.document import Document, Source
+from ladarreg_core.project.document import Document
 from ladarreg_core.project.history import Author, History
+from ladarreg_core.project.source import Source
 from ladarreg_core.project.storage.folder import ProjectFolder
 from ladarreg_core.simulate.sample import sample_folder
 from testing.scenes.documents import a_pick, with_an_answer

@@ -9,8 +9,9 @@ from ladarreg_core.frames import ThesisParameters
 from ladarreg_core.matches import Pick
 from ladarreg_core.pose.estimate import estimate_pose
 from ladarreg_core.project import edits
-from ladarreg_core.project.document import Document, Source
+from ladarreg_core.project.document import Document
 from ladarreg_core.project.results import pose_entry
+from ladarreg_core.project.source import Source
 from ladarreg_core.results import PoseResult
 
 SOURCE = Source(path="photo.png", name="photo.png", size=3)

@@ -95,7 +95,7 @@ class Operator:
         assert box is not None
         width, height = body.evaluate("(body) => [body.clientWidth, body.clientHeight]")  # whole CSS pixels
         if side == "scan":
-            view = self.slice("scan")["views"][0]
+            view = (self.slice("beside") or self.slice("scan"))["views"][0]
             size = (view["width"], view["height"])
         else:
             photo = self.slice("photos")[0]

@@ -19,9 +19,10 @@ from ladarreg_core.frames import ThesisParameters
 from ladarreg_core.matches import Pick
 from ladarreg_core.pose.estimate import estimate_pose
 from ladarreg_core.project import edits
-from ladarreg_core.project.document import Document, PoseEntry, Source
+from ladarreg_core.project.document import Document, PoseEntry
 from ladarreg_core.project.history import History
 from ladarreg_core.project.results import pose_entry, registration_of
+from ladarreg_core.project.source import Source
 from ladarreg_core.project.storage.folder import ProjectFolder
 
 WHEN = "2026-01-02T03:04:05+00:00"

@@ -81,6 +81,7 @@ SOUND: dict[str, list[dict[str, Any]]] = {
         {"photo": "p1"},
     ],
     "show_station": [{"station": "s1"}],
+    "set_station": [{"photo": "p1", "station": "s1"}, {"photo": "p1"}],
     "remove_station": [{"station": "s1"}],
     "acquire_ports": [{}],
     "acquire_check": [{"plan": PLAN}],

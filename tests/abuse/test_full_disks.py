@@ -20,8 +20,8 @@ from ladarreg.exit_codes import ExitCode
 from ladarreg.session.session import Session
 
 from ladarreg_core.errors import ExportError, UnsavedError
-from ladarreg_core.project.document import Source
 from ladarreg_core.project.history import NOBODY
+from ladarreg_core.project.source import Source
 from ladarreg_core.project.storage.folder import ProjectFolder
 from ladarreg_core.project.storage.rescue import write_rescue_copy
 from ladarreg_core.simulate.sample import sample_folder

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -387,3 +388,73 @@ def test_who_looks_from_the_camera_sees_its_photograph_as_opaque_as_the_slider_s
     page.get_by_role("button", name="Overview", exact=True).click()
     slider.wait_for(state="hidden")
     assert frame.evaluate(SHEET) is None, "from elsewhere nothing would lie on its place"
+
+
+def test_two_textures_are_mixed_as_the_slider_says_without_another_transfer(visit: Visit) -> None:
+    page = visit.page
+    page.set_viewport_size({"width": 1280, "height": 900})
+    visit.drawn()
+    page.locator("#model-pane [data-whole]").wait_for()
+    page.keyboard.press("m")  # without matches and camera
+    legend, bar = page.get_by_role("group", name="Legend"), page.get_by_role("group", name="Blend of two textures")
+    titles = {"intensity": "laser intensity", "range": "Range from the scanner, m"}
+
+    def texture(kind: str) -> None:
+        page.get_by_label(TEXTURE).select_option(kind)
+        legend.locator("p", has_text=re.compile(titles[kind], re.IGNORECASE)).wait_for()
+
+    def mix(kind: str) -> None:
+        page.get_by_role("button", name="Display", exact=True).click()
+        page.get_by_label("Blend with").select_option(kind)
+        page.keyboard.press("Escape")
+
+    def still() -> np.ndarray:
+        """Return what is seen once it is the same twice."""
+        before = visit.pixels()
+        while True:
+            two_frames(page)
+            shown = visit.pixels()
+            if np.array_equal(shown, before):
+                return shown
+            before = shown
+
+    texture("range")
+    second = still()
+    texture("intensity")
+    first = still()
+    assert colorful(first) < 0.02, "gray alone"
+    assert colorful(second) > 0.1
+    assert bar.is_hidden()
+
+    mix("range")
+    page.locator("#model-pane [data-mixed]").wait_for()
+    for title in titles.values():
+        legend.locator("p", has_text=re.compile(title, re.IGNORECASE)).wait_for()
+    box, body = legend.bounding_box(), page.locator("#model-pane .pane-body").bounding_box()
+    assert box is not None
+    assert body is not None
+    rows = int(box["y"] - body["y"]) - 60 - 4  # above the legends and the slider
+    first, second = first[:rows], second[:rows]
+    requested = len(visit.requested)
+    for share in (0.0, 0.5, 1.0, 0.25):
+        bar.get_by_role("slider").fill(str(share))
+        expected = (1 - share) * first + share * second
+        visit.until(
+            lambda seen, expected=expected: np.abs(seen[:rows] - expected).mean() < 1.5,
+            f"both textures, {share:.0%} of the second",
+        )
+    shown = still()[:rows]
+    assert np.percentile(np.abs(shown - (0.75 * first + 0.25 * second)), 99) < 8, "at nearly every pixel"
+    assert np.abs(shown - (0.25 * first + 0.75 * second)).mean() > 4, "the control: shares exchanged"
+    assert len(visit.requested) == requested, "the graphics card mixes them"
+
+    texture("range")  # the one that was mixed in
+    page.locator("#model-pane [data-mixed]").wait_for(state="detached")
+    assert bar.is_hidden()
+    visit.until(lambda seen: np.abs(seen[:rows] - second).mean() < 1, "it alone")
+    page.get_by_label(TEXTURE).select_option("colour")  # a texture with single colours, mixed with one with a scale
+    page.locator("#model-pane [data-mixed]").wait_for()
+    legend.locator("p", has_text="Colour of the photograph").wait_for()
+    mix("")
+    page.locator("#model-pane [data-mixed]").wait_for(state="detached")
+    assert bar.is_hidden()

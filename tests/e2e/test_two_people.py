@@ -12,7 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from ladarreg_core.formats import read_scan
+from ladarreg_core.formats.scans.npz import write_npz_xyz
 from ladarreg_core.simulate.sample import sample_folder
+from testing.scenes.thinned_scan import thinned
 from testing.workbench.operator import Operator
 from testing.workbench.pages import LONGEST_MS, choose_photo, photo_in_list, without_model
 from testing.workbench.served import Served, served
@@ -23,6 +26,7 @@ if TYPE_CHECKING:
 
 SIZE: Any = {"width": 1366, "height": 768}
 PHOTO = next(sample_folder().glob("photo.*")).name
+BESIDE = "Scan beside the photograph"
 SLICE = "(name) => import('./js/net/store.js').then(({ store }) => store.get(name))"
 
 
@@ -109,6 +113,43 @@ def test_a_colleague_who_adds_a_photograph_does_not_disturb_a_line_that_is_being
     ben.page.reload()
     ben.page.get_by_role("button", name="connected").wait_for()
     assert shown_photo(ben.page).startswith("second.png")
+
+
+@pytest.mark.slow
+def test_each_sees_the_scan_of_the_station_beside_his_or_her_photograph(
+    ann: Person, ben: Person, tmp_path: Path
+) -> None:
+    folder = sample_folder()
+    station, second = tmp_path / "window.npz", tmp_path / "second.png"
+    write_npz_xyz(station, thinned(read_scan(folder / "scan.npz"), 2))
+    second.write_bytes(next(folder.glob("photo.*")).read_bytes())
+    assert not ann.page.get_by_label(BESIDE).is_visible(), "there is one scan only"
+    ann.step("Survey")
+    ann.page.get_by_role("region", name="Stations", exact=True).locator("input[type=file]").set_input_files(
+        str(station)
+    )
+    ben.add_photo(second)
+    ann.page.get_by_label(BESIDE).select_option(label="window.npz")
+    ann.wait(lambda: (ann.slice("beside") or {}).get("name") == "window.npz", "the station's scan is beside it")
+    assert ben.slice("beside") is None
+    assert ben.page.get_by_label(BESIDE).input_value() == ""
+    ann.step("Match")
+    drawn = {}
+    for person, photo in ((ann, "p1"), (ben, "p2")):
+        person.draw("scan", [(420, 200), (760, 280)] if person is ben else [(210, 100), (380, 140)])
+        person.draw("photo", [(300, 200), (410, 220)])
+        person.wait(lambda: person.slice(f"picks:{photo}"), "the line is drawn")  # noqa: B023
+        drawn[photo] = person.slice(f"picks:{photo}")
+        person.shot("beside")
+    # A person who looks at both photographs sees each beside its own scan; what was drawn returns with the scan.
+    choose_photo(ben.page, PHOTO)
+    ben.wait(lambda: (ben.slice("beside") or {}).get("name") == "window.npz", "its scan comes with the photograph")
+    ann.page.get_by_label(BESIDE).select_option(index=0)
+    ann.wait(lambda: ann.slice("beside") is None and not ann.slice("picks:p1"), "the line belongs to the other scan")
+    ben.wait(lambda: ben.slice("beside") is None, "who looks at the same photograph sees the same scan")
+    ann.page.keyboard.press("Control+z")
+    ann.wait(lambda: ann.slice("picks:p1") == drawn["p1"], "it returns with the other scan")
+    assert ben.slice("picks:p2") == drawn["p2"]
 
 
 @pytest.mark.slow

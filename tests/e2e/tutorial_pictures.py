@@ -1,5 +1,7 @@
 """Makes the pictures of the tutorial: python -m tests.e2e.tutorial_pictures [FOLDER], by default docs/pictures.
 
+With --potree, the picture of an export for Potree alone.
+
 Does what docs/tutorial.md and docs/manual.md describe, on the simulated pair that they name, and keeps what is seen.
 """
 
@@ -12,16 +14,24 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
 import ladarreg_core as lr
 from benchmarks.newcomer import Hands, empty_workbench, newcomer
+from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
+from ladarreg_core.export.targets.pipeline import export_to
+from ladarreg_core.photo import Photo
 from ladarreg_core.simulate.sample import sample_folder
+from testing.files.web_folder import published
+from testing.scenes.small_registration import sample_registration
 from testing.scenes.spiked_scan import spiked_sample
+from testing.scenes.survey_set import simulate_survey
 from testing.workbench.browser import FLAGS, find_chromium
 from testing.workbench.operator import drop
 from testing.workbench.served import Page as Socket
@@ -32,6 +42,8 @@ if TYPE_CHECKING:
 WINDOW = {"width": 1440, "height": 900}
 SCENE = ("simulate", "office", "--seed", "4", "-o")
 _COLORS = 256
+_POTREE = "--potree"
+CHECKOUT = Path(__file__).resolve().parents[2]
 _NO_HINT = "localStorage.setItem('ladarreg-software-drawing', 'dismissed')"
 _MEASURED = (
     (("photo", 0.62, 0.32), ("photo", 0.82, 0.62)),
@@ -42,13 +54,16 @@ _MANUAL = {"3-drawn": "drawn", "4-accepted": "solved"}
 
 
 def main() -> None:
-    target = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parents[2] / "docs" / "pictures"
+    words = [word for word in sys.argv[1:] if word != _POTREE]
+    target = Path(words[0]) if words else CHECKOUT / "docs" / "pictures"
     target.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as driver:
         chromium = driver.chromium.launch(executable_path=find_chromium(), args=list(FLAGS))
-        _tutorial(Path(folder), chromium, target)
-        _manual(Path(folder), chromium, target)
-        _smoothing(Path(folder), chromium, target)
+        if _POTREE not in sys.argv:
+            _tutorial(Path(folder), chromium, target)
+            _manual(Path(folder), chromium, target)
+            _smoothing(Path(folder), chromium, target)
+        _potree(Path(folder), chromium, target)
         chromium.close()
 
 
@@ -147,6 +162,37 @@ def _smoothing(folder: Path, chromium: Browser, target: Path) -> None:
         page.wait_for_timeout(6000)
         _keep(page, target / "smoothing.png")
         context.close()
+
+
+def _potree(folder: Path, chromium: Browser, target: Path) -> None:
+    """Export a survey for Potree; show its photographs in the cloud, and one of them half over it."""
+    survey = simulate_survey("office", seed=3, stations=1, photos=9, strangers=0, step_deg=0.1, size=0.75)
+    photos = []
+    for one in survey.photos:
+        assert one.camera_from_world is not None
+        camera, pose = survey.cameras[one.camera], survey.in_first(one.camera_from_world)
+        known = replace(sample_registration(), camera=camera, camera_from_scanner=pose)
+        photos.append(RegisteredPhoto(f"p{len(photos) + 1}", Photo(one.pixels, camera, name=one.name), known))
+    out = folder / "potree"
+    export_to(out, RegisteredScan(survey.scans[0], photos), ["potree"])
+    npm, view = CHECKOUT / "node_modules", CHECKOUT / "testing" / "files" / "potree_view"
+    page = chromium.new_page(viewport={"width": 900, "height": 600})
+    shots = []
+    with published({"/export": out / "potree", "/npm": npm, "/view": view}) as address:
+        page.goto(f"{address}/view/")
+        page.wait_for_selector("html[data-ready]", state="attached", timeout=120_000)
+        for call in ("overview([2.4, -3.4, 0.75], [-0.8, 0.6, -0.25])", "show('cloud', 3)", "show('shown', 3)"):
+            page.evaluate(call)
+            page.wait_for_timeout(2000)  # until it is drawn once
+            page.wait_for_function("points().waiting === 0", timeout=120_000)
+            page.wait_for_timeout(2000)
+            shots.append(np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB")))
+    page.close()
+    middle = shots[1].shape[1] // 2
+    through = np.concatenate([shots[1][:, :middle], shots[2][:, middle:]], axis=1)
+    png = io.BytesIO()
+    Image.fromarray(np.concatenate([shots[0], np.full((600, 8, 3), 255, np.uint8), through], axis=1)).save(png, "PNG")
+    _write(png.getvalue(), target / "potree.png")
 
 
 @contextmanager

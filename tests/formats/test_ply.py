@@ -137,7 +137,7 @@ def test_large_coordinates_keep_their_digits(tmp_path: Path, wall: Scan) -> None
 
 def test_our_own_cloud_is_read_back(tmp_path: Path, wall: Scan) -> None:
     from ladarreg_core.camera import Camera
-    from ladarreg_core.export.models.ply import write_ply
+    from ladarreg_core.export.clouds.ply import write_ply
     from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
     from ladarreg_core.photo import Photo
     from ladarreg_core.surface.texture.registered_texture import texture_scan

@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.matches import Pick
 from ladarreg_core.project import edits, own_steps
-from ladarreg_core.project.document import CameraGiven, Document, PoseEntry, Source
+from ladarreg_core.project.document import CameraGiven, Document, PoseEntry
 from ladarreg_core.project.history import Author, Entry, History
 from ladarreg_core.project.inverse import changed_parts, restored
+from ladarreg_core.project.source import Source
 from ladarreg_core.project.stored_arrays import StoredArrays
 
 WHEN = "2026-01-01T00:00:00+00:00"

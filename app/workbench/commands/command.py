@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from ..files.opening import Files
     from ..state.clients import Client, Clients
     from ..state.measured import Measured
+    from ..state.partners import Partners
     from ..state.queries import Queries
     from ..state.selection import Selection
     from ..state.smoothing import Smoothing
@@ -102,6 +103,7 @@ class Context(Protocol):
     stations: Stations
     measured: Measured
     smoothing: Smoothing
+    partners: Partners
 
     def set_model(self, client: Client, wanted: Mapping[str, Any]) -> None:
         """Change the display of the model for a client."""

@@ -17,6 +17,7 @@ from .matches import PhotoCommand
 
 if TYPE_CHECKING:
     from ladarreg_core.frames import Rigid
+    from ladarreg_core.project.document import PhotoEntry
 
     from ..state.clients import Client
 
@@ -80,7 +81,8 @@ class Refine(WorkbenchCommand, frozen=True):
     def execute(self, context: Context, client: Client) -> Reply:
         """Start it."""
         given = self.camera_from_scanner
-        initial = seen_by(context, client) if given is None else edits.pose(given)
+        entry = edits.require_photo(context.session.document, self.photo)
+        initial = seen_by(context, client, entry) if given is None else edits.pose(given)
         return {"job": context.jobs.run_refine(self.photo, client.author, initial)}
 
 
@@ -106,7 +108,8 @@ class PlaceCamera(PhotoCommand, frozen=True):
             turn_rad = [radians(each) for each in self.turn_deg or _NOTHING]
             placed = edits.pose(nudged(before, shift_m=self.shift_m or _NOTHING, turn_rad=turn_rad).matrix)
         if context.scene is not None:
-            context.scene.place_camera(client.id, placed)
+            in_view = None if placed is None else placed @ context.queries.place_beside(self.entry(context)).inverse
+            context.scene.place_camera(client.id, in_view)
         return {"camera_from_scanner": None if placed is None else placed.matrix.tolist()}
 
     def _before(self, context: Context, client: Client) -> Rigid | None:
@@ -124,19 +127,23 @@ class PlaceCamera(PhotoCommand, frozen=True):
                 raise OptionError("no pose is shown; start from the scanner or from the 3-D view")
             return pose_of(entry.pose)
         if self.start == "scanner":
-            scan = context.loader.scan(context.session.document)
+            scan = context.loader.scan(context.session.document.beside(entry))
             if scan is None:
                 raise OptionError("there is no scan; open one")
             return pose_at_scanner(scan)
-        return seen_by(context, client)
+        return seen_by(context, client, entry)
 
 
-def seen_by(context: Context, client: Client) -> Rigid:
-    """Return the pose of a camera that stands where a client looks from; raises `OptionError` without a 3-D view."""
+def seen_by(context: Context, client: Client, entry: PhotoEntry) -> Rigid:
+    """Return the pose of a camera that stands where a client looks from, in the frame of the scan beside a photograph.
+
+    Raises:
+        OptionError: without a 3-D view, or where that frame is not known in it.
+    """
     seen = None if context.scene is None else context.scene.pose_of(client.id)
     if seen is None:
         raise OptionError("the 3-D view is not open yet; wait until the model is shown")
-    return seen
+    return seen @ context.queries.place_beside(entry)
 
 
 class JobControl(WorkbenchCommand, frozen=True):

@@ -53,12 +53,13 @@ def step_reply(number: int | None) -> Reply:
 
 
 class AddPick(PhotoCommand, frozen=True):
-    """adds a point or line: one coordinate on each side, or two"""
+    """adds a point or line: one coordinate on each side, or two; `station` is that whose scan it was drawn in"""
 
     replies: ClassVar[str] = "pick"
     kind: Annotated[Literal["point", "line"], Meta(title="a match is a 'point' or a 'line'")]
     scan: Rays
     photo_uv: Pixels
+    station: str | None = None
 
     def execute(self, context: Context, client: Client) -> Reply:
         """Add it."""
@@ -69,6 +70,8 @@ class AddPick(PhotoCommand, frozen=True):
 
         def edit(photo: PhotoEntry) -> PhotoEntry:
             nonlocal made
+            if self.station is not None and self.station != photo.station:
+                raise OptionError(f"{photo.source.name} is beside another scan by now; draw the match again")
             photo, made = edits.with_picks(photo, [pick])
             return photo
 
@@ -214,7 +217,10 @@ class Snap(WorkbenchCommand, frozen=True):
     def execute(self, context: Context, client: Client) -> Reply:
         """Return where they snap to."""
         ends = edits.pixels(self.ends)
-        found = context.queries.snapped(self.side, self.view, self.photo, ends, px_per_screen=self.px_per_screen)
+        shown = context.selection.photo_of(client)
+        found = context.queries.snapped(
+            self.side, self.view, self.photo, ends, shown=shown, px_per_screen=self.px_per_screen
+        )
         return {"ends": [list(end) for end in ends] if found is None else found, "found": found is not None}
 
 
@@ -227,7 +233,7 @@ class SampleLine(WorkbenchCommand, frozen=True):
 
     def execute(self, context: Context, client: Client) -> Reply:
         """Return them."""
-        return context.queries.sample_line(edits.rays(self.scan))
+        return context.queries.sample_line(edits.rays(self.scan), context.selection.photo_of(client))
 
 
 class Probe(WorkbenchCommand, frozen=True):
@@ -241,7 +247,7 @@ class Probe(WorkbenchCommand, frozen=True):
 
     def execute(self, context: Context, client: Client) -> Reply:
         """Return it."""
-        return context.queries.probe(edits.rays([self.scan])[0])
+        return context.queries.probe(edits.rays([self.scan])[0], context.selection.photo_of(client))
 
 
 def _existing(entry: PhotoEntry, ids: list[str]) -> list[str]:

@@ -39,9 +39,20 @@ class OfPlaces(WorkbenchCommand, frozen=True):
     kind: Kind
     places: Places
 
-    def picked(self) -> tuple[MeasuredPlace, ...]:
-        """Return the points; raises `OptionError` if one is neither a ray nor a pixel."""
-        return tuple(_place(one) for one in self.places)
+    def picked(self, context: Context, client: Client) -> tuple[MeasuredPlace, ...]:
+        """Return the points.
+
+        Raises:
+            OptionError: if one is neither a ray nor a pixel, or was picked in a scan that is not the project's.
+        """
+        places = tuple(_place(one) for one in self.places)
+        shown, scan = context.selection.photo_of(client), context.session.document.scan
+        if scan is not None and shown is not None and shown.station and not all(one.photo for one in places):
+            raise OptionError(
+                f"the scan of another station is shown here, and measurements are of {scan.name}: pick in the "
+                "photograph, or choose that scan beside it"
+            )
+        return places
 
 
 class Measure(OfPlaces, frozen=True):
@@ -54,7 +65,7 @@ class Measure(OfPlaces, frozen=True):
 
     def execute(self, context: Context, client: Client) -> Reply:
         """Measure them."""
-        return context.measured.preview(self.kind, self.picked())
+        return context.measured.preview(self.kind, self.picked(context, client))
 
 
 class AddMeasurement(OfPlaces, frozen=True):
@@ -64,7 +75,7 @@ class AddMeasurement(OfPlaces, frozen=True):
 
     def execute(self, context: Context, client: Client) -> Reply:
         """Keep it."""
-        places = self.picked()
+        places = self.picked(context, client)
         for one in places:
             if one.photo:
                 require_photo(context.session.document, one.photo)

@@ -37,10 +37,12 @@ class PictureCommand(WorkbenchCommand, frozen=True):
     photo: str | None = None
     view: ViewIndex = 0
 
-    def place(self, name: str, at: list[float] | None) -> Reply:
-        """Return the picture, and the place under a name."""
+    def place(self, context: Context, client: Client, name: str, at: list[float] | None) -> Reply:
+        """Return the picture, of the scan with the station that it is of, and the place under a name."""
         uv = None if at is None else list(edits.pixels([at])[0])
-        return {"side": self.side, "view": self.view, "photo": self.photo, name: uv}
+        shown = context.selection.photo_of(client)
+        station = shown.station if shown is not None and self.side == "scan" else ""
+        return {"side": self.side, "view": self.view, "photo": self.photo, "station": station, name: uv}
 
 
 class Point(PictureCommand, frozen=True):
@@ -53,7 +55,7 @@ class Point(PictureCommand, frozen=True):
         """Show it."""
         others = {other.id for other in context.clients.present} - {client.id}
         if others:
-            context.tell({"event": "cursor", "client": client.id, **self.place("uv", self.uv)}, others)
+            context.tell({"event": "cursor", "client": client.id, **self.place(context, client, "uv", self.uv)}, others)
         return {}
 
 
@@ -67,7 +69,7 @@ class ShowView(PictureCommand, frozen=True, kw_only=True):
     def execute(self, context: Context, client: Client) -> Reply:
         """Show it."""
         followers = {other.id for other in context.clients.present if other.follows == client.id} - {client.id}
-        place = self.place("centre", self.centre)
+        place = self.place(context, client, "centre", self.centre)
         if followers:
             context.tell({"event": "view", "client": client.id, "zoom": self.zoom, **place}, followers)
         return {}

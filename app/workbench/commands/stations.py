@@ -9,6 +9,7 @@ from msgspec import Meta
 from ladarreg_core.project import station_edits
 
 from .command import Context, Reply, StationId, WorkbenchCommand
+from .matches import PhotoCommand, step_reply
 
 if TYPE_CHECKING:
     from ..state.clients import Client
@@ -53,8 +54,8 @@ class PlaceStation(WorkbenchCommand, frozen=True):
 
 
 class ShowStation(WorkbenchCommand, frozen=True):
-    """shows another station's scan, to which photographs are registered from now on; the matches and poses at each
-    station are kept
+    """makes another station's scan the project's, to whose frame all refers from now on; photographs beside the former
+    one are matched with it, and their matches and poses beside each station are kept
     """
 
     station: StationId
@@ -63,6 +64,18 @@ class ShowStation(WorkbenchCommand, frozen=True):
         """Show it."""
         context.stations.show(self.station, client.author)
         return {}
+
+
+class SetStation(PhotoCommand, frozen=True):
+    """matches a photograph with the scan of a station (empty: the project's), which is shown beside it from now on; its
+    matches and poses beside each scan are kept
+    """
+
+    station: Annotated[str, Meta(title="the station is no longer in the project; choose another")] = ""
+
+    def execute(self, context: Context, client: Client) -> Reply:
+        """Match it."""
+        return step_reply(context.partners.choose(self.photo, self.station, client.author))
 
 
 class RemoveStation(WorkbenchCommand, frozen=True):

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.project import edits
-from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source
+from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry
+from ladarreg_core.project.source import Source
 
 from ...session.isolated_readers import READERS
 from ...session.loader import Loader

@@ -15,8 +15,9 @@ import msgspec
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project import edits
-from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source
+from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry
 from ladarreg_core.project.history import NOBODY, Author
+from ladarreg_core.project.source import Source
 from ladarreg_core.project.station_edits import scans_of, with_stations
 
 from ...session.isolated_readers import READERS
@@ -234,7 +235,7 @@ class Files:
         return made
 
     def _matches(self, path: Path, name: str, entry: PhotoEntry, client: Client | None) -> str:
-        scan = self._loader.scan(self._session.document)
+        scan = self._loader.scan(self._session.document.beside(entry))
         if scan is None:
             raise OptionError("matches need a scan; open the scan first")
         picks = [replace(pick, origin="file") for pick in self._loader.read_matches(path, scan)]

@@ -9,7 +9,7 @@ import msgspec
 from msgspec import Meta
 
 from ladarreg_core.errors import OptionError
-from ladarreg_core.project.document import Source
+from ladarreg_core.project.source import Source
 
 from ...decoding import decoded
 

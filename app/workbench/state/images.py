@@ -9,16 +9,18 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
+import numpy as np
+from msgspec.structs import replace
+
 from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.project import edits
 
 from ...gateway.protocol import Picture
 from ...session.loader import Loader
 from ...session.session import Session
-from .slices import photo_revision
+from .slices import photo_revision, scan_id
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from ladarreg_core.frames import Rigid
@@ -44,7 +46,7 @@ class Images:
 
         Args:
             path: path below `picture/`: `scan`, `strip`, `photo/ID`, `overlay/ID` or `registered/ID`.
-            query: query parameters, see docs/workbench.md.
+            query: query parameters, see docs/workbench.md; `rev` of a scan says which one of the project's is meant.
 
         Raises:
             LadarregError: if there is no such image.
@@ -52,25 +54,39 @@ class Images:
         kind, _, photo_id = path.strip("/").partition("/")
         document = self._session.document
         if kind == "scan" and not photo_id:
-            return self._scan(query)
+            return self._scan(self._of_scan(query.get("rev", "")), query)
         if kind == "strip" and not photo_id:
-            return self._strip(query)
+            return self._strip(self._of_scan(query.get("rev", "")), query)
         entry = document.photo(photo_id)
         if entry is None:
             raise OptionError("there is no such photograph")
+        if kind == "photo" and query.get("form") == "small" and "part" not in query:
+            return self._small_photo(entry)
         if kind == "photo":
             key: Any = ("photo", entry.source, entry.camera.file)
             return self._sent(key, lambda: self._loader.viewable_photo(entry).pixels, query, natural=True)
         options = tuple(sorted((k, v) for k, v in query.items() if k not in _OF_NO_PIXEL))
         if kind == "overlay" and "pose" in query:
             placed = _placed(query["pose"])
-            key = ("placed", document.clouds, entry.source, entry.camera, options)
+            key = ("placed", document.beside(entry).scan, entry.source, entry.camera, options)
             return self._sent(key, lambda: self._preview(entry, placed, query), query)
         pose = entry.stage(query["stage"]) if query.get("stage") else entry.pose
         if pose is None or kind not in ("overlay", "registered"):
             raise OptionError("there is no pose to overlay; solve first")
         make = self._overlay if kind == "overlay" else self._registered
         return self._sent((kind, id(pose), options), lambda: make(entry, pose, query), query, keep=pose)
+
+    def _small_photo(self, entry: PhotoEntry) -> Picture:
+        """Return the small picture of a photograph, for lists of many: it is not read for it again."""
+        from ladarreg_core.inspection import picture_forms
+
+        def made() -> dict[str, Any]:
+            picture = picture_forms.small(self._loader.viewable_photo(entry).pixels)
+            return {"data": np.frombuffer(picture.data, np.uint8), "media_type": picture.media_type}
+
+        found = self._loader.small_photo(entry, made)
+        data = np.asarray(found["data"]).tobytes()
+        return _with_etag(picture_forms.EncodedPicture(data, str(found["media_type"])))
 
     def first_pictures(self, shown: PhotoEntry | None) -> dict[str, str]:
         """Return the URLs that a new page requests first (static/js/panes/sides.js), for a photograph that it shows.
@@ -79,7 +95,7 @@ class Images:
             shown: the photograph; None: there is none.
         """
         found = {}
-        scan = self._loader.known("picture", ("scan slice", self._session.document.scan))
+        scan = self._loader.known("picture", ("scan slice", self._session.document.beside(shown).scan))
         if scan and scan["views"]:
             show = "intensity" if scan["has_intensity"] else "shape"
             found["scan"] = (
@@ -95,7 +111,7 @@ class Images:
         def render() -> None:
             try:
                 for form in ("quick", "exact"):
-                    self._scan({"form": form})
+                    self._scan(self._session.document, {"form": form})
             except LadarregError as error:
                 log.debug("there is nothing to render: %s", error)
             except Exception:  # a page that requests the image gets the error
@@ -146,12 +162,17 @@ class Images:
         found: Picture = cached(form, lambda: _with_etag(encoded[form]()))
         return found
 
-    def _scan(self, query: Mapping[str, str]) -> Picture:
+    def _of_scan(self, rev: str) -> Document:
+        """Return the document with the scan of an id as its scan; as it is where none of its stations has that id."""
+        document = self._session.document
+        found = next((station for station in document.stations if scan_id(station.source) == rev), None)
+        return document if found is None else replace(document, scan=found.source)
+
+    def _scan(self, document: Document, query: Mapping[str, str]) -> Picture:
         from ladarreg_core.inspection.pictures import Stretch, scan_picture, usual_show
 
-        document = self._session.document
         index = self._view_number(document, query)
-        show = query.get("show") or usual_show(self._scan_or_raise())
+        show = query.get("show") or usual_show(self._scan_or_raise(document))
         stretch = Stretch(
             low=_number(query, "low", 1.0),
             high=_number(query, "high", 99.5),
@@ -161,10 +182,10 @@ class Images:
         key = ("scan", document.scan, index, show, stretch)
         return self._sent(key, lambda: scan_picture(self._loader.view(document, index), show, stretch), query)
 
-    def _strip(self, query: Mapping[str, str]) -> Picture:
+    def _strip(self, document: Document, query: Mapping[str, str]) -> Picture:
         from ladarreg_core.inspection.panorama import strip_picture
 
-        scan = self._scan_or_raise()
+        scan = self._scan_or_raise(document)
         return self._sent(("strip", id(scan)), lambda: strip_picture(scan), query, keep=scan)
 
     def _overlay(self, entry: PhotoEntry, pose: PoseEntry, query: Mapping[str, str]) -> NDArray[np.uint8]:
@@ -172,30 +193,32 @@ class Images:
 
         result = self._loader.registration(pose)
         show = query.get("show", "intensity")
-        return scan_over_photo(self._scan_or_raise(), result.camera, result.camera_from_scanner, show)
+        scan = self._scan_or_raise(self._session.document.beside(entry))
+        return scan_over_photo(scan, result.camera, result.camera_from_scanner, show)
 
     def _preview(self, entry: PhotoEntry, placed: Rigid, query: Mapping[str, str]) -> NDArray[np.uint8]:
         """Render what the photograph's camera would see of the scan at a pose."""
         from ladarreg_core.inspection.pictures import scan_over_photo
 
         camera = self._loader.photo(entry).camera
-        return scan_over_photo(self._scan_or_raise(), camera, placed, query.get("show", "intensity"))
+        scan = self._scan_or_raise(self._session.document.beside(entry))
+        return scan_over_photo(scan, camera, placed, query.get("show", "intensity"))
 
     def _registered(self, entry: PhotoEntry, pose: PoseEntry, query: Mapping[str, str]) -> NDArray[np.uint8]:
         from ladarreg_core.inspection.model_textures import texture_without_z_buffer
         from ladarreg_core.inspection.pictures import photo_over_scan
         from ladarreg_core.surface.texture.registered_texture import texture_scan
 
-        scan, result, photo = self._scan_or_raise(), self._loader.registration(pose), self._loader.photo(entry)
+        document = self._session.document.beside(entry)
+        scan, result, photo = self._scan_or_raise(document), self._loader.registration(pose), self._loader.photo(entry)
         if query.get("z_buffer") == "0":
             texture = texture_without_z_buffer(scan, photo, result)
         else:
             texture = texture_scan(scan, photo, result.camera_from_scanner, camera=result.camera)
-        document = self._session.document
         return photo_over_scan(self._loader.view(document, self._view_number(document, query)), texture)
 
-    def _scan_or_raise(self) -> Scan:
-        scan = self._loader.scan(self._session.document)
+    def _scan_or_raise(self, document: Document) -> Scan:
+        scan = self._loader.scan(document)
         if scan is None:
             raise OptionError("there is no scan; open one")
         return scan

@@ -51,7 +51,7 @@ class Measured:
 
     def slice(self) -> list[dict[str, Any]]:
         """Return the slice `measured`."""
-        document = self._session.document
+        document = self._loader.seen_from_scan(self._session.document)
         if not document.measurements:
             return []
         try:
@@ -98,7 +98,7 @@ class Measured:
 
         from ...scene import MeasuredShown
 
-        document = self._session.document
+        document = self._loader.seen_from_scan(self._session.document)
         scan = self._loader.scan(document) if document.measurements else None
         if scan is None:
             return None
@@ -124,7 +124,7 @@ class Measured:
         return self._shown[1]
 
     def _present(self) -> tuple[Document, Scan]:
-        document = self._session.document
+        document = self._loader.seen_from_scan(self._session.document)
         scan = self._loader.scan(document)
         if scan is None:
             raise OptionError("there is no scan to measure on; open one")
@@ -220,7 +220,7 @@ def measurement_entry(entry: MeasurementEntry) -> dict[str, Any]:
 
 def _pose_name(entry: PhotoEntry) -> str:
     """Return what changes with the pose by which a photograph is measured; empty: none."""
-    return "" if entry.pose is None or not entry.pose.accepted else entry.pose.arrays.name
+    return "" if entry.pose is None or not entry.pose.accepted else entry.pose.name
 
 
 def _known(entry: PhotoEntry | None) -> str | None:

@@ -99,7 +99,7 @@ class ModelParts:
         Raises:
             LadarregError: if there is no such part, or it needs an accepted pose.
         """
-        document = self._session.document
+        document = self._loader.seen_from_scan(self._session.document)
         scan = self._loader.scan(document)
         if scan is None:
             raise OptionError("there is no scan; open one")
@@ -108,9 +108,11 @@ class ModelParts:
             raise OptionError(f"there is no detail {detail[:20]!r}; it is one of {', '.join(LEVELS)}")
         if name == "mesh" and "block" in query:
             block = _block_of(query["block"])
-            return self._loader.cached("model", ("mesh", block), lambda: _block_part(scan, block))
+            return self._loader.cached("model", ("mesh", id(scan), block), lambda: _block_part(scan, block))
         if name == "mesh":
-            return self._loader.cached("model", ("mesh", detail), lambda: _mesh_part(scan, LEVELS[detail].vertices))
+            return self._loader.cached(
+                "model", ("mesh", id(scan), detail), lambda: _mesh_part(scan, LEVELS[detail].vertices)
+            )
         if name == "texture":
             return self._texture_part(document, scan, query, LEVELS[detail].texture_px)
         if name in ("layer", "photo"):
@@ -119,6 +121,8 @@ class ModelParts:
 
     def slice(self, document: Document, entry: PhotoEntry | None) -> dict[str, Any]:
         """Return the slice `textures`: the kinds of texture, and a text that changes with scan, photograph or pose."""
+        document = self._loader.seen_from_scan(document)
+        entry = None if entry is None else document.photo(entry.id)
         result = self._result(entry)
         made_of: list[object] = [document.scan]
         for one in [*([] if entry is None else [entry]), *_accepted(document)]:
@@ -208,7 +212,7 @@ class ModelParts:
         of_scan = kind in ("intensity", "range")
         pose = None if of_scan or entry is None else entry.pose
         photo = None if of_scan or entry is None else self._loader.photo(entry)
-        key = (kind, z_buffer or kind != "colour", longest_px, id(pose), id(photo))
+        key = (kind, z_buffer or kind != "colour", longest_px, id(scan), id(pose), id(photo))
         make = partial(self._make_texture, scan, kind, photo, None if of_scan else result, z_buffer=z_buffer)
         return self._loader.cached(
             "model", key, lambda: ((pose, photo), _picture_of(make(), longest_px, lossless=kind in _OF_CODES))

@@ -21,7 +21,7 @@ from ...messages import verdict
 if TYPE_CHECKING:
     from ladarreg_core.matches import Matches, Pick
     from ladarreg_core.photo import Photo
-    from ladarreg_core.project.document import PhotoEntry, PoseEntry
+    from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
     from ladarreg_core.quality.assessment import Assessment
     from ladarreg_core.results import StageId
     from ladarreg_core.scan import Scan
@@ -35,18 +35,25 @@ _MIN_MATCHES = 4
 """The number of matches from which on cautions are computed."""
 
 
-def judged_slice(loader: Loader, scan: Scan, entry: PhotoEntry, *, readable: bool, sigmas: float) -> dict[str, Any]:
+def judged_slice(
+    loader: Loader, document: Document, entry: PhotoEntry, *, readable: bool, sigmas: float
+) -> dict[str, Any]:
     """Return the slice `judged`: errors of the picks under the shown pose, samples of lines, losses and cautions.
 
     Args:
         loader: the loader.
-        scan: the scan.
+        document: the document, which has a scan.
         entry: the photograph, whose pixels are only read where it has picks.
         readable: whether it can be read, and has a camera.
         sigmas: the suggested thresholds in robust standard deviations.
+
+    Raises:
+        LadarregError: if the scan beside the photograph can no longer be read.
     """
     from ladarreg_core.inspection.picks import suggested_threshold
 
+    scan = loader.scan(document.beside(entry))
+    assert scan is not None, "the document has one"
     picks = loader.picks(entry)
     lines = {pick.id: sampled_line(loader, scan, pick.scan.tolist()) for pick in picks if pick.kind == "line"}
     found: dict[str, Any] = {

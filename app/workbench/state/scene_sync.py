@@ -19,7 +19,8 @@ from ...session.session import Session
 from .pose_state import pick_errors
 
 if TYPE_CHECKING:
-    from ladarreg_core.project.document import Document, PhotoEntry, Source
+    from ladarreg_core.project.document import Document, PhotoEntry
+    from ladarreg_core.project.source import Source
     from ladarreg_core.scan import Scan
 
     from ...jobs.runner import Job
@@ -95,7 +96,7 @@ class SceneSync:
 
     def watch_simplex(self, frame: Frame) -> None:
         """Show an iteration of the simplex."""
-        if self._scene is None:
+        if self._scene is None or frame.inputs.entry.station:  # the 3-D view is of the project's scan
             return
         from ...scene import SimplexFrame
 
@@ -141,7 +142,7 @@ class SceneSync:
             return
         from ...scene import Shown, Subject
 
-        document, people = self._session.document, self._people()
+        document, people = self._loader.seen_from_scan(self._session.document), self._people()
         scene.set_people(people)
         scan_shown = self._shown_scan(document)
         photos: dict[str | None, Shown] = {}

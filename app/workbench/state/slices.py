@@ -23,8 +23,9 @@ from ...session.session import Session
 from .recent import project_id
 
 if TYPE_CHECKING:
-    from ladarreg_core.project.document import Document, PhotoEntry, PickEntry, Source
+    from ladarreg_core.project.document import Document, PhotoEntry, PickEntry
     from ladarreg_core.project.history import Author, Entry, History
+    from ladarreg_core.project.source import Source
 
     from ...jobs.runner import Job
     from ...session.cache import ListCache
@@ -83,7 +84,7 @@ def scan_slice(loader: Loader, document: Document) -> dict[str, Any] | None:
     remarks = [text for text in (resolution_note(scan, views), display_note(scan)) if text]
     strip = strip_of(scan) if len(views) > 1 else None
     return {
-        "id": f"s{_digest(source)}",
+        "id": scan_id(source),
         "grid": f"g{_digest(replace(source, smoothings=()))}",
         "name": source.name,
         "files": list(source.names),
@@ -110,6 +111,11 @@ def scan_slice(loader: Loader, document: Document) -> dict[str, Any] | None:
     }
 
 
+def scan_id(source: Source) -> str:
+    """Return the id of a scan, which changes with its ranges."""
+    return f"s{_digest(source)}"
+
+
 def _missing_scan(source: Source, error: str) -> dict[str, Any]:
     known = {"name": source.name, "files": list(source.names)}
     return {"id": "missing", **known, "error": error, "views": [], "notes": []}
@@ -132,6 +138,7 @@ def photo_slice(loader: Loader, document: Document, entry: PhotoEntry) -> dict[s
     found: dict[str, Any] = {"id": entry.id, "name": entry.source.name, "camera": None, "notes": [], "state": "empty"}
     found["rev"] = photo_revision(entry)
     found["part"] = entry.part
+    found["station"] = entry.station
     try:
         header = loader.header(entry)
         camera = header.camera
@@ -199,8 +206,9 @@ def outline_slice(loader: Loader, document: Document, entry: PhotoEntry) -> dict
     from ladarreg_core.inspection.panorama import photo_outline
 
     try:
-        scan = loader.scan(document)
-        if scan is None or len(loader.views(document)) < 2:
+        beside = document.beside(entry)
+        scan = loader.scan(beside)
+        if scan is None or len(loader.views(beside)) < 2:
             return None
         if entry.pose is not None and entry.pose.evidence != "none":  # a rejected guess may lie anywhere
             registration = loader.registration(entry.pose)

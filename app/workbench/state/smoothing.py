@@ -197,7 +197,7 @@ class Smoothing:
         rays = scan.geometry.ray_at(found.cells.astype(np.float64)) if len(found) else np.zeros((0, 3))
         uv = result.camera.project(result.camera_from_scanner @ (found.ranges[:, None] * rays))
         made_of = msgspec.json.encode(
-            [document.scan, pose.arrays.name, found.cells.tolist(), found.ranges.tolist(), found.at_edge.tolist()]
+            [document.scan, pose.name, found.cells.tolist(), found.ranges.tolist(), found.at_edge.tolist()]
         )
         nothing = "" if len(found) else nothing_found(result)
         return _Found((scan, pose, entry), found, rays, uv, nothing, blake2b(made_of, digest_size=8).hexdigest())

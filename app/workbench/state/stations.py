@@ -22,8 +22,9 @@ from ...session.session import Session
 
 if TYPE_CHECKING:
     from ladarreg_core.frames import Rigid
-    from ladarreg_core.project.document import Document, PhotoCheck, Source, StationEntry
+    from ladarreg_core.project.document import Document, PhotoCheck, StationEntry
     from ladarreg_core.project.history import Author
+    from ladarreg_core.project.source import Source
     from ladarreg_core.registration.stations.registration import PoseUse
 
     from ...scene import StationShown
@@ -87,7 +88,7 @@ class Stations:
     def _is_stale(self, check: PhotoCheck) -> bool:
         """Return whether the photograph has another pose by now."""
         entry = self.session.document.photo(check.photo)
-        return entry is None or entry.pose is None or entry.pose.arrays.name != check.pose
+        return entry is None or entry.pose is None or entry.pose.name != check.pose
 
     def shown(self) -> tuple[StationShown, ...]:
         """Return the stations whose place is known, for the 3-D scene; those that cannot be read are left out."""

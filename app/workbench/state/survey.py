@@ -60,7 +60,7 @@ def ties_slice(document: Document, entry: PhotoEntry) -> list[list[float]] | Non
     """Return the slice `ties` of a photograph; None without any, or where it has another pose by now."""
     adjusted, pose = document.adjusted, entry.pose
     found = None if adjusted is None else adjusted.photos.get(entry.id)
-    if adjusted is None or adjusted.ties is None or found is None or pose is None or pose.arrays.name != found.pose:
+    if adjusted is None or adjusted.ties is None or found is None or pose is None or pose.name != found.pose:
         return None
     try:
         marks = adjusted.ties.arrays().get(entry.id)
@@ -86,7 +86,7 @@ def drawn_ties_slice(document: Document) -> list[dict[str, Any]]:
 def _photo(adjusted: Adjusted, entry: PhotoEntry, *, stale: bool) -> dict[str, Any]:
     found = adjusted.photos[entry.id]
     pose = entry.pose
-    same = pose is not None and pose.arrays.name == found.pose
+    same = pose is not None and pose.name == found.pose
     return {
         "id": entry.id,
         "name": entry.source.name,

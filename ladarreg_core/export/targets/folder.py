@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import ExportError
+from ladarreg_core.export.clouds.ply import write_ply
 from ladarreg_core.export.json import InputFile, registration_document, write_result
 from ladarreg_core.export.models.glb import write_model_glb
-from ladarreg_core.export.models.ply import write_ply
 from ladarreg_core.export.output_frame import FrameName, OutputFrame
 from ladarreg_core.export.pictures.images import (
     write_labels_png,

@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.errors import LadarregError
+from ladarreg_core.export.clouds.cloud_part import SixteenBitIntensity
+from ladarreg_core.export.clouds.las_file import LasWriter, extra_bytes_entry, extra_bytes_record, variable_record
 from ladarreg_core.export.json import write_document
 from ladarreg_core.export.layered_scan import LayeredScan
 from ladarreg_core.export.registered_scan import RegisteredScan
 from ladarreg_core.export.targets.folder import FileJob
-from ladarreg_core.export.targets.las_file import LasWriter, extra_bytes_entry, extra_bytes_record, variable_record
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.formats.scans.las_header import sniff_las
 from ladarreg_core.formats.scans.las_records import (
@@ -31,11 +32,9 @@ from ladarreg_core.formats.scans.las_records import (
     extra_bytes_of,
     point_dtype,
 )
-from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.foundations.version import VERSION
 from ladarreg_core.frames import Rigid
 from ladarreg_core.progress import Progress, Report
-from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.best_photo import NO_PHOTO
 from ladarreg_core.surface.texture.registered_texture import Label, dimmed_gray, dimmed_levels
 
@@ -299,7 +298,7 @@ class _Returns:
         )
         fits = (reach + _OFFSET_ROUNDED_TO_M) / _SCALE_M < _LARGEST_INTEGER
         self._scale_m = _SCALE_M if fits else _COARSER_SCALE_M
-        self._intensity = _Intensity(scans)
+        self._intensity = SixteenBitIntensity(scans)
         scan, layers = scans[0], parts[0].values
         in_world = scan.world_from_scanner is not None
         self.legend = {
@@ -371,29 +370,3 @@ class _Returns:
             for name, one in part.values.items():
                 made[name] = one.values[rows][valid]
             yield made
-
-
-class _Intensity:
-    """The intensities of scans in 16 bits: unchanged where they are whole numbers that fit."""
-
-    def __init__(self, scans: Sequence[Scan]) -> None:
-        low, high, whole = np.inf, -np.inf, True
-        for scan in scans:
-            for first in range(0, scan.shape[0], 256):
-                here = scan.intensity[first : first + 256][scan.valid[first : first + 256]]
-                if not here.size:
-                    continue
-                low, high = min(low, float(here.min())), max(high, float(here.max()))
-                whole = whole and bool((here == np.rint(here)).all())
-        self._zero, self._factor = min(low, 0.0), 1.0
-        if not whole or low < 0 or high > 65535:
-            self._factor = 65535.0 / max(high - self._zero, 1e-30)
-        self.words = "the scan's"
-        if self._factor != 1.0:
-            less = f" less {self._zero:g}" if self._zero else ""
-            self.words = f"the scan's{less}, times {self._factor:.9g}, which is 65535 for the largest"
-
-    def written(self, values: FloatArray) -> NDArray[np.uint16]:
-        """Return intensities (N,) as they are written."""
-        scaled = (values.astype(np.float64) - self._zero) * self._factor
-        return np.asarray(np.rint(np.clip(scaled, 0, 65535)), dtype=np.uint16)

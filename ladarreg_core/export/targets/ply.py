@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from ladarreg_core.export.clouds.cloud_part import CloudPart
+from ladarreg_core.export.clouds.ply import write_layered_ply, write_ply
 from ladarreg_core.export.layered_scan import LayeredScan
-from ladarreg_core.export.models.ply import CloudPart, write_layered_ply, write_ply
 from ladarreg_core.export.registered_scan import RegisteredScan
 from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions

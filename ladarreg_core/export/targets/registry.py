@@ -15,6 +15,7 @@ from ladarreg_core.export.targets.model import glb_files, obj_files
 from ladarreg_core.export.targets.nerfstudio import nerfstudio_files
 from ladarreg_core.export.targets.opencv import opencv_files, opencv_refusal
 from ladarreg_core.export.targets.ply import ply_files
+from ladarreg_core.export.targets.potree import potree_files
 from ladarreg_core.export.targets.report import report_files
 from ladarreg_core.export.targets.results import results_files
 from ladarreg_core.export.targets.ros import ros_files, ros_refusal
@@ -117,6 +118,14 @@ TARGETS: tuple[Target, ...] = (
         purpose="The textured model in tiles from coarse to fine, which viewers on the web (Cesium, three.js) load as "
         "they are seen.",
         files=tiles_files,
+    ),
+    Target(
+        name="potree",
+        title="Potree",
+        purpose="The coloured cloud as an octree with the photographs, flat and 360-degree ones, standing in it, for "
+        "Potree in a web page.",
+        files=potree_files,
+        reads=(RegisteredScan, RegisteredSurvey),
     ),
     Target(
         name="report",

@@ -55,9 +55,12 @@ def decode_document(data: bytes, find: FindArrays) -> Document:
         raise FormatError(f"the project is damaged: {error}") from None
     if found.version != VERSION:
         raise FormatError(f"there is no project version {found.version}; the file is damaged")
-    for photo in (*found.photos, *(each for station in found.stations for each in station.photos)):
-        for pick in photo.picks:
+    for work in found.work:
+        for pick in work.picks:
             pick.as_pick()  # validates
+    lost = {photo.station for photo in found.photos} - {"", *(station.id for station in found.stations)}
+    if lost:
+        raise FormatError(f"the project is damaged: it has no station {min(lost)!r}, which a photograph belongs to")
     for measurement in (*found.measurements, *(each for station in found.stations for each in station.measurements)):
         checked_measurement(measurement)
     for tie in found.ties:
@@ -83,8 +86,7 @@ def from_plain(kind: Any, value: object, find: FindArrays) -> Any:
 
 def arrays_of(document: Document) -> dict[str, StoredArrays]:
     """Return all arrays of a document by name."""
-    photos = [*document.photos, *(photo for station in document.stations for photo in station.photos)]
-    poses: list[PoseEntry] = [pose for photo in photos for pose in photo.poses]
+    poses: list[PoseEntry] = [pose for work in document.work for pose in work.poses]
     ties = None if document.adjusted is None else document.adjusted.ties
     return {pose.arrays.name: pose.arrays for pose in poses} | ({} if ties is None else {ties.name: ties})
 

@@ -10,7 +10,7 @@ import msgspec
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.project.checksum import verify_checksum
 from ladarreg_core.project.document import Document
-from ladarreg_core.project.document import Source as OpenedFile
+from ladarreg_core.project.source import Source as OpenedFile
 from ladarreg_core.project.storage.codec import decode_document
 from ladarreg_core.project.storage.records import read_records
 from ladarreg_core.project.storage.replay import Snapshot, replay

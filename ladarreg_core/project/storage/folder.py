@@ -28,8 +28,9 @@ import msgspec
 
 from ladarreg_core.errors import ExportError, FormatError, LadarregError, NewerVersionError
 from ladarreg_core.project.checksum import verify_checksum, with_checksum
-from ladarreg_core.project.document import Document, Source
+from ladarreg_core.project.document import Document
 from ladarreg_core.project.history import Entry, History
+from ladarreg_core.project.source import Source
 from ladarreg_core.project.storage.codec import arrays_of, decode_document, encode
 from ladarreg_core.project.storage.delta import change_between
 from ladarreg_core.project.storage.records import Records, read_records, record_line

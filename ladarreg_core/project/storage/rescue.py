@@ -11,8 +11,9 @@ from pathlib import Path
 from msgspec.structs import replace as changed
 
 from ladarreg_core.errors import ExportError, LadarregError
-from ladarreg_core.project.document import Document, PhotoEntry, Source
+from ladarreg_core.project.document import Document, PhotoEntry
 from ladarreg_core.project.history import History
+from ladarreg_core.project.source import Source
 from ladarreg_core.project.storage.folder import ProjectFolder
 from ladarreg_core.storage.atomic_write import make_folder, sync_folder
 

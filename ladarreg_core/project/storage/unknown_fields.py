@@ -7,7 +7,8 @@ from typing import Any
 
 import msgspec
 
-from ladarreg_core.project.document import Document, PoseEntry, Source
+from ladarreg_core.project.document import Document, PoseEntry
+from ladarreg_core.project.source import Source
 from ladarreg_core.project.storage.codec import name_arrays
 
 ObjectPath = tuple[str, ...]

@@ -107,7 +107,7 @@ export const mountDividers = (workbench, panes) => {
   const [scan, photo] = [...panes.children].filter((pane) => pane instanceof HTMLElement);
   /** @returns {{left: number, middle: number, dock: number}} of those that nobody has moved */
   const suited = () => {
-    const found = store.get("scan")?.views?.[view.get().scan.view] ?? store.get("scan")?.views?.[0];
+    const found = store.scanBeside()?.views?.[view.get().scan.view] ?? store.scanBeside()?.views?.[0];
     const shown = store.photo();
     const aspects = [found, shown].map((each) => (each?.height ? each.width / each.height : null));
     const [width, height] = [workbench.clientWidth, workbench.clientHeight];
@@ -140,7 +140,7 @@ export const mountDividers = (workbench, panes) => {
     );
   };
   view.on((_, changed) => changed.has("layout") && show());
-  store.watch(["scan", "photos", "shown"], show);
+  store.watch(["scan", "beside", "photos", "shown"], show);
   new ResizeObserver(show).observe(workbench);
   show();
 };

@@ -143,6 +143,16 @@ export class Store {
     return (this.get("photos") ?? []).find((entry) => entry.id === photo) ?? null;
   }
 
+  /** @returns {any} the scan that is shown beside the photograph, as slice `scan`: the project's or another station's */
+  scanBeside() {
+    return this.get("beside") ?? this.get("scan");
+  }
+
+  /** @returns {string} id of the station that the photograph is matched with; empty: the project's scan */
+  station() {
+    return this.get("partner")?.station ?? "";
+  }
+
   /**
    * @param {string | null} [photo]
    * @returns {Pick[]} its picks, in order; empty if there are none

@@ -72,11 +72,11 @@ export class Colleagues {
     this.#controller.store.take({ event: "notice", level: "info", text: `You no longer follow ${name}.` });
   }
 
-  #follow({ client, side, view, photo, centre, zoom }) {
+  #follow({ client, side, view, photo, station, centre, zoom }) {
     const { store, sides, panes } = this.#controller;
     const pane = panes[side];
     if (client !== this.leader?.id || !pane?.extent || pane.size[0] === 0 || !centre) return;
-    if (side === "photo" && photo !== store.shown()) return;
+    if (side === "photo" ? photo !== store.shown() : station !== store.station()) return;
     if (side === "scan" && view !== sides.scan.index) this.#controller.view.set({ scan: { view } });
     const scale = allowed(fitted(pane.size, pane.extent).zoom * zoom, pane.size, pane.extent);
     pane.place(centredOn(centre, scale, pane.size), "link");
@@ -94,8 +94,8 @@ export class Colleagues {
     this.#controller.redraw("live");
   }
 
-  #receive({ client, side, view, photo, uv }) {
-    if (uv) this.#cursors.set(client, { side, view, photo, uv, since: performance.now() });
+  #receive({ client, side, view, photo, station, uv }) {
+    if (uv) this.#cursors.set(client, { side, view, photo, station, uv, since: performance.now() });
     else this.#cursors.delete(client);
     this.#controller.redraw("live");
   }
@@ -114,7 +114,7 @@ export class Colleagues {
     for (const { id, name, colour } of this.#controller.store.colleagues()) {
       const cursor = this.#cursors.get(id);
       if (!cursor || cursor.side !== pane.side || cursor.view !== here.view) continue;
-      if (pane.side === "photo" && cursor.photo !== here.photo) continue;
+      if (pane.side === "photo" ? cursor.photo !== here.photo : cursor.station !== this.#controller.store.station()) continue;
       const rest = now - cursor.since;
       const strength = Math.min(1, 1 - (rest - STEADY_MS) / FADING_MS);
       if (strength <= 0) {

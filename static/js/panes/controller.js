@@ -310,7 +310,9 @@ export class Controller {
       this.redraw("live");
     };
     try {
-      const { pick } = await this.ask("add_pick", { photo: pair.of, kind: pair.kind, scan: pair.scan, photo_uv: pair.photo });
+      const { pick } = await this.ask("add_pick", {
+        photo: pair.of, kind: pair.kind, scan: pair.scan, photo_uv: pair.photo, station: this.store.photo(pair.of)?.station ?? "",
+      });
       entry.id = typeof pick === "object" && pick ? pick.id : pick;
       if (this.picking.idle && pair.of === this.store.shown()) this.select([entry.id], pair[this.active].length - 1);
       this.forgetArrived();

@@ -2,6 +2,7 @@
 
 import { button, choice, fill, foldOut, press, slider, tickBox } from "../ui/controls.js";
 import { element, setChildren } from "../ui/dom.js";
+import { stationName } from "../state/stations.js";
 import { axisOf } from "./projection.js";
 import { anglesOf, directionLabel } from "./strip_geometry.js";
 import { zoomText } from "./viewport.js";
@@ -41,6 +42,10 @@ const DISPLAYS = [["intensity", "Intensity"], ["raw", "Raw intensity"], ["range"
 const DEFAULTS = { low: 1, high: 99.5, equalise: false, gamma: 0.6, brightness: 1, contrast: 1 };
 const STRETCHED = new Set(["intensity", "raw", "range"]);
 
+/** @returns {string} a station, and how much it sees of the photograph */
+const stationText = ({ name, index, sees }) =>
+  `${stationName({ name, index })}${sees === null ? "" : `, sees ${Math.round(100 * sees)} %`}`;
+
 const percent = (value) => `${Number(value.toFixed(1))} %`;
 const times = (value) => `×${value.toFixed(2)}`;
 
@@ -54,6 +59,12 @@ export const mountScanHead = (head, controller) => {
   const set = (patch) => view.set({ scan: patch });
   const stretch = (patch) => view.set({ scan: patch, stretching: true });
   const released = () => view.set({ stretching: false });
+  const station = choice("Scan beside the photograph", (name) => {
+    controller.ask("set_station", { photo: store.shown(), station: name }).catch((error) => {
+      controller.report(error);
+      show();
+    });
+  });
   const display = choice("Channel of the scan", (show) => set({ show }));
   const viewed = choice("View of the scan (Page Up, Page Down)", (index) => set({ view: Number(index) }));
   const rows = {
@@ -72,11 +83,19 @@ export const mountScanHead = (head, controller) => {
   });
   const { opener, sheet } = foldOut("Contrast", "Contrast of the scan", ...Object.values(rows).map(({ row }) => row), reset);
   const zoom = zoomControls(controller, "scan");
+  const beside = element("label", { class: "pane-station" }, element("span", { class: "dim" }, "Station"), station);
+  station.className = "select";
+  head.closest(".pane-head").after(beside);
   head.append(display, viewed, opener, sheet, zoom);
 
   const show = () => {
     const { scan } = view.get();
-    const slice = store.get("scan");
+    const slice = store.scanBeside();
+    const choices = store.get("partner")?.choices ?? [];
+    fill(station, choices.map((each) => [each.station, stationText(each)]), store.station());
+    beside.hidden = choices.length < 2;
+    station.disabled = store.readOnly;
+    station.title = "The scan that this photograph is matched with: that of the station that sees most of it, or the one chosen here";
     const displays = DISPLAYS.filter(([name]) => slice?.has_intensity !== false || !["intensity", "raw"].includes(name));
     if (slice?.has_color) displays.push(["color", "Colour"]);
     fill(display, displays, controller.sides.scan.stretch.show);
@@ -94,7 +113,7 @@ export const mountScanHead = (head, controller) => {
     for (const control of [display, viewed, opener]) control.disabled = !slice;
   };
   view.on((_, changed) => changed.has("scan") && show());
-  store.watch(["scan"], show);
+  store.watch(["scan", "beside", "partner", "shown", "people"], show);
   show();
 };
 

@@ -83,7 +83,7 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
     controller.hint();
     showNotes();
   };
-  store.watch(["scan", "photos", "shown", "poses:*"], showSlices);
+  store.watch(["scan", "beside", "photos", "shown", "poses:*"], showSlices);
   store.watch(["picks:*", "judged:*", "corners:*", "ties:*", "measurements", "measured", "smoothing"], () => {
     controller.forgetArrived();
     controller.changed();

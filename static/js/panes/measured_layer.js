@@ -14,7 +14,8 @@ const LABEL_PX = 6;
  */
 export const measuredMarks = (measurements, side) =>
   measurements.flatMap(({ id, name, kind, value, drawn, in_photo: photos }) => {
-    const rows = side.name === "scan" ? drawn : photos[side.id];
+    const ofScan = () => /** @type {import("./sides.js").ScanSide} */ (side).isOwn ? drawn : null;
+    const rows = side.name === "scan" ? ofScan() : photos[side.id];
     if (!rows) return [];
     const pixel = (at) => at && side.toPixel(at);
     const ends = rows.ends.map(pixel).filter(Boolean);

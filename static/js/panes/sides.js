@@ -23,9 +23,14 @@ export class ScanSide {
     this.#view = view;
   }
 
-  /** @returns {any} slice `scan` */
+  /** @returns {any} slice `scan`, or `beside` where another station's is shown */
   get scan() {
-    return this.#store.get("scan");
+    return this.#store.scanBeside();
+  }
+
+  /** @returns {boolean} whether it is the project's scan, which is measured on and whose ranges can be replaced */
+  get isOwn() {
+    return !this.#store.station();
   }
 
   /** @returns {number} index of the shown view */
@@ -153,7 +158,7 @@ export class PhotoSide {
     if (this.photo && placement?.photo === this.photo.id) {
       const pose = placement.pose.slice(0, 3).flat().map((value) => value.toFixed(7)).join(",");
       const show = overlay === "edges" ? "edges" : "intensity";
-      return `picture/overlay/${encodeURIComponent(this.photo.id)}?${query({ pose, show, rev: this.#store.get("scan")?.id })}`;
+      return `picture/overlay/${encodeURIComponent(this.photo.id)}?${query({ pose, show, rev: this.#store.scanBeside()?.id })}`;
     }
     if (!this.photo || !stage || overlay === "none") return null;
     // a stage may be solved again with another result

@@ -10,7 +10,7 @@ import { toScreen } from "./viewport.js";
  */
 export const smoothedMarks = (ranges, side) =>
   ranges.flatMap(({ id, edge, ray }) => {
-    const uv = side.toPixel(ray);
+    const uv = side.isOwn && side.toPixel(ray);
     return uv ? [{ id, edge, uv }] : [];
   });
 

@@ -32,7 +32,7 @@ export const mountStrip = (body, controller) => {
   let aim = [0, 0];
   let aiming = false;
   let dragging = false;
-  const extent = () => store.get("scan")?.strip ?? null;
+  const extent = () => store.scanBeside()?.strip ?? null;
   const photos = () =>
     (store.get("photos") ?? [])
       .map(({ id, name }) => ({ id, name, ...(store.get(`outline:${id}`) ?? { rays: null, registered: false }) }))
@@ -210,7 +210,7 @@ export const mountStrip = (body, controller) => {
       const share = (strip.high - strip.low) / (2 * Math.PI);
       box.style.setProperty("--lr-strip", `min(${(100 * share).toFixed(3)}cqw, ${HIGHEST_EM}rem)`);
     }
-    load(strip ? store.get("scan").id : null);
+    load(strip ? store.scanBeside().id : null);
     changed();
   };
 
@@ -233,7 +233,7 @@ export const mountStrip = (body, controller) => {
     if (id !== shown && shown !== null && controller.picking.idle && store.get(`outline:${id}`)?.registered) lookAtPhoto();
     shown = id;
   };
-  store.watch(["scan"], () => {
+  store.watch(["scan", "beside"], () => {
     towards.clear();
     show();
     follow();

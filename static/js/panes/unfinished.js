@@ -49,8 +49,8 @@ export const keepUnfinished = (picking, store) => {
       awaited = read(key);
     } else if (keyOf(project) !== key) leave();
   });
-  store.watch(["project", "scan"], () => {
-    scan = store.get("scan")?.grid ?? store.get("scan")?.id ?? null;
+  store.watch(["project", "scan", "beside"], () => {
+    scan = store.scanBeside()?.grid ?? store.scanBeside()?.id ?? null;
     if (!key || left || !awaited) return;
     if (awaited.scan && !scan) return; // the scan may still be being read
     if (awaited.scan === scan) for (const [photo, first] of awaited.drawn) picking.reopen(first, photo);

@@ -16,11 +16,13 @@ import pye57
 import pytest
 from ladarreg.cli import main
 from ladarreg.exit_codes import ExitCode
+from scipy.spatial import cKDTree
 
 from ladarreg_core.formats import read_scan
 from ladarreg_core.frames import Rigid
 from ladarreg_core.outputs.integrity import check_integrity
 from ladarreg_core.storage.checksums import checksum_state
+from testing.files.potree_reader import read_cloud
 from testing.scenes.kept import kept_folder
 from testing.scenes.photo_tour import photo_tour, scan_of_tour, write_tour
 from tests.unit.export.e57_samples import libe57, raw_values
@@ -48,7 +50,7 @@ def model(job: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("model") / "out"
     results = [str(job / "one" / f"results-{k}") for k in range(6)]
     values = f"gamma:counts:IMG_0002:{job / 'one' / 'counts.tif'}"
-    words = ["model", *results, "--values", values, "--to", "glb,laz,ply,e57", "-o", str(out), "--quiet"]
+    words = ["model", *results, "--values", values, "--to", "glb,laz,ply,e57,potree", "-o", str(out), "--quiet"]
     assert main(words) == ExitCode.ACCEPTED
     return out
 
@@ -133,6 +135,16 @@ def test_clouds_have_the_layers_and_agree(model: Path, job: Path) -> None:
         np.testing.assert_array_equal(points[name], np.asarray(cloud[name]), err_msg=name)
     np.testing.assert_array_equal(points["red"], np.asarray(cloud.red) // 257)
 
+    octree = read_cloud(model / "potree" / "pointcloud")
+    far, nearest = cKDTree(octree.points).query(np.asarray(cloud.xyz))
+    assert far.max() < 2e-4
+    found, expected = octree.records[nearest], cloud.points
+    for name in ("photo_id", "seen_by", "label", "resolution_mm", "gamma_counts"):
+        same = np.isclose(found[name], expected[name], equal_nan=True)
+        assert same.mean() > 0.999, f"{name}, but for points at one place within .1 mm"
+    listed = json.loads((model / "potree" / "photographs.json").read_bytes())["photographs"]
+    assert [one["id"] for one in listed] == [f"IMG_000{k}" for k in range(1, 6)]
+
 
 def test_the_layers_of_an_e57_are_read_by_another_reader_and_passed_over(model: Path, job: Path) -> None:
     cloud = laspy.read(model / "cloud.laz")
@@ -207,7 +219,7 @@ def test_parts_of_several_scans_meet_without_doubled_walls(tmp_path: Path) -> No
     write_tour(tmp_path / "two", replace(tour, scan=other, views=views), name="other", first=4)
     results = [str(one) for one in sorted(tmp_path.glob("*/results-*"))]
     out = tmp_path / "out"
-    words = ["model", *results, "--to", "glb,laz,ply,e57", "-o", str(out), "--quiet"]
+    words = ["model", *results, "--to", "glb,laz,ply,e57,potree", "-o", str(out), "--quiet"]
     assert main(words) == ExitCode.ACCEPTED
     found = document(out)
     assert found["frame"]["frame"] == "world"
@@ -223,6 +235,7 @@ def test_parts_of_several_scans_meet_without_doubled_walls(tmp_path: Path) -> No
     cloud = laspy.read(out / "cloud.laz")
     total = sum(one["returns"] - one["cut"] for one in found["scans"])
     assert len(cloud.points) == total
+    assert len(read_cloud(out / "potree" / "pointcloud").points) == total
     # Of the wall behind all, at x = 4.5 m, hardly a place has points of both scans.
     wall = cloud.xyz[np.abs(cloud.x - 4.5) < 0.03]
     scan = read_scan(tmp_path / "one" / "scan.npz")

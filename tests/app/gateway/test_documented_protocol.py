@@ -21,7 +21,9 @@ DATA_KEYED = ("by_pick", "predicted", "lines", "camera_sigmas", "absent", "in_ph
 """Fields whose keys are data: ids of picks, names of parameters."""
 NEVER_HERE = {
     "audit:pID",
+    "beside",
     "embedded",
+    "partner",
     "corners:pID",
     "drawn_ties",
     "self_test:pID",

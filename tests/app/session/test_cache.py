@@ -71,13 +71,16 @@ def test_large_photographs_stay_within_the_memory_limit(tmp_path: Path) -> None:
     assert len(shelf) == 4
 
 
-def test_a_new_scan_drops_values_derived_from_the_previous_one(tmp_path: Path) -> None:
+def test_a_scan_that_is_dropped_takes_along_what_was_derived_from_it(tmp_path: Path) -> None:
     loader = Loader(ProjectFolder(tmp_path / "project"))
     loader.cached("scan", 1, lambda: "a scan")
     loader.cached("measured", 1, lambda: "of the first scan")
     loader.cached("photo", 1, lambda: "a photograph")
-    loader.cached("scan", 2, lambda: "another scan")
-    assert loader.cached("measured", 1, lambda: "of the second scan") == "of the second scan"
+    for number in (2, 3):
+        loader.cached("scan", number, lambda: "a scan of another station")
+    assert loader.cached("measured", 1, lambda: "measured again") == "of the first scan"
+    loader.cached("scan", 4, lambda: "one too many")
+    assert loader.cached("measured", 1, lambda: "of the fourth scan") == "of the fourth scan"
     assert loader.cached("photo", 1, lambda: "read again") == "a photograph"
 
 
@@ -85,9 +88,9 @@ def test_the_number_of_cached_lists_is_bounded() -> None:
     made: list[int] = []
     each: ListCache[int, int] = ListCache(lambda thing: made.append(thing) or thing)  # type: ignore[func-returns-value]
     things = (1, 2, 3)
-    for photo in range(1000):
+    for photo in range(5000):
         each.get(photo, things)
-    assert len(each._lists) <= 256
+    assert len(each._lists) <= 4096
     made.clear()
     assert each.get(999, things) == [1, 2, 3]
     assert made == []

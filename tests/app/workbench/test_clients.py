@@ -313,7 +313,8 @@ def test_pointers_go_to_the_others_and_views_to_those_who_follow(
     bench.received.clear()
     where = {"side": "photo", "photo": "p1", "view": 0}
     bench.do("point", uv=[10.5, 20], **where)
-    assert events(colleague, "cursor") == [{"event": "cursor", "client": bench.client.id, "uv": [10.5, 20.0], **where}]
+    sent = {"event": "cursor", "client": bench.client.id, "uv": [10.5, 20.0], "station": "", **where}
+    assert events(colleague, "cursor") == [sent]
     bench.do("show_view", centre=[1, 2], zoom=2, **where)
     assert events(colleague, "view") == []
     colleague.do("follow", client=bench.client.id)

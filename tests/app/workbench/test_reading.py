@@ -6,7 +6,7 @@ import pytest
 from ladarreg.workbench.files.reading import reading_of, with_reading
 
 from ladarreg_core.errors import OptionError
-from ladarreg_core.project.document import Source
+from ladarreg_core.project.source import Source
 
 
 def test_options_of_the_page_become_those_of_the_reader() -> None:

@@ -9,15 +9,22 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
 from testing.workbench.workbench_driver import WorkbenchDriver, open_bench
 
 pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
+from ladarreg.gateway.protocol import Visitor
+
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats import read_scan
-from ladarreg_core.frames import Rigid
+from ladarreg_core.frames import Rigid, look_along
+from ladarreg_core.inspection.picks import probe
+from ladarreg_core.project import edits
+from ladarreg_core.project.history import NOBODY
+from ladarreg_core.project.results import pose_of
 from ladarreg_core.project.storage.codec import decode_document, encode
 from testing.scenes.kept import kept_folder
 from testing.scenes.station_scans import POSES, write_station_scans
@@ -114,12 +121,119 @@ def test_work_at_each_station_is_kept_and_carried(bench: WorkbenchDriver) -> Non
     assert Rigid.from_matrix(stated).distance_to(carried) < 0.002
     assert bench.job("auto").state == "done"
     bench.do("show_station", station=station(bench)["id"])
-    assert bench.workbench.session.document.photos == here.photos
+    returned = bench.workbench.session.document.photos[0]
+    assert msgspec.structs.replace(returned, elsewhere=()) == here.photos[0]
     bench.do("undo")
     assert bench.workbench.session.document.photos[0].pose is not None
     bench.do("undo")
     bench.do("undo")
     assert bench.workbench.session.document.stations == here.stations
+
+
+def add_photo(bench: WorkbenchDriver, name: str, files: tuple[list[Path], Path, Path]) -> str:
+    photo = bench.workbench.files.open(files[1], name, "photo", None, bench.client)
+    bench.workbench.files.open(files[2], "camera.json", "camera", photo, bench.client)
+    return photo
+
+
+def test_two_people_match_photographs_with_stations_of_their_own(
+    bench: WorkbenchDriver, files: tuple[list[Path], Path, Path]
+) -> None:
+    other = WorkbenchDriver(bench.workbench, bench.workbench.join(Visitor("test")))
+    second = add_photo(other, "second.png", files)
+    bench.do("show_photo", photo="p1")
+    window = station(bench)["id"]
+    other.do("set_station", photo=second, station=window)
+    assert bench.slice("beside") is None
+    assert other.slice("beside")["name"] == "window.npz"
+    assert [person.slice("scan")["name"] for person in (bench, other)] == ["hall.npz", "hall.npz"]
+    assert [one["station"] for one in other.slice("partner")["choices"]] == ["", window]
+
+    # Each probes the scan that it sees, and a match is of the scan that it was drawn in.
+    scans = [read_scan(path) for path in files[0]]
+    rays = [[1.0, y / 10, -0.05] for y in range(-5, 6)]
+    expected = {k: [probe(scan, ray).range_m for scan in scans] for k, ray in enumerate(rays)}
+    k, ranges = next((k, both) for k, both in expected.items() if None not in both and abs(both[0] - both[1]) > 0.1)
+    ray = rays[k]
+    assert [person.do("probe", scan=ray)["range_m"] for person in (bench, other)] == pytest.approx(ranges)
+    drawn = {"photo": second, "kind": "point", "scan": [ray], "photo_uv": [[300, 200]]}
+    assert "beside another scan" in bench.refused("add_pick", station="", **drawn)
+    other.do("add_pick", station=window, **drawn)
+    assert "measurements are of hall.npz" in other.refused("add_measurement", kind="point", places=[{"ray": ray}])
+    bench.do("add_measurement", kind="point", places=[{"ray": ray}])
+
+    # Registered there, the photograph stands where the first one does, which is the same picture.
+    assert other.job("auto", photo=second).state == "done"
+    document, loader = bench.workbench.session.document, bench.workbench.loader
+    poses = [photo.pose for photo in document.photos if photo.pose is not None and photo.pose.accepted]
+    here, there = map(pose_of, poses)
+    within_m = 2 * float(np.hypot(*(loader.registration(pose).sigma_position_m for pose in poses)))
+    assert (here @ BETWEEN).distance_to(there) < within_m
+    seen = loader.seen_from_scan(document)
+    assert seen is loader.seen_from_scan(document), "made once"
+    carried = seen.photos[1].pose
+    assert carried is not None
+    assert (pose_of(carried) @ BETWEEN).distance_to(there) < 0.005
+    assert other.slice("model")["accepted"]
+
+    # Exported by itself it has its own scan, with others the project's.
+    for photos, name in (([second], "window.npz"), (["p1", second], "hall.npz")):
+        job(bench, "export", targets=["results"], photos=photos)
+        found = bench.workbench.export_file(photos[0] if len(photos) == 1 else "all")
+        assert found is not None
+        with zipfile.ZipFile(found[0]) as packed:
+            results = [json.loads(packed.read(one)) for one in packed.namelist() if one.endswith("registration.json")]
+        assert [one["inputs"][0]["name"] for one in results] == [name] * len(photos)
+
+    # One's own steps are undone, whatever others do beside other scans.
+    bench.do("undo")
+    for _ in range(3):
+        other.do("undo")
+    assert other.slice("beside") is None
+    assert [bench.slice("poses:p1")["shown"], other.slice(f"poses:{second}")["shown"]] == ["auto", None]
+
+
+def test_the_station_that_sees_most_of_a_photograph_is_beside_it(
+    bench: WorkbenchDriver, files: tuple[list[Path], Path, Path]
+) -> None:
+    def sees() -> list[float | None]:
+        return [one["sees"] for one in bench.slice("partner")["choices"]]
+
+    bench.do("show_photo", photo="p1")
+    bench.eventually(lambda: None not in sees())
+    assert bench.slice("partner")["station"] == "", "what was registered stays with its scan"
+    bench.do("show_station", station=station(bench)["id"])
+    # The scanner at the window does not look so far to the left.
+    second = add_photo(bench, "left.png", files)
+    bench.eventually(lambda: sees() == [None, None])
+    camera = Rigid.from_centre(look_along([0.0, 1.0, 0.0]), np.array([0.5, 0.5, 0.0])) @ POSES[1]
+    rows = tuple(map(tuple, camera.matrix.tolist()))
+    session = bench.workbench.session
+    session.commit(
+        "State a pose",
+        lambda d: edits.edited_photo(d, second, lambda p: msgspec.structs.replace(p, stated_pose=rows)),
+        author=NOBODY,
+    )
+    bench.eventually(lambda: bench.slice("partner")["station"])
+    bench.eventually(lambda: None not in sees())
+    here, there = sees()
+    assert here is not None
+    assert there is not None
+    assert here < 0.3 < 0.7 < there
+    stated = Rigid.from_matrix(np.array(session.document.photos[1].stated_pose))
+    assert stated.distance_to(camera @ BETWEEN.inverse) < 0.01
+    assert bench.slice("project")["undo"] == "State a pose", "nobody has to undo what nobody did"
+    # What the operator chooses stays chosen.
+    bench.do("set_station", photo=second, station="")
+    bench.do("show_photo", photo="p1")
+    bench.do("show_photo", photo=second)
+    bench.eventually(lambda: None not in sees())
+    assert bench.slice("partner")["station"] == ""
+    restarted = bench.workbench.session.folder.path
+    bench.workbench.close()
+    again = open_bench(restarted)
+    assert [photo.station_given for photo in again.workbench.session.document.photos] == [False, True]
+    bench.workbench = again.workbench
 
 
 def test_all_stations_are_exported(bench: WorkbenchDriver, tmp_path: Path) -> None:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from ladarreg_core.errors import ExportError, ShapeError
-from ladarreg_core.export.models.ply import ply_bytes, write_ply
+from ladarreg_core.export.clouds.ply import ply_bytes, write_ply
 from ladarreg_core.surface.texture.registered_texture import RegisteredTexture, model_picture
 
 

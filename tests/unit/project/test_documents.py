@@ -14,9 +14,10 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError, FormatError, LadarregError, OptionError
 from ladarreg_core.matches import Matches, Pick, unit_rays
 from ladarreg_core.project import edits
-from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Source, Survey
+from ladarreg_core.project.document import CameraGiven, Document, PhotoEntry, Survey
 from ladarreg_core.project.results import pose_entry, registration_of, solved_on
 from ladarreg_core.project.settings import Settings
+from ladarreg_core.project.source import Source
 from ladarreg_core.project.staleness import changed_since, rests_on, stale
 from ladarreg_core.project.station_edits import is_stale, place_of, with_stations
 from ladarreg_core.project.storage.codec import decode_document, encode

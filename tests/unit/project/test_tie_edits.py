@@ -7,9 +7,10 @@ from typing import Any
 import pytest
 
 from ladarreg_core.errors import OptionError
-from ladarreg_core.project.document import Document, PhotoEntry, Source
+from ladarreg_core.project.document import Document, PhotoEntry
 from ladarreg_core.project.edits import without_photo
 from ladarreg_core.project.inverse import ChangedSinceError, restored
+from ladarreg_core.project.source import Source
 from ladarreg_core.project.storage.codec import decode_document, encode
 from ladarreg_core.project.storage.delta import change_between, check_readable
 from ladarreg_core.project.tie_edits import with_tie, without_ties

@@ -16,8 +16,8 @@ from ladarreg_core.acquisition.runs.earlier_run import begin_anew
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.targets.folder import write_folder
 from ladarreg_core.project import edits
-from ladarreg_core.project.document import Source
 from ladarreg_core.project.history import NOBODY
+from ladarreg_core.project.source import Source
 from ladarreg_core.storage.atomic_write import files_below, make_folder, replaced_file, write_bytes
 from ladarreg_core.storage.manifest import write_manifest
 from ladarreg_core.storage.replacement import folder_content

@@ -32,28 +32,34 @@ const scale = ({ ramp, least, most }) => {
   return [bar, element("div", { class: "legend-ends" }, element("span", {}, least), element("span", {}, most))];
 };
 
+const one = (legend) =>
+  element(
+    "div",
+    { class: "legend-part" },
+    element("p", {}, legend.title),
+    ...(legend.ramp.length ? scale(legend) : []),
+    ...legend.entries.map(({ colour, label }) =>
+      element("div", { class: "legend-entry" }, swatch(colour), element("span", {}, label))),
+  );
+
 /**
+ * The legend of the texture, or those of both that are mixed.
  * @param {import("./model_loader.js").ModelLoader} loader
  * @returns {{element: HTMLElement, visible: boolean, toggle: (on: boolean) => void}}
  */
 export const mountModelLegend = (loader) => {
   const box = element("div", { class: "model-legend", role: "group", "aria-label": "Legend", hidden: true });
   let visible = remembered();
-  let legend = null;
+  /** @type {any[]} */
+  let legends = [];
   const show = () => {
-    box.hidden = !visible || !legend?.title;
-    if (box.hidden) return;
-    setChildren(
-      box,
-      element("p", {}, legend.title),
-      ...(legend.ramp.length ? scale(legend) : []),
-      ...legend.entries.map(({ colour, label }) =>
-        element("div", { class: "legend-entry" }, swatch(colour), element("span", {}, label))),
-    );
+    const titled = legends.filter((legend) => legend?.title);
+    box.hidden = !visible || !titled.length;
+    if (!box.hidden) setChildren(box, ...titled.map(one));
   };
-  loader.onChange(({ legend: now }) => {
-    if (now === legend) return;
-    legend = now;
+  loader.onChange(({ legend, second }) => {
+    if (legend === legends[0] && second === legends[1]) return;
+    legends = [legend, second];
     show();
   });
   return {

@@ -19,7 +19,13 @@ const MOVING = ["simplex", "reject_outliers", "thesis"];
 export const usableTexture = (model) =>
   (model.choices.find(({ value }) => value === model.texture)?.usable ? model.texture : "intensity");
 
-/** @typedef {{state: "empty" | "loading" | "drawn", got: number, total: number, error: string, legend: any}} ModelState */
+/** @returns {{value: string, label: string}[]} the kinds of texture that can be mixed into the one that is shown */
+export const blendable = (model) => model.choices.filter(({ value, usable }) => usable && value !== usableTexture(model));
+
+/**
+ * @typedef {{state: "empty" | "loading" | "drawn", got: number, total: number, error: string, legend: any, second: any,
+ *   mixed: boolean, whole: boolean}} ModelState `second`: the legend of the texture that is mixed in; `whole`: as fine as it will be
+ */
 
 export class ModelLoader {
   #parts = new ModelParts();
@@ -37,7 +43,8 @@ export class ModelLoader {
   #sliding = null;
   #meter = new Map();
   /** @type {ModelState} */
-  #state = { state: "empty", got: 0, total: 0, error: "", legend: null };
+  #state = { state: "empty", got: 0, total: 0, error: "", legend: null, second: null, mixed: false, whole: false };
+  #blend = "";
 
   /**
    * @param {HTMLIFrameElement} frame
@@ -83,6 +90,13 @@ export class ModelLoader {
   /** @returns {ModelSurface} what is drawn */
   get surface() {
     return this.#surface;
+  }
+
+  /** Mix another kind of texture into the one that is chosen. @param {string} kind empty: none */
+  blendWith(kind) {
+    if (kind === this.#blend) return;
+    this.#blend = kind;
+    this.#look();
   }
 
   /** Call `listen(state)` at each change. @param {(state: ModelState) => void} listen */
@@ -159,22 +173,24 @@ export class ModelLoader {
     this.#scan = scan;
     this.#parts.clear();
     this.#surface.clear();
-    this.#tell({ state: scan ? "loading" : "empty", error: "", legend: null });
+    this.#tell({ state: scan ? "loading" : "empty", error: "", legend: null, second: null, mixed: false, whole: false });
   }
 
-  /** @returns {{mesh: string, texture: string}[]} what to draw, one after the other */
+  /** @returns {{mesh: string, texture: string, second: string, layer?: any}[]} what to draw, one after the other */
   #stages(scan, model) {
     const kind = usableTexture(model);
+    const blend = blendable(model).some(({ value }) => value === this.#blend) ? this.#blend : "";
     const job = store.get("job");
     const moves = job && MOVING.includes(job.kind) && isRunning(job) && this.#software();
     const at = (meshDetail, textureDetail) => ({
       mesh: meshAddress(scan, meshDetail),
       texture: textureAddress(store.shown(), kind, model, textureDetail),
+      second: blend && textureAddress(store.shown(), blend, model, textureDetail),
     });
     const fine = at(moves ? "coarse" : model.detail, model.detail);
     const stages = this.#drawn || model.detail === "coarse" ? [fine] : [at("coarse", "coarse"), fine];
     const photo = store.shown();
-    if (kind !== "colour" || !photo || !model.accepted || !model.z_buffer || moves || model.detail === "coarse") {
+    if (kind !== "colour" || blend || !photo || !model.accepted || !model.z_buffer || moves || model.detail === "coarse") {
       return stages;
     }
     return [...stages, { ...fine, layer: layerAddress(photo, model, model.detail) }];
@@ -187,31 +203,34 @@ export class ModelLoader {
     const still = () => this.#running === run;
     try {
       await whenFirstPicturesArrived();
-      for (const { mesh, texture, layer } of stages) {
+      this.#tell({ whole: false });
+      for (const { mesh, texture, second, layer } of stages) {
         const options = (name) => ({
           signal: abort.signal,
           progress: (got, total) => still() && this.count(name, got, total),
         });
-        const [arrays, { blob, legend }] = await Promise.all([
+        const [arrays, { blob, legend }, other] = await Promise.all([
           this.#parts.mesh(mesh, options("mesh")),
           this.#parts.texture(texture, options("texture")),
+          second ? this.#parts.texture(second, options("second texture")) : null,
         ]);
         await this.#untilReady(still);
         if (layer) {
           const progress = (name) => options(name).progress;
           const found = await this.#parts.layer(layer, { signal: abort.signal, progress });
           if (!still() || !(await this.#surface.drawLayer(found, still))) return;
-          this.#drawn = { mesh, texture, layer };
+          this.#drawn = { mesh, texture, second, layer };
           this.#meter.clear();
           this.#tell({});
           continue;
         }
-        if (!still() || !(await this.#surface.draw(arrays, blob, still))) return;
+        if (!still() || !(await this.#surface.draw(arrays, blob, still, other?.blob))) return;
         this.#looked = "";
-        this.#drawn = { mesh, texture };
+        this.#drawn = { mesh, texture, second };
         this.#meter.clear();
-        this.#tell({ state: "drawn", error: "", legend });
+        this.#tell({ state: "drawn", error: "", legend, second: other?.legend ?? null, mixed: Boolean(other) });
       }
+      this.#tell({ whole: true });
     } catch (error) {
       if (!still()) return;
       this.#retryAt = performance.now() + RETRY_MS;
@@ -227,4 +246,5 @@ export class ModelLoader {
   }
 }
 
-const same = (a, b) => a !== null && b !== null && a.mesh === b.mesh && a.texture === b.texture && a.layer?.mesh === b.layer?.mesh;
+const same = (a, b) =>
+  a !== null && b !== null && a.layer?.mesh === b.layer?.mesh && ["mesh", "texture", "second"].every((name) => a[name] === b[name]);

@@ -5,6 +5,7 @@ import { request } from "../../net/requests.js";
 import { store } from "../../net/store.js";
 import { button, foldOut, tickBox } from "../../ui/controls.js";
 import { element, setAttribute, setChildren } from "../../ui/dom.js";
+import { mountModelBlend } from "./model_blend.js";
 import { mountModelCover } from "./model_cover.js";
 import { mountModelFrame } from "./model_frame.js";
 import { mountModelLegend } from "./model_legend.js";
@@ -77,7 +78,8 @@ const textureSelect = () => {
   return select;
 };
 
-const display = (legend) => {
+/** @param {HTMLElement} blend the choice of a second texture */
+const display = (legend, blend) => {
   const switches = SWITCHES.map(([name, label]) => [
     name,
     tickBox({ label, changed: (on) => request("set_model", { [name]: on }) }),
@@ -90,7 +92,7 @@ const display = (legend) => {
     ...DETAILS.map(([value, label]) => element("option", { value }, label)),
   );
   const row = element("label", { class: "pane-row" }, element("span", {}, "Detail"), detail);
-  const fold = foldOut("Display", "What the 3-D view shows", ...switches.map(([, each]) => each.row), shown.row, row);
+  const fold = foldOut("Display", "What the 3-D view shows", ...switches.map(([, each]) => each.row), shown.row, row, blend);
   const show = () => {
     const model = store.get("model");
     fold.opener.disabled = !model;
@@ -120,16 +122,19 @@ export const mountModelPane = (pane) => {
   const loader = new ModelLoader(frame, drawsInSoftware);
   const cover = mountModelCover(loader);
   const legend = mountModelLegend(loader);
+  const blend = mountModelBlend(loader);
   const chip = element("p", { class: "model-loading", role: "status", hidden: true });
-  body.append(frame, cover.element, mountPhotoSheet(loader), legend.element, chip, empty, placingBar());
-  pane.querySelector(".pane-controls").append(viewpoints(), textureSelect(), ...display(legend));
+  body.append(frame, cover.element, mountPhotoSheet(loader), blend.bar, legend.element, chip, empty, placingBar());
+  pane.querySelector(".pane-controls").append(viewpoints(), textureSelect(), ...display(legend, blend.row));
   mountModelFrame(frame, { loaded: (got, total) => loader.count("viewer", got, total), failed: cover.fail });
   mountSoftwareHint(body);
-  loader.onChange(({ state, got, total, error }) => {
+  loader.onChange(({ state, got, total, error, whole, mixed }) => {
     const busy = state === "drawn" && total > 0;
     chip.hidden = !busy && !(state === "drawn" && error);
     chip.textContent = busy ? `loading ${kB(got)} of ${kB(total)} kB` : error;
     setAttribute(body, "data-model", state);
+    setAttribute(body, "data-whole", whole ? "yes" : null);
+    setAttribute(body, "data-mixed", mixed ? "yes" : null);
   });
   const show = () => {
     const without = connectionState() === "connected" && !store.get("scan") && !store.get("acquisition")?.points;

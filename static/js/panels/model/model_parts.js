@@ -1,6 +1,6 @@
 /** The parts of the 3-D model, as the workbench sends them: meshes and textures (docs/workbench.md, pictures and files). */
 
-const RECENT = 4; // textures that are shown again without a transfer, the one in use included
+const RECENT = 6; // textures that are shown again without a transfer, the one in use included
 const RECENT_BLOCKS = 12; // of the surface, those in use included
 const HEADER_BYTES = 28;
 

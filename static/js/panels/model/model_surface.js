@@ -13,6 +13,10 @@ const BLOCK = "block";
 const SLIDE = "sliding photograph";
 const BELOW_SLIDE = 0.3; // brightness
 const SHEET = "photograph before its camera";
+/** Two textures are mixed as they are seen, in encoded values: halfway between black and white is the middle gray. */
+const MIXED = "#include <map_fragment>\n" +
+  "vec3 lrOther = diffuse * texture2D(lrSecond, vMapUv).rgb;\n" +
+  "diffuseColor.rgb = pow(mix(pow(diffuseColor.rgb, vec3(1.0 / 2.2)), pow(lrOther, vec3(1.0 / 2.2)), lrShare), vec3(2.2));";
 const OVER_ALL = 1000; // order of drawing
 const BOTH_SIDES = 2; // of three.js: DoubleSide
 const [REPEAT, TRILINEAR] = [1000, 1008]; // of three.js: RepeatWrapping, LinearMipmapLinearFilter
@@ -65,6 +69,9 @@ export class ModelSurface {
   #slide = null;
   #blocks = [];
   #sheet = null;
+  /** @type {{map: any, share: {value: number}} | null} the texture that is mixed into that of the surface */
+  #second = null;
+  #share = 0.5;
 
   /** @param {HTMLIFrameElement} frame */
   constructor(frame) {
@@ -86,16 +93,19 @@ export class ModelSurface {
    * @param {import("./model_parts.js").MeshArrays} arrays
    * @param {Blob} picture
    * @param {() => boolean} still whether it is still wanted once the picture is decoded
+   * @param {Blob | null} second another texture, which is mixed in as `share` says
    * @returns {Promise<boolean>} whether it was drawn
    */
-  async draw(arrays, picture, still) {
+  async draw(arrays, picture, still, second = null) {
     const inner = this.#frame.contentWindow;
-    const bitmap = await inner.createImageBitmap(picture, { premultiplyAlpha: "none", colorSpaceConversion: "none" });
+    const options = { premultiplyAlpha: "none", colorSpaceConversion: "none" };
+    const [bitmap, other] = await Promise.all([picture, second].map((blob) => blob && inner.createImageBitmap(blob, options)));
     const mesh = this.#find();
     if (!mesh || !still()) return false;
     this.#dropLayer();
     if (this.#own?.arrays !== arrays || this.#mesh !== mesh) this.#dropBlocks();
     this.#setTexture(mesh, bitmap);
+    this.#setSecond(mesh, other);
     if (this.#own?.arrays !== arrays || this.#mesh !== mesh) this.#setGeometry(mesh, arrays, inner);
     this.#mesh = mesh;
     this.#viewer.requestRender();
@@ -135,6 +145,14 @@ export class ModelSurface {
     this.#viewer.requestRender();
     await this.#nextFrames(2);
     return true;
+  }
+
+  /** @param {number} share of the second texture, 0 to 1 */
+  set share(share) {
+    this.#share = share;
+    if (!this.#second || this.#second.share.value === share) return;
+    this.#second.share.value = share;
+    this.#viewer?.requestRender();
   }
 
   /** @returns {string} a text that changes when the camera moves; empty if nothing is drawn */
@@ -343,6 +361,32 @@ export class ModelSurface {
     material.toneMapped = false; // its own colours, as in the photograph
     material.needsUpdate = true;
     before.dispose();
+  }
+
+  #setSecond(mesh, bitmap) {
+    const { material } = mesh;
+    const before = this.#second;
+    this.#second = null;
+    if (bitmap) {
+      const map = material.map.clone();
+      map.source = new material.map.source.constructor(bitmap);
+      map.needsUpdate = true;
+      const second = { map, share: { value: this.#share } };
+      this.#second = second;
+      material.onBeforeCompile = (shader) => {
+        shader.uniforms.lrSecond = { value: second.map };
+        shader.uniforms.lrShare = second.share;
+        shader.fragmentShader = shader.fragmentShader
+          .replace("void main()", "uniform sampler2D lrSecond;\nuniform float lrShare;\nvoid main()")
+          .replace("#include <map_fragment>", MIXED);
+      };
+      material.customProgramCacheKey = () => "two textures";
+    } else if (before) {
+      delete material.onBeforeCompile; // its class's, which does nothing
+      delete material.customProgramCacheKey;
+    }
+    material.needsUpdate = true;
+    before?.map.dispose();
   }
 
   #setGeometry(mesh, arrays, inner) {

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.export.layered_scan import LayerValues
+from ladarreg_core.export.clouds.cloud_part import SCANNER_FRAME, CloudPart, cloud_rows
 from ladarreg_core.export.output_frame import OutputFrame
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.storage.atomic_write import write_chunks
 from ladarreg_core.surface.texture.best_photo import CellColors
-from ladarreg_core.surface.texture.registered_texture import Label, RegisteredTexture, dimmed_levels, model_rows
+from ladarreg_core.surface.texture.registered_texture import Label, RegisteredTexture
 
 _VERTEX = np.dtype(
     [
@@ -32,19 +31,7 @@ _VERTEX = np.dtype(
     ]
 )
 _FROM_PHOTOS = np.dtype([("photo_id", "<u2"), ("sigma_px", "<f4")])
-SCANNER_FRAME = OutputFrame()
-_ROWS_AT_ONCE = 128
 _PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<u2": "ushort"}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CloudPart:
-    """The returns of a scan with their colours, in the frame of the file."""
-
-    scan: Scan
-    texture: RegisteredTexture | CellColors
-    frame: OutputFrame = SCANNER_FRAME
-    layers: Mapping[str, LayerValues] = field(default_factory=dict)
 
 
 def write_ply(
@@ -130,24 +117,17 @@ def _chunks(parts: Sequence[CloudPart], comments: Sequence[str] = (), report: Re
 
 def _vertices(part: CloudPart, layout: np.dtype[Any]) -> Iterator[NDArray[Any]]:
     """Yield the vertices (N,) of some rows at a time."""
-    scan, texture = part.scan, part.texture
-    levels, drawn = dimmed_levels(scan), texture.texture if isinstance(texture, CellColors) else texture
-    for first in range(0, scan.shape[0], _ROWS_AT_ONCE):
-        rows = slice(first, first + _ROWS_AT_ONCE)
-        valid = np.flatnonzero(scan.valid[rows])
-        vertices = np.zeros(len(valid), dtype=layout)
-        points = part.frame.place(scan.points_at(rows, slice(None)).reshape(-1, 3).take(valid, axis=0))
-        rgb = model_rows(scan, drawn, rows, levels).reshape(-1, 3).take(valid, axis=0)
+    for rows in cloud_rows(part):
+        vertices = np.zeros(len(rows.points), dtype=layout)
         for k in range(3):
-            vertices["xyz"[k]] = points[:, k]
-            vertices[("red", "green", "blue")[k]] = rgb[:, k]
-        vertices["intensity"] = scan.intensity[rows].take(valid)
-        vertices["label"] = texture.labels[rows].take(valid)
-        if isinstance(texture, CellColors):
-            vertices["photo_id"] = texture.photo[rows].take(valid) + np.uint16(1)  # that of none becomes 0
-            vertices["sigma_px"] = texture.sigma_px[rows].take(valid)
-        for name, one in part.layers.items():
-            vertices[name] = one.values[rows].take(valid)
+            vertices["xyz"[k]] = rows.points[:, k]
+            vertices[("red", "green", "blue")[k]] = rows.color[:, k]
+        vertices["intensity"], vertices["label"] = rows.intensity, rows.labels
+        if rows.photo is not None:
+            vertices["photo_id"] = rows.photo + np.uint16(1)  # that of none becomes 0
+            vertices["sigma_px"] = rows.sigma_px
+        for name, values in rows.layers.items():
+            vertices[name] = values
         yield vertices
 
 

@@ -1,0 +1,1 @@
+"""Clouds of points as files: their rows, PLY, LAS."""

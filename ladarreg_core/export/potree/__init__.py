@@ -1,0 +1,1 @@
+"""What Potree reads: an octree of points, and photographs that stand in it."""
