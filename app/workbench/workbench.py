@@ -315,13 +315,14 @@ class Workbench:
             "progress": progress_slice(loader, document, None, exported={}),
             "limits": {"upload_bytes": self.limits.upload_bytes, "photos": MAX_PHOTOS},
         }
+        seen = {"", *(entry.station for entry in document.photos if entry.id in self._photos_looked_at(False))}
         for entry in document.photos:
             found[f"picks:{entry.id}"] = self._pick_entries.get(entry.id, entry.picks)
             found[f"poses:{entry.id}"] = self._poses_slice(document, entry)
             found[f"progress:{entry.id}"] = progress_slice(
                 loader, document, entry, exported=self.jobs.exports.exported(entry)
             )
-            found[f"outline:{entry.id}"] = self._outline_slice(entry)
+            found[f"outline:{entry.id}"] = self._outline_slice(entry) if entry.station in seen else None
             found[f"ties:{entry.id}"] = self._slices.get(
                 ("ties", document.adjusted, entry.id, entry.pose), partial(ties_slice, document, entry)
             )
@@ -416,9 +417,7 @@ class Workbench:
         return found
 
     def _by_station(self, document: Document) -> list[PhotoEntry]:
-        """Return the photographs that take work on a scan now: those beside the project's, then those looked at beside
-        others, so that each of these is read once, and none for a photograph that nobody sees.
-        """
+        """Return the photographs that take work on a scan: beside the project's all, beside others those looked at."""
         seen = self._photos_looked_at(False)
         here = [entry for entry in document.photos if not entry.station]
         there = [entry for entry in document.photos if entry.station and entry.id in seen]

@@ -35,6 +35,7 @@ export const mountStrip = (body, controller) => {
   const extent = () => store.scanBeside()?.strip ?? null;
   const photos = () =>
     (store.get("photos") ?? [])
+      .filter(({ station }) => (station ?? "") === store.station()) // outlines are seen from a photograph's own scanner
       .map(({ id, name }) => ({ id, name, ...(store.get(`outline:${id}`) ?? { rays: null, registered: false }) }))
       .filter(({ rays }) => rays);
 

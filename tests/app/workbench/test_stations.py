@@ -176,6 +176,12 @@ def test_two_people_match_photographs_with_stations_of_their_own(
     assert (pose_of(carried) @ BETWEEN).distance_to(there) < 0.005
     assert other.slice("model")["accepted"]
 
+    # Scans of stations that nobody sees are not read for the outlines of their photographs.
+    assert other.slice(f"outline:{second}")["registered"]
+    other.do("show_photo", photo="p1")
+    assert bench.slice(f"outline:{second}") is None
+    other.do("show_photo", photo=second)
+
     # Exported by itself it has its own scan, with others the project's.
     for photos, name in (([second], "window.npz"), (["p1", second], "hall.npz")):
         job(bench, "export", targets=["results"], photos=photos)
