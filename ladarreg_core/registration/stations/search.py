@@ -209,11 +209,11 @@ def _free(surfels: Surfels, yaw: float, cell: float, half: int) -> NDArray[np.fl
     x, y = np.meshgrid(at, at, indexing="ij")
     turn = rotation_about("z", -yaw)[:2, :2]
     own = _bearing_of(turn[0, 0] * x + turn[0, 1] * y, turn[1, 0] * x + turn[1, 1] * y)
-    return (np.hypot(x, y) < reach[own] - _CLEARANCE_CELLS * cell).astype(np.float32)
+    return np.asarray(np.hypot(x, y) < reach[own] - _CLEARANCE_CELLS * cell, np.float32)
 
 
 def _bearing_of(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.intp]:
-    return np.floor(np.mod(np.arctan2(y, x) / (2 * np.pi), 1.0) * _BEARINGS).astype(np.intp) % _BEARINGS
+    return np.asarray(np.mod(np.arctan2(y, x) / (2 * np.pi), 1.0) * _BEARINGS, np.intp) % _BEARINGS
 
 
 def _standing(surfels: Surfels, yaw: float, cell: float, half: int) -> NDArray[np.float32]:
