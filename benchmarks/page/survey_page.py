@@ -36,7 +36,6 @@ _BARS: dict[str, tuple[str, float]] = {
     "memory of the server": ("MB", 2500),
     "memory of the page": ("MB", 600),
     "vertices": ("", 400_000),
-    "draw calls": ("", 120),
     "textures": ("MB", 64),
     "useful at 1.5 Mbit/s": ("s", 5.0),
     "thumbnails": ("kB", 400),
@@ -62,11 +61,7 @@ _WATCH = """
   };
   addEventListener("load", ({ target }) => target.matches?.(".pane-body img") && seen(target), true);
   const gl = WebGL2RenderingContext.prototype;
-  top.drawn ??= { calls: 0, most: 0, textures: new Map() };
-  for (const name of ["drawElements", "drawArrays", "drawElementsInstanced", "drawArraysInstanced"]) {
-    const plain = gl[name];
-    gl[name] = function (...given) { top.drawn.calls += 1; return plain.apply(this, given); };
-  }
+  top.drawn ??= { textures: new Map() };
   const bind = gl.bindTexture, remove = gl.deleteTexture, image = gl.texImage2D, storage = gl.texStorage2D;
   gl.bindTexture = function (target, texture) { this.bound = texture; return bind.call(this, target, texture); };
   gl.deleteTexture = function (texture) { top.drawn.textures.delete(texture); return remove.call(this, texture); };
@@ -79,12 +74,6 @@ _WATCH = """
     if (given[1] === 0) top.drawn.textures.set(this.bound, 4 * width * height * 4 / 3);
     return image.apply(this, given);
   };
-  const look = () => {
-    top.drawn.most = Math.max(top.drawn.most, top.drawn.calls);
-    top.drawn.calls = 0;
-    requestAnimationFrame(look);
-  };
-  if (window !== top) requestAnimationFrame(look);
 })();
 """
 _VERTICES = """
@@ -211,11 +200,8 @@ class Tab:
         """Wait for the 3-D view, and return what it draws."""
         self.page.wait_for_function(f"({_VERTICES})() > 20000")
         self.page.wait_for_timeout(15_000)  # finer parts follow
-        self.page.evaluate("drawn.most = 0")
-        self.page.wait_for_timeout(4_000)
-        sizes = self.page.evaluate("[drawn.most, [...drawn.textures.values()].reduce((a, b) => a + b, 0)]")
-        vertices = self.page.evaluate(f"({_VERTICES})()")
-        return {"vertices": vertices, "draw calls": sizes[0], "textures": sizes[1] / 1e6}
+        textures = self.page.evaluate("[...drawn.textures.values()].reduce((a, b) => a + b, 0)")
+        return {"vertices": self.page.evaluate(f"({_VERTICES})()"), "textures": textures / 1e6}
 
     @staticmethod
     def memory_mb() -> float:

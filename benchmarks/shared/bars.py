@@ -18,5 +18,12 @@ class Row:
 
 def table(rows: list[Row]) -> str:
     """Return a Markdown table."""
-    lines = [f"| {row.what} | {row.bar} | {row.reached} | {'held' if row.held else 'MISSED'} |" for row in rows]
+    lines = [f"| {row.what} | {row.bar} | {row.reached} | {_verdict(row)} |" for row in rows]
     return "\n".join(["| what | bar | reached | |", "|---|---|---|---|", *lines])
+
+
+def _verdict(row: Row) -> str:
+    """Return whether a bar was held; nothing where there is none."""
+    if row.bar in ("", "reported"):
+        return ""
+    return "held" if row.held else "MISSED"

@@ -28,6 +28,9 @@ class PlacedScan:
 def placed_scans(folders: Sequence[Path], *, trust_edited: bool = False) -> list[PlacedScan]:
     """Return the scans of adjusted surveys that have a place; other folders have none.
 
+    Adjustments of earlier versions do not state how a scan was read, and of a file with several not which it is: theirs
+    are left out.
+
     Args:
         folders: any folders of results.
         trust_edited: read documents that were changed after they were written.
@@ -40,11 +43,12 @@ def placed_scans(folders: Sequence[Path], *, trust_edited: bool = False) -> list
         if not is_batch_folder(folder):
             continue
         for name, fields in read_photos_result(folder, trust_edited=trust_edited).document["scans"].items():
-            if not fields.get("accepted") or not isinstance(fields.get("input"), dict):
+            record = fields.get("input")
+            if not fields.get("accepted") or not isinstance(record, dict) or "read_with" not in record:
                 continue
             try:
                 world = Rigid.from_matrix(np.asarray(fields["world_from_scanner"], np.float64))
             except (LadarregError, KeyError, TypeError, ValueError):
                 raise FormatError(f"{folder}: the pose of the scan {name!r:.60} is damaged; adjust again") from None
-            found.append(PlacedScan(fields["input"], world))
+            found.append(PlacedScan(record, world))
     return found

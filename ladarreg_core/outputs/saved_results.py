@@ -325,7 +325,7 @@ def registered_results(
         raise OptionError("there is no result to export; give one or several folders of results")
     groups = _by_scan(results, scan_options)
     on = {_of_scan(group[0].inputs[0]) for group in groups}
-    others = [one for one in placed if _of_scan(one.input) not in on]
+    others = list({key: one for one in placed if (key := _of_scan(one.input)) not in on}.values())
     several = len(groups) + len(others)
     if several > 1 and scan_file is not None:
         raise OptionError(f"the results are on {several} scans, and one file is given for them; give their folder")

@@ -292,6 +292,12 @@ def test_three_of_very_many_fit_by_chance():
         lr.name_targets(found, names)
 
 
+def test_too_many_targets_are_refused_before_they_are_compared():
+    places = np.random.default_rng(6).uniform(-9, 9, (90, 3))
+    with pytest.raises(DegenerateGeometryError, match="too many to be told apart"):
+        lr.name_targets([_target(center) for center in places], {f"T{k}": place for k, place in enumerate(places)})
+
+
 def test_flat_targets_are_found_among_pictures_on_the_wall():
     scan = _empty_scan()
     light = np.random.default_rng(2).uniform(0.2, 0.7, (12, 30)).repeat(18, 0).repeat(18, 1)

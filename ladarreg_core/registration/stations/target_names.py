@@ -24,6 +24,7 @@ _MOVED_M = 0.05
 _LEAST = 3
 _BY_CHANCE = 0.01  # expected number of other assignments of as many targets
 _MOST_TRIED = 200
+_MOST_ASSIGNMENTS = 6000  # of a target to coordinates, compared each with each: 36 MB an array of truths
 _ROUNDS = 5
 
 
@@ -119,6 +120,11 @@ def _named(
     nodes = np.array(
         [(a, i) for a, one in enumerate(found) for i, name in enumerate(names) if is_alike(one, name)]
     ).reshape(-1, 2)
+    if len(nodes) > _MOST_ASSIGNMENTS:
+        raise DegenerateGeometryError(
+            f"{len(found)} things in the scan look like targets, and there are {len(names)} coordinates: too many to "
+            "be told apart; pick the targets, or give the coordinates of those near the scanner"
+        )
     tolerance = _FLOOR_M + _SIGMAS * np.sqrt(spread[nodes[:, 0]] + spread_of_known[nodes[:, 1]])
     agrees = _agreement(nodes, own, world, tolerance)
     assignments: dict[_Assignment, float] = {}
@@ -160,8 +166,8 @@ def _alike(target: SurveyTarget, known: SurveyTarget | ArrayLike) -> bool:
 def _agreement(nodes: NDArray[np.intp], own: Array, world: Array, tolerance: Array) -> NDArray[np.bool_]:
     """Return which two of the assignments (N, 2) of a target to coordinates may both be right, (N, N)."""
     one, other = nodes[:, 0], nodes[:, 1]
-    apart = np.linalg.norm(own[one][:, None] - own[one], axis=-1)
-    known = np.linalg.norm(world[other][:, None] - world[other], axis=-1)
+    apart = np.linalg.norm(own[:, None] - own, axis=-1)[np.ix_(one, one)]
+    known = np.linalg.norm(world[:, None] - world, axis=-1)[np.ix_(other, other)]
     allowed = np.hypot(tolerance[:, None], tolerance)
     agrees = (np.abs(apart - known) < allowed) & (known > _LEAST_APART_M)
     agrees &= (one[:, None] != one) & (other[:, None] != other)

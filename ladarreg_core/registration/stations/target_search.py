@@ -22,19 +22,17 @@ from ladarreg_core.scan import Scan
 
 Array = NDArray[np.float64]
 
-_LEAST_CELLS, _COARSE_CELLS = (
-    2.3,
-    6.0,
-)  # half the width of a target in cells: the least, and that below which all are tried
+_LEAST_CELLS = 2.3  # half the width of a target: with less, fewer than the 12 cells of a fit are on its face
+_COARSE_CELLS = 6.0  # up to twice which every cell is tried, then every second, and so on
 _RING_OF_RADIUS, _RIM_OF_RADIUS, _RING_OF_SIDE = 0.5, 0.8, 0.28  # radii of the rings that are compared
 _AROUND = 16
 _RISE, _MEAN_RISE = (0.25, 2.0), (0.7, 1.4)  # of opposite places of the ring, and of all, over that on the sphere
 _RIM_RISE = (0.6, 1.5)  # the lower quartile of those near the rim, where some places are already beside it
 _RIM_CELLS = 8.0  # half the width below which the rim is not told from what is beside it
 _MOST_TILT = 1.4  # difference of opposite places over the rise: more is beside the middle
-_FLAT_OF_SIDE = 0.03
+_FLAT_OF_SIDE = 0.03  # mean of the ring less the middle, of the side: more is bent
 _LEAST_SECOND, _LEAST_CONTRAST = 0.6, 0.25  # share of the second harmonic; standard deviation over the mean
-_MOST_FITS = 400
+_MOST_FITS = 400  # at up to .05 s each
 _BLOCK_CELLS = 1 << 19
 
 
