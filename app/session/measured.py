@@ -38,7 +38,7 @@ def measured_places(loader: Loader, document: Document, scan: Scan, wanted: Sequ
             refusals[number] = str(error)
             continue
         listed += [
-            Place(one.at, "photo" if one.photo else "ray", one.photo, str(number), kind, name)
+            Place(one.at, "photo" if one.photo else "ray", one.photo, str(number), kind, name, one.sigma)
             for one, name in zip(places, names, strict=True)
         ]
     found = {int(one.name): one for one in measure_places(scan, photos, listed)} if listed else {}

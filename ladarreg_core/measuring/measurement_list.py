@@ -140,8 +140,8 @@ def _points(
     """Return the points of all places, in their order, in the frame of the results."""
     parts: list[MeasuredPoints] = []
     order: list[int] = []
-    for where, photo in dict.fromkeys((place.where, place.photo) for place in places):
-        rows = [k for k, place in enumerate(places) if (place.where, place.photo) == (where, photo)]
+    for where, photo, sigma in dict.fromkeys((place.where, place.photo, place.sigma) for place in places):
+        rows = [k for k, place in enumerate(places) if (place.where, place.photo, place.sigma) == (where, photo, sigma)]
         at = np.array([places[k].at for k in rows], np.float64)
         if where == "point":
             parts.append(MeasuredPoints.given(at))
@@ -149,10 +149,11 @@ def _points(
             if where == "cell":
                 found = MeasuredPoints.of_scan(scan, cells=at, sigma_cells=sigma_px)
             elif where == "ray":
-                found = MeasuredPoints.of_scan(scan, rays=at, sigma_cells=sigma_px)
+                found = MeasuredPoints.of_scan(scan, rays=at, sigma_cells=sigma_px, sigma_rad=sigma)
             else:
                 name = _photo(photo, photos)
-                found = MeasuredPoints.of_photo(scan, photos[name], at, sigma_uv_px=sigma_px, name=name)
+                picked_px = max(sigma_px, sigma)
+                found = MeasuredPoints.of_photo(scan, photos[name], at, sigma_uv_px=picked_px, name=name)
             parts.append(found if world is None else found.moved(world))
         order += rows
     found = MeasuredPoints.joined(parts).subset(np.argsort(order).tolist())

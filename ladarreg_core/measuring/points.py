@@ -78,6 +78,7 @@ class MeasuredPoints:
         cells: ArrayLike | None = None,
         rays: ArrayLike | None = None,
         sigma_cells: float = PICKED_PX,
+        sigma_rad: float = 0.0,
         sigma_range_m: float | None = None,
     ) -> MeasuredPoints:
         """Return points picked in a scan.
@@ -87,6 +88,7 @@ class MeasuredPoints:
             cells: (N, 2) row and column, also between the centres of cells; or
             rays: (N, 3) directions of any length, scanner frame.
             sigma_cells: standard deviation of the place that was picked, along each axis, cells.
+            sigma_rad: the same as an angle, where that is more: of what was picked in a picture of fewer pixels.
             sigma_range_m: noise of a range, m; None: that of the scan, by the light that returned.
 
         Returns:
@@ -98,6 +100,7 @@ class MeasuredPoints:
         """
         require_type(scan, Scan, "'scan'")
         require_number(sigma_cells, "sigma_cells", least=0)
+        require_number(sigma_rad, "sigma_rad", least=0)
         if (cells is None) == (rays is None):
             raise OptionError("the points are given by both cells and rays, or neither; give one of them")
         if cells is not None:
@@ -128,11 +131,14 @@ class MeasuredPoints:
         normals = cell_normals(scan, nearest.astype(np.int32)).astype(np.float64)
         cosine = (normals * directions).sum(axis=1)
         xyz = np.where([[not one] for one in refusals], directions * found.ranges[:, None], np.nan).reshape(-1, 3)
-        aside = _ray_by_cell(scan, at) * found.ranges[:, None, None]  # (N, 2, 3) m per cell
+        by_cell = _ray_by_cell(scan, at)
+        steps_rad = np.maximum(np.linalg.norm(by_cell, axis=-1), 1e-12)
+        sigmas = np.maximum(sigma_cells, sigma_rad / steps_rad)  # (N, 2) cells
+        aside = by_cell * found.ranges[:, None, None]  # (N, 2, 3) m per cell
         along = (aside * normals[:, None]).sum(axis=-1) / away_from_zero(cosine)[:, None]
-        picked = sigma_cells * (aside - along[..., None] * directions[:, None])
+        picked = sigmas[..., None] * (aside - along[..., None] * directions[:, None])
         own = np.concatenate([picked, (directions * mean[:, None])[:, None]], axis=1)
-        flags = _flags(_near_edge(scan, at, max(_EDGE_CELLS, 2.5 * sigma_cells)), cosine)
+        flags = _flags(_near_edge(scan, at, np.maximum(_EDGE_CELLS, 2.5 * sigmas)), cosine)
         return MeasuredPoints(xyz=xyz, own=own, names=names, flags=flags, refusals=refusals)
 
     @staticmethod
@@ -279,11 +285,11 @@ def _flags(at_edge: BoolArray, cosine: FloatArray) -> tuple[tuple[str, ...], ...
     return tuple(tuple(word for word, one in zip(words, pair, strict=True) if one) for pair in pairs)
 
 
-def _near_edge(scan: Scan, at: FloatArray, reach: float) -> BoolArray:
-    """Return whether a depth edge or a hole is within some cells of places (N, 2) in a scan."""
+def _near_edge(scan: Scan, at: FloatArray, reach: FloatArray) -> BoolArray:
+    """Return whether a depth edge or a hole is within `reach` (N, 2) rows and columns of places (N, 2) in a scan."""
     angle = np.arange(16) * (np.pi / 8)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    around = at[:, None] + reach * np.concatenate([circle, circle / 2])
+    around = at[:, None] + reach[:, None] * np.concatenate([circle, circle / 2])
     highest = np.array(scan.shape) - 1.0
     rays = np.asarray(scan.geometry.ray_at(np.clip(around, 0, highest).reshape(-1, 2)), np.float64)
     return np.asarray(np.isnan(measured_ranges(scan, rays).ranges).reshape(len(at), -1).any(axis=1))

@@ -239,6 +239,8 @@ class MeasuredPlace(msgspec.Struct, frozen=True, kw_only=True):
     """Unit ray, scanner frame; or pixel (u, v) of a photograph."""
     photo: str = ""
     """Id of the photograph; empty: it was picked in the scan."""
+    sigma: float = 0.0
+    """Standard deviation of the pick along each axis, rad of a ray or pixels, as the picture was shown; 0: as usual."""
 
 
 class MeasurementEntry(msgspec.Struct, frozen=True, kw_only=True):

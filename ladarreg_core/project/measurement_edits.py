@@ -14,20 +14,27 @@ from ladarreg_core.project.edits import MAX_PIXEL, finite, require_photo
 MAX_MEASUREMENTS = 500
 MAX_PLACES = 100
 """Most points of one measurement."""
+MAX_SIGMA_RAD, MAX_SIGMA_PX = 0.2, 1000.0
+"""Largest standard deviations of a pick."""
 MAX_NAME = 60
 """Longest name of a measurement, letters."""
 
 
-def place(at: Sequence[object], photo: str = "") -> MeasuredPlace:
+def place(at: Sequence[object], photo: str = "", sigma: object = 0.0) -> MeasuredPlace:
     """Return a picked point.
 
     Args:
         at: a ray of the scanner frame, of any length, or a pixel of a photograph.
         photo: id of the photograph; empty: the point was picked in the scan.
+        sigma: standard deviation of the pick along each axis, rad of a ray or pixels; 0: as usual.
 
     Raises:
-        OptionError: if it is not three finite numbers that are not all zero, or two of a pixel near the photograph.
+        OptionError: if it is not three finite numbers that are not all zero, or two of a pixel near the photograph; or
+            the standard deviation is negative or so large that nothing was picked.
     """
+    picked, largest_sigma, unit = finite(sigma), *((MAX_SIGMA_PX, "px") if photo else (MAX_SIGMA_RAD, "rad"))
+    if picked is None or not 0 <= picked <= largest_sigma:
+        raise OptionError(f"the standard deviation of a pick is {sigma!r}; it is 0 to {largest_sigma:g} {unit}")
     numbers = [finite(value) for value in at]
     wanted = 2 if photo else 3
     if len(numbers) != wanted or any(value is None for value in numbers):
@@ -37,12 +44,12 @@ def place(at: Sequence[object], photo: str = "") -> MeasuredPlace:
     if photo:
         if (np.abs(values) > MAX_PIXEL).any():
             raise OptionError(f"a pixel lies more than {MAX_PIXEL:,.0f} px from the image's corner; pick in the image")
-        return MeasuredPlace(at=tuple(values.tolist()), photo=photo)
+        return MeasuredPlace(at=tuple(values.tolist()), photo=photo, sigma=picked)
     largest = float(np.abs(values).max())
     if largest == 0:
         raise OptionError("a ray has zero length; a ray is a direction [x, y, z]")
     values /= largest  # first: the squares of huge numbers overflow
-    return MeasuredPlace(at=tuple((values / np.linalg.norm(values)).tolist()))
+    return MeasuredPlace(at=tuple((values / np.linalg.norm(values)).tolist()), sigma=picked)
 
 
 def with_measurement(

@@ -39,7 +39,7 @@ mountHeader(byId("header"));
 mountDock(byId("dock"));
 mountStatusBar(byId("status"));
 mountMaximise(byId("panes"));
-mountModelPane(byId("model-pane"));
+const model = mountModelPane(byId("model-pane"));
 mountDividers(byId("workbench"), byId("panes"));
 mountSwitcher(byId("workbench"));
 mountPanes({
@@ -47,6 +47,7 @@ mountPanes({
   scanBody: part("scan-pane", "pane-body"),
   photoHead: part("photo-pane", "pane-head"),
   photoBody: part("photo-pane", "pane-body"),
+  model,
   store,
   view,
   ask,

@@ -34,6 +34,17 @@ def measurer(browser: Browser, workbench: SharedWorkbench, request: pytest.Fixtu
         yield found
 
 
+@pytest.fixture
+def modeller(browser: Browser, workbench: SharedWorkbench, request: pytest.FixtureRequest) -> Iterator[Operator]:
+    """The same with the model, which other tests leave out."""
+    workbench.open("solved")
+    with at_work(browser, workbench.server, request) as found:
+        found.page.unroute("**/viser/**")
+        found.page.add_init_script("localStorage.setItem('ladarreg-software-drawing', 'dismissed')")
+        found.open()
+        yield found
+
+
 def first_hit(origin: NDArray[np.float64], ray: NDArray[np.float64]) -> float:
     """Return the distance to the first triangle of the sample's scene along a ray. Source: Moeller and Trumbore."""
     a, b, c = np.moveaxis(np.asarray(case_world(SCENE, seed=SEED).triangles, np.float64), 1, 0)
@@ -141,6 +152,75 @@ def test_a_distance_is_clicked_and_its_interval_contains_the_truth(measurer: Ope
     assert saved.value.suggested_filename.endswith(".zip")
     page.get_by_role("button", name="Remove Desk").click()
     measurer.wait(lambda: measurer.slice("measurements") == [], "an empty list")
+
+
+IN_MODEL = """(xyz) => {
+  const { camera, nodeRefFromName } = window.__viserMutable;
+  const at = camera.position.clone().fromArray(xyz).applyMatrix4(nodeRefFromName["/model"].matrixWorld).project(camera);
+  return [(at.x + 1) / 2, (1 - at.y) / 2];
+}"""
+"""Where a place of the scanner's frame is seen in the model's frame, as shares of its width and height."""
+
+
+@pytest.mark.slow
+def test_points_are_clicked_on_the_model_and_their_interval_contains_the_truth(modeller: Operator) -> None:
+    measurer, page = modeller, modeller.page
+    page.locator("#model-pane [data-whole]").wait_for()
+    page.get_by_role("button", name="Scanner", exact=True).click()
+    frame = page.locator("iframe.model-frame")
+    inner = page.frame_locator("iframe.model-frame").locator("body")
+    scan = pixels_on_surfaces(measurer, "scan")
+    truths = [true_place(measurer, {"ray": ray_of(measurer, uv).tolist()}) for uv in (scan[0], scan[-1])]
+
+    def seen(truth: NDArray[np.float64]) -> list[float]:
+        found: list[float] = inner.evaluate(f"(_, xyz) => ({IN_MODEL})(xyz)", truth.tolist())
+        return found
+
+    def inside() -> bool:
+        return all(0.02 < share < 0.98 for truth in truths for share in seen(truth))
+
+    measurer.wait(inside, "both places in the model's view")
+    page.keyboard.press("d")
+    box = frame.bounding_box()
+    assert box is not None
+    looked = inner.evaluate("() => window.__viserMutable.camera.matrixWorld.elements.join()")
+    for truth in truths:
+        u, v = seen(truth)
+        page.mouse.move(box["x"] + u * box["width"], box["y"] + v * box["height"])
+        page.mouse.down()
+        page.mouse.up()
+        page.locator("#model-pane .pane-measure").get_by_text("second point").or_(
+            page.locator("#model-pane .pane-measure strong").filter(has_text="Distance")
+        ).first.wait_for()
+    found = only_measured(measurer, 1)
+    measurer.shot("on-the-model")
+    places = measurer.slice("measurements")[-1]["places"]
+    for place, truth in zip(places, truths, strict=True):
+        off = np.arccos(np.clip(place["ray"] @ truth / np.linalg.norm(truth), -1, 1))
+        assert off < 4 * place["sigma_rad"] + 1e-3, "a click is where it was seen"
+        assert place["sigma_rad"] > 2e-4, "a pixel of the model is coarser than a cell"
+    distance = float(np.linalg.norm(truths[0] - truths[1]))
+    value, sigma = (float(word) for word in found["value"].removesuffix(" m").split(" ± "))
+    assert abs(value - distance) < 4 * sigma
+    assert looked == inner.evaluate("() => window.__viserMutable.camera.matrixWorld.elements.join()"), "nobody has flown"
+    # the measurement is selected where it is drawn
+    page.mouse.move(*measurer.place("scan", (5, 5)))
+    page.keyboard.press("v")
+    ends = measurer.slice("measured")[0]["drawn"]["ends"]
+    middle = np.mean(ends, axis=0)
+    measurer.step("Judge")
+    item = page.locator("[data-measurement]")
+    click(measurer, "scan", tuple(pixel_of(measurer, middle)))
+    page.locator("[data-measurement].chosen").wait_for()
+    click(measurer, "scan", tuple(pixel_of(measurer, middle) + [0, 60]))
+    measurer.wait(lambda: "chosen" not in (item.get_attribute("class") or ""), "nothing selected")
+
+
+def pixel_of(operator: Operator, ray: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the pixel of the scan's first view that a ray of the scanner meets; the inverse of `ray_of`."""
+    view = operator.slice("scan")["views"][0]
+    x, y, z = np.array(view["rotation"]).reshape(3, 3) @ ray
+    return np.array([view["f"] * x / z + view["cx"], view["f"] * y / z + view["cy"]])
 
 
 @pytest.mark.slow

@@ -89,3 +89,35 @@ def test_blocks_replace_the_faces_within_them_and_those_across_their_borders_sta
     replaced = (of[:, 0] >= 0) & (of[:, 0] == of[:, 1]) & (of[:, 1] == of[:, 2])
     np.testing.assert_array_equal(kept, faces[~replaced])
     assert bool(names) == replaced.any()
+
+
+UNDER = """const surfaces = [{ positions: new Float32Array(a.positions), faces: new Uint32Array(a.faces) }];
+return m.placeUnder(surfaces, a.look, a.ndc, a.step)"""
+
+
+def test_a_click_is_worth_what_is_beside_it(blank: Page) -> None:
+    # a wall 4 m before the scanner, seen from the side by a camera at (2, 0, 1) that looks along z as the scanner does
+    positions = [-3, -3, 4, 3, -3, 4, 3, 3, 4, -3, 3, 4]
+    world = np.eye(4)
+    world[:3, 3] = [2, 0, 1]
+    reach = 0.5  # of the picture, at distance 1
+    unproject = np.array([[reach, 0, 0, 0], [0, reach, 0, 0], [0, 0, 0, 1], [0, 0, -0.9, 1.1]], float)
+    look = {
+        "world": world.T.reshape(-1).tolist(),
+        "projectionInverse": unproject.T.reshape(-1).tolist(),
+        "meshInverse": np.eye(4).reshape(-1).tolist(),
+    }
+
+    def under(ndc: list[float], step: float) -> Any:
+        given = {"positions": positions, "faces": [0, 1, 2, 0, 2, 3], "look": look, "ndc": ndc, "step": [step, step]}
+        return run(blank, "panels/model/model_view", UNDER, given)
+
+    found = under([0.2, -0.4], 0.01)
+    np.testing.assert_allclose(found["place"], [2 + 3 * 0.2 * reach, -3 * 0.4 * reach, 4], atol=1e-5)
+    at = np.array(found["place"])
+    beside = [at + np.array([sign * 3 * 0.01 * reach, 0, 0]) for sign in (-1, 1)]
+    beside += [at + np.array([0, sign * 3 * 0.01 * reach, 0]) for sign in (-1, 1)]
+    angles = [np.arccos(at @ one / np.linalg.norm(at) / np.linalg.norm(one)) for one in beside]
+    assert found["sigma"] == pytest.approx(max(angles), rel=1e-3)
+    assert under([0.2, -0.4], 0.04)["sigma"] == pytest.approx(4 * found["sigma"], rel=0.02)
+    assert under([0.9, 0.0], 0.01) is None

@@ -56,8 +56,10 @@ class OfPlaces(WorkbenchCommand, frozen=True):
 
 
 class Measure(OfPlaces, frozen=True):
-    """measures points, each `{ray}` in the scan or `{photo, uv}`, and changes nothing: value with standard deviation,
-    95 % interval and notes as in the slice `measured`, or why it is refused
+    """measures points, each `{ray}` in the scan or `{photo, uv}`, with the standard deviation of the pick along each
+    axis, `sigma_rad` or `sigma_px`, where the picture was shown too small for the usual half a cell or pixel; and
+    changes nothing: value with standard deviation, 95 % interval and notes as in the slice `measured`, or why it is
+    refused
     """
 
     looks: ClassVar[bool] = True
@@ -124,7 +126,7 @@ def _place(fields: dict[str, Any]) -> MeasuredPlace:
     at = fields.get("uv" if photo else "ray")
     if not isinstance(photo, str) or not isinstance(at, list):
         raise OptionError("a point has a ray [x, y, z] of the scan, or a photo and its pixel uv; give one of them")
-    return measurement_edits.place(at, photo)
+    return measurement_edits.place(at, photo, fields.get("sigma_px" if photo else "sigma_rad", 0.0))
 
 
 def _with_article(kind: str) -> str:

@@ -212,10 +212,13 @@ def measurement_entry(entry: MeasurementEntry) -> dict[str, Any]:
         "id": entry.id,
         "name": entry.title,
         "kind": entry.kind,
-        "places": [
-            {"photo": one.photo, "uv": list(one.at)} if one.photo else {"ray": list(one.at)} for one in entry.places
-        ],
+        "places": [_place(one) for one in entry.places],
     }
+
+
+def _place(one: MeasuredPlace) -> dict[str, Any]:
+    at, unit = ({"photo": one.photo, "uv": list(one.at)}, "px") if one.photo else ({"ray": list(one.at)}, "rad")
+    return at | ({f"sigma_{unit}": one.sigma} if one.sigma else {})
 
 
 def _pose_name(entry: PhotoEntry) -> str:

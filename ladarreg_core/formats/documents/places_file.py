@@ -34,6 +34,9 @@ class Place:
     """What the measurement is, such as `distance`; empty: not stated here."""
     name: str = ""
     """What messages call it; empty: its place."""
+    sigma: float = 0.0
+    """Standard deviation of the pick along each axis, pixels of a photograph or rad of a ray, where that is more than
+    is stated for all."""
 
 
 def read_places(path: PathLike) -> list[Place]:

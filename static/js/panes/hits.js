@@ -48,6 +48,29 @@ export const hitAt = (marks, viewport, xy, selected = new Set(), scale = 1) => {
 };
 
 /**
+ * Find the measurement under the pointer.
+ * @param {ReturnType<typeof import("./measured_layer.js").measuredMarks>} marks
+ * @param {import("./viewport.js").Viewport} viewport
+ * @param {readonly number[]} xy CSS pixels of the pane
+ * @param {number} scale of symbols
+ * @returns {string | null} its id
+ */
+export const measurementAt = (marks, viewport, xy, scale = 1) => {
+  let best = null;
+  const on = (uv) => uv && toScreen(viewport, uv);
+  for (const { id, ends, lines } of marks) {
+    const pairs = lines.flatMap((line) => line.slice(1).map((end, k) => [on(line[k]), on(end)]));
+    const distances = [
+      ...ends.map((uv) => Math.hypot(...on(uv).map((at, k) => at - xy[k])) - (END_PX - LINE_PX) * scale),
+      ...pairs.filter(([a, b]) => a && b).map(([a, b]) => distanceToSegment(xy, a, b)),
+    ];
+    const distance = Math.min(...distances);
+    if (distance <= LINE_PX * scale) best = nearer(best, { id, distance });
+  }
+  return best?.id ?? null;
+};
+
+/**
  * @param {import("./marks.js").Mark[]} marks
  * @param {readonly number[]} a pixel
  * @param {readonly number[]} b pixel

@@ -8,6 +8,7 @@ import { Controller } from "./controller.js";
 import { mountPhotoHead, mountScanHead } from "./heads.js";
 import { listenToKeys } from "./keyboard.js";
 import { linkPanes } from "./linked_views.js";
+import { mountModelMeasuring } from "./model_measuring.js";
 import { mountPane } from "./pane_setup.js";
 import { readoutOf } from "./readout.js";
 import { listenToReveals } from "./reveal.js";
@@ -22,9 +23,10 @@ const PICTURE_INTERVAL_MS = 180;
 /**
  * Mount the two image panes.
  * @param {{scanHead: HTMLElement, scanBody: HTMLElement, photoHead: HTMLElement, photoBody: HTMLElement,
+ *          model: ReturnType<typeof import("../panels/model/model_pane.js").mountModelPane>,
  *          store: import("../net/store.js").Store, view: any, ask: (what: string, args?: any) => Promise<any>}} page
  */
-export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, view, ask }) => {
+export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, model, store, view, ask }) => {
   const controller = new Controller({ store, view, ask });
   const tools = new Tools(controller);
   const space = { held: false, used: false };
@@ -46,6 +48,7 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, store, vi
   listenToKeys(controller, tools, space);
   listenToReveals(controller);
   mountStrip(scanBody, controller);
+  mountModelMeasuring(model, controller);
 
   keepUnfinished(controller.picking, store);
 

@@ -1,4 +1,4 @@
-/** The bar at the lower border of a picture while points are picked to be measured: kind, value, and what to do next. */
+/** The bar over a picture or the model while points are picked to be measured: kind, value, and what to do next. */
 
 import { MEASURES, measurementOf } from "../state/measuring.js";
 import { button, choice, fill } from "../ui/controls.js";
@@ -6,14 +6,14 @@ import { element, setText } from "../ui/dom.js";
 
 /**
  * @param {import("./controller.js").Controller} controller
- * @param {import("./pane.js").Pane} pane
+ * @param {HTMLElement} body of the picture or the model
  */
-export const mountMeasureBar = (controller, pane) => {
+export const mountMeasureBar = (controller, body) => {
   const { view, measuring, store } = controller;
   const kind = choice("What is measured", (measures) => view.set({ measures }));
   const value = element("strong", { class: "figures" });
   const said = element("span", { role: "status" });
-  const refocus = () => pane.body.focus({ preventScroll: true });
+  const refocus = () => body.focus({ preventScroll: true });
   const act = (label, sign, run) => button({ label, icon: sign, bare: true, kind: "pane-button", act: () => (run(), refocus()) });
   const finish = act("Finish the measurement (Enter)", "tick", () => measuring.finish());
   const back = act("Take the last point back (Esc)", "undo", () => measuring.abandon());
@@ -23,7 +23,7 @@ export const mountMeasureBar = (controller, pane) => {
     { class: "pane-measure", role: "toolbar", "aria-label": "Measuring" },
     kind, element("p", {}, value, said), finish, back, stop,
   );
-  pane.body.append(bar);
+  body.append(bar);
   const show = () => {
     const { tool, measures } = view.get();
     bar.hidden = tool !== "measure" || store.readOnly;

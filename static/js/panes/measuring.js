@@ -1,6 +1,6 @@
 /**
- * Picking of points to be measured, in both pictures: press and release set one; the workbench says at once what it is
- * worth, or why it is none. A distance, an angle and a point are kept with their last point, the others when they are
+ * Picking of points to be measured, in both pictures and on the model: press and release set one; the workbench says at once
+ * what it is worth, or why it is none. A distance, an angle and a point are kept with their last point, the others when they are
  * finished.
  */
 
@@ -8,11 +8,22 @@ import { MEASURES } from "../state/measuring.js";
 
 const CLICK_PX = 6;
 const DOUBLE_CLICK_MS = 400;
+const PICKED_PX = 0.5; // standard deviation of a click along each axis, on the screen as in a picture
+const [MAX_RAD, MAX_PX] = [0.2, 1000];
 
-/** @typedef {{side: "scan" | "photo", of: string | null, world: number[]}} Place `of`: id of the photograph */
+/**
+ * @typedef {{side: "scan" | "photo", of: string | null, world: number[], sigma: number}} Place `of`: id of the photograph;
+ *   `sigma`: standard deviation of the click along each axis, rad of a ray or pixels of the photograph
+ */
+
+const rounded = (value) => Number(value.toPrecision(2)); // points of one zoom are measured together
 
 /** @returns {any} a point as the workbench takes it */
-const sent = ({ side, of, world }) => (side === "scan" ? { ray: world } : { photo: of, uv: world });
+const sent = ({ side, of, world, sigma }) => {
+  if (side === "scan") return { ray: world, sigma_rad: Math.min(MAX_RAD, rounded(sigma)) };
+  const coarse = sigma > PICKED_PX ? { sigma_px: Math.min(MAX_PX, rounded(sigma)) } : {};
+  return { photo: of, uv: world, ...coarse };
+};
 
 /** What is being measured. */
 export class Measuring {
@@ -20,7 +31,7 @@ export class Measuring {
   places = [];
   /** @type {{value: string, interval: string, notes: string[]} | null} what they measure so far */
   soFar = null;
-  /** @type {"scan" | "photo" | null} the pane in which the pointer is pressed */
+  /** @type {"scan" | "photo" | null} the picture in which the pointer is pressed */
   pressed = null;
   /** @type {string | null} id of the measurement that was completed last, while nothing else is begun */
   made = null;
@@ -66,7 +77,7 @@ export class Measuring {
     const { points } = MEASURES[kind];
     const next = points[Math.min(places.length, points.length - 1)];
     const back = places.length ? " · Esc takes the last point back" : "";
-    return `Click ${next} in either picture${this.finishable ? " · Enter or a double click finishes" : ""}${back}`;
+    return `Click ${next} in a picture or on the model${this.finishable ? " · Enter or a double click finishes" : ""}${back}`;
   }
 
   /** @returns {any[][]} for a pane, runs of the points that were picked in it one after the other */
@@ -93,16 +104,31 @@ export class Measuring {
     this.pressed = side;
   }
 
+  /** @returns {number} what a click in a picture is worth at its zoom, see `Place` */
+  #sigma(side, { world, uv, zoom }) {
+    const apart = PICKED_PX / zoom;
+    if (side === "photo") return apart;
+    const beside = this.#controller.sides.scan.toWorld([uv[0] + apart, uv[1]]);
+    return Math.hypot(...world.map((value, k) => value - beside[k])); // unit rays
+  }
+
+  /** Say something of what was clicked that sets no point. @param {string} sentence */
+  say(sentence) {
+    this.said = sentence;
+    this.#changed();
+  }
+
   /**
    * A click, or a key at the crosshair, sets a point.
    * @param {"scan" | "photo"} side
    * @param {import("./picking.js").PickPosition} position
+   * @param {{sigma?: number, on?: string}} more `sigma`: see `Place`, if it is known; `on`: where it was clicked
    */
-  async set(side, position) {
+  async set(side, position, { sigma = this.#sigma(side, position), on = side } = {}) {
     this.pressed = null;
     const last = this.#last;
-    this.#last = { side, position };
-    const again = last?.side === side && position.time_ms - last.position.time_ms < DOUBLE_CLICK_MS
+    this.#last = { on, position };
+    const again = last?.on === on && position.time_ms - last.position.time_ms < DOUBLE_CLICK_MS
       && Math.hypot(last.position.uv[0] - position.uv[0], last.position.uv[1] - position.uv[1]) * position.zoom < CLICK_PX;
     if (again) {
       if (this.finishable) await this.finish();
@@ -110,7 +136,7 @@ export class Measuring {
     }
     const { store } = this.#controller;
     if (side === "photo" && !store.photo()) return;
-    const place = { side, of: side === "photo" ? store.shown() : null, world: position.world };
+    const place = { side, of: side === "photo" ? store.shown() : null, world: position.world, sigma };
     this.places.push(place);
     this.made = null;
     this.said = "";

@@ -69,7 +69,7 @@ export const mountPane = (body, side, { controller, tools, preview, readout, spa
   const layer = new LiveLayer({ controller, pane, painting, tools, loupe });
   const notes = new Notes(controller, pane, slots);
   mountToolbar(controller, pane);
-  mountMeasureBar(controller, pane);
+  mountMeasureBar(controller, body);
   listenToPointers(pane, tools, space);
   tools.onPointer((at, uv) => at === pane && readout(pane, uv));
   pane.onMove(() => tools.pictureMoved(pane));

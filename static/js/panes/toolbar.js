@@ -6,7 +6,7 @@ import { element } from "../ui/dom.js";
 const TOOLS = [
   ["line", "Draw a line", "Draw a line in either picture, then its partner in the other (L)"],
   ["point", "Draw a point", "Set a point in either picture, then its partner in the other (P)"],
-  ["measure", "Measure", "Measure distances, heights and more: click points in either picture (D)"],
+  ["measure", "Measure", "Measure distances, heights and more: click points in the pictures or on the model (D)"],
   ["select", "Select and move", "Select matches and move their ends (V); with other tools, hold Ctrl"],
 ];
 const AIDS = [

@@ -1,7 +1,7 @@
 /** The pointer tools: what press, move and release do: draw, accept, select, drag, frame. */
 
 import { isTyping } from "../ui/dom.js";
-import { hitAt, within } from "./hits.js";
+import { hitAt, measurementAt, within } from "./hits.js";
 import { CLICK_PX } from "./picking.js";
 import { accepts } from "./prediction.js";
 import { outsideBy, toPixel } from "./viewport.js";
@@ -152,6 +152,8 @@ export class Tools {
         return "stroke";
       }
       controller.select([]);
+      const measurement = measurementAt(controller.measured(pane.side), pane.viewport, xy, controller.look.scale);
+      if (controller.view.get().measurement !== measurement) controller.view.set({ measurement });
       return "pan";
     }
     if (adds) {

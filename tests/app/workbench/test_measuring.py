@@ -143,6 +143,9 @@ def test_what_lies_on_no_surface_is_refused_in_one_sentence(bench: WorkbenchDriv
         ([{"photo": "p9", "uv": [1, 2]}], "no longer in the project"),
         ([{"photo": 3, "uv": [1, 2]}], "a photo and its pixel"),
         ([{"ray": [1e308, 1e308, 0]}], "no return"),
+        ([{"ray": [1, 0, 0], "sigma_rad": -1}], "the standard deviation of a pick is -1; it is 0 to 0.2 rad"),
+        ([{"ray": [1, 0, 0], "sigma_rad": "wide"}], "the standard deviation of a pick is 'wide'"),
+        ([{"photo": "p1", "uv": [1, 2], "sigma_px": 1e9}], "it is 0 to 1000 px"),
     ],
 )
 def test_bad_points_are_refused(bench: WorkbenchDriver, places: Any, said: str) -> None:
@@ -151,6 +154,25 @@ def test_bad_points_are_refused(bench: WorkbenchDriver, places: Any, said: str) 
         assert said == "no return"
         return
     assert said in reply["error"].lower() or "outside" in reply["error"] or "depth edge" in reply["error"]
+
+
+def test_what_was_picked_in_a_small_picture_is_less_certain(bench: WorkbenchDriver) -> None:
+    cells = smooth_cells(bench, 2)
+    fine = surface_rays(bench, *cells)
+    coarse = [place | {"sigma_rad": 0.004} for place in fine]
+    sigmas = [
+        float(bench.do("measure", kind="distance", places=places)["value"].split(" ± ")[1].split()[0])
+        for places in (fine, [fine[0], coarse[1]], coarse, [place | {"sigma_rad": 1e-9} for place in fine])
+    ]
+    assert sigmas[0] < sigmas[1] < sigmas[2]
+    assert sigmas[3] == sigmas[0], "half a cell is the least"
+    made = bench.do("add_measurement", kind="distance", places=coarse)["measurement"]
+    kept = next(one for one in bench.slice("measurements") if one["id"] == made)
+    assert [place["sigma_rad"] for place in kept["places"]] == [0.004, 0.004]
+    scan = bench.workbench.loader.scan(bench.workbench.session.document)
+    assert scan is not None
+    wanted = lr.measure("distance", lr.MeasuredPoints.of_scan(scan, cells=cells, sigma_rad=0.004))
+    assert measured_of(bench, made)["value"] == wanted.described.replace("+-", "±")
 
 
 def test_each_is_a_step_that_is_undone_and_redone(bench: WorkbenchDriver) -> None:

@@ -130,6 +130,24 @@ def test_points_of_the_scan_have_the_noise_of_the_scan_and_of_the_pick() -> None
     assert np.mean(stated) / np.std(values) == pytest.approx(1, abs=0.18)
 
 
+def test_the_angle_of_a_pick_counts_where_it_is_more_than_its_cells() -> None:
+    scan = step_scan(0)
+    cells = np.array([[20.0, 12.0], [30.0, 14.0]])
+    steps_rad = [
+        np.linalg.norm(scan.geometry.ray_at(cells + half) - scan.geometry.ray_at(cells - half), axis=1)
+        for half in (np.array([0.5, 0]), np.array([0, 0.5]))
+    ]
+    (by_angle, by_cells) = (
+        MeasuredPoints.of_scan(scan, cells=cells, sigma_rad=float(max(map(np.max, steps_rad)))),
+        MeasuredPoints.of_scan(scan, cells=cells, sigma_cells=1.0),
+    )
+    ratio = np.sqrt(np.diag(by_angle.covariance) / np.diag(by_cells.covariance))
+    assert (ratio > 0.999).all()
+    least = float(min(map(np.min, steps_rad)))
+    small = MeasuredPoints.of_scan(scan, cells=cells, sigma_rad=least * 0.4)
+    np.testing.assert_array_equal(small.covariance, MeasuredPoints.of_scan(scan, cells=cells).covariance)
+
+
 def test_points_at_depth_edges_are_flagged_or_refused_and_others_are_not() -> None:
     scan = step_scan()
     for columns in (149.6, 149.2, 150.5):

@@ -114,7 +114,11 @@ export const toggleMarks = () => {
   request("set_model", { cameras: show, matches: show });
 };
 
-/** Mount the frame and its controls. @param {HTMLElement} pane */
+/**
+ * Mount the frame and its controls.
+ * @param {HTMLElement} pane
+ * @returns {{body: HTMLElement, frame: HTMLIFrameElement, surface: import("./model_surface.js").ModelSurface}}
+ */
 export const mountModelPane = (pane) => {
   const body = pane.querySelector(".pane-body");
   const frame = element("iframe", { class: "model-frame", title: "3-D model", allow: "fullscreen" });
@@ -144,6 +148,7 @@ export const mountModelPane = (pane) => {
   store.watch(["scan", "acquisition"], show);
   onConnection(show);
   show();
+  return { body, frame, surface: loader.surface };
 };
 
 const kB = (bytes) => Math.round(bytes / 1000);

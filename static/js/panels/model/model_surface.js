@@ -4,7 +4,8 @@
  * viser's page exposes for tests; the version of viser is fixed, and tests/e2e/test_model.py notices if they change.
  */
 
-import { cellsInView, facesBeside } from "./model_view.js";
+import { fadeNewMarks, meshIn } from "./model_marks.js";
+import { cellsInView, facesBeside, firstPlace, placeUnder } from "./model_view.js";
 import { largestTexture } from "./software_drawing.js";
 
 const NODE = "/model";
@@ -20,20 +21,8 @@ const MIXED = "#include <map_fragment>\n" +
 const OVER_ALL = 1000; // order of drawing
 const BOTH_SIDES = 2; // of three.js: DoubleSide
 const [REPEAT, TRILINEAR] = [1000, 1008]; // of three.js: RepeatWrapping, LinearMipmapLinearFilter
-const MARKS = ["/matches/points", "/highlight/halo", "/highlight/point"];
-
-/** Marks keep between these sizes on the screen, and fade where they would cover the surface or crowd it. */
-const SIZE_ON_SCREEN = "gl_PointSize = clamp(scale / -world_pos.z, 4.0 * lrPixels, 16.0 * lrPixels);" +
-  "lrAlpha = 1.0 - 0.75 * smoothstep(12.0 * lrPixels, 40.0 * lrPixels, scale / -world_pos.z)" +
-  " - 0.35 * (1.0 - smoothstep(1.0 * lrPixels, 4.0 * lrPixels, scale / -world_pos.z));";
-
-const meshIn = (node) => {
-  let found = null;
-  node?.traverse((each) => {
-    if (each.isMesh || each.isPoints) found ??= each;
-  });
-  return found;
-};
+const CLICK = "ScenePointerMessage"; // of viser
+const PICKED_PX = 0.5; // standard deviation of a click along each axis
 
 /** Arrays of another window are not recognised by the library inside the frame: they are copied into its own. */
 const geometryOf = (like, arrays, inner) => {
@@ -72,6 +61,9 @@ export class ModelSurface {
   /** @type {{map: any, share: {value: number}} | null} the texture that is mixed into that of the surface */
   #second = null;
   #share = 0.5;
+  /** @type {((ndc: number[]) => void) | null} takes clicks in place of the workbench */
+  #takesClicks = null;
+  #send = null;
 
   /** @param {HTMLIFrameElement} frame */
   constructor(frame) {
@@ -168,15 +160,79 @@ export class ModelSurface {
 
   /** @returns {{cells: number[][], shape: number[], vertices: number} | null} what of the scan's grid is in view */
   inView() {
-    const camera = this.#viewer?.camera;
+    const { look } = this;
     const arrays = this.#own?.arrays;
-    if (!camera || !this.intact || !arrays) return null;
-    const cells = cellsInView(arrays, {
+    if (!look || !arrays) return null;
+    return { cells: cellsInView(arrays, look), shape: arrays.shape, vertices: arrays.positions.length / 3 };
+  }
+
+  /** @returns {import("./model_view.js").Look | null} from where one looks; null if nothing is drawn */
+  get look() {
+    const camera = this.#viewer?.camera;
+    if (!camera || !this.intact) return null;
+    return {
       world: camera.matrixWorld.elements,
       projectionInverse: camera.projectionMatrixInverse.elements,
       meshInverse: this.#mesh.matrixWorld.clone().invert().elements,
-    });
-    return { cells, shape: arrays.shape, vertices: arrays.positions.length / 3 };
+    };
+  }
+
+  /** @returns {{positions: Float32Array, faces: Uint32Array}[]} what is drawn of the surface: finer where there are blocks */
+  get #surfaces() {
+    if (!this.#own) return [];
+    const whole = { positions: this.#own.arrays.positions, faces: this.#own.faces };
+    return [whole, ...this.#blocks.map(({ arrays }) => arrays)];
+  }
+
+  /** @returns {{place: number[], sigma: number} | null} what is under a place of the picture, see `placeUnder` */
+  placeUnder(ndc) {
+    const { look } = this;
+    const { innerWidth, innerHeight } = this.#frame.contentWindow;
+    return look && placeUnder(this.#surfaces, look, ndc, [innerWidth, innerHeight].map((length) => (2 * PICKED_PX) / length));
+  }
+
+  /** @returns {number[] | null} where a ray of the scanner meets the surface, m */
+  placeOn(ray) {
+    return firstPlace(this.#surfaces, [0, 0, 0], ray);
+  }
+
+  /** @returns {number[] | null} CSS pixels of the frame where a place (x, y, z) is seen; null: it is behind the eye */
+  onScreen(place) {
+    const camera = this.#viewer?.camera;
+    if (!camera || !this.intact) return null;
+    const at = camera.position.clone().fromArray(place).applyMatrix4(this.#mesh.matrixWorld);
+    if (at.clone().applyMatrix4(camera.matrixWorldInverse).z >= 0) return null;
+    const { x, y } = at.project(camera);
+    const { innerWidth, innerHeight } = this.#frame.contentWindow;
+    return [((x + 1) / 2) * innerWidth - 0.5, ((1 - y) / 2) * innerHeight - 0.5];
+  }
+
+  /**
+   * Clicks go to a function instead of the workbench; those that turn or move the view are none.
+   * @param {((ndc: number[]) => void) | null} take called with the place in the picture, -1 to 1; null: the workbench
+   */
+  takeClicks(take) {
+    this.#takesClicks = take;
+    this.listenToClicks();
+  }
+
+  /** viser's page makes another function that sends whenever it connects. */
+  listenToClicks() {
+    const viewer = this.#viewer;
+    if (!viewer || viewer.sendMessage === this.#send) return;
+    const send = viewer.sendMessage;
+    this.#send = (message) => {
+      if (message.type !== CLICK || !this.#takesClicks) return send(message);
+      const [u, v] = message.screen_pos[0];
+      return this.#takesClicks([2 * u - 1, 1 - 2 * v]);
+    };
+    viewer.sendMessage = this.#send;
+  }
+
+  /** Show that a click sets a point, or not. */
+  set aims(on) {
+    const { canvas } = this.#viewer ?? {};
+    if (canvas) canvas.style.cursor = on ? "crosshair" : "pointer";
   }
 
   /**
@@ -192,7 +248,7 @@ export class ModelSurface {
       const block = new mesh.constructor(geometryOf(mesh.geometry, arrays, inner), mesh.material); // its texture, too
       block.name = BLOCK;
       mesh.add(block);
-      this.#blocks.push(block);
+      this.#blocks.push({ node: block, arrays });
     }
     this.#setFaces(facesBeside(this.#own.arrays, blocks.map(({ name }) => name)));
     this.#viewer.requestRender();
@@ -318,22 +374,7 @@ export class ModelSurface {
 
   /** Let new marks fade with their distance. */
   fadeMarks() {
-    for (const name of MARKS) {
-      const points = meshIn(this.#viewer?.nodeRefFromName?.[name]);
-      const material = points?.material;
-      if (!material?.vertexShader || material.userData.faded) continue;
-      const pixels = this.#frame.contentWindow.devicePixelRatio;
-      material.userData.faded = true;
-      material.vertexShader = material.vertexShader
-        .replace("void main()", `varying float lrAlpha;\nconst float lrPixels = ${pixels.toFixed(3)};\nvoid main()`)
-        .replace(/gl_PointSize = [^;]*;/, SIZE_ON_SCREEN);
-      material.fragmentShader = material.fragmentShader
-        .replace("void main()", "varying float lrAlpha;\nvoid main()")
-        .replace("vec4(col, 1.0)", "vec4(col, lrAlpha)");
-      material.transparent = true;
-      material.needsUpdate = true;
-      this.#viewer.requestRender();
-    }
+    if (fadeNewMarks(this.#viewer, this.#frame.contentWindow.devicePixelRatio)) this.#viewer.requestRender();
   }
 
   /** @returns {any} what viser's page exposes, or null */
@@ -394,11 +435,12 @@ export class ModelSurface {
     const geometry = geometryOf(before, arrays, inner);
     mesh.geometry = geometry;
     mesh.visible = true;
-    this.#own = { arrays };
+    this.#own = { arrays, faces: arrays.faces };
     before.dispose();
   }
 
   #setFaces(faces) {
+    this.#own.faces = faces;
     const { geometry } = this.#mesh;
     const { index } = geometry;
     geometry.setIndex(new index.constructor(new (this.#frame.contentWindow.Uint32Array)(faces), 1));
@@ -406,9 +448,9 @@ export class ModelSurface {
 
   #dropBlocks() {
     if (!this.#blocks.length) return;
-    for (const block of this.#blocks) {
-      block.removeFromParent();
-      block.geometry.dispose();
+    for (const { node } of this.#blocks) {
+      node.removeFromParent();
+      node.geometry.dispose();
     }
     this.#blocks = [];
     if (this.intact && this.#own) this.#setFaces(this.#own.arrays.faces);

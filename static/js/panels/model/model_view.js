@@ -1,4 +1,4 @@
-/** Where in the scan's grid somebody looks in the 3-D view, and which blocks of the surface show that finer. */
+/** What of the surface somebody sees in the 3-D view: places under pixels, and which blocks show them finer. */
 
 /** Rays that are followed from the camera: across and down, -1 to 1 of the picture. */
 const AIMS = [0, -0.4, 0.4, -0.8, 0.8];
@@ -20,9 +20,23 @@ const applied = (m, [x, y, z]) => {
 const less = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
 
 /**
+ * @typedef {{world: ArrayLike<number>, projectionInverse: ArrayLike<number>, meshInverse: ArrayLike<number>}} Look
+ *   matrices of three.js
+ */
+
+/** @returns {(ndc: number[]) => {from: number[], along: number[]}} the ray through a place of the picture, -1 to 1 */
+const raysOf = ({ world, projectionInverse, meshInverse }) => {
+  const at = (ndc) => applied(meshInverse, applied(world, applied(projectionInverse, ndc)));
+  return ([u, v]) => {
+    const from = at([u, v, -1]);
+    return { from, along: less(at([u, v, 0.5]), from) };
+  };
+};
+
+/**
  * The nearest triangle on a ray. Source: Moeller and Trumbore, Fast, minimum storage ray/triangle intersection (1997).
- * @param {MeshArrays} arrays
- * @returns {number} its number, or -1
+ * @param {{positions: Float32Array, faces: Uint32Array}} arrays
+ * @returns {{face: number, far: number}} its number, or -1, and where it is, in lengths of the direction
  */
 const firstOn = ({ positions: p, faces }, [ox, oy, oz], [dx, dy, dz]) => {
   let [nearest, found] = [Infinity, -1];
@@ -43,22 +57,59 @@ const firstOn = ({ positions: p, faces }, [ox, oy, oz], [dx, dy, dz]) => {
     const far = (vx * rx + vy * ry + vz * rz) / det;
     if (far > 0 && far < nearest) [nearest, found] = [far, k / 3];
   }
-  return found;
+  return { face: found, far: nearest };
+};
+
+/**
+ * @param {{positions: Float32Array, faces: Uint32Array}[]} surfaces
+ * @param {number[]} from
+ * @param {number[]} along of any length
+ * @returns {number[] | null} the first place (x, y, z) on a ray; null: it meets nothing
+ */
+export const firstPlace = (surfaces, from, along) => {
+  const far = Math.min(...surfaces.map((arrays) => firstOn(arrays, from, along).far));
+  return Number.isFinite(far) ? from.map((value, k) => value + far * along[k]) : null;
+};
+
+const angleBetween = (a, b) => {
+  const across = Math.hypot(a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]);
+  return Math.atan2(across, a[0] * b[0] + a[1] * b[1] + a[2] * b[2]);
+};
+
+/**
+ * What of a surface is under a place of the picture.
+ * @param {{positions: Float32Array, faces: Uint32Array}[]} surfaces
+ * @param {Look} look
+ * @param {number[]} ndc place in the picture, -1 to 1
+ * @param {number[]} step how far off it may be, as its standard deviation along each axis
+ * @returns {{place: number[], sigma: number} | null} `sigma`: the same as an angle that the scanner sees, rad, by what is
+ *   beside it; null: nothing is there
+ */
+export const placeUnder = (surfaces, look, ndc, step) => {
+  const ray = raysOf(look);
+  const at = (u, v) => {
+    const { from, along } = ray([u, v]);
+    return firstPlace(surfaces, from, along);
+  };
+  const [[u, v], [du, dv]] = [ndc, step];
+  const place = at(u, v);
+  if (!place) return null;
+  const beside = [[du, 0], [-du, 0], [0, dv], [0, -dv]].map(([a, b]) => at(u + a, v + b)).filter(Boolean);
+  return { place, sigma: Math.max(0, ...beside.map((other) => angleBetween(place, other))) };
 };
 
 /**
  * @param {MeshArrays} arrays the surface of the whole scan
- * @param {{world: ArrayLike<number>, projectionInverse: ArrayLike<number>, meshInverse: ArrayLike<number>}} view
- *   matrices of three.js
+ * @param {Look} look
  * @returns {number[][]} row and column of the grid at the places that the middle and the sides of the picture show, the
  *   one nearest to its middle first
  */
-export const cellsInView = (arrays, { world, projectionInverse, meshInverse }) => {
-  const at = (ndc) => applied(meshInverse, applied(world, applied(projectionInverse, ndc)));
+export const cellsInView = (arrays, look) => {
+  const ray = raysOf(look);
   const cells = [];
-  for (const [u, v] of AIMED) {
-    const from = at([u, v, -1]);
-    const face = firstOn(arrays, from, less(at([u, v, 0.5]), from));
+  for (const ndc of AIMED) {
+    const { from, along } = ray(ndc);
+    const { face } = firstOn(arrays, from, along);
     if (face < 0) continue;
     const corner = arrays.faces[3 * face];
     cells.push([arrays.rows[corner], arrays.columns[corner] % arrays.shape[1]]);

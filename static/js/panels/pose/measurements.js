@@ -8,7 +8,7 @@ import { view } from "../../state/view.js";
 import { button } from "../../ui/controls.js";
 import { element, setChildren, setText } from "../../ui/dom.js";
 
-const EMPTY = "Choose a kind, and click the points in the scan or in a registered photograph.";
+const EMPTY = "Choose a kind, and click the points in the scan, in a registered photograph, or on the model.";
 
 /** @returns {HTMLElement} */
 export const mountMeasurements = () => {
@@ -19,7 +19,7 @@ export const mountMeasurements = () => {
     label: "Measure",
     kind: "small edits",
     icon: "measure",
-    title: "Pick points in the scan or in the photograph (D)",
+    title: "Pick points in the pictures or on the model (D)",
     act: () => view.set({ tool: "measure" }),
   });
   const save = button({
@@ -82,7 +82,11 @@ export const mountMeasurements = () => {
 
   const mark = () => {
     const { measurement } = view.get();
-    for (const item of list.children) item.classList.toggle("chosen", item.dataset.measurement === measurement);
+    for (const item of list.children) {
+      const chosen = item.dataset.measurement === measurement;
+      if (chosen && !item.classList.contains("chosen")) item.scrollIntoView({ block: "nearest" });
+      item.classList.toggle("chosen", chosen);
+    }
   };
 
   let drawn = null;
