@@ -57,9 +57,13 @@ export const mountModelMeasuring = ({ body, frame, surface }, controller) => {
     surface.aims = measures();
   };
   const start = () => {
-    const inner = frame.contentWindow;
-    inner.addEventListener("pointerdown", () => surface.listenToClicks(), { capture: true });
-    inner.addEventListener("pointermove", () => measures() && (surface.aims = true));
+    try {
+      const inner = frame.contentWindow;
+      inner.addEventListener("pointerdown", () => surface.listenToClicks(), { capture: true });
+      inner.addEventListener("pointermove", () => measures() && (surface.aims = true));
+    } catch {
+      return; // the browser's error page, which is not accessible
+    }
     follow();
   };
   frame.addEventListener("load", start);

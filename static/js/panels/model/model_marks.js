@@ -18,14 +18,14 @@ export const meshIn = (node) => {
 
 /**
  * Let new marks fade with their distance.
- * @param {any} viewer what viser's page exposes, or null
+ * @param {any} viewer what viser's page exposes
  * @param {number} pixels of the screen in one of CSS
  * @returns {boolean} whether there were any
  */
 export const fadeNewMarks = (viewer, pixels) => {
   let found = false;
   for (const name of MARKS) {
-    const material = meshIn(viewer?.nodeRefFromName?.[name])?.material;
+    const material = meshIn(viewer.nodeRefFromName?.[name])?.material;
     if (!material?.vertexShader || material.userData.faded) continue;
     found = material.userData.faded = true;
     material.vertexShader = material.vertexShader

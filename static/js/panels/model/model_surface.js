@@ -374,7 +374,8 @@ export class ModelSurface {
 
   /** Let new marks fade with their distance. */
   fadeMarks() {
-    if (fadeNewMarks(this.#viewer, this.#frame.contentWindow.devicePixelRatio)) this.#viewer.requestRender();
+    const viewer = this.#viewer;
+    if (viewer && fadeNewMarks(viewer, this.#frame.contentWindow.devicePixelRatio)) viewer.requestRender();
   }
 
   /** @returns {any} what viser's page exposes, or null */
