@@ -118,6 +118,25 @@ def measure_moved() -> None:
     print(f" all {total[0]:>12.0f} {total[1]:>11.0f} {total[2]:>6.0f} {total[2] / total[0]:7.2f}   (bar .50)\n")
 
 
+def measure_vignetting() -> None:
+    print(
+        "lenses that leave .58 and .45 of the light at the corners, 12 photographs: error of the fused colours, codes"
+    )
+    print(f"{'seed':>4} {'corner':>7} {'as it is':>9} {'--vignetting':>13} {'corner found':>13}")
+    for seed in SEEDS:
+        for powers in ((0.0, 0.0), (-0.3, -0.25), (-0.6, -0.2)):
+            tour = photo_tour(seed, photos=12, vignetting=powers)
+            models = [fuse(tour.scan, tour.views, vignetting=asked) for asked in (False, True)]
+            cells = np.isfinite(tour.truth[..., 0])
+            errors = [light_error(one.image, tour.truth, cells & (one.labels == Label.SEEN)) for one in models]
+            corners = np.exp(models[1].vignetting.sum(axis=1))
+            corner = np.exp(sum(powers))
+            print(
+                f"{seed:>4} {corner:7.3f} {errors[0]:9.2f} {errors[1]:13.2f} {corners.min():7.3f}-{corners.max():.3f}"
+            )
+    print()
+
+
 def large_job(rows: int, columns: int, photos: int) -> None:
     """Fuse photographs of 12 megapixels on a scan, and print processor seconds and the peak of memory as JSON."""
     coarse, _ = scan_of_tour(0, cells=(740, round(740 * columns / rows)))
@@ -212,6 +231,7 @@ def main(words: Sequence[str] | None = None) -> None:
     else:
         measure_withheld()
         measure_moved()
+        measure_vignetting()
         measure_cost(CELLS, PHOTOS)
 
 

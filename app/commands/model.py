@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -46,6 +47,8 @@ class Arguments(ScanArguments):
     )
     """Values of a sensor as a layer, NAME:UNIT:PHOTO or NAME:UNIT:PHOTO:FILE: the pixels of that photo are no colours
     but values, or FILE is an image of values with the same field of view. Thermal photos need none. Repeatable."""
+    vignetting: bool = False
+    """Find from what the photos share how their lenses darken the corners, and undo it."""
     scan_index: Annotated[int, tyro.conf.arg(metavar="N")] = 0
     """Index of the scan in a file with several, for results that do not record it."""
     root: Annotated[tyro.conf.UseAppendAction[_Paths], tyro.conf.arg(metavar="FOLDER")] = field(default_factory=list)
@@ -93,15 +96,19 @@ def run(arguments: Arguments) -> ExitCode:
             suit_heap(handed.scan)
         values = _values(arguments.values, sources)
         written = write_model(
-            arguments.out, sources, formats=formats, values=values, force=arguments.force, report=bar.progress
-        )
+            arguments.out, sources, formats=formats, values=values, vignetting=arguments.vignetting,
+            force=arguments.force, report=bar.progress,
+        )  # fmt: skip
     for name, why in sources.left_out:
         print(f"Left out {name}: {why}")
     if not arguments.quiet:
         for one in written.document["photos"]:
             share = f"colours {100 * one['share']:.1f} % of the surface" if one["colors"] else "a layer"
             moved = f", {100 * one['moved']:.1f} % of it moved" if one["moved"] > 0 else ""
-            print(f"Photo    {one['id']}: {share}{moved}")
+            corners = (
+                "" if one["vignetting"] is None else f", corners at {100 * math.exp(sum(one['vignetting'])):.0f} %"
+            )
+            print(f"Photo    {one['id']}: {share}{moved}{corners}")
         for scan in written.document["scans"]:
             print(f"Scan     {scan['name']}: {scan['returns']} returns, {scan['cut']} cut")
         print(f"Layers   {', '.join(one.name for one in written.layers if one.values is not None)}")

@@ -72,12 +72,7 @@ def solve_gains(
     gains, sigma = np.ones((len(samples[0]), 3)), np.full((len(samples[0]), 3), np.inf)
     if len(colors) < 2:
         return Gains(gains, sigma, 0)
-    most = min(_MOST_CELLS, _MOST_SAMPLES // len(colors)) // len(shapes)
-    light = np.concatenate(
-        [_sampled_light([some[k] for k in colors], shape, most) for some, shape in zip(samples, shapes, strict=True)],
-        axis=1,
-    )
-    pairs = _compared(light)
+    pairs = _compared(np.concatenate([light for light, _ in sampled_light(samples, colors, shapes)], axis=1))
     if pairs is None:
         return Gains(gains, sigma, 0)
     first, second, ratio, deviation = pairs
@@ -88,9 +83,29 @@ def solve_gains(
     return Gains(gains, sigma, len(first))
 
 
-def _sampled_light(samples: Sequence[PhotoSample], shape: tuple[int, int], most: int) -> NDArray[np.float32]:
-    """Return logarithms of linear light (K, N, 3) at every n-th cell; NaN where a photograph says nothing of it."""
-    stride = max(1, int(np.ceil(np.sqrt(shape[0] * shape[1] / most))))
+def sampled_light(
+    samples: Sequence[Sequence[PhotoSample]], colors: Sequence[int], shapes: Sequence[tuple[int, int]]
+) -> list[tuple[NDArray[np.float32], int]]:
+    """Return the light of photographs at every n-th row and column of each scan, and n.
+
+    Args:
+        samples: of all photographs, on each scan.
+        colors: the indices of those that are sampled, K.
+        shapes: of the scans.
+
+    Returns:
+        For each scan logarithms of linear light (K, N, 3), row by row, NaN where a photograph says nothing of a cell;
+        and n.
+    """
+    most = min(_MOST_CELLS, _MOST_SAMPLES // max(1, len(colors))) // len(shapes)
+    strides = [max(1, int(np.ceil(np.sqrt(shape[0] * shape[1] / most)))) for shape in shapes]
+    return [
+        (_sampled([some[k] for k in colors], shape, stride), stride)
+        for some, shape, stride in zip(samples, shapes, strides, strict=True)
+    ]
+
+
+def _sampled(samples: Sequence[PhotoSample], shape: tuple[int, int], stride: int) -> NDArray[np.float32]:
     rows, columns = (len(range(0, n, stride)) for n in shape)
     table = np.log(np.maximum(linear_light(_CODES), 1e-6)).astype(np.float32)
     found = np.full((len(samples), rows, columns, 3), np.nan, np.float32)

@@ -16,6 +16,7 @@ from ladarreg_core.fusion.exposure import Gains, solve_gains
 from ladarreg_core.fusion.moved import find_moved
 from ladarreg_core.fusion.samples import OtherSurface, PhotoSample, sample_photos
 from ladarreg_core.fusion.seams import blended, chosen_photos
+from ladarreg_core.fusion.vignetting import solve_vignetting, without_vignetting
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report, part_of
 from ladarreg_core.scan import Scan
@@ -32,7 +33,7 @@ class FusedModel:
     scan: Scan
     """The scan."""
     views: tuple[PosedPhoto, ...]
-    """The photographs."""
+    """The photographs, without vignetting if that was asked for."""
     colors: CellColors
     """Colours, labels, the index of the photograph that colours each cell, and the standard deviation of its place in
     that photograph, px."""
@@ -46,6 +47,9 @@ class FusedModel:
     """What each photograph shows; `samples[k].moved` are the cells where it shows things that moved."""
     coloring: tuple[int, ...]
     """Indices of the photographs that colour: all, or without the thermal ones if there are others."""
+    vignetting: NDArray[np.float64]
+    """(K, 2) a and b by which each photograph was darkened towards its corners, exp(a r^2 + b r^4) with r = 1 there,
+    which is undone; 0 where it was not asked for."""
 
     @property
     def image(self) -> ByteArray:
@@ -89,6 +93,7 @@ def fuse(
     *,
     values: Sequence[FloatArray | None] = (),
     others: Sequence[OtherSurface] = (),
+    vignetting: bool = False,
     report: Report | None = None,
 ) -> FusedModel:
     """Colour a scan by one photograph or many, each cell by the one that shows it best.
@@ -104,6 +109,7 @@ def fuse(
         values: for each photograph an image (h, w) float32 of values of its pixels, such as counts, or None. Those of
             thermal photographs are their temperatures, K.
         others: surfaces of other stations, which hide cells from cameras, too.
+        vignetting: find how the lenses darken the corners of their photographs, and undo it.
         report: receives the progress; may raise `Cancelled`.
 
     Raises:
@@ -120,7 +126,7 @@ def fuse(
                 "no photograph is accepted, and a pose that was given is not verified; register a photograph first"
             )
         scan = scan.scan
-    return fuse_stations([Station(scan, views, others)], values=values, report=report)[0]
+    return fuse_stations([Station(scan, views, others)], values=values, vignetting=vignetting, report=report)[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,6 +146,7 @@ def fuse_stations(
     *,
     values: Sequence[FloatArray | None] = (),
     colorless: Collection[int] = (),
+    vignetting: bool = False,
     report: Report | None = None,
 ) -> list[FusedModel]:
     """Colour the scans of several stations by the same photographs, with the same gains; see `fuse`.
@@ -148,6 +155,7 @@ def fuse_stations(
         stations: the scans.
         values: as of `fuse`.
         colorless: indices of photographs that are pictures of their values and colour nothing, as thermal ones.
+        vignetting: as of `fuse`.
         report: as of `fuse`.
 
     Raises:
@@ -159,10 +167,8 @@ def fuse_stations(
     images = [view.photo.temperature_k for view in views]
     for k, given in enumerate(values):
         images[k] = images[k] if given is None else given
-    samples = []
-    for n, one in enumerate(stations):
-        part = part_of(report, _SAMPLED * n / len(stations), _SAMPLED * (n + 1) / len(stations))
-        samples.append(sample_photos(one.scan, one.views, values=images, others=one.others, report=part))
+    passes = 2 if vignetting else 1
+    samples = _sampled(stations, images, part_of(report, 0, _SAMPLED / passes))
     colored = [k for k, view in enumerate(views) if view.photo.temperature_k is None and k not in colorless]
     coloring = colored or list(range(len(views)))
 
@@ -170,6 +176,15 @@ def fuse_stations(
         if report is not None:
             report(Progress(round(100 * (_SAMPLED + (1 - _SAMPLED) * done)), 100, f"fusing: {what}"))
 
+    darkened = np.zeros((len(views), 2))
+    if vignetting:
+        darkened = solve_vignetting(samples, colored, [one.scan for one in stations], [one.views for one in stations])
+        bright = [without_vignetting(view.photo, powers) for view, powers in zip(views, darkened, strict=True)]
+        stations = [
+            replace(one, views=[replace(view, photo=photo) for view, photo in zip(one.views, bright, strict=True)])
+            for one in stations
+        ]
+        samples = _sampled(stations, images, part_of(report, _SAMPLED / passes, _SAMPLED))
     say(0, "exposure")
     shapes = [one.scan.shape for one in stations]
     gains = solve_gains(samples, colored, shapes)
@@ -185,15 +200,25 @@ def fuse_stations(
         photo[~one.scan.valid] = NO_PHOTO
         say(0.5 + 0.5 * (n + 0.5) / len(stations), "colours")
         colors = blended(some, coloring, photo, gains, UNSEEN)
-        models.append(_model(one.scan, one.views, some, coloring, gains, photo, colors))
+        models.append(_model(one, some, coloring, gains, darkened, photo, colors))
     return models
 
 
+def _sampled(
+    stations: Sequence[Station], values: Sequence[FloatArray | None], report: Report | None
+) -> list[list[PhotoSample]]:
+    found = []
+    for n, one in enumerate(stations):
+        part = part_of(report, n / len(stations), (n + 1) / len(stations))
+        found.append(sample_photos(one.scan, one.views, values=values, others=one.others, report=part))
+    return found
+
+
 def _model(
-    scan: Scan, views: Sequence[PosedPhoto], samples: Sequence[PhotoSample], coloring: Sequence[int], gains: Gains,
-    photo: NDArray[np.uint16], image: NDArray[np.uint8],
+    station: Station, samples: Sequence[PhotoSample], coloring: Sequence[int], gains: Gains,
+    darkened: NDArray[np.float64], photo: NDArray[np.uint16], image: NDArray[np.uint8],
 ) -> FusedModel:  # fmt: skip
-    shape = scan.shape
+    scan, shape = station.scan, station.scan.shape
     labels = np.full(shape, Label.OUT_OF_FRAME, np.uint8)
     sigma = np.full(shape, np.nan, np.float32)
     resolution = np.full(shape, np.nan, np.float32)
@@ -210,4 +235,5 @@ def _model(
     for array in (image, labels, photo, sigma, seen_by, resolution):
         array.flags.writeable = False
     colors = CellColors(image, labels, photo, sigma)
-    return FusedModel(scan, tuple(views), colors, gains, seen_by, resolution, tuple(samples), tuple(coloring))
+    views = tuple(station.views)
+    return FusedModel(scan, views, colors, gains, seen_by, resolution, tuple(samples), tuple(coloring), darkened)

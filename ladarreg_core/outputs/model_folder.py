@@ -82,6 +82,7 @@ def write_model(
     *,
     formats: Sequence[str] = USUAL_FORMATS,
     values: Sequence[PhotoValues] = (),
+    vignetting: bool = False,
     force: bool = False,
     report: Report | None = None,
 ) -> WrittenModel:
@@ -95,6 +96,7 @@ def write_model(
         sources: scans and photographs.
         formats: of `MODEL_FORMATS`.
         values: values of sensors.
+        vignetting: undo the darkening of the photographs towards their corners, see `fuse`.
         force: replace an earlier model.
         report: receives the progress; may raise `Cancelled`, and nothing is left then.
 
@@ -107,7 +109,7 @@ def write_model(
     written: list[WrittenModel] = []
 
     def jobs() -> Sequence[FileJob]:
-        found = _fused(sources, values, part_of(report, 0.0, _FUSED))
+        found = _fused(sources, values, vignetting, part_of(report, 0.0, _FUSED))
         files, layers, document = _files(sources, found, values, formats, part_of(report, _FUSED, 1.0))
         written.append(WrittenModel(tuple(found.models), tuple(layers), document))
         return files
@@ -138,7 +140,7 @@ class _Fused:
     quantities: dict[int, Quantity]
 
 
-def _fused(sources: ModelSources, values: Sequence[PhotoValues], report: Report | None) -> _Fused:
+def _fused(sources: ModelSources, values: Sequence[PhotoValues], vignetting: bool, report: Report | None) -> _Fused:
     owners = [(n, one) for n, handed in enumerate(sources.scans) for one in handed.photos]
     ids = [one.id for _, one in owners]
     images, quantities, colorless = _values_of(owners, ids, values)
@@ -151,7 +153,7 @@ def _fused(sources: ModelSources, values: Sequence[PhotoValues], report: Report 
             for view, (owner, _) in zip(views, owners, strict=True)
         ]
         stations.append(Station(handed.scan, relative, other_surfaces(scans, n) if len(scans) > 1 else ()))
-    models = fuse_stations(stations, values=images, colorless=colorless, report=report)
+    models = fuse_stations(stations, values=images, colorless=colorless, vignetting=vignetting, report=report)
     developed = [models[0].developed(k) for k in range(len(views))]
     doubled = doubled_cells(scans) if len(scans) > 1 else [np.zeros(scan.shape, np.bool_) for scan in scans]
     kept: list[FusedModel] = []
@@ -305,6 +307,7 @@ def _document(
                 "colors": k in first.coloring,
                 "gain": first.gains.gains[k],
                 "gain_sigma": first.gains.sigma[k] if np.isfinite(first.gains.sigma[k]).all() else None,
+                "vignetting": first.vignetting[k] if first.vignetting[k].any() else None,
                 "share": float(share[k]),
                 "moved": moved[k] / max(seen[k], 1),
                 "quantity": None
@@ -316,6 +319,8 @@ def _document(
         "photo_id_is": "0: no photograph shows the cell",
         "gain_is": "factors on linear light (red, green, blue), of geometric mean 1; gain_sigma: their relative "
         "standard deviation; null: it shares nothing with the others, and keeps its exposure",
+        "vignetting_is": "[a, b] by which the photograph was darkened, which is undone: light exp(a r^2 + b r^4) at r "
+        "from its middle, 1 at its corners; null: not asked for, or not found",
         "share_is": "of the returns of all scans that the photograph colours",
         "moved_is": "share of what the photograph shows that is not what the others show there",
         "colored": float(share.sum()),

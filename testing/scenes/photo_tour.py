@@ -64,6 +64,7 @@ def photo_tour(
     cells: tuple[int, int] = (240, 336),
     size: tuple[int, int] = (400, 280),
     reach_m: float = 1.3,
+    vignetting: tuple[float, float] = (0.0, 0.0),
 ) -> PhotoTour:
     """Make the room, its scan and photographs from either side of the scanner.
 
@@ -75,6 +76,7 @@ def photo_tour(
         cells: rows and columns of the scan.
         size: of the photographs, px.
         reach_m: how far from the scanner they are taken.
+        vignetting: a and b of the light exp(a r^2 + b r^4) of every photograph, r = 1 at its corners.
     """
     rng = np.random.default_rng([seed, 2026])
     picture, other = paintings(seed), 1 - paintings(seed + 1000)
@@ -89,7 +91,7 @@ def photo_tour(
         camera = Camera.from_focal(*size, float(size[0] * rng.uniform(0.95, 1.5)))
         things = [_thing(rng) for _ in range(moved) if rng.random() < 0.8]
         light, mask = _photograph(camera, pose, picture, other, things)
-        exposed = light / gains[k] + rng.normal(0, 0.004, light.shape)
+        exposed = light * _falloff(size, vignetting)[..., None] / gains[k] + rng.normal(0, 0.004, light.shape)
         pixels = np.rint(encoded_codes(np.clip(exposed, 0, 1))).astype(np.uint8)
         shift = rng.normal(0, 1, 6) * np.repeat([SIGMA_RAD, SIGMA_M], 3)
         found = Rigid.from_centre(rotation_from_rotvec(shift[:3]) @ pose.rotation, pose.centre + shift[3:])
@@ -97,6 +99,13 @@ def photo_tour(
         views.append(PosedPhoto(Photo(pixels, camera, name=f"IMG_{k + 1:04}.jpg"), found, camera, covariance))
         masks.append(mask)
     return PhotoTour(scan, truth, tuple(views), gains, tuple(masks))
+
+
+def _falloff(size: tuple[int, int], vignetting: tuple[float, float]) -> np.ndarray:
+    """Return the share of light (h, w) that the lens leaves in a photograph."""
+    u, v = (2 * np.arange(n) - n + 1 for n in size)
+    squared = (np.square(v)[:, None] + np.square(u)) / (size[0] ** 2 + size[1] ** 2)
+    return np.exp(vignetting[0] * squared + vignetting[1] * squared**2)
 
 
 def scan_of_tour(

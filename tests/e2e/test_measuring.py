@@ -202,7 +202,9 @@ def test_points_are_clicked_on_the_model_and_their_interval_contains_the_truth(m
     distance = float(np.linalg.norm(truths[0] - truths[1]))
     value, sigma = (float(word) for word in found["value"].removesuffix(" m").split(" ± "))
     assert abs(value - distance) < 4 * sigma
-    assert looked == inner.evaluate("() => window.__viserMutable.camera.matrixWorld.elements.join()"), "nobody has flown"
+    assert looked == inner.evaluate("() => window.__viserMutable.camera.matrixWorld.elements.join()"), (
+        "nobody has flown"
+    )
     # the measurement is selected where it is drawn
     page.mouse.move(*measurer.place("scan", (5, 5)))
     page.keyboard.press("v")
@@ -212,7 +214,7 @@ def test_points_are_clicked_on_the_model_and_their_interval_contains_the_truth(m
     item = page.locator("[data-measurement]")
     click(measurer, "scan", tuple(pixel_of(measurer, middle)))
     page.locator("[data-measurement].chosen").wait_for()
-    click(measurer, "scan", tuple(pixel_of(measurer, middle) + [0, 60]))
+    click(measurer, "scan", tuple(pixel_of(measurer, middle) + np.array([0, 60])))
     measurer.wait(lambda: "chosen" not in (item.get_attribute("class") or ""), "nothing selected")
 
 

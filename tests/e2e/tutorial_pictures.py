@@ -87,6 +87,7 @@ def _tutorial(folder: Path, chromium: Browser, target: Path) -> None:
         page.wait_for_timeout(4000)
         _keep(page, target / "judged.png")
         _measure(page, target)
+        _blend(page, target)
         page.get_by_role("tab", name=re.compile("Export")).click()
         page.locator(".target-list li").first.wait_for()
         _keep(page, target / "exports.png")
@@ -122,6 +123,19 @@ def _measure(page: Page, target: Path) -> None:
     page.keyboard.press("v")
     for _ in _MEASURED:
         page.keyboard.press("Control+z")
+
+
+def _blend(page: Page, target: Path) -> None:
+    """Look at the photograph and its uncertainty on one surface, half and half."""
+    display = page.locator("#model-pane").get_by_role("button", name="Display")
+    display.click()
+    page.get_by_label("Blend with").select_option("uncertainty")
+    display.click()
+    page.locator("#model-pane [data-mixed]").wait_for()
+    page.wait_for_timeout(3000)
+    box = page.locator("#model-pane").bounding_box()
+    assert box is not None, "the model pane is seen"
+    _write(page.screenshot(clip=box), target / "blend.png")  # type: ignore[arg-type]
 
 
 def _manual(folder: Path, chromium: Browser, target: Path) -> None:

@@ -299,3 +299,14 @@ def test_what_is_refused_is_said_in_one_line(job: Path, tmp_path: Path, capsys: 
     ):  # fmt: skip
         assert words in complaint(capsys, one, "--values", values, "-o", out), values
     assert not Path(out).exists()
+
+
+def test_dark_corners_are_stated_where_they_were_asked_for(
+    job: Path, model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results = [str(job / "one" / f"results-{k}") for k in range(6)]
+    assert main(["model", *results, "--vignetting", "--to", "ply", "-o", str(tmp_path / "out")]) == ExitCode.ACCEPTED
+    photos = document(tmp_path / "out")["photos"]
+    assert all(abs(sum(one["vignetting"])) < 0.05 for one in photos if one["colors"])  # these lenses darken nothing
+    assert capsys.readouterr().out.count(", corners at ") == sum(one["colors"] for one in photos)
+    assert all(one["vignetting"] is None for one in document(model)["photos"])

@@ -36,6 +36,33 @@ def fused(seed: int = 0, photos: int = 9, moved: int = 0) -> FusedModel:
     return fuse(one.scan, one.views)
 
 
+@pytest.mark.parametrize("powers", [(0.0, 0.0), (-0.35, -0.3), (-0.1, -0.6)])
+def test_dark_corners_are_found_from_what_photographs_share_and_undone(powers: tuple[float, float]) -> None:
+    one = photo_tour(3, photos=9, vignetting=powers, **SMALL)  # type: ignore[arg-type]
+    model, as_it_is = fuse(one.scan, one.views, vignetting=True), fuse(one.scan, one.views)
+    at = np.array([[0.25, 0.25**2], [0.5, 0.25], [1.0, 1.0]])  # r^2 and r^4
+    np.testing.assert_allclose(np.exp(model.vignetting @ at.T), np.tile(np.exp(at @ powers), (9, 1)), rtol=0.02)
+    assert not as_it_is.vignetting.any()
+    cells = (model.labels == Label.SEEN) & np.isfinite(one.truth[..., 0])
+    error = light_error(model.image, one.truth, cells)
+    if any(powers):
+        assert error < 0.4 * light_error(as_it_is.image, one.truth, cells)
+        bright = model.developed(0).pixels.astype(float).mean(axis=-1)
+        dark = as_it_is.developed(0).pixels.astype(float).mean(axis=-1)
+        ratio = bright / np.maximum(dark, 1)
+        assert ratio[:6, :6].mean() > 1.1 * ratio[80:88, 116:124].mean(), "the photograph itself is brighter there"
+    else:
+        assert error < 1.05 * light_error(as_it_is.image, one.truth, cells)
+    np.testing.assert_allclose(model.gains.gains, one.gains, rtol=0.02)
+
+
+def test_a_photograph_that_shares_nothing_keeps_its_corners() -> None:
+    one = tour()
+    alone = fuse(one.scan, one.views[:1], vignetting=True)
+    assert not alone.vignetting.any()
+    assert alone.views[0].photo.pixels is one.views[0].photo.pixels
+
+
 def last_writer(model: FusedModel) -> tuple[np.ndarray, np.ndarray]:
     """The photograph and the colour of each cell if later photographs overwrite earlier ones."""
     photo = np.full(model.scan.shape, NO_PHOTO, np.uint16)
