@@ -127,15 +127,19 @@ def _measure(page: Page, target: Path) -> None:
 
 def _blend(page: Page, target: Path) -> None:
     """Look at the photograph and its uncertainty on one surface, half and half."""
+    page.locator("#model-pane").get_by_role("button", name="Maximise").click()
+    page.keyboard.press("m")  # without matches
     display = page.locator("#model-pane").get_by_role("button", name="Display")
     display.click()
     page.get_by_label("Blend with").select_option("uncertainty")
-    display.click()
+    page.keyboard.press("Escape")
     page.locator("#model-pane [data-mixed]").wait_for()
     page.wait_for_timeout(3000)
     box = page.locator("#model-pane").bounding_box()
     assert box is not None, "the model pane is seen"
     _write(page.screenshot(clip=box), target / "blend.png")  # type: ignore[arg-type]
+    page.keyboard.press("m")
+    page.keyboard.press("Escape")
 
 
 def _manual(folder: Path, chromium: Browser, target: Path) -> None:
