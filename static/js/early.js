@@ -7,7 +7,9 @@ import { connectEarly } from "./net/connection.js";
 import { whenFirstPicturesArrived } from "./ui/first_pictures.js";
 
 connectEarly();
-const viewer = document.querySelector('meta[name="viewer"]')?.content;
+/** @type {HTMLMetaElement | null} */
+const meta = document.querySelector('meta[name="viewer"]');
+const viewer = meta?.content;
 if (viewer && document.querySelector(".first-picture")) {
   whenFirstPicturesArrived()
     .then(() => fetch(viewer, { priority: "high" }))

@@ -30,6 +30,7 @@ import { followTheme } from "./ui/theme.js";
 const OPENED = "ladarreg-opened";
 
 const byId = (id) => document.getElementById(id);
+/** @returns {HTMLElement} */
 const part = (id, name) => byId(id).querySelector(`.${name}`);
 
 const floating = byId("floating");

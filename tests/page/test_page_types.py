@@ -12,52 +12,6 @@ import pytest
 CHECKOUT = Path(__file__).parents[2]
 TOOLS = CHECKOUT / "node_modules" / ".bin"
 _ERROR = re.compile(r"^(static/js/[^(]+)\(\d+,\d+\): error", re.MULTILINE)
-NOT_YET = {
-    "static/js/early.js",
-    "static/js/layout/maximise.js",
-    "static/js/layout/shortcuts.js",
-    "static/js/main.js",
-    "static/js/net/delta.js",
-    "static/js/panels/acquire/devices.js",
-    "static/js/panels/files/camera_form.js",
-    "static/js/panels/export/export.js",
-    "static/js/panels/files/files.js",
-    "static/js/panels/project/header.js",
-    "static/js/panels/project/history.js",
-    "static/js/panels/matches/match_columns.js",
-    "static/js/panels/matches/match_table.js",
-    "static/js/panels/model/model_pane.js",
-    "static/js/panels/model/model_surface.js",
-    "static/js/panels/model/model_view.js",
-    "static/js/panels/files/photo_list.js",
-    "static/js/panels/files/scan_question.js",
-    "static/js/panels/project/start_page.js",
-    "static/js/panels/stations/stations.js",
-    "static/js/panels/project/status_bar.js",
-    "static/js/panels/project/step_tabs.js",
-    "static/js/panes/controller.js",
-    "static/js/panes/heads.js",
-    "static/js/panes/index.js",
-    "static/js/panes/keyboard.js",
-    "static/js/panes/loupe.js",
-    "static/js/panes/match_layer.js",
-    "static/js/panes/pane.js",
-    "static/js/panes/picking.js",
-    "static/js/panes/picture_layer.js",
-    "static/js/panes/pointer.js",
-    "static/js/panes/projection.js",
-    "static/js/panes/strip.js",
-    "static/js/panes/strip_geometry.js",
-    "static/js/panes/symbols.js",
-    "static/js/panes/toolbar.js",
-    "static/js/panes/tools.js",
-    "static/js/state/pipeline.js",
-    "static/js/state/progress.js",
-    "static/js/state/stations.js",
-    "static/js/ui/tablist.js",
-    "static/js/ui/theme.js",
-}
-"""Modules whose types are not complete; none may be added, and one that has become right is to be removed."""
 
 
 def run(tool: str, *words: str) -> subprocess.CompletedProcess[str]:
@@ -81,9 +35,7 @@ def faults_of(folder: Path) -> tuple[set[str], str]:
 @pytest.mark.timeout(600)
 def test_the_types_of_the_page_fit_and_commands_are_those_of_the_workbench() -> None:
     faulty, said = faults_of(CHECKOUT)
-    new = [line for line in said.splitlines() if line.partition("(")[0] in faulty - NOT_YET]
-    assert not new, "\n".join(new)
-    assert faulty >= NOT_YET, f"right by now, remove from NOT_YET: {sorted(NOT_YET - faulty)}"
+    assert not faulty, said
 
 
 @pytest.mark.slow

@@ -5,14 +5,18 @@ import { button } from "../ui/controls.js";
 import { setChildren } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
 
+/** @typedef {"scan" | "photo" | "model"} PaneName */
+
 const NAMES = { scan: "the scan", photo: "the photograph", model: "the model" };
 
-/** Maximise a pane, or restore all three. @param {"scan" | "photo" | "model"} name */
+/** Maximise a pane, or restore all three. @param {PaneName} name */
 export const toggleMaximised = (name) => view.set({ filled: view.get().filled === name ? null : name });
 
 /** @param {HTMLElement} panes */
 export const mountMaximise = (panes) => {
-  const buttons = Object.keys(NAMES).map((name) => {
+  const names = /** @type {PaneName[]} */ (Object.keys(NAMES));
+  /** @type {[PaneName, HTMLButtonElement][]} */
+  const buttons = names.map((name) => {
     const toggle = button({
       label: `Maximise ${NAMES[name]}`,
       icon: "fill",

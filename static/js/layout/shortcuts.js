@@ -28,10 +28,10 @@ const reportSaved = () => {
   );
 };
 
-/** @returns {string | null} the pane with the focus, or under the pointer */
+/** @returns {import("./maximise.js").PaneName | null} the pane with the focus, or under the pointer */
 const currentPane = () => {
   const pane = document.activeElement?.closest?.(".pane") ?? document.querySelector(".pane:hover");
-  return pane?.id.replace("-pane", "") ?? null;
+  return /** @type {import("./maximise.js").PaneName | undefined} */ (pane?.id.replace("-pane", "")) ?? null;
 };
 
 const commands = (event) => {
@@ -46,7 +46,9 @@ const commands = (event) => {
 
 const plain = (event) => {
   if (event.key === "?") return openKeys;
-  if (event.key === "h" || event.key === "H") return () => document.querySelector(".history-button").click();
+  if (event.key === "h" || event.key === "H") {
+    return () => /** @type {HTMLElement} */ (document.querySelector(".history-button")).click();
+  }
   if (event.key === "m" || event.key === "M") return toggleMarks;
   if (event.key === "f" || event.key === "F") {
     const pane = view.get().filled ?? currentPane();

@@ -6,6 +6,7 @@
 
 const keyOf = (item) => item.id ?? item.n;
 
+/** @param {any[]} before @param {Change} change */
 const changedList = (before, { set = [], gone = [], order }) => {
   const removed = new Set(gone);
   const items = new Map();
@@ -17,6 +18,7 @@ const changedList = (before, { set = [], gone = [], order }) => {
   return order.map((key) => items.get(key));
 };
 
+/** @param {Record<string, any>} before @param {Change} change */
 const changedObject = (before, { set = {}, gone = [], in: inner = {} }) => {
   const after = { ...before, ...set };
   for (const name of gone) delete after[name];

@@ -22,7 +22,7 @@ const NO_TIES = []; // always the same, so that nothing seems to have changed
 /** Controller of the two image panes. */
 export class Controller {
   /** @type {Record<"scan" | "photo", import("./pane.js").Pane>} */
-  panes = {};
+  panes = /** @type {any} */ ({}); // each sets itself when it is mounted
   picking = new Picking();
   /** @type {"scan" | "photo"} the pane used last */
   active = "scan";

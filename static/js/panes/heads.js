@@ -38,6 +38,7 @@ const zoomControls = (controller, side) => {
   return element("div", { class: "pane-zooms" }, value, single, whole);
 };
 
+/** @type {[string, string][]} */
 const DISPLAYS = [["intensity", "Intensity"], ["raw", "Raw intensity"], ["range", "Range"], ["shape", "Shape"], ["normals", "Normals"], ["edges", "Edges"]];
 const DEFAULTS = { low: 1, high: 99.5, equalise: false, gamma: 0.6, brightness: 1, contrast: 1 };
 const STRETCHED = new Set(["intensity", "raw", "range"]);
@@ -67,6 +68,7 @@ export const mountScanHead = (head, controller) => {
   });
   const display = choice("Channel of the scan", (show) => set({ show }));
   const viewed = choice("View of the scan (Page Up, Page Down)", (index) => set({ view: Number(index) }));
+  /** @type {Record<string, {row: HTMLElement, show: (value: any) => void}>} */
   const rows = {
     low: slider({ label: "Black at", least: 0, most: 49, step: 0.5, text: percent, changed: (low) => stretch({ low }), released }),
     high: slider({ label: "White at", least: 51, most: 100, step: 0.1, text: percent, changed: (high) => stretch({ high }), released }),
@@ -117,6 +119,7 @@ export const mountScanHead = (head, controller) => {
   show();
 };
 
+/** @type {[string, string][]} */
 const OVERLAYS = [["none", "No overlay"], ["blend", "Blend"], ["swipe", "Swipe"], ["checker", "Checkerboard"], ["edges", "Edges"]];
 const SLIDERS = { blend: ["blend", "Opacity of the scan"], edges: ["blend", "Opacity of the edges"], swipe: ["swipe", "Position of the swipe"] };
 

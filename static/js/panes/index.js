@@ -17,13 +17,14 @@ import { mountStrip } from "./strip.js";
 import { Tools } from "./tools.js";
 import { keepUnfinished } from "./unfinished.js";
 
+/** @type {("scan" | "photo")[]} */
 const SIDES = ["scan", "photo"];
 const PICTURE_INTERVAL_MS = 180;
 
 /**
  * Mount the two image panes.
  * @param {{scanHead: HTMLElement, scanBody: HTMLElement, photoHead: HTMLElement, photoBody: HTMLElement,
- *          model: ReturnType<typeof import("../panels/model/model_pane.js").mountModelPane>,
+ *          model?: ReturnType<typeof import("../panels/model/model_pane.js").mountModelPane>,
  *          store: import("../net/store.js").Store, view: any, ask: (what: string, args?: any) => Promise<any>}} page
  */
 export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, model, store, view, ask }) => {
@@ -48,7 +49,7 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, model, st
   listenToKeys(controller, tools, space);
   listenToReveals(controller);
   mountStrip(scanBody, controller);
-  mountModelMeasuring(model, controller);
+  if (model) mountModelMeasuring(model, controller);
 
   keepUnfinished(controller.picking, store);
 
@@ -66,6 +67,7 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, model, st
   /** While a key moves a slider, a few pictures a second are enough. */
   const loadPicturesSoon = throttled(loadPictures, PICTURE_INTERVAL_MS);
 
+  /** @type {Partial<Record<"scan" | "photo", string | null>>} */
   const shownIds = {};
   const showSlices = () => {
     const before = { ...shownIds };

@@ -41,15 +41,16 @@ const actionsOf = (controller) => {
     const pick = controller.chosen && controller.pick(controller.chosen);
     if (!pick || controller.store.readOnly) return false;
     const { end } = view.get();
-    const side = controller.sides[controller.active];
-    const ends = controller.pendingMoves.endsOf(pick, side.name).map((world, index) => {
+    const { active } = controller;
+    const side = controller.sides[active];
+    const ends = controller.pendingMoves.endsOf(pick, active).map((world, index) => {
       if (end && end.index !== index) return world;
       const uv = side.toPixel(world);
       return uv && side.toWorld([uv[0] + by[0], uv[1] + by[1]]);
     });
     if (ends.every(Boolean)) {
-      controller.nudged = { side: side.name, id: pick.id, index: end?.index ?? 0 };
-      controller.pendingMoves.commit(pick.id, side.name, ends);
+      controller.nudged = { side: active, id: pick.id, index: end?.index ?? 0 };
+      controller.pendingMoves.commit(pick.id, active, ends);
     }
     return true;
   };
@@ -223,8 +224,9 @@ export const listenToKeys = (controller, tools, space) => {
       return;
     }
     // other controls keep the keys that they use themselves
-    if (event.target.closest?.(USES_KEYS) && !EVERYWHERE.has(event.key.toLowerCase())) return;
-    if (event.target.closest?.(PRESSABLE) && PRESS_KEYS.has(event.key)) return;
+    const target = /** @type {Element} */ (event.target);
+    if (target.closest?.(USES_KEYS) && !EVERYWHERE.has(event.key.toLowerCase())) return;
+    if (target.closest?.(PRESSABLE) && PRESS_KEYS.has(event.key)) return;
     if (event.key === "Shift") setSuspended(true);
     if (event.key === " ") {
       event.preventDefault();

@@ -24,6 +24,7 @@ export const loupePlace = (xy, size, away = null, scale = 1) => {
   const radius = RADIUS_PX * scale;
   const reach = radius + CLEAR_PX * scale;
   const least = radius + 4;
+  /** @type {[number, number][]} */
   const candidates = [[0.75, -0.85], [-0.75, -0.85], [0.75, 0.7], [-0.75, 0.7], [1.05, 0], [-1.05, 0], [0, -1.1], [0, 1]].map(([dx, dy]) => [
     xy[0] + dx * reach,
     xy[1] + dy * reach,

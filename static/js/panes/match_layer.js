@@ -34,6 +34,7 @@ const ring = (path, [x, y], radius) => {
   path.arc(x, y, radius, 0, TAU);
 };
 
+/** @param {Path2D} path @param {readonly number[]} at @param {number} reach */
 const cross = (path, [x, y], reach) => {
   path.moveTo(x - reach, y - reach);
   path.lineTo(x + reach, y + reach);
@@ -231,6 +232,10 @@ export const drawMatches = (context, laidOut, look, { residuals = true, boxes = 
 
 /**
  * Draw one match again, on top of the others: hovered, selected, or being moved.
+ * @param {CanvasRenderingContext2D} context
+ * @param {import("./viewport.js").Viewport} viewport
+ * @param {import("./marks.js").Mark} mark
+ * @param {any} look
  * @param {{hovered?: boolean, selected?: boolean, end?: number | null}} how
  */
 export const drawMark = (context, viewport, mark, look, { hovered = false, selected = false, end = null }) => {
@@ -272,7 +277,10 @@ export const drawMark = (context, viewport, mark, look, { hovered = false, selec
 
 /**
  * Draw an unfinished side, or a predicted partner, dashed.
+ * @param {CanvasRenderingContext2D} context
+ * @param {import("./viewport.js").Viewport} viewport
  * @param {{ends: (number[] | null)[], line: number[][] | null}} placed in pixels
+ * @param {any} look
  * @param {{colour: string, outline?: number, offered?: boolean}} how `outline`: opacity of the glow around a side that
  *   waits for its partner
  */

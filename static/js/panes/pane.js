@@ -25,7 +25,7 @@ const clipTo = (context, boxes, ratio) => {
   context.clip();
 };
 
-/** @typedef {"hand" | "link" | "page"} Mover who moved the picture: the operator, the linked pane, or the page */
+/** @typedef {"hand" | "link" | "page" | "strip"} Mover who moved the picture: the operator, here or in the strip; the linked pane; the page */
 
 /** A pane and its layers. */
 export class Pane {
@@ -48,10 +48,10 @@ export class Pane {
   /**
    * @param {HTMLElement} body
    * @param {"scan" | "photo"} side
-   * @param {Record<string, Painter | {changed: () => number[][] | null, draw: Painter}>} paint one painter for each
-   *   layer, or one that states which places have changed since it was asked before: left, top, right, bottom, CSS
-   *   pixels; null: all of it
+   * @param {Record<string, Painter | PartPainter>} paint one painter for each layer
    *
+   * @typedef {{changed: () => number[][] | null, draw: Painter}} PartPainter states which places have changed since it
+   *   was asked before: left, top, right, bottom, CSS pixels; null: all of it
    * @typedef {(context: CanvasRenderingContext2D, boxes?: number[][] | null) => boolean | void} Painter false: the
    *   layer is empty
    */
@@ -132,7 +132,7 @@ export class Pane {
       if (!this.#dirty.delete(layer)) continue;
       const context = this.#contexts.get(layer);
       const paint = this.#paint[layer];
-      const changed = paint.changed?.() ?? null;
+      const [draw, changed] = typeof paint === "function" ? [paint, null] : [paint.draw, paint.changed()];
       const boxes = this.#emptied.delete(layer) ? null : changed;
       if (boxes?.length === 0) continue;
       context.save();
@@ -141,7 +141,7 @@ export class Pane {
       context.clearRect(0, 0, context.canvas.width, context.canvas.height);
       context.setTransform(ratio, 0, 0, ratio, 0, 0);
       // an empty layer is hidden: compositing it costs time in each frame
-      context.canvas.hidden = (paint.draw ?? paint)(context, boxes) === false;
+      context.canvas.hidden = draw(context, boxes) === false;
       context.restore();
     }
     if (this.#measured.began) {

@@ -21,7 +21,7 @@ export const CLICK_PX = 6;
 const DOUBLE_CLICK_MS = 400;
 const OUT_OF_SIGHT = [-1e6, -1e6];
 
-/** @returns {Side} the other side */
+/** @param {Side} side @returns {Side} the other side */
 export const other = (side) => (side === "scan" ? "photo" : "scan");
 
 /** @returns {number} CSS pixels, at the later zoom: the picture may have moved in between */
@@ -45,7 +45,7 @@ export class Picking {
 
   /** @returns {Side | null} the side on which the partner is missing */
   get missingSide() {
-    return this.open && other(this.open.side);
+    return this.open ? other(this.open.side) : null;
   }
 
   /** @returns {boolean} whether nothing is being drawn */
@@ -134,7 +134,8 @@ export class Picking {
   /** @returns {Pair} */
   #paired(ends) {
     const { side, kind } = this.open;
-    const pair = { kind, [side]: this.open.ends, [other(side)]: ends, of: this.subject };
+    const [scan, photo] = side === "scan" ? [this.open.ends, ends] : [ends, this.open.ends];
+    const pair = { kind, scan, photo, of: this.subject };
     this.open = null;
     this.predicted = null;
     return pair;
@@ -224,6 +225,7 @@ export class Picking {
 
   /** @returns {[string, Drawn][]} the open sides with their photographs, as `reopen` takes them one by one */
   kept() {
+    /** @type {[string, Drawn][]} */
     const own = this.open && this.subject !== null ? [[this.subject, this.open]] : [];
     return [...own, ...this.waiting];
   }

@@ -29,6 +29,7 @@ export class Picture {
     for (;;) {
       const last = this.#levels.at(-1);
       if (Math.max(last.width, last.height) <= HALVED_ABOVE_PX) return;
+      /** @type {ImageBitmapOptions} */
       const half = { resizeWidth: Math.ceil(last.width / 2), resizeHeight: Math.ceil(last.height / 2), resizeQuality: "medium" };
       this.#levels.push(await createImageBitmap(last, half));
     }

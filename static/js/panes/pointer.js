@@ -127,7 +127,7 @@ export const listenToPointers = (pane, tools, space) => {
   body.addEventListener("keydown", () => body.classList.remove("by-pointer"));
   body.addEventListener("blur", () => body.classList.remove("by-pointer"));
   body.addEventListener("wheel", (event) => {
-    if (event.target.closest?.("[popover]")) return;
+    if (/** @type {Element} */ (event.target).closest?.("[popover]")) return;
     event.preventDefault();
     pane.zoomTo(pane.viewport.zoom * wheelFactor(event), "hand", positionOf(event));
   }, { passive: false });

@@ -20,6 +20,7 @@ const rotated = ({ rotation: R }, ray) => [
 /** @param {ScanView} view @returns {number[]} the unit ray through its middle */
 export const axisOf = (view) => view.rotation.slice(6, 9);
 
+/** @param {ScanView} view @param {readonly number[]} seen in the axes of the view @returns {number[]} its pixel */
 const projected = (view, [x, y, z]) => [view.cx + (view.f * x) / z, view.cy + (view.f * y) / z];
 
 /**

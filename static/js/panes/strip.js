@@ -267,7 +267,12 @@ const trace = (context, width, points, colour, dash, thick) => {
   context.setLineDash([]);
 };
 
-/** Shade what none of the photographs covers. */
+/**
+ * Shade what none of the photographs covers.
+ * @param {CanvasRenderingContext2D} context
+ * @param {readonly number[]} size
+ * @param {{rays: number[][], points: number[][]}[]} covering
+ */
 const shade = (context, [width, height], covering) => {
   if (covering.length === 0 || covering.some(({ rays }) => rays.length === 0)) return; // none yet, or one that looks all around
   const ratio = window.devicePixelRatio || 1;

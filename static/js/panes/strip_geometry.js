@@ -14,7 +14,7 @@ const FAR_OFF_RAD = 0.6;
 /** @returns {number} an angle within a half turn of 0 */
 export const wrapped = (angle) => angle - TURN * Math.round(angle / TURN);
 
-/** @returns {[number, number]} azimuth (left positive) and elevation of a ray, rad */
+/** @param {readonly number[]} ray @returns {[number, number]} its azimuth (left positive) and elevation, rad */
 export const anglesOf = ([x, y, z]) => [Math.atan2(y, x), Math.atan2(z, Math.hypot(x, y))];
 
 /** @returns {number[]} the unit ray of an azimuth and an elevation */
@@ -27,7 +27,8 @@ export const rayAt = (azimuth, elevation) => [
 /**
  * @param {Extent} extent
  * @param {readonly number[]} size width and height of the strip
- * @returns {[number, number]} position of an azimuth and an elevation in the strip
+ * @param {readonly number[]} angles azimuth and elevation
+ * @returns {[number, number]} their position in the strip
  */
 export const positionOf = (extent, size, [azimuth, elevation]) => [
   size[0] * (0.5 - azimuth / TURN),
@@ -107,14 +108,14 @@ export const filling = ({ zoom, x, y }, pane, picture) => ({
   y: nearBorder(y, pane[1], picture[1] * zoom),
 });
 
-/** @returns {string} a direction as the views are labelled, with its elevation */
+/** @param {readonly number[]} angles @returns {string} a direction as the views are labelled, with its elevation */
 export const directionLabel = ([azimuth, elevation]) => {
   const [across, up] = [azimuth, elevation].map((angle) => Math.round((angle * 180) / Math.PI));
   const side = across === 0 ? "ahead" : Math.abs(across) === 180 ? "behind" : `${Math.abs(across)} deg ${across > 0 ? "left" : "right"}`;
   return up === 0 ? side : `${side}, ${Math.abs(up)} ${up > 0 ? "up" : "down"}`;
 };
 
-/** @returns {string} a direction in words */
+/** @param {readonly number[]} angles @returns {string} a direction in words */
 export const directionSaid = ([azimuth, elevation]) => {
   const [across, up] = [azimuth, elevation].map((angle) => Math.round((angle * 180) / Math.PI));
   const side = across === 0 ? "ahead" : Math.abs(across) === 180 ? "behind" : `${Math.abs(across)} degrees ${across > 0 ? "left" : "right"}`;

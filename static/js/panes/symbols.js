@@ -85,7 +85,14 @@ export const stamp = (context, look, positions, symbol) => {
 const LABEL = { width: 24, dx: 8, dy: -8 };
 const KEPT_FREE_PX = 7;
 
-/** Draw a number over its halo. */
+/**
+ * Draw a number over its halo.
+ * @param {CanvasRenderingContext2D} context
+ * @param {any} look
+ * @param {string} colour
+ * @param {string} text
+ * @param {readonly number[]} at
+ */
 const drawLabel = (context, look, colour, text, [x, y]) => {
   context.lineWidth = 3.5 * look.scale;
   context.strokeStyle = look.halo;
@@ -103,7 +110,7 @@ const labelPosition = ({ ends, line }, scale) => {
   return [at[0] + (rightwards ? -LABEL.dx - 9 : LABEL.dx) * scale, at[1] + LABEL.dy * scale];
 };
 
-/** @returns {number[]} left, top, right, bottom of a match's number */
+/** @param {number} number @param {readonly number[]} at @param {number} scale @returns {number[]} left, top, right, bottom of a match's number */
 export const labelBox = (number, [x, y], scale) => [x, y - 10 * scale, x + 8 * scale * String(number).length, y];
 
 /**
@@ -239,8 +246,8 @@ export const drawGhost = (context, ends, look) => {
   const path = new Path2D();
   const reach = 6 * look.scale;
   if (ends.length === 2) {
-    path.moveTo(...ends[0]);
-    path.lineTo(...ends[1]);
+    path.moveTo(ends[0][0], ends[0][1]);
+    path.lineTo(ends[1][0], ends[1][1]);
   }
   for (const [x, y] of ends) {
     path.moveTo(x - reach, y);

@@ -28,10 +28,12 @@ const focusing = (pane, act) => (event) => {
  */
 export const mountToolbar = (controller, pane) => {
   const { view } = controller;
+  /** @type {[string, HTMLButtonElement][]} */
   const tools = TOOLS.map(([name, label, title]) => {
     const activate = focusing(pane, () => view.set({ tool: name }));
     return [name, button({ label, title, icon: name, bare: true, kind: name === "select" ? "pane-button" : "pane-button edits", act: activate })];
   });
+  /** @type {[string, HTMLButtonElement][]} */
   const aids = AIDS.map(([name, label, title]) => {
     const toggle = focusing(pane, () => view.set({ [name]: view.get()[name] === false }));
     return [name, button({ label, title, icon: name, bare: true, kind: "pane-button", act: toggle })];

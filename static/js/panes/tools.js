@@ -18,7 +18,8 @@ export class Tools {
   /** @type {{side: string, from: number[], to: number[]} | null} selection frame, in pixels */
   frame = null;
   /**
-   * @type {{id: string, side: string, index: number | null, ends: number[][], from: number[], moved: boolean} | null}
+   * @type {{id: string, side: string, index: number | null, ends: number[][], from: number[], begun: number[],
+   *   moved: boolean} | null} `from`: the pixel, `begun`: the place in the pane, where it was pressed
    */
   dragged = null;
   #controller;

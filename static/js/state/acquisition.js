@@ -6,8 +6,6 @@ import { throttled } from "../ui/throttle.js";
 
 const KEPT_EVERY_MS = 500;
 
-/** @typedef {{name: string, label: string, done: boolean, missing: string, status: string}} WorkStep */
-
 /** @typedef {{field: string, said: string}} PlanFault */
 
 let plan = null;
@@ -78,7 +76,7 @@ export const overviewPlan = () => {
   return { ...planNow(), pan_deg: [-end, end, OVERVIEW_STEP_DEG], tilt_deg: [0, 0, 0], settle_s: 0, continuous: false, passes: 1, camera: null };
 };
 
-/** @returns {WorkStep} the tab's state */
+/** @returns {import("./progress.js").WorkStep} the tab's state */
 export const acquireStep = () => {
   const now = store.get("acquisition");
   const said = {

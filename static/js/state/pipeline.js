@@ -129,7 +129,7 @@ export const stepState = (step, { job, last, stages, shown, corners, picks }) =>
   return { state: "none", text: "" };
 };
 
-/** @returns {{state: string, text: string}} the state of the step Verify: what is stored with the shown pose, so that it changes with it */
+/** @returns {{state: "done" | "none" | "stale" | "failed" | "unclear", text: string}} the state of the step Verify: what is stored with the shown pose, so that it changes with it */
 const verifyState = (shown) => {
   if (shown?.evidence === "image" && !shown.image) return { state: "done", text: shown.reasons?.[0] ?? "" };
   if (!shown?.image) return { state: "none", text: "" };

@@ -2,11 +2,12 @@
 
 import { store } from "../net/store.js";
 
-const LABELS = { match: "Match", solve: "Solve", judge: "Judge", export: "Export" };
+/** @type {[WorkStep["name"], string][]} */
+const LABELS = [["match", "Match"], ["solve", "Solve"], ["judge", "Judge"], ["export", "Export"]];
 const NOTHING = { steps: [], needed: "", next_action: "", exported: {} };
 
 /**
- * @typedef {{name: "match" | "solve" | "judge" | "export", label: string, done: boolean, missing: string,
+ * @typedef {{name: "acquire" | "stations" | "match" | "solve" | "judge" | "export", label: string, done: boolean, missing: string,
  *            status: string}} WorkStep `missing` is what has to be done, empty if nothing
  */
 
@@ -16,7 +17,7 @@ export const progressNow = () => store.get(`progress:${store.shown()}`) ?? store
 /** @returns {WorkStep[]} the four steps, of the shown photograph */
 export const workSteps = () => {
   const known = new Map(progressNow().steps.map((step) => [step.name, step]));
-  return Object.entries(LABELS).map(([name, label]) => ({
+  return LABELS.map(([name, label]) => ({
     done: false, missing: "", status: "", ...known.get(name), name, label,
   }));
 };

@@ -8,7 +8,7 @@ import { scanName } from "./scan_name.js";
  *   sigma_deg: number | null, place: {x: number, y: number, z: number, yaw_deg: number} | null, rough: boolean}} Station */
 
 /** @returns {{stations: Station[], pairs: any[], loops: any[], reasons: string[], checks: any[], stale: boolean,
- *   registered: boolean}} */
+ *   registered: boolean, done?: boolean, status?: string, missing?: string}} */
 export const stationsNow = () =>
   store.get("stations") ?? { stations: [], pairs: [], loops: [], reasons: [], checks: [], stale: false, registered: false };
 

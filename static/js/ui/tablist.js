@@ -7,8 +7,8 @@
 export const navigateByArrows = (list) => {
   list.addEventListener("keydown", (event) => {
     const step = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
-    const tabs = [...list.querySelectorAll("[role=tab]")];
-    const at = tabs.indexOf(document.activeElement);
+    const tabs = /** @type {HTMLElement[]} */ ([...list.querySelectorAll("[role=tab]")]);
+    const at = tabs.indexOf(/** @type {HTMLElement} */ (document.activeElement));
     if (at < 0) return;
     const next = event.key === "Home"
       ? 0

@@ -10,6 +10,7 @@ import { element, setText } from "../../ui/dom.js";
 import { makeDeviceChoice } from "./device_choice.js";
 import { makeDial } from "./dial.js";
 
+/** @type {[string, string][]} */
 const STEPS_DEG = [["0.1", "0.1°"], ["1", "1°"], ["5", "5°"], ["20", "20°"]];
 const TWIN = "twin:";
 const ARROWS = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };

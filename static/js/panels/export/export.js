@@ -15,6 +15,7 @@ import { throttled } from "../../ui/throttle.js";
 const RESULTS = "results";
 const ALL = "all";
 const MATCHES = "matches.json";
+/** @type {[string, string, boolean][]} name, contents, and whether only an accepted pose is written so */
 const FILES = [
   ["registration.json", "pose, covariance, matches, options", false],
   ["report.html", "verdict, pictures, residuals and maps, to read and to print", false],
@@ -26,6 +27,7 @@ const FILES = [
   ["model.glb", "textured surface", true],
   ["cloud.ply", "coloured points", true],
 ];
+/** @type {[string, string, boolean]} */
 const OFFSET = ["offset.json", "what was subtracted from the coordinates of the world", true];
 const TARGETS_KEY = "ladarreg-targets";
 const FOLDER_KEY = "ladarreg-folder";
@@ -219,6 +221,7 @@ export const mountExport = () => {
   const chosen = () => rows.filter(({ box, refused }) => box.checked && !refused()).map(({ name }) => name);
   const ofShown = () => scope.value === "shown";
   const zipUrl = () => `export/${encodeURIComponent(ofShown() ? store.shown() ?? "" : ALL)}.zip`;
+  /** @returns {import("../../protocol.js").Commands["export"]} */
   const wanted = () => ({
     targets: chosen(),
     ...(ofShown() ? { photos: [store.shown()].filter(Boolean) } : {}),

@@ -84,6 +84,7 @@ export const mountCameraForm = (opener) => {
     file,
   );
   const panel = popoverOf(opener, "Camera of the photograph", form);
+  /** @param {string} text @param {{input?: HTMLInputElement}} where */
   const fail = (text, { input } = {}) => {
     setText(wrong, text);
     wrong.hidden = text === "";
@@ -160,7 +161,7 @@ export const mountCameraForm = (opener) => {
     requestAnimationFrame(offerOnce);
   });
   document.addEventListener("close", () => requestAnimationFrame(offerOnce), true); // when the dialog over it closes
-  panel.addEventListener("beforetoggle", (event) => {
+  panel.addEventListener("beforetoggle", (/** @type {ToggleEvent} */ event) => {
     if (event.newState !== "open") return;
     fail("");
     show();

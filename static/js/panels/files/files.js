@@ -27,12 +27,24 @@ const TITLES = {
 
 const isLeft = ({ state }) => state !== "opened" && state !== "kept";
 
-let files = null; // the dialog
+/**
+ * @typedef {{scan?: "replace" | "frames" | "stations" | null}} Landing what becomes of scans
+ * @typedef {ReturnType<typeof makeDialog> & {expected: string | null, add: (added: Iterable<File>) => void,
+ *   expect: (what: string | null) => void}} FilesDialog `expected`: type of file that it was opened for
+ */
+
+/** @type {FilesDialog | null} */
+let files = null;
 
 /** One file of a drop: due, being sent, sent, opened or refused. */
 class FileEntry {
   constructor(file, removed) {
-    Object.assign(this, { file, state: "due", id: null, abort: () => {} });
+    /** @type {File} */
+    this.file = file;
+    this.state = "due";
+    /** @type {string | null} */
+    this.id = null;
+    this.abort = () => {};
     this.progress = element("progress", { max: 1, value: 0, hidden: true, "aria-label": `Upload of ${file.name}` });
     this.status = element("span", { class: "file-status", role: "status" });
     this.discard = button({
@@ -213,7 +225,7 @@ const build = () => {
   };
 
   /** What becomes of scans without being asked: the dialog was opened for that. */
-  const intended = () => (files.expected === "frames" && store.get("scan") ? { scan: "frames" } : {});
+  const intended = () => /** @type {Landing} */ (files.expected === "frames" && store.get("scan") ? { scan: "frames" } : {});
 
   /** Open uploaded files; those that lack something stay in the list of waiting ones. */
   const openTogether = async (ids, choice = {}) => {
@@ -247,7 +259,7 @@ const build = () => {
   };
 
   /** Open scans of the served folder. @returns {Promise<boolean>} whether they were opened */
-  const openServed = async (paths, choice = intended()) => {
+  const openServed = async (paths, /** @type {Landing} */ choice = intended()) => {
     const answer = await request("open_served", { paths, what: "scan", ...choice });
     if (!answer?.asks) {
       if (answer) served.untick();
@@ -255,7 +267,7 @@ const build = () => {
     }
     return new Promise((done) => {
       ask(answer, (chosen) => {
-        const opened = chosen ? openServed(paths, { scan: chosen }) : false;
+        const opened = chosen && chosen !== "new" ? openServed(paths, { scan: chosen }) : false;
         done(opened);
         return opened;
       }, false);
@@ -267,7 +279,7 @@ const build = () => {
   };
   const served = servedList(openServed);
 
-  files = makeDialog(
+  const made = makeDialog(
     "Open files",
     { kind: "files-dialog" },
     zone,
@@ -279,7 +291,6 @@ const build = () => {
     embeddedList(),
     served,
   );
-
   const changed = () => setChildren(list, ...waiting.filter(({ state }) => state !== "kept").map(({ row }) => row));
   const removed = (one) => {
     waiting.splice(waiting.indexOf(one), 1);
@@ -296,12 +307,12 @@ const build = () => {
     const ids = waiting.filter(({ state }) => state === "sent").map(({ id }) => id);
     if (ids.length) await openTogether(ids, intended());
   };
-  files.add = (added) => {
+  const add = (added) => {
     for (const old of waiting.filter((one) => !isLeft(one))) removed(old);
     waiting.push(...[...added].map((file) => new FileEntry(file, removed)));
     sendAll();
   };
-  files.expect = (what) => {
+  const expect = (what) => {
     files.expected = what;
     const limit = store.get("limits")?.upload_bytes;
     const most = limit ? ` Up to ${bytes(limit)} each.` : "";
@@ -310,10 +321,10 @@ const build = () => {
     input.accept = accepted();
   };
   input.addEventListener("change", () => {
-    files.add(input.files);
+    add(input.files);
     input.value = "";
   });
-  return files;
+  return { ...made, expected: null, add, expect };
 };
 
 /**

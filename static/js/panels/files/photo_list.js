@@ -107,7 +107,8 @@ export const mountPhotoList = () => {
     const photos = store.get("photos") ?? [];
     const text = JSON.stringify([photos, store.shown()]);
     if (!panel.matches(":popover-open") || text === drawn) return;
-    const focused = list.contains(document.activeElement) ? document.activeElement.dataset.photo : null;
+    const active = /** @type {HTMLElement | null} */ (document.activeElement);
+    const focused = list.contains(active) ? active.dataset.photo : null;
     setChildren(list, ...photos.map((photo) => entry(photo, () => panel.hidePopover())));
     drawn = text;
     if (focused) list.querySelector(`[data-photo="${CSS.escape(focused)}"]`)?.focus();

@@ -18,6 +18,7 @@ const answers = (names, uploaded) => {
   const them = many ? "them" : "it";
   const frames = "The scanner stood still, at the same standpoint";
   const stations = "The same place from elsewhere";
+  /** @type {[Choice, string, string][]} */
   const found = scan
     ? [
       ["frames", many ? "Add as frames" : "Add as a frame", `${frames}: accumulated with the scan. Matches, photographs and poses stay.`],

@@ -180,7 +180,7 @@ export const gridTracks = () =>
     ]),
   );
 
-/** @returns {string} CSS classes of a column's cells and head */
+/** @param {Column} column @returns {string} CSS classes of its cells and head */
 export const classOf = ({ id, figures, hidden }) =>
   ["cell", `col-${id}`, figures ? "figures" : "", hidden ? `hidden-${hidden}` : ""].filter(Boolean).join(" ");
 

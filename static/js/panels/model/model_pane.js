@@ -14,6 +14,9 @@ import { mountPhotoSheet } from "./photo_sheet.js";
 import { placingBar, roughPose } from "./rough_pose.js";
 import { drawsInSoftware, mountSoftwareHint } from "./software_drawing.js";
 
+/** @typedef {"overview" | "scanner" | "camera"} ViewpointName */
+
+/** @type {[ViewpointName, string, string][]} */
 const VIEWPOINTS = [
   ["overview", "Overview", "Look from outside at scanner, camera and model"],
   ["scanner", "Scanner", "Look from the scanner"],
@@ -29,6 +32,7 @@ const SWITCHES = [
 const DETAILS = [["coarse", "Coarse"], ["standard", "Standard"], ["dense", "Dense"]];
 
 const viewpoints = () => {
+  /** @type {[ViewpointName, string, HTMLButtonElement][]} */
   const buttons = VIEWPOINTS.map(([name, label, title]) => [
     name,
     title,
@@ -80,6 +84,7 @@ const textureSelect = () => {
 
 /** @param {HTMLElement} blend the choice of a second texture */
 const display = (legend, blend) => {
+  /** @type {[string, ReturnType<typeof tickBox>][]} */
   const switches = SWITCHES.map(([name, label]) => [
     name,
     tickBox({ label, changed: (on) => request("set_model", { [name]: on }) }),
@@ -120,6 +125,7 @@ export const toggleMarks = () => {
  * @returns {{body: HTMLElement, frame: HTMLIFrameElement, surface: import("./model_surface.js").ModelSurface}}
  */
 export const mountModelPane = (pane) => {
+  /** @type {HTMLElement} */
   const body = pane.querySelector(".pane-body");
   const frame = element("iframe", { class: "model-frame", title: "3-D model", allow: "fullscreen" });
   const empty = element("p", { class: "pane-empty", hidden: true });

@@ -35,16 +35,18 @@ const geometryOf = (like, arrays, inner) => {
   return geometry;
 };
 
+/** @type {ImageBitmapOptions} */
+const AS_IT_IS = { premultiplyAlpha: "none", colorSpaceConversion: "none" };
+
 /** @returns {Promise<ImageBitmap>} the picture, reduced to what the graphics card takes */
 const decoded = async (inner, blob) => {
-  const options = { premultiplyAlpha: "none", colorSpaceConversion: "none" };
-  const whole = await inner.createImageBitmap(blob, options);
+  const whole = await inner.createImageBitmap(blob, AS_IT_IS);
   const longest = Math.max(whole.width, whole.height);
   const most = largestTexture();
   if (longest <= most) return whole;
   const [width, height] = [whole.width, whole.height].map((n) => Math.max(1, Math.floor((n * most) / longest)));
   const sizes = { resizeWidth: width, resizeHeight: height, resizeQuality: "high" };
-  const small = await inner.createImageBitmap(whole, { ...options, ...sizes });
+  const small = await inner.createImageBitmap(whole, { ...AS_IT_IS, ...sizes });
   whole.close();
   return small;
 };
@@ -90,8 +92,7 @@ export class ModelSurface {
    */
   async draw(arrays, picture, still, second = null) {
     const inner = this.#frame.contentWindow;
-    const options = { premultiplyAlpha: "none", colorSpaceConversion: "none" };
-    const [bitmap, other] = await Promise.all([picture, second].map((blob) => blob && inner.createImageBitmap(blob, options)));
+    const [bitmap, other] = await Promise.all([picture, second].map((blob) => blob && inner.createImageBitmap(blob, AS_IT_IS)));
     const mesh = this.#find();
     if (!mesh || !still()) return false;
     this.#dropLayer();
@@ -267,7 +268,7 @@ export class ModelSurface {
    */
   slide(bitmap, thrown) {
     if (!this.intact || !this.#own) return;
-    const inner = this.#frame.contentWindow;
+    const inner = this.#inner;
     const mesh = this.#mesh;
     const { arrays } = this.#own;
     const { uv, faces } = thrown(arrays);
@@ -378,10 +379,15 @@ export class ModelSurface {
     if (viewer && fadeNewMarks(viewer, this.#frame.contentWindow.devicePixelRatio)) viewer.requestRender();
   }
 
+  /** @returns {any} the window of viser's page, with what it exposes and its own types of arrays */
+  get #inner() {
+    return this.#frame.contentWindow;
+  }
+
   /** @returns {any} what viser's page exposes, or null */
   get #viewer() {
     try {
-      return this.#frame.contentWindow?.__viserMutable ?? null;
+      return this.#inner?.__viserMutable ?? null;
     } catch {
       return null; // the frame shows the browser's error page, which is not accessible
     }
@@ -444,7 +450,7 @@ export class ModelSurface {
     this.#own.faces = faces;
     const { geometry } = this.#mesh;
     const { index } = geometry;
-    geometry.setIndex(new index.constructor(new (this.#frame.contentWindow.Uint32Array)(faces), 1));
+    geometry.setIndex(new index.constructor(new (this.#inner.Uint32Array)(faces), 1));
   }
 
   #dropBlocks() {

@@ -11,7 +11,11 @@ const LEAST_CELLS = 2;
 
 /** @typedef {import("./model_parts.js").MeshArrays} MeshArrays */
 
-/** @returns {number[]} a place (x, y, z), moved by a matrix of three.js (16 numbers, column by column) */
+/**
+ * @param {ArrayLike<number>} m matrix of three.js, 16 numbers, column by column
+ * @param {readonly number[]} place (x, y, z)
+ * @returns {number[]} the place moved by it
+ */
 const applied = (m, [x, y, z]) => {
   const w = m[3] * x + m[7] * y + m[11] * z + m[15];
   return [0, 1, 2].map((k) => (m[k] * x + m[4 + k] * y + m[8 + k] * z + m[12 + k]) / w);
@@ -36,6 +40,8 @@ const raysOf = ({ world, projectionInverse, meshInverse }) => {
 /**
  * The nearest triangle on a ray. Source: Moeller and Trumbore, Fast, minimum storage ray/triangle intersection (1997).
  * @param {{positions: Float32Array, faces: Uint32Array}} arrays
+ * @param {readonly number[]} from
+ * @param {readonly number[]} along
  * @returns {{face: number, far: number}} its number, or -1, and where it is, in lengths of the direction
  */
 const firstOn = ({ positions: p, faces }, [ox, oy, oz], [dx, dy, dz]) => {
@@ -161,6 +167,13 @@ export const blocksAt = (cells, shape, vertices, turns) => {
   return namesOf(level, beside(row, shape[0]), beside(column, shape[1]), turns);
 };
 
+/**
+ * @param {number} level
+ * @param {readonly number[]} rows first and last
+ * @param {readonly number[]} columns first and last
+ * @param {boolean} turns
+ * @returns {string[]}
+ */
 const namesOf = (level, [r0, r1], [c0, c1], turns) => {
   const count = 2 ** level;
   const names = new Set();

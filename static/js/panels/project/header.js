@@ -83,9 +83,13 @@ const scanChip = () => {
 const historyButtons = () => {
   const undo = button({ label: "Undo", icon: "undo", bare: true, kind: "edits", act: () => request("undo") });
   const redo = button({ label: "Redo", icon: "redo", bare: true, kind: "edits", act: () => request("redo") });
+  const both = [
+    { control: undo, word: "Undo", key: "undo", keys: "Ctrl Z" },
+    { control: redo, word: "Redo", key: "redo", keys: "Ctrl Shift Z" },
+  ];
   const show = () => {
     const project = store.get("project");
-    for (const [control, word, key, keys] of [[undo, "Undo", "undo", "Ctrl Z"], [redo, "Redo", "redo", "Ctrl Shift Z"]]) {
+    for (const { control, word, key, keys } of both) {
       const what = project?.[key];
       control.disabled = !what;
       control.title = what ? `${word}: ${what} (${keys})` : `Nothing to ${word.toLowerCase()}`;

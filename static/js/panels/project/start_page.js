@@ -12,6 +12,7 @@ import { batchList } from "./batch_list.js";
 const MOST_LETTERS = 80;
 const DATE = new Intl.DateTimeFormat(undefined, { dateStyle: "medium", timeStyle: "short" });
 
+/** @type {(ReturnType<typeof makeDialog> & {isFirst?: boolean, refresh: () => void}) | null} */
 let page = null;
 
 const dated = (edited) => (edited ? DATE.format(new Date(edited)) : "");
@@ -140,7 +141,7 @@ const build = (chooseFiles) => {
     act: (name) => open("new_project", { name }),
   });
   const choose = button({ label: "Choose files…", kind: "primary", autofocus: true, act: chooseFiles });
-  page = makeDialog(
+  const dialog = makeDialog(
     "Projects",
     { kind: "start-page" },
     element(
@@ -168,8 +169,10 @@ const build = (chooseFiles) => {
     none,
     cards,
   );
+  page = { ...dialog, isFirst: false, refresh };
   page.dialog.addEventListener("cancel", (event) => isStart() && event.preventDefault());
   page.dialog.addEventListener("close", () => isStart() && page.open()); // a second Escape cannot be prevented
+  /** @type {HTMLButtonElement} */
   const closer = page.dialog.querySelector(".dialog-head button");
   const show = () => {
     closer.hidden = isStart();
@@ -179,7 +182,6 @@ const build = (chooseFiles) => {
   };
   store.watch(["project"], show);
   show();
-  page.refresh = refresh;
   return page;
 };
 

@@ -28,6 +28,7 @@ const LONG_S = 2;
 
 const rangeText = (range) => (range === undefined ? "" : range === null ? "no return" : `${fixed(range, 3)} m`);
 
+/** @param {import("../../state/view.js").ViewState["readout"]} readout @returns {string} */
 const readoutText = ({ uv, range_m: range, intensity, edge, zoom }) =>
   [
     `u ${fixed(uv[0], 2)}  v ${fixed(uv[1], 2)}`,

@@ -10,6 +10,7 @@ import { element, setChildren, setText } from "../../ui/dom.js";
 import { notice } from "../../ui/notices.js";
 
 const FIELDS = [["x", "x, m"], ["y", "y, m"], ["z", "z, m"], ["yaw_deg", "turn, °"]];
+/** @type {[string, string][]} */
 const POSES = [["refine", "Refine poses"], ["keep", "Keep poses"], ["search", "Ignore poses"]];
 const SIGNS = { verified: "ok", ambiguous: "warn", refused: "bad", contradicted: "bad", undecidable: "warn" };
 
