@@ -28,8 +28,9 @@ from ladarreg_core.registration.stations.pair import prepare, register_pair
 from ladarreg_core.registration.stations.registration import register_scans
 from ladarreg_core.registration.stations.search import search
 from ladarreg_core.registration.stations.surfels import surfels_of
+from ladarreg_core.registration.stations.survey_target import SurveyTarget
 from ladarreg_core.registration.stations.target_names import name_targets
-from ladarreg_core.registration.stations.target_pose import register_targets
+from ladarreg_core.registration.stations.target_pose import TargetNetwork, register_targets
 from ladarreg_core.registration.stations.target_search import find_targets
 from ladarreg_core.registration.stations.targets import fit_target
 from ladarreg_core.scan import Scan
@@ -254,6 +255,157 @@ def targets_rows(quick: bool, show: Show) -> list[Row]:
     ]  # fmt: skip
 
 
+def network_rows(quick: bool, show: Show) -> list[Row]:
+    """Four stations that share spheres and no surface, every second network with coordinates; then one is moved."""
+    count, radius, sigma_m = 3 if quick else 25, 0.0725, 0.001
+    azimuth, elevation = np.radians(np.arange(180, -180, -0.15)), np.radians(np.arange(16, -16, -0.15))
+    ratios: list[float] = []
+    found: list[dict[str, Any]] = []
+    blunders, elsewhere = 0, 0
+    for k in range(count):
+        rng = np.random.default_rng([_FIRST_SEED, 10, k])
+        places = _scattered(rng, 14)
+        poses = [_pose(rng, rng.uniform(-1.5, 1.5, 2)) for _ in range(4)]
+        scans: dict[str, dict[str, SurveyTarget]] = {}
+        for n, pose in enumerate(poses):
+            noise_m = float(rng.uniform(0.001, 0.003))
+            walls = float(rng.uniform(8, 12)) / np.cos(elevation)[:, None] + np.zeros(len(azimuth))
+            empty = Scan.from_grid(
+                ranges=walls + rng.normal(0, noise_m, walls.shape), azimuth_rad=azimuth, elevation_rad=elevation
+            )
+            seen = rng.choice(len(places), 9, replace=False)
+            own = pose.inverse @ places[seen]
+            scan = with_spheres(empty, own, radius, noise_m=noise_m, seed=4 * k + n)
+            scans[f"scan {n}"] = {}
+            for which, center in zip(seen, own, strict=True):
+                row, column = np.unravel_index(np.argmax(scan.rays @ center), scan.shape)
+                try:
+                    target = fit_target(scan, (int(row), int(column)), radius_m=radius)
+                except LadarregError:
+                    continue  # another sphere is in front of it
+                scans[f"scan {n}"][f"S{which}"] = target
+                ratios.append(float(np.linalg.norm(target.center - center)) / noise_m)
+        known = rng.choice(len(places), 5, replace=False) if k % 2 else ()
+        coordinates = {f"S{n}": places[n] + rng.normal(0, sigma_m, 3) for n in known}
+        world = Rigid.identity() if k % 2 else poses[0].inverse
+        placed = register_targets(scans, coordinates, sigma_m=sigma_m)
+        found.append({"network": k, "left_out": placed.left_out, "distances": _of_network(poses, placed, world)})
+        show(json.dumps(found[-1] | {"mm": 1000 * _worst_m(poses, placed, world)}))
+        which, name = "scan 2", str(rng.choice([n for n in scans["scan 2"] if n in placed.places]))
+        target = scans[which][name]
+        off = replace(target, center=target.center + 0.02 * _direction(rng))
+        again = register_targets({**scans, which: {**scans[which], name: off}}, coordinates, sigma_m=sigma_m)
+        blunders += (which, name) in again.left_out
+        elsewhere += any(one != name for _, one in again.left_out)
+    middle, most, stations = np.median(ratios), np.percentile(ratios, 95), 4 * count
+    return [
+        Row(f"networks: error of the centers in {stations} stations / range noise, median (95 %)", "<= .3",
+            f"{middle:.2f} ({most:.2f})", bool(most <= 0.3)),
+        Row("networks by targets: Mahalanobis distance of all poses / sqrt dof, RMS", ".9 to 1.1", f"{_rms(found):.2f}",
+            0.9 <= _rms(found) <= 1.1),
+        Row("networks: left out though right", "reported", f"{sum(bool(one['left_out']) for one in found)} of {count}",
+            True),
+        Row("networks: one sighting moved by 20 mm: found", "all", f"{blunders} of {count}", blunders == count),
+        Row("networks: another target left out for it", "reported", f"{elsewhere} of {count}", True),
+    ]  # fmt: skip
+
+
+def names_rows(quick: bool, show: Show) -> list[Row]:
+    """Two to six scans with false targets, unnamed, every second network with coordinates; and look-alike layouts."""
+    count = 12 if quick else 150
+    wrong, refused, placed_wrong = 0, 0, 0
+    found: list[dict[str, Any]] = []
+    for k in range(count):
+        rng = np.random.default_rng([_FIRST_SEED, 11, k])
+        places = _scattered(rng, int(rng.integers(8, 16)))
+        poses = [_pose(rng, rng.uniform(-3, 3, 2)) for _ in range(int(rng.integers(2, 7)))]
+        sees = int(rng.integers(5, 10))
+        scans: dict[str, list[SurveyTarget]] = {}
+        truth: dict[int, int] = {}
+        for n, pose in enumerate(poses):
+            seen = rng.choice(len(places), min(sees, len(places)), replace=False)
+            own = [_sighting(rng, pose.inverse @ places[which]) for which in seen]
+            false = [_sighting(rng, place) for place in _scattered(rng, int(rng.integers(0, 9)))]
+            truth |= {id(one): int(which) for one, which in zip(own, seen, strict=True)}
+            listed = own + false
+            scans[f"scan {n}"] = [listed[i] for i in rng.permutation(len(listed))]
+        known = rng.choice(len(places), 6, replace=False) if k % 2 else ()
+        coordinates = {f"S{n}": places[n] + rng.normal(0, 0.001, 3) for n in known}
+        try:
+            named = name_targets(scans, coordinates)
+            placed = register_targets(named, coordinates)
+        except LadarregError as error:
+            refused += 1
+            show(json.dumps({"names": k, "refused": str(error)}))
+            continue
+        which_of: dict[str, set[int]] = {}
+        for own_names in named.values():
+            for name, one in own_names.items():
+                which_of.setdefault(name, set()).add(truth.get(id(one), -1))
+        bad = [name for name, which in which_of.items()
+               if len(which) > 1 or which == {-1} or (name in coordinates and which != {int(name[1:])})]  # fmt: skip
+        world = Rigid.identity() if k % 2 else poses[0].inverse
+        wrong, placed_wrong = wrong + bool(bad), placed_wrong + (_worst_m(poses, placed, world) > 0.03)
+        found.append({"names": k, "wrong": bad, "distances": _of_network(poses, placed, world)})
+        show(json.dumps(found[-1]))
+    alike = 0
+    for k in range(4 if quick else 40):
+        rng = np.random.default_rng([_FIRST_SEED, 12, k])
+        step, long = rng.uniform(1.5, 4, 2), int(rng.integers(4, 7))
+        grid = np.array([[step[0] * i, step[1] * j, 0.0] for i in range(long) for j in range(2)])
+        pose = _pose(rng, rng.uniform(-2, 2, 2))
+        halves = {"a": [_sighting(rng, at) for at in grid[:-2]],
+                  "b": [_sighting(rng, pose.inverse @ at) for at in grid[2:]]}  # fmt: skip
+        try:
+            off = _worst_m([Rigid.identity(), pose], register_targets(name_targets(halves)), Rigid.identity())
+            alike += off > 0.03
+        except LadarregError as error:
+            show(json.dumps({"alike": k, "refused": str(error)}))
+    return [
+        Row("scans with false targets: networks with a wrong name", "0", f"{wrong} of {count}", wrong == 0),
+        Row("scans with false targets: placed wrong", "0", f"{placed_wrong} of {count}", placed_wrong == 0),
+        Row("scans with false targets: refused", "reported", f"{refused} of {count}", True),
+        Row("named networks: Mahalanobis distance / sqrt dof, RMS", ".9 to 1.1", f"{_rms(found):.2f}",
+            0.9 <= _rms(found) <= 1.1),
+        Row("targets in rows that look alike: placed wrong", "0", f"{alike} of {4 if quick else 40}", alike == 0),
+    ]  # fmt: skip
+
+
+def _scattered(rng: np.random.Generator, count: int) -> FloatArray:
+    """Return places (N, 3), m, 3.5 to 6.5 m from the middle and .6 m from each other."""
+    places: list[FloatArray] = []
+    while len(places) < count:
+        bearing, away = rng.uniform(-np.pi, np.pi), rng.uniform(3.5, 6.5)
+        place = np.array([away * np.cos(bearing), away * np.sin(bearing), rng.uniform(-0.5, 0.5)])
+        if all(np.linalg.norm(place - other) > 0.6 for other in places):
+            places.append(place)
+    return np.array(places).reshape(-1, 3)
+
+
+def _sighting(rng: np.random.Generator, center: FloatArray) -> SurveyTarget:
+    """Return a sphere that is found beside its place by its stated errors, of .3 to 1.5 mm."""
+    axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    covariance = axes @ np.diag(rng.uniform(0.0003, 0.0015, 3) ** 2) @ axes.T
+    return SurveyTarget(rng.multivariate_normal(center, covariance), covariance, 0.0725, 0.001, 60, 0)
+
+
+def _of_network(poses: Sequence[Rigid], placed: TargetNetwork, world: Rigid) -> list[float]:
+    """Return the Mahalanobis distance of all free poses together, over the root of their unknowns."""
+    errors = np.concatenate([
+        np.concatenate([rotvec_from_rotation((world @ pose).rotation @ found.rotation.T),
+                        (world @ pose).translation - found.translation])
+        for pose, found in zip(poses, placed.world_from_scanner.values(), strict=True)
+    ])  # fmt: skip
+    free = np.diag(placed.covariance) > 0
+    errors, covariance = errors[free], placed.covariance[np.ix_(free, free)]
+    return [float(np.sqrt(errors @ np.linalg.solve(covariance, errors) / len(errors)))]
+
+
+def _worst_m(poses: Sequence[Rigid], placed: TargetNetwork, world: Rigid) -> float:
+    both = zip(poses, placed.world_from_scanner.values(), strict=True)
+    return max((world @ pose).distance_to(found) for pose, found in both)
+
+
 def found_rows(quick: bool, show: Show) -> list[Row]:
     """Six spheres in furnished rooms and halls, at least 8 cells across, found and named by their coordinates alone."""
     count, sigma_m = 4 if quick else 20, 0.001
@@ -423,6 +575,8 @@ ROWS: dict[str, Callable[[bool, Show], list[Row]]] = {
     "loop": loop_rows,
     "covariance": covariance_rows,
     "targets": targets_rows,
+    "network": network_rows,
+    "names": names_rows,
     "plates": plates_rows,
     "found": found_rows,
     "unit_camera": unit_camera_rows,

@@ -85,6 +85,7 @@ if TYPE_CHECKING:
     from ladarreg_core.registration.stations.results import StationPair as StationPair
     from ladarreg_core.registration.stations.survey_target import SurveyTarget as SurveyTarget
     from ladarreg_core.registration.stations.target_names import name_targets as name_targets
+    from ladarreg_core.registration.stations.target_pose import TargetNetwork as TargetNetwork
     from ladarreg_core.registration.stations.target_pose import TargetRegistration as TargetRegistration
     from ladarreg_core.registration.stations.target_pose import register_targets as register_targets
     from ladarreg_core.registration.stations.target_search import find_targets as find_targets
@@ -172,6 +173,7 @@ _HOMES = {
     "SurveyScan": "survey.parts",
     "SurveyTie": "survey.parts",
     "SurveyTarget": "registration.stations.survey_target",
+    "TargetNetwork": "registration.stations.target_pose",
     "TargetRegistration": "registration.stations.target_pose",
     "ThesisParameters": "frames",
     "View": "surface.perspective",

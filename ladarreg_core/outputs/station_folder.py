@@ -50,14 +50,11 @@ def read_stations(
         FormatError: if a file is no scan.
     """
     from ladarreg_core.formats import read_scan
-    from ladarreg_core.formats.file_info import scans_in
-    from ladarreg_core.formats.registry import recognise
 
     found: list[StationScan] = []
     for number, name in enumerate(files):
         path = Path(name)
-        count = max(1, len(scans_in(path, recognise(path, kinds=("scan",)).name)))
-        for index in range(count):
+        for index in range(count_scans(path)):
             if report is not None:
                 report(Progress(number, len(files), f"reading {path.name}"))
             scan = read_scan(path, scan_index=index, memory_bytes=memory_bytes)
@@ -71,11 +68,24 @@ def read_stations(
     return found
 
 
+def count_scans(path: Path) -> int:
+    """Return how many scans a file contains.
+
+    Raises:
+        FormatError: if it is no scan.
+    """
+    from ladarreg_core.formats.file_info import scans_in
+    from ladarreg_core.formats.registry import recognise
+
+    return max(1, len(scans_in(path, recognise(path, kinds=("scan",)).name)))
+
+
 def write_stations(
     folder: str | Path,
     network: StationNetwork,
     stations: Sequence[StationScan],
     *,
+    tables: Mapping[str, bytes] | None = None,
     force: bool = False,
     report: Report | None = None,
 ) -> dict[str, Any]:
@@ -85,6 +95,7 @@ def write_stations(
         folder: output folder.
         network: the result.
         stations: the scans that it is of, in its order.
+        tables: further files, by name.
         force: replace an earlier folder of stations and nothing else.
         report: receives the progress.
 
@@ -107,7 +118,7 @@ def write_stations(
         for one in network.stations
         if one.world_from_scanner is not None
     }
-    source = StationScans(fields, scans, inputs=sorted({one.path for one in stations}))
+    source = StationScans(fields, scans, inputs=sorted({one.path for one in stations}), tables=tables or {})
     export_to(folder, source, ["stations"], force=force, report=report)
     return fields
 
@@ -116,7 +127,7 @@ def stations_document(fields: Mapping[str, Any], inputs: Sequence[tuple[Path, in
     """Return the contents of `stations.json`, where each registered scan has the name of its file, `scan`.
 
     Args:
-        fields: `StationNetwork.as_fields`.
+        fields: `StationNetwork.as_fields`; what these state otherwise counts, such as `poses_are`.
         inputs: the file of each scan, and its place in it.
     """
     from ladarreg_core.export.json import input_document, software_document
@@ -199,7 +210,8 @@ def read_station_folder(folder: str | Path, *, trust_edited: bool = False) -> St
         for path, pose in files.items()
     }
     document = read_json_object(Path(folder) / STATIONS_FILE, "stations")
-    return StationScans(document, scans, GIVEN_MARK if changed else "", list(files))
+    by = "survey targets" if document.get("targets") else "their ranges"
+    return StationScans(document, scans, GIVEN_MARK if changed else "", list(files), by)
 
 
 def _changed_file(folder: Path, scans: Sequence[Path]) -> str:

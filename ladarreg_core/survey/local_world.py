@@ -26,12 +26,13 @@ def local_origin(given: Sequence[SurveyScan], scans: Sequence[Scan]) -> Matrix:
         given: the survey's scans.
         scans: the scans, with what their files or the survey state of their places.
     """
-    from ladarreg_core.formats.documents.targets_file import read_targets
+    from ladarreg_core.formats.documents.targets_file import read_targets, surveyed_coordinates
 
     places = [
-        np.mean([entry.coordinates for entry in read_targets(one.targets.source)], axis=0)
-        for one in given if one.targets is not None
-    ]  # fmt: skip
+        np.mean(list(known.values()), axis=0)
+        for one in given
+        if one.targets is not None and (known := surveyed_coordinates(read_targets(one.targets.source)))
+    ]
     places = places or [
         scan.world_from_scanner.translation
         for _, scan in sorted(zip(given, scans, strict=True), key=lambda both: not both[0].fixed)

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ladarreg_core.errors import DegenerateGeometryError, LadarregError, OptionError
-from ladarreg_core.frames import Rigid
+from ladarreg_core.frames import Rigid, skew
 from ladarreg_core.progress import Report
 from ladarreg_core.registration.stations.registration import register_scans
 from ladarreg_core.registration.stations.results import StationPair
+from ladarreg_core.registration.stations.survey_target import SurveyTarget
+from ladarreg_core.registration.stations.target_matching import LEAST
 from ladarreg_core.registration.stations.target_names import locate_targets
-from ladarreg_core.registration.stations.target_pose import TargetRegistration, register_targets
+from ladarreg_core.registration.stations.target_pose import TargetNetwork, TargetRegistration, register_targets
 from ladarreg_core.scan import Scan
-from ladarreg_core.survey.least_squares.problem import WORLD, Matrix, RelativePose, relative_residual
+from ladarreg_core.survey.least_squares.problem import (
+    WORLD,
+    Matrix,
+    RelativePose,
+    pose_difference,
+    relative_residual,
+)
 from ladarreg_core.survey.parts import SurveyScan
 
 _DIFFERS = 27.9  # squared Mahalanobis distance with 6 degrees of freedom, exceeded once in 10,000
@@ -42,11 +50,25 @@ class Station:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class TargetPair:
+    """A scan that is joined to another by the targets that both, or others between them, see."""
+
+    first: int
+    second: int
+    first_from_second: Rigid
+    covariance: Matrix
+    """(6, 6), as of `StationPair`."""
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Stations:
     """All of a survey, and what verified pairs of them say."""
 
     each: tuple[Station, ...]
     pairs: tuple[StationPair, ...] = ()
+    joined: tuple[TargetPair, ...] = ()
+    """Scans whose own targets do not place them, each joined to one by shared targets."""
 
     def relative(self, bodies: Sequence[int]) -> list[RelativePose]:
         """Return what the poses of the stations rest on, by their bodies (-1: not in the problem)."""
@@ -69,6 +91,14 @@ class Stations:
                     name=f"the surfaces of scans {pair.first + 1} and {pair.second + 1}",
                 )
             )  # fmt: skip
+        found += [
+            RelativePose(
+                bodies[one.second], bodies[one.first], one.first_from_second.inverse,
+                _of_inverse(one.first_from_second, one.covariance),
+                name=f"the survey targets of scans {one.first + 1} and {one.second + 1}",
+            )
+            for one in self.joined if min(bodies[one.first], bodies[one.second]) >= 0
+        ]  # fmt: skip
         return found
 
 
@@ -80,7 +110,8 @@ def place_stations(
 
     Survey targets define the world, or else a scan that is fixed, or the first. Where others state where they stood,
     that is refined by the surfaces; where they do not, it is searched for. What a file states of its scan is of another
-    world than that of targets, and is not used beside them.
+    world than that of targets, and is not used beside them. Scans with targets of which fewer than three are surveyed
+    are joined to the others by the targets that they share.
 
     Args:
         given: the survey's scans.
@@ -96,15 +127,20 @@ def place_stations(
             share contradict where targets put them.
     """
     begins = np.zeros(3) if origin is None else origin
-    by_targets = {k: _by_targets(one, scan, begins) for k, (one, scan) in enumerate(zip(given, scans, strict=True))
-                  if one.targets is not None}  # fmt: skip
+    seen = {k: _seen(one, scan, begins) for k, (one, scan) in enumerate(zip(given, scans, strict=True))
+            if one.targets is not None}  # fmt: skip
+    by_targets, joined = _by_targets(given, seen)
+    near = {k: found.world_from_scanner for k, found in by_targets.items()}
+    root = next(iter(by_targets), next((k for k, one in enumerate(given) if one.fixed), 0))
+    if joined and not by_targets and root == joined[0].first:
+        near[root] = given[root].world_from_scanner or scans[root].world_from_scanner or Rigid.identity()
+    near |= {one.second: near[one.first] @ one.first_from_second for one in joined if one.first in near}
     placed = [
-        replace(scan, world_from_scanner=by_targets[k].world_from_scanner) if k in by_targets
+        replace(scan, world_from_scanner=near[k]) if k in near
         else replace(scan, world_from_scanner=one.world_from_scanner) if one.world_from_scanner or by_targets
         else scan
         for k, (one, scan) in enumerate(zip(given, scans, strict=True))
     ]  # fmt: skip
-    root = next(iter(by_targets), next((k for k, one in enumerate(given) if one.fixed), 0))
     if len(scans) == 1:
         if by_targets:
             return Stations((_held(by_targets[0]),))
@@ -121,6 +157,7 @@ def place_stations(
         return Stations(tuple(Station(pose or Rigid.identity(), True, ("Fixed by the survey.",)) for pose in stated))
     network = register_scans(placed, fixed=root, poses="refine", seed=seed, report=report)
     each = []
+    leads = {one.second: one for one in joined}
     for one, found, before in zip(given, network.stations, stated, strict=True):
         fixed = one.fixed or found.index == root
         if found.index in by_targets:
@@ -131,17 +168,31 @@ def place_stations(
             each.append(Station(found.world_from_scanner, fixed, ("It defines the world.",)))
         elif found.state == "registered":
             each.append(Station(found.world_from_scanner, False, ("Registered by its surfaces.",)))
+        elif found.index in leads:
+            by_joint = near.get(found.index) if found.state == "stated" else None
+            each.append(Station(by_joint, False, (leads[found.index].reason,)))
         elif found.state == "stated":
             each.append(Station(found.world_from_scanner, True, ("Where its file states; no surfaces verify that.",)))
         else:
             each.append(Station(None, False, ("No verified pair of scans leads to it: left out.",)))
     _check_targets(given, each, network.pairs)
-    return Stations(tuple(_led_to(each, network.pairs) if by_targets else each), network.pairs)
+    _check_joined(given, joined, network.pairs)
+    led = _led_to(each, network.pairs, joined) if by_targets or joined else each
+    return Stations(tuple(led), network.pairs, joined)
 
 
-def _by_targets(one: SurveyScan, scan: Scan, origin: Matrix) -> TargetRegistration:
-    """Return where a scanner stood by the targets in its scan, from an origin (3,) in their coordinates, m."""
-    from ladarreg_core.formats.documents.targets_file import read_targets
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """The targets in a scan, and what was surveyed of them."""
+
+    targets: Mapping[str, SurveyTarget]
+    coordinates: Mapping[str, Matrix]
+    sigma_m: float
+
+
+def _seen(one: SurveyScan, scan: Scan, origin: Matrix) -> _Seen:
+    """Return the targets in a scan, with coordinates from an origin (3,) in theirs, m."""
+    from ladarreg_core.formats.documents.targets_file import read_targets, surveyed_coordinates
 
     assert one.targets is not None
     entries = read_targets(one.targets.source)
@@ -153,12 +204,54 @@ def _by_targets(one: SurveyScan, scan: Scan, origin: Matrix) -> TargetRegistrati
             "the scan, or in a column radius_m, that of flat ones in a column side_m"
         )
     picks, sigma_m = {entry.name: entry.pick for entry in entries}, one.targets.sigma_m
-    coordinates = {entry.name: np.asarray(entry.coordinates) - origin for entry in entries}
+    coordinates = {name: np.asarray(place) - origin for name, place in surveyed_coordinates(entries).items()}
     try:
-        targets = locate_targets(scan, picks, sizes, coordinates, sigma_m=sigma_m)
-        return register_targets(targets, coordinates, sigma_m=sigma_m)
+        return _Seen(locate_targets(scan, picks, sizes, coordinates, sigma_m=sigma_m), coordinates, sigma_m)
     except LadarregError as error:
         raise type(error)(f"scan {one.id}: {error}") from None
+
+
+def _by_targets(
+    given: Sequence[SurveyScan], seen: Mapping[int, _Seen]
+) -> tuple[dict[int, TargetRegistration], tuple[TargetPair, ...]]:
+    """Return where the scanners stood whose own targets say so, and how the other scans with targets are joined."""
+    held: dict[int, TargetRegistration] = {}
+    for k, one in seen.items():
+        if len(one.coordinates) < LEAST and len(seen) > 1:
+            continue
+        try:
+            held[k] = register_targets(one.targets, one.coordinates, sigma_m=one.sigma_m)
+        except LadarregError as error:
+            raise type(error)(f"scan {given[k].id}: {error}") from None
+    if len(held) == len(seen):
+        return held, ()
+    surveyed = {name: place for one in seen.values() for name, place in one.coordinates.items()}
+    sigma_m = max(one.sigma_m for one in seen.values())
+    network = register_targets({given[k].id: one.targets for k, one in seen.items()}, surveyed, sigma_m=sigma_m)
+    if not held and network.in_coordinates:
+        first = next(iter(seen))
+        name = given[first].id
+        held[first] = TargetRegistration(
+            network.world_from_scanner[name], network.covariance_of(name), network.residuals_m[name],
+            tuple(target for scan, target in network.left_out if scan == name), network.chi2, network.dof,
+        )  # fmt: skip
+    bases = list(held) or list(seen)[:1]
+    joined = []
+    for k in (k for k in seen if k not in bases):
+        base = max(bases, key=lambda other: len(_shared(network, given[other].id, given[k].id)))
+        pose, covariance = network.between(given[base].id, given[k].id)
+        count = len(_used(network, given[k].id))
+        reason = f"Joined to scan {given[base].id} by {count} survey targets that other scans show as well."
+        joined.append(TargetPair(base, k, pose, covariance, reason))
+    return held, tuple(joined)
+
+
+def _used(network: TargetNetwork, scan: str) -> set[str]:
+    return {name for name in network.residuals_m[scan] if (scan, name) not in network.left_out}
+
+
+def _shared(network: TargetNetwork, first: str, second: str) -> set[str]:
+    return _used(network, first) & _used(network, second)
 
 
 def _held(found: TargetRegistration) -> Station:
@@ -199,20 +292,52 @@ def _check_targets(given: Sequence[SurveyScan], each: Sequence[Station], pairs: 
             )
 
 
-def _led_to(each: Sequence[Station], pairs: Sequence[StationPair]) -> list[Station]:
-    """Return the stations, with those that a verified pair joins to any that is placed: each target station is one."""
+def _check_joined(given: Sequence[SurveyScan], joined: Sequence[TargetPair], pairs: Sequence[StationPair]) -> None:
+    """Raise an error if the surfaces of two scans contradict how shared targets join them."""
+    verified = {(pair.first, pair.second): pair for pair in pairs if pair.verified}
+    for one in joined:
+        pair = verified.get((min(one.first, one.second), max(one.first, one.second)))
+        if pair is None:
+            continue
+        between = one.first_from_second if pair.first == one.first else one.first_from_second.inverse
+        covariance = one.covariance if pair.first == one.first else _inverse_covariance(one)
+        off = pose_difference(pair.first_from_second.inverse, between.inverse)
+        both = _of_inverse(between, covariance) + _of_inverse(pair.first_from_second, pair.covariance + _FLOOR)
+        if float(off @ np.linalg.solve(both, off)) > _DIFFERS:
+            raise DegenerateGeometryError(
+                f"the targets that the scans {given[one.first].id} and {given[one.second].id} share put them "
+                f"{1000 * np.linalg.norm(off[3:]):.0f} mm and {np.degrees(np.linalg.norm(off[:3])):.2f} deg from where "
+                "the surfaces that both show do; check names and picks of the targets, and that none was moved"
+            )
+
+
+def _inverse_covariance(one: TargetPair) -> Matrix:
+    """Return the covariance (6, 6) of `second_from_first`, of (w, c) in the frame of the second."""
+    pose = one.first_from_second
+    step = np.zeros((6, 6))
+    step[:3, :3] = step[3:, 3:] = -pose.rotation.T
+    step[3:, :3] = -pose.rotation.T @ skew(pose.translation)
+    return np.asarray(step @ one.covariance @ step.T)
+
+
+def _led_to(
+    each: Sequence[Station], pairs: Sequence[StationPair], joined: Sequence[TargetPair]
+) -> list[Station]:  # fmt: skip
+    """Return the stations, with those that a verified pair or shared targets join to any that is placed."""
     found = list(each)
+    links: list[StationPair | TargetPair] = [pair for pair in pairs if pair.verified]
     for _ in found:
-        for pair in pairs:
+        for pair in (*joined, *links):
             first, second = found[pair.first].world_from_scanner, found[pair.second].world_from_scanner
-            if not pair.verified or (first is None) == (second is None):
+            if (first is None) == (second is None):
                 continue
             if first is not None:
                 new, pose = pair.second, first @ pair.first_from_second
             else:
                 assert second is not None
                 new, pose = pair.first, second @ pair.first_from_second.inverse
-            found[new] = Station(pose, False, ("Registered by its surfaces.",))
+            reason = pair.reason if isinstance(pair, TargetPair) else "Registered by its surfaces."
+            found[new] = Station(pose, False, (reason,))
     return found
 
 

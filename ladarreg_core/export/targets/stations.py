@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.formats.scans.npz import write_npz_xyz
 from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
+from ladarreg_core.storage.atomic_write import write_bytes
 from ladarreg_core.storage.replacement import STATIONS_FILE
 
 ScanReader = Callable[[], Scan]
@@ -34,6 +36,10 @@ class StationScans:
     """What every file must say of poses that were not verified; empty: they were."""
     inputs: Sequence[Path] = ()
     """The files that they are read from."""
+    by: str = "their ranges"
+    """What they were registered by, in words."""
+    tables: Mapping[str, bytes] = field(default_factory=dict)
+    """Further files beside the scans, by name."""
 
 
 def stations_files(source: StationScans, options: ExportOptions, report: Report | None) -> Sequence[FileJob]:
@@ -46,6 +52,7 @@ def stations_files(source: StationScans, options: ExportOptions, report: Report 
     return [
         (STATIONS_FILE, lambda path: write_result(path, source.document)),
         *((name, writer(read)) for name, read in source.scans.items()),
+        *((name, partial(write_bytes, data=data)) for name, data in source.tables.items()),
     ]
 
 
@@ -76,7 +83,7 @@ def stations_e57_files(source: StationScans, report: Report | None) -> Sequence[
 
 def _write_e57(path: Path, source: StationScans, report: Report | None) -> None:
     software = software_document()
-    how = f"whose poses were {source.mark}, written" if source.mark else "registered to each other by their ranges"
+    how = f"whose poses were {source.mark}, written" if source.mark else f"registered by {source.by}"
     note = f"stations {how} with {software['name']} {software['version']}"
     with new_e57(path) as file:
         data3d = start_tree(file, note)

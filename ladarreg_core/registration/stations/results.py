@@ -156,7 +156,7 @@ class PlacedStation:
     """Its pose; None if it is out."""
     covariance: NDArray[np.float64]
     """(6, 6) of (w, c) against the fixed station, as `StationPair.covariance`, in the world; zero for the fixed
-    one, NaN if it is not `registered`."""
+    one, NaN if it is not `registered`. In surveyed coordinates no station is fixed."""
     component: int = 0
     """Stations that verified pairs connect have the same number; the fixed one has 0."""
     component_from_scanner: Rigid | None = None
@@ -199,6 +199,8 @@ class StationNetwork:
     """Random seed."""
     options: Mapping[str, Any] = field(default_factory=dict)
     """How it was asked for."""
+    statement: Mapping[str, Any] = field(default_factory=dict)
+    """What else is stated, such as the survey targets that it rests on."""
 
     @property
     def accepted(self) -> bool:
@@ -219,7 +221,7 @@ class StationNetwork:
             "accepted": self.accepted, "reasons": list(self.reasons),
             "stations": [one.as_fields() for one in self.stations],
             "pairs": [one.as_fields() for one in self.pairs], "loops": [asdict(one) for one in self.loops],
-            "options": dict(self.options), "seed": self.seed,
+            "options": dict(self.options), "seed": self.seed, **self.statement,
         }  # fmt: skip
 
     def to_json(self) -> str:

@@ -1,11 +1,11 @@
-"""`register_targets`: where a scanner stood, by its survey targets."""
+"""`register_targets`: where scanners stood, by survey targets in their scans."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import combinations
-from typing import Any
+from types import MappingProxyType
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,13 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.foundations.arrays import read_only
 from ladarreg_core.foundations.validation import require_number
-from ladarreg_core.frames import Rigid, rotation_from_rotvec, skew
+from ladarreg_core.frames import Rigid, skew
 from ladarreg_core.registration.stations.survey_target import SurveyTarget
+from ladarreg_core.registration.stations.target_matching import LEAST
+from ladarreg_core.registration.stations.target_network import Body, NotConnectedError, fit_network
 
-_MIN_TARGETS = 3
-_MIN_BREADTH = 0.02  # of the targets across their longest extent, as a share of it
-_LEVEL = 1e-3  # chance at which targets that fit are taken for ones that do not
-_ROUNDS = 20
+_LEAST_VARIANCE = 1e-14  # m^2, so that coordinates without a deviation have a weight
+_NO_COORDINATES: Mapping[str, Any] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,56 +60,178 @@ class TargetRegistration:
         }
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class TargetNetwork:
+    """The poses of several scanners by the targets that their scans share, and how well these agree."""
+
+    world_from_scanner: dict[str, Rigid]
+    """The pose of each scanner, by the name of its scan."""
+    covariance: NDArray[np.float64]
+    """(6 S, 6 S) of (w, c) of all, in this order, as of `TargetRegistration`; zero for the scan whose frame is the
+    world."""
+    in_coordinates: bool
+    """Whether the world is that of the surveyed coordinates; else it is the frame of the first scan."""
+    places: dict[str, NDArray[np.float64]]
+    """(3,) of each target that is known more than once, in the world, m."""
+    residuals_m: dict[str, dict[str, NDArray[np.float64]]]
+    """(3,) of each of these in each scan: the target's place less where the scan puts it, in the world, m."""
+    coordinate_residuals_m: dict[str, NDArray[np.float64]]
+    """(3,) surveyed coordinates less the target's place, m; empty if the world is not theirs."""
+    left_out: tuple[tuple[str | None, str], ...]
+    """Scan and target of each observation that contradicts the others, None in place of a scan for surveyed
+    coordinates; of only two that contradict each other, both. Nothing rests on them."""
+    chi2: float
+    """Sum of the squared residuals of the observations used, by their covariances."""
+    dof: int
+    """Its degrees of freedom."""
+    reasons: tuple[str, ...]
+    """Remarks, such as why the world is not that of the coordinates."""
+
+    def covariance_of(self, scan: str) -> NDArray[np.float64]:
+        """Return the (6, 6) of the (w, c) of one scanner."""
+        at = 6 * list(self.world_from_scanner).index(scan)
+        return self.covariance[at : at + 6, at : at + 6]
+
+    def between(self, first: str, second: str) -> tuple[Rigid, NDArray[np.float64]]:
+        """Return `first_from_second` of two scans, and its covariance (6, 6) of (w, c) in the frame of the first."""
+        names = list(self.world_from_scanner)
+        one, other = self.world_from_scanner[first], self.world_from_scanner[second]
+        arm = other.translation - one.translation
+        by_first, by_second = -np.eye(6), np.eye(6)
+        by_first[3:, :3] = skew(arm)
+        rows = [6 * names.index(first) + np.arange(6), 6 * names.index(second) + np.arange(6)]
+        joint = self.covariance[np.ix_(np.concatenate(rows), np.concatenate(rows))]
+        step = np.kron(np.eye(2), one.rotation.T) @ np.hstack([by_first, by_second])
+        return one.inverse @ other, np.asarray(step @ joint @ step.T)
+
+    def as_fields(self) -> dict[str, Any]:
+        """Return the statement of the registration as plain values, for a JSON file."""
+        return {
+            "world_is": "of the surveyed coordinates" if self.in_coordinates else "the frame of the first scan",
+            "reasons": list(self.reasons), "chi2": self.chi2, "dof": self.dof,
+            "scans": [
+                {
+                    "scan": scan, "world_from_scanner": pose.matrix.tolist(),
+                    "covariance": self.covariance_of(scan).tolist(),
+                    "targets": [
+                        {"name": name, "residual_m": off.tolist(), "used": (scan, name) not in self.left_out}
+                        for name, off in self.residuals_m[scan].items()
+                    ],
+                }
+                for scan, pose in self.world_from_scanner.items()
+            ],
+            "covariance": self.covariance.tolist(),
+            "targets": [{"name": name, "place_m": place.tolist()} for name, place in self.places.items()],
+            "coordinates": [
+                {"name": name, "residual_m": off.tolist(), "used": (None, name) not in self.left_out}
+                for name, off in self.coordinate_residuals_m.items()
+            ],
+        }  # fmt: skip
+
+
+@overload
 def register_targets(
-    targets: Mapping[str, SurveyTarget],
-    coordinates: Mapping[str, SurveyTarget | ArrayLike],
+    targets: Mapping[str, SurveyTarget], coordinates: Mapping[str, SurveyTarget | ArrayLike], *, sigma_m: float = ...
+) -> TargetRegistration: ...
+@overload
+def register_targets(
+    targets: Mapping[str, Mapping[str, SurveyTarget]], coordinates: Mapping[str, ArrayLike] = ..., *,
+    sigma_m: float = ...,
+) -> TargetNetwork: ...  # fmt: skip
+def register_targets(
+    targets: Mapping[str, SurveyTarget] | Mapping[str, Mapping[str, SurveyTarget]],
+    coordinates: Mapping[str, Any] = _NO_COORDINATES,
     *,
     sigma_m: float = 0.001,
-) -> TargetRegistration:
-    """Find where a scanner stood from targets in its scan that are known elsewhere.
+) -> TargetRegistration | TargetNetwork:
+    """Find where scanners stood from targets in their scans that are known elsewhere, or that several scans share.
 
-    Targets of one name are one target; those of only one side are ignored. One target that contradicts all others, or
-    two such as exchanged names, is left out, where what remains determines which.
+    Targets of one name are one target; those that are known once only are ignored. What contradicts all others, such as
+    a target that was moved or two with exchanged names, is left out, where what remains determines which.
 
     Args:
-        targets: the targets in the scan, by name.
-        coordinates: where they are: (3,) surveyed coordinates, m, or the `SurveyTarget` of another scan, whose
-            scanner's frame is then the world.
+        targets: the targets in a scan, by name; or those of several scans, by the names of these.
+        coordinates: where they are: (3,) surveyed coordinates, m, or, for a single scan, the `SurveyTarget` of another
+            scan, whose scanner's frame is then the world. Several scans need none; if three or more, not on a line, are
+            given of targets in any of the scans, the world is theirs.
         sigma_m: standard deviation of each surveyed coordinate, m.
 
     Returns:
-        the pose with its covariance, and the residual of each target.
+        the pose with its covariance, and the residual of each target; the same of all scans for several.
 
     Raises:
         OptionError: if coordinates are not three finite numbers, or `sigma_m` is negative.
-        DegenerateGeometryError: if fewer than three targets are common to both, they lie on a line, or they contradict
-            each other and it cannot be decided which is wrong.
+        DegenerateGeometryError: if fewer than three targets are common to scans, or to a scan and the coordinates, they
+            lie on a line, or they contradict each other and it cannot be decided which is wrong.
     """
     require_number(sigma_m, "sigma_m", least=0.0)
-    names = [name for name in targets if name in coordinates]
-    if len(names) < _MIN_TARGETS:
+    scans = {name: value for name, value in targets.items() if not isinstance(value, SurveyTarget)}
+    if scans and len(scans) < len(targets):
+        raise OptionError("some targets are given by scan, and others are not; give one or the other for all")
+    if scans:
+        return _register_scans(scans, coordinates, sigma_m)
+    single = {name: value for name, value in targets.items() if isinstance(value, SurveyTarget)}
+    names = [name for name in single if name in coordinates]
+    if len(names) < LEAST:
         raise DegenerateGeometryError(
             f"{len(names)} of {len(targets)} targets in the scan have coordinates under the same name; at least "
-            f"{_MIN_TARGETS} are needed: name them alike, or find more"
+            f"{LEAST} are needed: name them alike, or find more"
         )
-    own = np.array([targets[name].center for name in names])
-    own_covariance = np.array([targets[name].covariance for name in names])
-    known = [known_place(name, coordinates[name], sigma_m) for name in names]
-    world, world_covariance = np.array([k[0] for k in known]), np.array([k[1] for k in known])
-
-    def fitted(used: NDArray[np.intp]) -> tuple[Rigid, NDArray[np.float64], float]:
-        return _fit(own[used], own_covariance[used], world[used], world_covariance[used])
-
-    everything = np.arange(len(names))
-    _check_breadth(own)
-    used, (pose, covariance, chi2) = everything, fitted(everything)
-    if _chance(chi2, len(used)) < _LEVEL:
-        used = _consistent(names, own, fitted)
-        pose, covariance, chi2 = fitted(used)
-    residuals = world - pose @ own
+    known = _body("the coordinates", {name: known_place(name, coordinates[name], sigma_m) for name in names})
+    own = _body("the scan", {name: (single[name].center, single[name].covariance) for name in names})
+    found = fit_network([known, own])
+    pose = found.poses[1]
+    out = {name for _, name in found.left_out}
     return TargetRegistration(
-        pose, covariance, dict(zip(names, residuals, strict=True)),
-        tuple(names[k] for k in everything if k not in used), chi2, 3 * len(used) - 6,
+        pose, found.covariance[6:, 6:], {name: known.centers[name] - pose @ own.centers[name] for name in names},
+        tuple(name for name in names if name in out), found.chi2, found.dof,
+    )  # fmt: skip
+
+
+def _register_scans(
+    scans: Mapping[str, Mapping[str, SurveyTarget]], coordinates: Mapping[str, ArrayLike], sigma_m: float
+) -> TargetNetwork:
+    if any(isinstance(value, SurveyTarget) for value in coordinates.values()):
+        raise OptionError("the coordinates of targets in several scans are three numbers; give other scans as scans")
+    bodies = [
+        _body(f"scan {scan}", {name: (one.center, one.covariance) for name, one in own.items()})
+        for scan, own in scans.items()
+    ]
+    everything = {name: known_place(name, value, sigma_m) for name, value in coordinates.items()}
+    seen = {name for own in scans.values() for name in own}
+    surveyed = _body("the coordinates", {name: place for name, place in everything.items() if name in seen})
+    reasons: tuple[str, ...] = ()
+    in_coordinates = bool(surveyed.centers)
+    try:
+        found = fit_network([*bodies, surveyed] if in_coordinates else bodies, len(bodies) if in_coordinates else 0)
+    except NotConnectedError:
+        if not in_coordinates or len(bodies) == 1:
+            raise
+        found, in_coordinates = fit_network(bodies), False
+        count = len(surveyed.centers)
+        reasons = (
+            f"The world is the frame of the first scan: of {count} target{'' if count == 1 else 's'} in the scans "
+            "surveyed coordinates are known, and at least three, not on a line, are needed.",
+        )
+    names, index = list(scans), {scan: k for k, scan in enumerate(scans)}
+    residuals = {
+        scan: {name: found.places[name] - found.poses[index[scan]] @ one.center
+               for name, one in own.items() if name in found.places}
+        for scan, own in scans.items()
+    }  # fmt: skip
+    return TargetNetwork(
+        dict(zip(names, found.poses, strict=False)), found.covariance[: 6 * len(names), : 6 * len(names)],
+        in_coordinates, found.places, residuals,
+        {name: place - found.places[name] for name, place in surveyed.centers.items()} if in_coordinates else {},
+        tuple((names[k] if k < len(names) else None, name) for k, name in found.left_out),
+        found.chi2, found.dof, reasons,
+    )  # fmt: skip
+
+
+def _body(name: str, places: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]) -> Body:
+    return Body(
+        name, {target: place for target, (place, _) in places.items()},
+        {target: covariance + _LEAST_VARIANCE * np.eye(3) for target, (_, covariance) in places.items()},
     )  # fmt: skip
 
 
@@ -125,77 +247,3 @@ def known_place(
             f"the coordinates of target {name} are {point.tolist()}; give three finite numbers, in metres"
         )
     return point, sigma_m**2 * np.eye(3)
-
-
-def _check_breadth(points: NDArray[np.float64]) -> None:
-    extents = np.linalg.svd(points - points.mean(0), compute_uv=False)
-    if extents[1] <= _MIN_BREADTH * extents[0]:
-        raise DegenerateGeometryError(
-            "the targets lie on a line, about which the scanner could stand anywhere; add a target beside it"
-        )
-
-
-def _consistent(names: list[str], own: NDArray[np.float64], fitted: Any) -> NDArray[np.intp]:
-    """Return the indices of the targets that agree when one or two are left out; raise where that is not unique."""
-    count = len(names)
-    for out in (1, 2):
-        # Any three targets nearly agree: two may only be left out where four remain.
-        if count - out < _MIN_TARGETS + out - 1:
-            break
-        agreeing = []
-        for left in combinations(range(count), out):
-            used = np.setdiff1d(np.arange(count), left)
-            extents = np.linalg.svd(own[used] - own[used].mean(0), compute_uv=False)
-            if extents[1] > _MIN_BREADTH * extents[0] and _chance(fitted(used)[2], len(used)) >= _LEVEL:
-                agreeing.append(used)
-        if len(agreeing) == 1:
-            return np.asarray(agreeing[0], np.intp)
-        if agreeing:
-            break
-    raise DegenerateGeometryError(
-        f"the {count} targets contradict each other, and it cannot be decided which is wrong; check their names and "
-        "coordinates, or add targets"
-    )
-
-
-def _chance(chi2: float, count: int) -> float:
-    from scipy.special import chdtrc
-
-    return float(chdtrc(3 * count - 6, chi2))
-
-
-def rigid_motion(own: NDArray[np.float64], world: NDArray[np.float64]) -> Rigid:
-    """Return the rigid motion of points (N, 3) onto others by least squares; N is 3 or more.
-
-    Source: Kabsch 1976; Umeyama 1991 for the sign.
-    """
-    u, _, vt = np.linalg.svd((world - world.mean(0)).T @ (own - own.mean(0)))
-    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    return Rigid(rotation, world.mean(0) - rotation @ own.mean(0))
-
-
-def _fit(
-    own: NDArray[np.float64], own_covariance: NDArray[np.float64], world: NDArray[np.float64],
-    world_covariance: NDArray[np.float64],
-) -> tuple[Rigid, NDArray[np.float64], float]:  # fmt: skip
-    """Return the pose of least squares weighted by the covariances of both sides, its (6, 6) covariance and chi2."""
-    start = rigid_motion(own, world)
-    rotation, translation = start.rotation, start.translation
-    normal, chi2 = np.eye(6), 0.0
-    for _ in range(_ROUNDS):
-        turned = own @ rotation.T
-        residual = world - turned - translation
-        weight = np.linalg.inv(rotation @ own_covariance @ rotation.T + world_covariance)
-        jacobian = np.concatenate(
-            [np.array([-skew(p) for p in turned]), np.broadcast_to(np.eye(3), (len(own), 3, 3))], 2
-        )
-        weighted = np.einsum("nji,njk->nik", jacobian, weight)
-        normal = np.einsum("nij,njk->ik", weighted, jacobian)
-        chi2 = float(np.einsum("ni,nij,nj->", residual, weight, residual))
-        step = np.linalg.solve(normal, np.einsum("nij,nj->i", weighted, residual))
-        if np.abs(step).max() < 1e-10:
-            break
-        rotation = rotation_from_rotvec(step[:3]) @ rotation
-        translation = translation + step[3:]
-    u, _, vt = np.linalg.svd(rotation)
-    return Rigid(u @ vt, translation), np.asarray(np.linalg.inv(normal), np.float64), chi2

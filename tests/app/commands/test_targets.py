@@ -101,3 +101,99 @@ def test_bad_input_is_refused_in_a_sentence(
     (line,) = capsys.readouterr().err.splitlines()
     assert complaint in line
     assert not (tmp_path / "out").exists()
+
+
+OTHER = lr.Rigid.from_rotvec([-0.01, 0.02, -0.35], [-0.2, 1.1, 0.0])
+
+
+def write_two(folder: Path) -> list[str]:
+    """Write two scans with the same spheres before walls of their own; return the command on them, without a table."""
+    azimuth, elevation = np.radians(np.arange(50, -50, -0.15)), np.radians(np.arange(16, -16, -0.15))
+    cosines = np.cos(elevation)[:, None] * np.cos(azimuth)
+    for k, (name, pose) in enumerate((("hall", POSE), ("attic", OTHER))):
+        ranges = (7.0 + k) / cosines + np.random.default_rng(k).normal(0, 0.002, cosines.shape)
+        scan = with_spheres(
+            lr.Scan.from_grid(ranges=ranges, azimuth_rad=azimuth, elevation_rad=elevation),
+            pose.inverse @ WORLD, RADIUS, noise_m=0.002, seed=k,
+        )  # fmt: skip
+        np.savez(folder / f"{name}.npz", xyz=scan.points, intensity=np.full(scan.shape, 100.0))
+    files = [str(folder / "hall.npz"), str(folder / "attic.npz")]
+    return ["targets", *files, "-o", str(folder / "out"), "--quiet", "--radius", str(RADIUS)]
+
+
+def picks(folder: Path, name: str, pose: lr.Rigid) -> list[str]:
+    scan = lr.read_scan(folder / f"{name}.npz")
+    lines = []
+    for k, center in enumerate(pose.inverse @ WORLD):
+        row, column = np.unravel_index(np.argmax(scan.rays @ (center / np.linalg.norm(center))), scan.shape)
+        lines.append(f"{name},S{k},{row},{column}")
+    return lines
+
+
+def test_two_scans_are_joined_by_what_is_found_in_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = write_two(tmp_path)
+    assert main([*words, "--json"]) == ExitCode.ACCEPTED
+    document = json.loads(capsys.readouterr().out)
+    truth = POSE.inverse @ OTHER
+    first, second = (lr.Rigid.from_matrix(one["world_from_scanner"]) for one in document["stations"])
+    assert np.allclose(first.matrix, np.eye(4))
+    assert second.distance_to(truth) < 0.006
+    assert [one["state"] for one in document["stations"]] == ["fixed", "registered"]
+    assert {one["name"] for one in document["targets"]["targets"]} == {f"T{k}" for k in range(1, 6)}
+    placed = lr.read_scan(tmp_path / "out" / "attic.npz")
+    assert placed.world_from_scanner.distance_to(second) < 1e-6
+    with (tmp_path / "out" / "targets.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert {row["scan"] for row in rows} == {"hall", "attic"}
+    assert all(row["used"] == "1" and float(row["length_mm"]) < 5 for row in rows)
+    # the folder is one of stations for all other commands
+    assert main(["info", str(tmp_path / "out")]) == ExitCode.ACCEPTED
+    assert "attic: at" in capsys.readouterr().out
+    export = ["export", str(tmp_path / "out"), "--to", "e57", "-o", str(tmp_path / "handover")]
+    assert main(export) == ExitCode.ACCEPTED
+    assert main([*words, "--force"]) == ExitCode.ACCEPTED
+    assert "Target   attic, T1:" in capsys.readouterr().out
+
+
+def test_coordinates_put_both_scans_into_their_world(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = write_two(tmp_path)
+    surveyed = [f"S{k},{x},{y},{z}" for k, (x, y, z) in enumerate(WORLD)]
+    table = tmp_path / "spheres.csv"
+    table.write_text("\n".join(["name,x,y,z", *surveyed]))
+    assert main([*words[:3], str(table), *words[3:], "--json"]) == ExitCode.ACCEPTED
+    document = json.loads(capsys.readouterr().out)
+    for one, pose in zip(document["stations"], (POSE, OTHER), strict=True):
+        assert lr.Rigid.from_matrix(one["world_from_scanner"]).distance_to(pose) < 0.006
+        assert one["state"] == "registered"
+    assert {one["name"] for one in document["targets"]["coordinates"]} == {f"S{k}" for k in range(5)}
+
+
+def test_picks_of_several_scans_name_their_scan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = write_two(tmp_path)
+    lines = [f"{line},,," for line in picks(tmp_path, "hall", POSE) + picks(tmp_path, "attic", OTHER)]
+    x, y, z = WORLD[1]
+    lines[1] = lines[1].replace(",,,", f",{x},{y},{z}")
+    table = tmp_path / "picks.csv"
+    table.write_text("\n".join(["scan,name,row,column,x,y,z", *lines]))
+    assert main([*words[:3], str(table), *words[3:]]) == ExitCode.ACCEPTED
+    assert "of 1 target in the scans" in capsys.readouterr().out
+    table.write_text("\n".join(["scan,name,row,column,x,y,z", *lines]).replace("attic", "cellar"))
+    assert main([*words[:3], str(table), *words[3:], "--force"]) == ExitCode.BAD_INPUT
+    assert "picked in scan cellar; name the scans in a column scan: hall, attic" in capsys.readouterr().err
+    table.write_text("\n".join(["name,row,column", "S0,3,4", "S1,8,9"]))
+    assert main([*words[:3], str(table), *words[3:], "--force"]) == ExitCode.BAD_INPUT
+    assert "a scan that is not named" in capsys.readouterr().err
+
+
+def test_several_scans_need_a_size_and_one_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = write_two(tmp_path)
+    assert main(words[:-2]) == ExitCode.BAD_INPUT
+    assert "--radius" in capsys.readouterr().err
+    table = tmp_path / "spheres.csv"
+    table.write_text("name,x,y,z\nS0,1,2,3\n")
+    assert main([*words[:3], str(table), str(table), *words[3:]]) == ExitCode.BAD_INPUT
+    assert "2 files of targets" in capsys.readouterr().err
+    table.write_text("scan,name,row,column,x,y,z\na,S0,1,2,1,2,3\nb,S0,1,2,1,2,4\na,S1,1,2,1,,\n")
+    assert main([*words[:3], str(table), *words[3:]]) == ExitCode.BAD_INPUT
+    assert "S1 has y empty" in (said := capsys.readouterr().err)
+    assert "S0 has several coordinates" in said

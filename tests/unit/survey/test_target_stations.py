@@ -214,3 +214,72 @@ def test_an_adjustment_is_in_the_world_of_the_targets(hall, targets) -> None:
     for one, true in accepted:
         off = pose_difference(true, one.camera_from_world)
         assert off @ np.linalg.solve(one.covariance, off) < 27.9  # exceeded once in 10,000
+
+
+@pytest.fixture
+def picked(hall: tuple[list[Scan], np.ndarray], tmp_path: Path) -> Callable[..., ScanTargets]:
+    """Write the picks of a scan, with the coordinates of some of its targets."""
+
+    def written(number: int, surveyed: tuple[int, ...] = (), moved: dict[int, int] | None = None) -> ScanTargets:
+        scans, places = hall
+        lines = ["name,row,column,x,y,z"]
+        for k, at in enumerate(POSES[number].inverse @ places):
+            toward = scans[number].rays @ (at / np.linalg.norm(at))
+            row, column = np.unravel_index(np.argmax(toward), toward.shape)
+            place = ",".join(str(float(v)) for v in WORLD @ places[k]) if k in surveyed else ",,"
+            lines.append(f"S{(moved or {}).get(k, k)},{row},{column},{place}")
+        path = tmp_path / f"picks{number}.csv"
+        path.write_text("\n".join(lines) + "\n")
+        return ScanTargets(source=path, radius_m=RADIUS_M)
+
+    return written
+
+
+def _apart_rooms(scans: list[Scan]) -> list[Scan]:
+    """Return scans that share nothing but their spheres: of the second, all else is of another room."""
+    (other,) = scan_stations(station_room("boxes", 77), [POSES[1]], seed=9, step_deg=0.4)
+    ranges = np.where(np.abs(scans[1].ranges - _without_spheres()) > 1e-3, scans[1].ranges, other.ranges)
+    return [scans[0], replace(scans[1], ranges=ranges.astype(np.float32))]
+
+
+def _without_spheres() -> np.ndarray:
+    return scan_stations(station_room("office", 3), POSES, seed=4, step_deg=0.4)[1].ranges
+
+
+def test_a_scan_that_shares_no_surface_is_joined_by_shared_targets(hall, targets, picked) -> None:
+    scans = _apart_rooms(hall[0])
+    alone = place_stations(_given(scans, targets(0), None), scans)
+    assert alone.each[1].world_from_scanner is None, "the control: surfaces do not join them"
+    found = place_stations(_given(scans, targets(0), picked(1, (2,))), scans)
+    assert _apart(found.each[1].world_from_scanner, WORLD @ POSES[1]) < 0.005
+    assert "Joined to scan s0 by 6 survey targets" in found.each[1].reasons[0]
+    assert not found.each[1].fixed
+    (known,) = (one for one in found.relative([0, 1]) if "survey targets of scans 1 and 2" in one.name)
+    off = pose_difference((POSES[0].inverse @ POSES[1]).inverse, known.pose)
+    assert (known.body, known.base) == (1, 0)
+    assert off @ np.linalg.solve(known.covariance, off) / 6 < 3.5
+
+
+def test_scans_without_coordinates_are_joined_in_the_frame_of_the_first(hall, picked) -> None:
+    scans = _apart_rooms(hall[0])
+    found = place_stations(_given(scans, picked(0), picked(1)), scans)
+    assert found.each[0].fixed
+    assert _apart(found.each[1].world_from_scanner, POSES[0].inverse @ POSES[1]) < 0.006
+
+
+def test_coordinates_scattered_over_scans_make_the_world(hall, picked) -> None:
+    scans = _apart_rooms(hall[0])
+    found = place_stations(_given(scans, picked(0, (0, 3)), picked(1, (1, 5))), scans)
+    assert found.each[0].by_targets is not None
+    for station, pose in zip(found.each, POSES, strict=True):
+        assert _apart(station.world_from_scanner, WORLD @ pose) < 0.008
+
+
+def test_shared_targets_that_contradict_the_surfaces_are_refused(hall, targets, picked) -> None:
+    scans, places = hall
+    moved = lr.Rigid(np.eye(3), np.array([0.04, 0.0, 0.0]))
+    own = POSES[1].inverse @ moved @ places
+    other = with_spheres(scan_stations(station_room("office", 3), POSES, seed=4, step_deg=0.4)[1], own, RADIUS_M,
+                         noise_m=0.002, seed=1)  # fmt: skip
+    with pytest.raises(DegenerateGeometryError, match="the scans s0 and s1 share put them"):
+        place_stations(_given([scans[0], other], targets(0), picked(1)), [scans[0], other])
