@@ -42,6 +42,9 @@ class Arguments(PhotoCameraArguments):
     base: Annotated[str | None, tyro.conf.arg(metavar="BASE")] = None
     """How the unit itself is turned: upright, hanging, or roll,pitch,yaw in degrees, as an inclinometer on it measures
     roll and pitch. The panorama is level. Default: mount.base of the plan, else upright."""
+    base_sigma: Annotated[str | None, tyro.conf.arg(metavar="DEG")] = None
+    """How well an inclinometer measured roll and pitch of the base: a standard deviation in degrees, or two with a
+    comma. panorama.json states how level the panorama is. Default: mount.base_sigma_deg of the plan."""
     calibrate_mount: bool = False
     """Estimate the mount from surfaces that were seen twice."""
     calibrate_camera: bool = False
@@ -74,6 +77,7 @@ def run(arguments: Arguments) -> ExitCode:
     with progress_bar(quiet=arguments.quiet or arguments.json) as bar:
         made = compose(
             arguments.run, mount=_mount(arguments.mount), base=base,
+            base_sigma_deg=_base_sigma(arguments.base_sigma),
             calibrate_mount=arguments.calibrate_mount, refine=arguments.refine, partial=arguments.partial,
             report=bar.progress,
         )  # fmt: skip
@@ -117,3 +121,11 @@ def _base(text: str | None) -> Rigid | None:
     from ladarreg_core.acquisition.mount_fields import base_of_text
 
     return base_of_text(text)
+
+
+def _base_sigma(text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    from ladarreg_core.acquisition.mount_fields import base_sigma_of_text
+
+    return base_sigma_of_text(text)

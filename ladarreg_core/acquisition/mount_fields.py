@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +23,16 @@ BASE_IS = (
     "[0, 0, 0] stands upright, [180, 0, 0] hangs"
 )
 """Explanation of a base, written next to it."""
+LEAN_IS = (
+    "(3, 3) of w, rad: true = exp([w]x) stated, about the axes of scan.npz, from base_sigma_deg; the yaw of the "
+    "base is no measurement, and defines which direction is ahead"
+)
+"""Explanation of the covariance of a panorama's level, written next to it."""
 _BASES = {"upright": (0.0, 0.0, 0.0), "hanging": (180.0, 0.0, 0.0)}
 _BASE_NEEDS = "'upright', 'hanging', or roll, pitch and yaw in degrees within 360"
 _MAX_DEG = 360.0
+_MAX_SIGMA_DEG = 45.0
+_SIGMA_NEEDS = "the standard deviation of roll and pitch in degrees, up to 45, or one of each"
 
 
 def mount_from_fields(fields: object, what: str = "the mount") -> Rigid:
@@ -65,6 +73,48 @@ def base_from_value(value: object) -> Rigid:
     if not (len(three) == 3 and all(map(is_number, three)) and max(map(abs, three)) <= _MAX_DEG):
         raise FormatError(f"the base is {one_line(repr(value), 60)}; it must be {_BASE_NEEDS}")
     return Rigid(_rotation(np.array(three, np.float64)), np.zeros(3))
+
+
+def base_sigma_from_value(value: object) -> tuple[float, float]:
+    """Return the standard deviations of roll and pitch of a base, deg, of a number or two.
+
+    Raises:
+        FormatError: if it is anything else.
+    """
+    two: list[Any] = [value, value] if is_number(value) else list(value) if isinstance(value, list | tuple) else []
+    if not (len(two) == 2 and all(map(is_number, two)) and min(two) >= 0 and max(two) <= _MAX_SIGMA_DEG):
+        raise FormatError(f"the sigma of the base is {one_line(repr(value), 60)}; it must be {_SIGMA_NEEDS}")
+    return float(two[0]), float(two[1])
+
+
+def base_sigma_of_text(text: str) -> tuple[float, float]:
+    """Return the standard deviations of roll and pitch of a base, deg, of a number, or of two with a comma.
+
+    Raises:
+        OptionError: if it is neither.
+    """
+    try:
+        parts = [float(part) for part in text.split(",")]
+        return base_sigma_from_value(parts[0] if len(parts) == 1 else parts)
+    except (FormatError, ValueError):
+        raise OptionError(f"the sigma of the base is {one_line(text, 60)!r}; it must be {_SIGMA_NEEDS}") from None
+
+
+def lean_covariance(level_from_unit: Rigid, sigma_deg: tuple[float, float]) -> NDArray[np.float64]:
+    """Return the covariance (3, 3) of the w, rad, by which a base that an inclinometer measured is wrong.
+
+    The true `level_from_unit` is exp([w]x) times that stated. The roll turns about the unit's forward axis as the pitch
+    and the yaw leave it, the pitch about the left axis as the yaw leaves it. The yaw is none of its measurements.
+
+    Args:
+        level_from_unit: the base as stated.
+        sigma_deg: standard deviations of roll and pitch.
+    """
+    _, pitch, yaw = np.radians(_roll_pitch_yaw(level_from_unit))
+    turned = rotation_about("z", yaw)
+    axes = np.column_stack([turned @ rotation_about("y", pitch) @ [1, 0, 0], turned @ [0, 1, 0]])
+    axes = axes * np.radians(sigma_deg)
+    return np.asarray(axes @ axes.T, np.float64)
 
 
 def base_of_text(text: str) -> Rigid:

@@ -118,6 +118,8 @@ class Plan:
     """Sweeps at each tilt, in alternating directions."""
     base: Rigid = UPRIGHT
     """`level_from_unit`, a rotation: how the unit itself stands or hangs."""
+    base_sigma_deg: tuple[float, float] | None = None
+    """Standard deviations of its roll and pitch, deg; None: not known."""
 
     def as_fields(self) -> dict[str, Any]:
         """Return the content of `plan.json`."""
@@ -157,6 +159,7 @@ class Plan:
             "passes": self.passes,
             "mount": {
                 **mount_as_fields(self.mount), **({} if is_upright(self.base) else {"base": base_as_value(self.base)}),
+                **({} if self.base_sigma_deg is None else {"base_sigma_deg": list(self.base_sigma_deg)}),
             },
         }  # fmt: skip
 

@@ -11,7 +11,7 @@ from typing import Any, cast, get_args
 
 import numpy as np
 
-from ladarreg_core.acquisition.mount_fields import base_from_value, mount_from_fields
+from ladarreg_core.acquisition.mount_fields import base_from_value, base_sigma_from_value, mount_from_fields
 from ladarreg_core.acquisition.plan import (
     MAX_STOPS,
     UPRIGHT,
@@ -95,11 +95,13 @@ class _Reader:
         settle = self._number(fields, "settle_s", 0.3, 0.0, _LONGEST_SETTLE_S, "the plan")
         passes = self._whole(fields, "passes", 2 if continuous else 1, 1, 20, "the plan")
         mount, base = self._mount(fields.get("mount")), self._base(fields.get("mount"))
+        base_sigma_deg = self._base_sigma(fields.get("mount"))
         if None in (mode, unit, scanner, pan, tilt, mount, base) or settle is None or passes is None:
             return None
         plan = Plan(
             cast(UnitPlan, unit), cast(ScannerPlan, scanner), cast(Mode, mode), cast(Axis, pan), cast(Axis, tilt),
             cast(Rigid, mount), camera, settle, continuous, passes, cast(Rigid, base),
+            base_sigma_deg,
         )  # fmt: skip
         self._check_whole(plan)
         return plan
@@ -273,7 +275,7 @@ class _Reader:
         fields = self._object(value, "mount")
         if fields is None:
             return None
-        self._refuse_unknown(fields, ("xyz_m", "rpy_deg", "base"), "'mount'")
+        self._refuse_unknown(fields, ("xyz_m", "rpy_deg", "base", "base_sigma_deg"), "'mount'")
         xyz, rpy = fields.get("xyz_m"), fields.get("rpy_deg")
         good = True
         if not _numbers(xyz, 3, -_LARGEST_LEVER_M, _LARGEST_LEVER_M):
@@ -294,6 +296,14 @@ class _Reader:
             return UPRIGHT if value is None else base_from_value(value)
         except FormatError as error:
             self._fault("mount.base", f"'base' of 'mount': {error}")
+            return None
+
+    def _base_sigma(self, mount: Any) -> tuple[float, float] | None:
+        value = mount.get("base_sigma_deg") if isinstance(mount, Mapping) else None
+        try:
+            return None if value is None else base_sigma_from_value(value)
+        except FormatError as error:
+            self._fault("mount.base_sigma_deg", f"'base_sigma_deg' of 'mount': {error}")
             return None
 
     def _matrix(self, value: Any) -> Rigid | None:

@@ -70,6 +70,7 @@ def compose(
     *,
     mount: Rigid | None = None,
     base: Rigid | None = None,
+    base_sigma_deg: tuple[float, float] | None = None,
     calibrate_mount: bool = False,
     refine: bool = False,
     partial: bool = False,
@@ -82,6 +83,8 @@ def compose(
         mount: `unit_from_scanner`; None: that of the plan, or of a list without a plan the scanner at the crossing of
             the axes.
         base: `level_from_unit`, a rotation; None: that of the plan, else upright.
+        base_sigma_deg: standard deviations of its roll and pitch, which become the covariance of the panorama's level;
+            None: those of the plan, if its base is used.
         calibrate_mount: estimate the mount from surfaces that were seen twice.
         refine: refine the pieces of a mosaic against each other.
         partial: compose what is there of a run that is not complete.
@@ -110,13 +113,14 @@ def compose(
     start = mount if mount is not None else listed.mount
     origin = "given" if mount is not None else "plan" if listed.mount is not None else "none: the scanner's own centre"
     level = base or listed.base or Rigid.identity()
+    sigma_deg = base_sigma_deg or (listed.base_sigma_deg if base is None else None)
     if listed.mode == "sweep":
         if refine:
             raise OptionError("a sweep has no pieces to refine; leave `refine` out, or use `calibrate_mount`")
         made = _sweep(listed, start, level, calibrate_mount=calibrate_mount, report=report)
     else:
         made = _mosaic(listed, start, level, calibrate_mount=calibrate_mount, refine=refine, report=report)
-    return replace(made, fields=_document(listed, made, checksums, origin, level))
+    return replace(made, fields=_document(listed, made, checksums, origin, level, sigma_deg))
 
 
 def _mosaic(
@@ -234,10 +238,18 @@ def _sweep(
 
 
 def _document(
-    listed: PieceList, made: Panorama, checksums: Sequence[str], mount_from: str, level: Rigid
-) -> dict[str, Any]:
+    listed: PieceList, made: Panorama, checksums: Sequence[str], mount_from: str, level: Rigid,
+    base_sigma_deg: tuple[float, float] | None,
+) -> dict[str, Any]:  # fmt: skip
     """Return the fields of `panorama.json`."""
-    from ladarreg_core.acquisition.mount_fields import BASE_IS, MOUNT_IS, base_as_value, is_upright
+    from ladarreg_core.acquisition.mount_fields import (
+        BASE_IS,
+        LEAN_IS,
+        MOUNT_IS,
+        base_as_value,
+        is_upright,
+        lean_covariance,
+    )
 
     own = dict(made.fields)
     each = own.pop("each")
@@ -248,6 +260,9 @@ def _document(
     if not is_upright(level):
         frame = LEVELLED_IS
         mount |= {"base": base_as_value(level), "base_is": BASE_IS}
+    if base_sigma_deg is not None:
+        lean = lean_covariance(level, base_sigma_deg)
+        mount |= {"base_sigma_deg": list(base_sigma_deg), "level_covariance": lean.tolist(), "level_is": LEAN_IS}
     reasons = own.pop("reasons", [])
     if listed.closure is not None and not listed.closure["closed"]:
         reasons = [*reasons, listed.closure["said"]]

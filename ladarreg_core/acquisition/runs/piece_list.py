@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ladarreg_core.acquisition.interfaces import PanTilt
-from ladarreg_core.acquisition.mount_fields import base_from_value, mount_from_fields
+from ladarreg_core.acquisition.mount_fields import base_from_value, base_sigma_from_value, mount_from_fields
 from ladarreg_core.acquisition.plan import Mode
 from ladarreg_core.acquisition.run_records import RECORDS, position_of, read_closure, read_records
 from ladarreg_core.acquisition.runs.earlier_run import settle
@@ -74,6 +74,8 @@ class PieceList:
     """Number of pieces planned; None: unknown."""
     base: Rigid | None = None
     """`level_from_unit` of the plan, if it states one."""
+    base_sigma_deg: tuple[float, float] | None = None
+    """Standard deviations of its roll and pitch, deg, if the plan states them."""
     closure: Mapping[str, Any] | None = None
     """Whether the first stop looked the same at the end, as `closure.json` says; None if nobody looked."""
 
@@ -114,7 +116,7 @@ def _of_run(folder: Path) -> PieceList:
             f"the folder {shown_name(folder)} contains no {RECORDS}; give the folder of a run of "
             "`ladarreg acquire`, or a CSV with file,pan_deg,tilt_deg"
         )
-    mode, mount, base, planned = _plan_of(folder / PLAN_FILE)
+    mode, mount, base, sigma_deg, planned = _plan_of(folder / PLAN_FILE)
     found: dict[int, ListedPiece] = {}
     for record in read_records(folder):
         if isinstance(record, FormatError):
@@ -124,7 +126,7 @@ def _of_run(folder: Path) -> PieceList:
     if not found:
         raise FormatError(f"the folder {shown_name(folder)} has no piece yet; resume the run")
     pieces = tuple(found[index] for index in sorted(found))
-    return PieceList(folder, mode, pieces, mount, planned, base, read_closure(folder))
+    return PieceList(folder, mode, pieces, mount, planned, base, sigma_deg, read_closure(folder))
 
 
 def _of_csv(file: Path) -> tuple[ListedPiece, ...]:
@@ -156,10 +158,10 @@ def _of_csv(file: Path) -> tuple[ListedPiece, ...]:
     return tuple(found)
 
 
-def _plan_of(path: Path) -> tuple[Mode, Rigid | None, Rigid | None, int | None]:
-    """Return the mode, the mount, the base and the number of pieces of a plan; of a run without a plan, a mosaic's."""
+def _plan_of(path: Path) -> tuple[Mode, Rigid | None, Rigid | None, tuple[float, float] | None, int | None]:
+    """Return mode, mount, base with its sigmas, and number of pieces of a plan; of a run without a plan, a mosaic's."""
     if not path.is_file():
-        return "mosaic", None, None, None
+        return "mosaic", None, None, None, None
     with reading(path) as file:
         fields = read_json_object(file, "a plan")
         mode = fields.get("mode")
@@ -168,7 +170,9 @@ def _plan_of(path: Path) -> tuple[Mode, Rigid | None, Rigid | None, int | None]:
         mount = mount_from_fields(fields["mount"]) if "mount" in fields else None
         stated = fields["mount"].get("base") if mount is not None else None
         base = None if stated is None else base_from_value(stated)
-        return "sweep" if mode == "sweep" else "mosaic", mount, base, _planned(fields)
+        sigma = fields["mount"].get("base_sigma_deg") if mount is not None else None
+        sigma_deg = None if sigma is None else base_sigma_from_value(sigma)
+        return "sweep" if mode == "sweep" else "mosaic", mount, base, sigma_deg, _planned(fields)
 
 
 def _planned(fields: Mapping[str, Any]) -> int | None:

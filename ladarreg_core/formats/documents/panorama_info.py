@@ -34,6 +34,9 @@ def panorama_lines(fields: Mapping[str, Any]) -> list[tuple[str, str]]:
         base = mount["base"]
         said = base if isinstance(base, str) else f"roll pitch yaw {', '.join(f'{value:.3f}' for value in base)} deg"
         lines.append(("base", f"{said}; the panorama is level"))
+    if mount.get("base_sigma_deg"):
+        roll, pitch = mount["base_sigma_deg"]
+        lines.append(("level", f"known to {roll:g} deg in roll, {pitch:g} deg in pitch of the unit's base"))
     if fields.get("camera"):
         lines.append(("camera", str(fields["camera"]["said"])))
         lines += [("camera note", str(reason)) for reason in fields["camera"].get("reasons") or []]

@@ -12,7 +12,7 @@ from ladarreg.cli import main
 from PIL import Image
 
 from ladarreg_core.acquisition.composition.panorama import compose, mount_of_text, write_panorama
-from ladarreg_core.acquisition.mount_fields import base_from_value, mount_as_fields, mount_from_fields
+from ladarreg_core.acquisition.mount_fields import base_from_value, lean_covariance, mount_as_fields, mount_from_fields
 from ladarreg_core.acquisition.runs.closure import Closure
 from ladarreg_core.errors import ExportError, FormatError, LadarregError, OptionError
 from ladarreg_core.export.pictures.images import write_provenance_png
@@ -240,6 +240,18 @@ def test_the_mosaic_of_a_unit_that_hangs_is_level(run: Path, tmp_path: Path) -> 
     rows = scan.points[..., 2] / scan.ranges
     assert np.nanmean(rows[0]) > np.nanmean(rows[-1])  # the top row is up
     assert "base" not in upright.fields["mount"]
+    assert "level_covariance" not in fields["mount"]
+    plan["mount"]["base_sigma_deg"] = [0.05, 0.1]
+    (run / "plan.json").write_text(json.dumps(plan))
+    known = compose(run)
+    np.testing.assert_allclose(known.fields["mount"]["level_covariance"], lean_covariance(level, (0.05, 0.1)))
+    np.testing.assert_allclose(known.scan.ranges, scan.ranges, rtol=1e-6)  # it moves nothing
+    again = [str(run), "-o", str(out), "--quiet", "--force"]
+    assert main(["panorama", *again, "--base", "180,0,25", "--base-sigma", ".2"]) == 0
+    assert json.loads((out / "panorama.json").read_text())["mount"]["base_sigma_deg"] == [0.2, 0.2]
+    assert main(["panorama", *again, "--base", "180,0,25"]) == 0, "the plan's sigma is not that of another base"
+    assert "base_sigma_deg" not in json.loads((out / "panorama.json").read_text())["mount"]
+    assert main(["panorama", *again, "--base-sigma", "good"]) == 2
     # what the command line says precedes the plan
     assert main(["panorama", str(run), "-o", str(out), "--quiet", "--force", "--base", "upright"]) == 0
     np.testing.assert_allclose(read_scan(out / "scan.npz").ranges, upright.scan.ranges, rtol=1e-6)

@@ -14,10 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ladarreg_core.acquisition.interfaces import PanTilt, UnitIdentity
+from ladarreg_core.acquisition.mount_fields import base_from_value, lean_covariance
 from ladarreg_core.acquisition.plan import write_plan
 from ladarreg_core.acquisition.plan_reading import plan_from_fields, read_plan
 from ladarreg_core.acquisition.runs.stops import forecast, require_possible, stops_of
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
+from ladarreg_core.frames import rotvec_from_rotation
 
 SWEEP: dict[str, Any] = {
     "version": 1,
@@ -63,6 +65,21 @@ def test_a_unit_that_hangs_or_leans_is_stated_with_the_mount(tmp_path: Path) -> 
     leaning = plan_from_fields(with_change(mount__base=[2.5, -1, 30]))
     write_plan(tmp_path / "plan.json", leaning)
     np.testing.assert_allclose(read_plan(tmp_path / "plan.json").base.matrix, leaning.base.matrix, atol=1e-12)
+    assert leaning.base_sigma_deg is None
+    for stated, read in ((0.05, (0.05, 0.05)), ([0.02, 0.1], (0.02, 0.1))):
+        write_plan(tmp_path / "plan.json", plan_from_fields(with_change(mount__base_sigma_deg=stated)))
+        assert read_plan(tmp_path / "plan.json").base_sigma_deg == read
+
+
+@pytest.mark.parametrize("base", [[0, 0, 0], [180, 0, 0], [2.5, -1, 30], [175, 20, -100], [40, -60, 10]])
+def test_the_covariance_of_a_level_is_the_scatter_of_what_an_inclinometer_reads(base: list[float]) -> None:
+    sigma_deg, rng = (0.05, 0.12), np.random.default_rng(4)
+    stated = base_from_value(base)
+    readings = [base_from_value([base[0] + r, base[1] + p, base[2]]) for r, p in rng.normal(0, sigma_deg, (4000, 2))]
+    w = np.array([rotvec_from_rotation(true.rotation @ stated.rotation.T) for true in readings])
+    covariance = lean_covariance(stated, sigma_deg)
+    np.testing.assert_allclose(w.T @ w / len(w), covariance, atol=0.08 * np.trace(covariance))
+    assert np.linalg.matrix_rank(covariance, tol=1e-12) == 2, "which way is ahead was not measured"
 
 
 @pytest.mark.parametrize(
@@ -73,6 +90,9 @@ def test_a_unit_that_hangs_or_leans_is_stated_with_the_mount(tmp_path: Path) -> 
             "'base' of 'mount': the base is 'upside down'; it must be",
         ),
         ({"mount__base": [0, 0]}, "roll, pitch and yaw in degrees"),
+        ({"mount__base_sigma_deg": -0.1}, "'base_sigma_deg' of 'mount': the sigma of the base is -0.1"),
+        ({"mount__base_sigma_deg": [0.1, "x"]}, "the standard deviation of roll and pitch in degrees"),
+        ({"mount__base_sigma_deg": [0.1, 0.1, 0.1]}, "or one of each"),
         ({"mount__base": [0, 400, 0]}, "within 360"),
         ({"mount__base": [0, True, 0]}, "roll, pitch and yaw in degrees"),
         ({"version": 2}, "'version' is 2"),
