@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gzip
 import logging
 import re
 import threading
@@ -40,6 +41,9 @@ _READERS_THREADS = 4
 """Commands of pages that may only look, at a time: however many there are, those of editors find a thread."""
 _SECRET = re.compile(r"[A-Za-z0-9_-]{16,64}")
 _MAX_FIELD = 100
+_PACKED_ABOVE, _PACKED_LEVEL = 16_000, 5
+"""Message 1 of more characters is compressed, and how well: of a survey of 80 photographs it has half a megabyte, which
+takes 3 s over 1.5 Mbit/s, and a fifth of that compressed."""
 _LATEST_ONLY = frozenset({"simplex", "hover", "cursor", "view"})
 """Events of which only the latest needs to be sent, of each client that they name."""
 _NOT_JSON = "The message is not a JSON object: page and program are of different versions; reload the page."
@@ -97,7 +101,7 @@ class DocumentSocket:
         try:
             slices = await run_in_threadpool(self._workbench.slices, client)
             state = ClientState(self._encoder)
-            await websocket.send_text(state.encode({"slices": slices}))
+            await _send_first(websocket, state.encode({"slices": slices}))
             await _until_one_ends(
                 _send_pending(websocket, state, outbox, pending, replied),
                 self._receive(websocket, client, outbox, replied),
@@ -318,6 +322,14 @@ def _visitor(websocket: WebSocket) -> Visitor:
         photo=query.get("photo", "")[:_MAX_FIELD],
         read_only=websocket.state.read_only,
     )
+
+
+async def _send_first(websocket: WebSocket, text: str) -> None:
+    """Send message 1, by far the longest, compressed to a page that asked for it."""
+    if websocket.query_params.get("packed") == "gzip" and len(text) > _PACKED_ABOVE:
+        await websocket.send_bytes(await run_in_threadpool(gzip.compress, text.encode(), _PACKED_LEVEL))
+    else:
+        await websocket.send_text(text)
 
 
 async def _send_pending(

@@ -46,6 +46,7 @@ class CamerasLayer:
         self._scanner: list[viser.SceneNodeHandle] = []
         self._camera: list[viser.SceneNodeHandle] = []
         self._others: dict[str, tuple[CameraShown, viser.SceneNodeHandle]] = {}
+        self._plain: tuple[tuple[CameraShown, ...], viser.SceneNodeHandle | None] = (), None
         self._drawn: tuple[object, ...] = (None, None, None)
         self._depth_m = 0.0
 
@@ -59,19 +60,26 @@ class CamerasLayer:
                 self._draw_camera(subject)
             self._drawn = requested
         self._draw_others(subject, others)
-        for node in [*self._scanner, *self._camera, *(node for _, node in self._others.values())]:
+        for node in self._nodes():
             node.visible = visible
 
     def clear(self) -> None:
-        """Remove both."""
-        for node in [*self._scanner, *self._camera, *(node for _, node in self._others.values())]:
+        """Remove all."""
+        for node in self._nodes():
             node.remove()
         self._scanner, self._camera, self._others, self._drawn = [], [], {}, (None, None, None)
+        self._plain = (), None
+
+    def _nodes(self) -> list[viser.SceneNodeHandle]:
+        plain = [] if self._plain[1] is None else [self._plain[1]]
+        return [*self._scanner, *self._camera, *(node for _, node in self._others.values()), *plain]
 
     def nearest(self, event: viser.SceneClickEvent) -> CameraShown | None:
         """Return the other photograph whose picture a click hits first."""
+        plain, node = self._plain
+        drawn = [*self._others.values(), *((other, node) for other in plain if node is not None)]
         hits = [
-            (distance, other) for other, node in self._others.values()
+            (distance, other) for other, node in drawn
             if node.visible and (distance := distance_of_picture(
                 other.camera, other.camera_from_scanner, event.ray_origin, event.ray_direction, depth_m=self._depth_m,
             )) is not None
@@ -99,18 +107,41 @@ class CamerasLayer:
         )
 
     def _draw_others(self, subject: Subject | None, others: Sequence[CameraShown]) -> None:
-        wanted = {} if subject is None else {other.photo: other for other in others}
+        """Draw those with pictures as nodes of their own, and the outlines of all others as one: each node costs the
+        browser two draw calls a frame.
+        """
+        shown = () if subject is None else others
+        if subject is not None:
+            self._depth_m = _OTHERS_SIZE * subject.shown.frustum_depth_m
+        wanted = {other.photo: other for other in shown if other.picture is not None}
         for photo, (drawn, node) in list(self._others.items()):
             if wanted.get(photo) is not drawn:
                 node.remove()
                 del self._others[photo]
         for photo, other in wanted.items():
-            if photo not in self._others and subject is not None:
-                self._depth_m = _OTHERS_SIZE * subject.shown.frustum_depth_m
+            if photo not in self._others:
                 self._others[photo] = other, add_camera(
                     self._place, f"/cameras/{photo}", other.camera, other.camera_from_scanner, OTHER_CAMERA,
                     self._depth_m, picture=other.picture, thickness=1.2,
                 )  # fmt: skip
+        self._draw_plain(tuple(other for other in shown if other.picture is None))
+
+    def _draw_plain(self, others: tuple[CameraShown, ...]) -> None:
+        before, node = self._plain
+        if len(before) == len(others) and all(a is b for a, b in zip(before, others, strict=True)):
+            return
+        if node is not None:
+            node.remove()
+        self._plain = others, None
+        if others:
+            lines = np.concatenate(
+                [camera_outline(one.camera, one.camera_from_scanner, depth_m=self._depth_m) for one in others]
+            )
+            colors = line_colors_for_viewer(for_both_ends(repeated(OTHER_CAMERA, len(lines))))
+            node = self._place.scene.add_line_segments(
+                "/cameras/outlines", points=lines, colors=colors, thickness=1.2, thickness_units="screen"
+            )
+            self._plain = others, node
 
     def _draw_camera(self, subject: Subject) -> None:
         result, depth = subject.result, subject.shown.frustum_depth_m

@@ -40,6 +40,7 @@ class BoundedCache(Generic[T]):
         self._max_count, self._max_bytes, self._size_of, self._values_grow = max_count, max_bytes, size_of, values_grow
         self._entries: OrderedDict[Hashable, tuple[T, int]] = OrderedDict()
         self._used_at: dict[Hashable, int] = {}
+        self._total = 0  # kept, since adding up thousands of sizes with every value would take longer than making it
         self._clock = clock or count().__next__
         self._lock = threading.Lock()
 
@@ -53,7 +54,7 @@ class BoundedCache(Generic[T]):
     def bytes(self) -> int:
         """Total size of the values when they were last measured."""
         with self._lock:
-            return sum(size for _, size in self._entries.values())
+            return self._total
 
     def get(self, key: Hashable) -> T | None:
         """Return the value of a key, or None."""
@@ -69,13 +70,13 @@ class BoundedCache(Generic[T]):
         with self._lock:
             if self._values_grow:
                 for name, (one, _) in self._entries.items():
-                    self._entries[name] = one, self._size_of(one)
-            self._entries[key] = value, self._size_of(value)
+                    self._keep(name, one)
+            self._keep(key, value)
             self._entries.move_to_end(key)
             self._used_at[key] = self._clock()
-            total, before = sum(size for _, size in self._entries.values()), len(self._entries)
-            while len(self._entries) > 1 and (len(self._entries) > self._max_count or total > self._max_bytes):
-                total -= self._drop_oldest()
+            before = len(self._entries)
+            while len(self._entries) > 1 and (len(self._entries) > self._max_count or self._total > self._max_bytes):
+                self._drop_oldest()
             return before - len(self._entries)
 
     def clear(self) -> None:
@@ -83,6 +84,7 @@ class BoundedCache(Generic[T]):
         with self._lock:
             self._entries.clear()
             self._used_at.clear()
+            self._total = 0
 
     @property
     def oldest_use(self) -> int | None:
@@ -95,9 +97,15 @@ class BoundedCache(Generic[T]):
         with self._lock:
             return self._drop_oldest() if self._entries else 0
 
+    def _keep(self, key: Hashable, value: T) -> None:
+        _, before = self._entries.get(key, (None, 0))
+        self._entries[key] = value, self._size_of(value)
+        self._total += self._entries[key][1] - before
+
     def _drop_oldest(self) -> int:
         key, (_, size) = self._entries.popitem(last=False)
         del self._used_at[key]
+        self._total -= size
         return size
 
 
@@ -251,8 +259,10 @@ def array_bytes(value: object) -> int:
 def rough_bytes(value: object) -> int:
     """Return the approximate size of a JSON value; of a list only the first and the last item are measured."""
     size = sys.getsizeof(value)
+    if type(value) in (str, float, int):  # nearly all values are: what follows takes longer
+        return size
     if isinstance(value, Mapping):
-        return size + sum(rough_bytes(part) for part in value.values())
+        return size + sum(map(rough_bytes, value.values()))
     if isinstance(value, list | tuple) and value:
         return size + len(value) * max(rough_bytes(value[0]), rough_bytes(value[-1]))
     return size

@@ -36,7 +36,8 @@ from .state.images import Images
 from .state.measured import Measured, measurement_entry
 from .state.model_parts import ModelParts
 from .state.partners import Partners
-from .state.pose_state import judged_slice, poses_slice, stage_state
+from .state.photo_slices import PhotoSlices
+from .state.pose_state import judged_slice
 from .state.publisher import Publisher
 from .state.queries import Queries
 from .state.recent import project_id
@@ -48,19 +49,16 @@ from .state.slices import (
     history_entry,
     history_slice,
     job_slice,
-    outline_slice,
-    photo_slice,
-    pick_entry,
     progress_slice,
     project_slice,
     scan_slice,
 )
 from .state.smoothing import Smoothing
 from .state.stations import Stations
-from .state.survey import drawn_ties_slice, survey_slice, ties_slice
+from .state.survey import drawn_ties_slice
 
 if TYPE_CHECKING:
-    from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
+    from ladarreg_core.project.document import Document, PhotoEntry
 
     from ..gateway.protocol import Picture, Visitor
     from ..scene import Scene3D
@@ -134,9 +132,10 @@ class Workbench:
         )  # fmt: skip
         self.images = Images(session, loader)
         self.model_parts = ModelParts(session, loader)
-        self._pick_entries, self._history_entries = ListCache(pick_entry), ListCache(history_entry)
+        self._history_entries = ListCache(history_entry)
         self._measurement_entries = ListCache(measurement_entry)
         self._slices = IdentityCache()
+        self._photo_slices = PhotoSlices(loader, self.jobs)
         self.publisher = Publisher(self._quick_slices, self._slow_slices, self._assess)
         self._unsubscribe = session.subscribe(self._document_changed)
         self._preload()
@@ -297,7 +296,6 @@ class Workbench:
         found: dict[str, Any] = {
             "history": history_slice(session.history, self._history_entries),
             "scan": self._scan_slice(),
-            "photos": [photo_slice(loader, document, entry) for entry in document.photos],
             "settings": self._slices.get(document.settings, lambda: settings_slice(document.settings)),
             "job": job_slice(self.runner.job, self.runner.waiting),
             "served": self.files.served_slice(),
@@ -311,29 +309,10 @@ class Workbench:
             "drawn_ties": self._slices.get(
                 ("drawn ties", document.ties, document.adjusted), partial(drawn_ties_slice, document)
             ),
-            "survey": survey_slice(document, partial(self._is_stale, document)),
             "progress": progress_slice(loader, document, None, exported={}),
             "limits": {"upload_bytes": self.limits.upload_bytes, "photos": MAX_PHOTOS},
         }
-        seen = {"", *(entry.station for entry in document.photos if entry.id in self._photos_looked_at(False))}
-        for entry in document.photos:
-            found[f"picks:{entry.id}"] = self._pick_entries.get(entry.id, entry.picks)
-            found[f"poses:{entry.id}"] = self._poses_slice(document, entry)
-            found[f"progress:{entry.id}"] = progress_slice(
-                loader, document, entry, exported=self.jobs.exports.exported(entry)
-            )
-            found[f"outline:{entry.id}"] = self._outline_slice(entry) if entry.station in seen else None
-            found[f"ties:{entry.id}"] = self._slices.get(
-                ("ties", document.adjusted, entry.id, entry.pose), partial(ties_slice, document, entry)
-            )
-            found[f"solving:{entry.id}"] = self.jobs.solving(entry.id)
-            found[f"corners:{entry.id}"] = self.jobs.corners(entry.id)
-            found[f"self_test:{entry.id}"] = self.jobs.self_test(entry.id)
-            found[f"audit:{entry.id}"] = self.jobs.audited(entry)
-        return found
-
-    def _is_stale(self, document: Document, entry: PhotoEntry) -> bool:
-        return entry.pose is not None and bool(self.loader.stale(document, entry, entry.pose))
+        return found | self._photo_slices.all(document, self._photos_looked_at(False))
 
     def _own_slices(self, client: Client) -> dict[str, Any]:
         """Return the slices that differ between the clients."""
@@ -376,7 +355,7 @@ class Workbench:
         document = self.session.document
         own = () if shown is None else (shown.id, shown.source, shown.camera)
         placed = document.stations, document.survey, document.adjusted
-        return ("model", document.scan, *placed, *own, *(entry.pose for entry in document.photos))
+        return ("model", document.scan, *placed, *own, self._photo_slices.poses(document))
 
     def _people(self) -> dict[str, Person]:
         """Return what every client looks at in the 3-D scene."""
@@ -392,11 +371,6 @@ class Workbench:
         """Return the slice of the scan beside a photograph; None: of the project's."""
         document, loader = self.session.document.beside(shown), self.loader
         return loader.cached("picture", ("scan slice", document.scan), lambda: scan_slice(loader, document))
-
-    def _outline_slice(self, entry: PhotoEntry) -> dict[str, Any] | None:
-        document = self.session.document
-        key = ("outline", document.beside(entry).scan, entry.source, entry.camera, entry.pose)
-        return self._slices.get(key, partial(outline_slice, self.loader, document, entry))
 
     def _slow_slices(self) -> dict[str, Any]:
         document, loader = self.session.document, self.loader
@@ -423,22 +397,9 @@ class Workbench:
         there = [entry for entry in document.photos if entry.station and entry.id in seen]
         return [*here, *sorted(there, key=lambda entry: entry.station)]
 
-    def _poses_slice(self, document: Document, entry: PhotoEntry) -> dict[str, Any]:
-        stages = tuple(pose.stage for pose in entry.poses)
-
-        def stage_of(pose: PoseEntry) -> dict[str, Any]:
-            assessed = self.loader.known_assessment(pose) is not None
-            stale = self.loader.stale(document, entry, pose)
-            key = ("stage", str(assessed), stale, stages, pose)
-            return self._slices.get(key, partial(stage_state, self.loader, pose, stale=stale, stages=stages))
-
-        assessed = ",".join(str(k) for k, pose in enumerate(entry.poses) if self.loader.known_assessment(pose))
-        beside = document.beside(entry)
-        key = (beside.clouds, beside.ranges, entry.shown_stage, assessed, entry.picks, *entry.poses)
-        return self._slices.get(key, partial(poses_slice, entry, stage_of))
-
     def _assess(self) -> None:
-        """Assess the shown poses that are not assessed yet."""
+        """Assess the shown poses that are not assessed yet, once edits pause."""
+        return_memory_soon()
         document = self.session.document
         for entry in self._by_station(document):
             pose = entry.pose
@@ -467,7 +428,6 @@ class Workbench:
         self.publisher.publish(slow=True)
         self.scene_sync.refresh()
         self.partners.refresh()
-        return_memory_soon()
 
     def _selection_changed(self) -> None:
         document = self.session.document

@@ -36,6 +36,7 @@ _BARS: dict[str, tuple[str, float]] = {
     "memory of the server": ("MB", 2500),
     "memory of the page": ("MB", 600),
     "vertices": ("", 400_000),
+    "draw calls": ("", 120),
     "textures": ("MB", 64),
     "useful at 1.5 Mbit/s": ("s", 5.0),
     "thumbnails": ("kB", 400),
@@ -59,19 +60,34 @@ _WATCH = """
     if (this.canvas.matches?.(".pane-picture")) seen(this.canvas);
     return draw.apply(this, given);
   };
-  addEventListener("load", ({ target }) => target.matches?.(".pane-body img") && seen(target), true);
+  // Not on the window: such events do not reach it.
+  document.addEventListener("load", ({ target }) => target.matches?.(".pane-body img") && seen(target), true);
   const gl = WebGL2RenderingContext.prototype;
-  top.drawn ??= { textures: new Map() };
+  const drawn = (top.drawn ??= { textures: new Map(), calls: 0, most: 0 });
+  // A frame of the 3-D view is what is drawn between two callbacks of this kind in its window.
+  const frame = () => {
+    if (window !== top) [drawn.most, drawn.calls] = [Math.max(drawn.most, drawn.calls), 0];
+    requestAnimationFrame(frame);
+  };
+  requestAnimationFrame(frame);
+  const names = ["drawArrays", "drawElements", "drawRangeElements", "drawArraysInstanced", "drawElementsInstanced"];
+  for (const name of names) {
+    const draw = gl[name];
+    gl[name] = function (...given) { drawn.calls++; return draw.apply(this, given); };
+  }
+  const bytes = { [gl.R8]: 1, [gl.RG8]: 2, [gl.R16F]: 2, [gl.RGBA16F]: 8, [gl.R32F]: 4, [gl.RGBA32F]: 16 };
   const bind = gl.bindTexture, remove = gl.deleteTexture, image = gl.texImage2D, storage = gl.texStorage2D;
+  const keep = (context, format, width, height, factor) =>
+    context.bound && drawn.textures.set(context.bound, (bytes[format] ?? 4) * width * height * factor);
   gl.bindTexture = function (target, texture) { this.bound = texture; return bind.call(this, target, texture); };
-  gl.deleteTexture = function (texture) { top.drawn.textures.delete(texture); return remove.call(this, texture); };
+  gl.deleteTexture = function (texture) { drawn.textures.delete(texture); return remove.call(this, texture); };
   gl.texStorage2D = function (target, levels, format, width, height) {
-    top.drawn.textures.set(this.bound, 4 * width * height * (levels > 1 ? 4 / 3 : 1));
+    keep(this, format, width, height, levels > 1 ? 4 / 3 : 1);
     return storage.apply(this, arguments);
   };
   gl.texImage2D = function (...given) {
     const [width, height] = given.length > 6 ? given.slice(3, 5) : [given[5].width, given[5].height];
-    if (given[1] === 0) top.drawn.textures.set(this.bound, 4 * width * height * 4 / 3);
+    if (given[1] === 0) keep(this, given[2], width, height, 4 / 3);
     return image.apply(this, given);
   };
 })();
@@ -88,6 +104,10 @@ _VERTICES = """
   });
   return sum;
 }
+"""
+_CAMERAS = """
+() => Object.keys(document.querySelector("iframe.model-frame")?.contentWindow?.__viserMutable?.nodeRefFromName ?? {})
+  .filter((name) => name.startsWith("/cameras/")).length
 """
 _OPEN_LIST = """
 async () => {
@@ -161,7 +181,7 @@ class Tab:
         self._playwright.stop()
 
     def first_pictures_s(self) -> float:
-        """Return when both panes showed a picture."""
+        """Return when both panes showed a picture: as the page requests it before its scripts, or drawn by them."""
         self.page.wait_for_function("window.stamps?.['scan-pane'] && window.stamps['photo-pane']")
         return float(self.page.evaluate("Math.max(stamps['scan-pane'], stamps['photo-pane']) / 1000")) - self._begun
 
@@ -187,21 +207,40 @@ class Tab:
         self.page.keyboard.press("Escape")
         return sum(thumbnails().values())
 
+    def _request(self, command: str, fields: dict[str, str]) -> None:
+        module = "import('./js/net/requests.js').then(({ request }) => request(command, fields))"
+        self.page.evaluate(f"([command, fields]) => {module}", [command, fields])
+
     def shows(self, photo: str) -> float:
         """Choose a photograph, and return the seconds until the scan beside it is drawn."""
         self.page.evaluate("delete window.stamps['scan-pane']; delete window.stamps['photo-pane']")
         begun = time.time()
-        module = "import('./js/net/requests.js').then(({ request }) => request('show_photo', { photo }))"
-        self.page.evaluate(f"(photo) => {module}", photo)
+        self._request("show_photo", {"photo": photo})
         self.page.wait_for_function("window.stamps?.['scan-pane'] && window.stamps['photo-pane']")
         return float(self.page.evaluate("Math.max(stamps['scan-pane'], stamps['photo-pane']) / 1000")) - begun
 
-    def drawn(self) -> dict[str, float]:
-        """Wait for the 3-D view, and return what it draws."""
-        self.page.wait_for_function(f"({_VERTICES})() > 20000")
+    def drawn(self, count: int) -> dict[str, float]:
+        """Wait for the 3-D view with the cameras of so many photographs, look at all, and return what it draws."""
+        self.page.wait_for_function(f"({_VERTICES})() > 20000 && ({_CAMERAS})() > {min(count, 2) - 2}")
         self.page.wait_for_timeout(15_000)  # finer parts follow
+        self._request("look", {"viewpoint": "overview"})
+        self.page.evaluate("drawn.most = 0")
+        box = self.page.locator("iframe.model-frame").bounding_box()
+        assert box is not None
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        self.page.mouse.move(x, y)
+        self.page.mouse.down()
+        for step in range(1, 5):  # it draws only what changes
+            self.page.mouse.move(x + 10 * step, y)
+            self.page.wait_for_timeout(1000)
+        self.page.mouse.up()
+        self.page.wait_for_function("drawn.most > 0")
         textures = self.page.evaluate("[...drawn.textures.values()].reduce((a, b) => a + b, 0)")
-        return {"vertices": self.page.evaluate(f"({_VERTICES})()"), "textures": textures / 1e6}
+        return {
+            "vertices": self.page.evaluate(f"({_VERTICES})()"),
+            "draw calls": self.page.evaluate("drawn.most"),
+            "textures": textures / 1e6,
+        }
 
     @staticmethod
     def memory_mb() -> float:
@@ -265,7 +304,7 @@ def measure(project: Path, *, photos: int, stations: int) -> dict[str, float]:
         figures["list"] = tab.opens_list(photos)
         figures["thumbnails"] = tab.scrolls_list(photos) / 1e3
         watch.stage = "3-D"
-        figures |= tab.drawn()
+        figures |= tab.drawn(photos)
         watch.stage = "stations"
         tour = [tab.shows(name) for name in ids[1 : stations + 1]]
         figures["another station's scan, median, s"], figures["worst, s"] = float(np.median(tour)), max(tour)

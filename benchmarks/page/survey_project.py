@@ -40,6 +40,8 @@ _LOW, _TOP = np.radians(-60.0), np.radians(89.0)
 _SCENE, _SEED = "office", 5
 _ROOM_M = 1.2
 """Scanners and cameras stand so far from the middle of the room at most, each way."""
+_PARTNERS = 4
+"""Each photograph is tied to so many of the following ones."""
 _COVARIANCE = np.diag([1e-4] * 3 + [2e-3] * 3) ** 2
 
 
@@ -105,6 +107,7 @@ def make_project(folder: Path, project: Path) -> None:
             known_photos[name] = AdjustedPhotoEntry(
                 verdict="accepted", accepted=True, ties=100, median_px=0.4, camera="camera-1", pose=entry.name,
                 sigma_m=0.002, sigma_rad=1e-4,
+                partners=tuple(f"p{1 + (number + step) % len(poses)}" for step in range(1, _PARTNERS + 1)),
             )  # fmt: skip
         first = places[0].inverse
         adjusted = Adjusted(

@@ -83,6 +83,8 @@ def ramp_colors(levels: NDArray[np.floating]) -> ByteArray:
     The scale is viridis, dark blue to yellow: its lightness rises with the level, for the colour-blind too.
     """
     steps = np.rint(255 * np.clip(levels, 0, 1)).astype(np.uint8)
+    if not steps.size:  # OpenCV fails there
+        return np.empty((*steps.shape, 3), np.uint8)
     colored = np.asarray(cv2.applyColorMap(steps.reshape(-1, 1), cv2.COLORMAP_VIRIDIS), dtype=np.uint8)
     return colored.reshape(*steps.shape, 3)[..., ::-1]
 

@@ -122,3 +122,27 @@ def test_what_is_drawn_of_the_ties_is_said(survey: Page) -> None:
     survey.evaluate(take, {"ties:p1": [[10, 20, 0.1, 0.2, 1]] * 30})
     two_frames(survey)
     assert said.inner_text().startswith("In the photograph: 30 of 42 ties,")
+
+
+def test_thumbnails_are_fetched_where_they_are_in_sight(page: Page, modules: str) -> None:
+    page.goto(f"{modules}/blank.html")
+    fetched: list[str] = []
+    page.on("request", lambda request: fetched.append(request.url) if "form=small" in request.url else None)
+    made = """async () => {
+      const { thumbnail } = await import("./js/ui/thumbnail.js");
+      const list = document.createElement("div");
+      list.style = "height: 300px; overflow-y: scroll";
+      for (let n = 1; n <= 80; n++) {
+        const one = thumbnail({ id: `p${n}`, rev: "r" });
+        one.style = "display: block; height: 40px; width: 60px";
+        list.append(one);
+      }
+      document.body.append(list);
+    }"""
+    page.evaluate(made)
+    page.wait_for_function("[...document.querySelectorAll('img')].slice(0, 7).every((each) => each.naturalWidth > 0)")
+    assert not any("/p80?" in url for url in fetched)
+    assert len(fetched) < 20
+    page.evaluate("document.querySelector('img:last-child').scrollIntoView()")
+    page.wait_for_function("document.querySelector('img:last-child').naturalWidth > 0")
+    assert len(fetched) < 40, "those between were never in sight"

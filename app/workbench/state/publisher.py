@@ -14,7 +14,6 @@ log = logging.getLogger(__name__)
 Message = dict[str, Any]
 Slices = Callable[[], dict[str, Any]]
 Listener = Callable[[Message], None]
-_SLOW_SLICES = ("judged:", "measured")
 
 
 @dataclass(slots=True, eq=False)
@@ -37,7 +36,8 @@ class Publisher:
     def __init__(self, quick: Slices, slow: Slices, afterwards: Callable[[], None]) -> None:
         self._quick, self._slow, self._afterwards = quick, slow, afterwards
         self._lock = threading.RLock()
-        self._published: dict[str, Any] = {}
+        self._published: dict[bool, dict[str, Any]] = {False: {}, True: {}}
+        """By whether they are slow."""
         self._version = 0
         self._subscribers: list[_Subscriber] = []
         self._debouncer = Debouncer()
@@ -67,7 +67,7 @@ class Publisher:
         """Return all slices that the clients share."""
         with self._lock:
             self.publish()
-            return dict(self._published)
+            return self._published[False] | self._published[True]
 
     def publish(self, *, slow: bool = False) -> None:
         """Publish changes; with `slow`, the slow slices follow.
@@ -95,16 +95,16 @@ class Publisher:
         self._thread.join(30)
 
     def _publish_difference(self, slices: dict[str, Any], *, slow: bool) -> None:
-        same_kind = {name for name in self._published if name.startswith(_SLOW_SLICES) == slow}
+        published = self._published[slow]
         changed = {
             name: value
             for name, value in slices.items()
-            if name not in self._published or (self._published[name] is not value and self._published[name] != value)
+            if name not in published or (published[name] is not value and published[name] != value)
         }
-        gone = {name for name in same_kind if name not in slices}
-        self._published.update(changed)
+        gone = [name for name in published if name not in slices]
+        published.update(changed)
         for name in gone:
-            del self._published[name]
+            del published[name]
         self._version += bool(changed or gone)
         shared = {**changed, **dict.fromkeys(gone)}
         for subscriber in list(self._subscribers):

@@ -224,7 +224,7 @@ def outline_slice(loader: Loader, document: Document, entry: PhotoEntry) -> dict
     except LadarregError:
         return None
     return {
-        "rays": [[round(float(value), 5) for value in ray] for ray in rays],
+        "rays": [[round(float(value), 4) for value in ray] for ray in rays],  # a fiftieth of a pixel of the strip
         "registered": entry.pose is not None and entry.pose.accepted,
     }
 

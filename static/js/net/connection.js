@@ -57,7 +57,9 @@ export const onConnection = (listen) => {
 export const socketAddress = (page = location.href) => {
   const address = new URL("document", page);
   address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
-  address.search = introduction().toString();
+  const query = introduction();
+  query.set("packed", "gzip");
+  address.search = query.toString();
   address.hash = "";
   return address;
 };
@@ -145,22 +147,44 @@ const closed = (from, opened, { code = 0, reason: text = "" } = {}) => {
   wait_ms = Math.min(2 * wait_ms, LONGEST_WAIT_MS);
 };
 
+/** @returns {Promise<string>} the text of a message that came compressed; empty if it is damaged, which ends in a new connection */
+const unpacked = (data) =>
+  new Response(new Blob([data]).stream().pipeThrough(new DecompressionStream("gzip"))).text().catch(() => "");
+
+/** @returns {(data: string | ArrayBuffer) => void} calls `take(text)` for each message, in the order of the messages */
+const inOrder = (take) => {
+  let unpacking = null;
+  return (data) => {
+    if (typeof data === "string" && !unpacking) {
+      take(data);
+      return;
+    }
+    const own = Promise.all([typeof data === "string" ? data : unpacked(data), unpacking]).then(([text]) => {
+      if (unpacking === own) unpacking = null;
+      take(text);
+    });
+    unpacking = own;
+  };
+};
+
 const open = () => {
   clearTimeout(timer);
   const current = new WebSocket(socketAddress());
   let opened = false;
   socket = current;
+  current.binaryType = "arraybuffer";
   current.addEventListener("open", () => {
     opened = true;
   });
-  current.addEventListener("message", (event) => {
+  const take = inOrder((text) => {
     whenAssembled(() => {
-      if (socket !== current || typeof event.data !== "string") return;
+      if (socket !== current) return;
       wait_ms = FIRST_WAIT_MS;
       setState("connected"); // not at "open": a page beyond the maximum is opened, too, and closed at once
-      receive(event.data);
+      receive(text);
     });
   });
+  current.addEventListener("message", ({ data }) => take(data));
   current.addEventListener("close", (event) => whenAssembled(() => closed(current, opened, event)));
 };
 

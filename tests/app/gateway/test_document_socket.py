@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gzip
 import json
 import math
 import socket
@@ -63,6 +64,23 @@ def test_a_client_receives_everything_first_and_then_the_changes(run: Running) -
         assert hear(first) == hear(second) == {"event": "notice", "level": "warn", "text": "<b>"}
     assert soon(lambda: not run.bench.pages)
     assert soon(lambda: not run.bench.listeners)
+
+
+def test_a_page_that_asks_for_it_receives_a_long_first_message_compressed(run: Running) -> None:
+    number = run.bench.number
+    long = 20_000 * "ä"
+    with run.socket("/document?packed=gzip") as page:
+        assert isinstance(page.recv(timeout=60), str), "a short one is not worth it"
+        page.send(json.dumps({"id": 1, "do": "set", "number": long}))
+        while "reply" not in json.loads(page.recv(timeout=60)):
+            pass
+    with run.socket("/document?packed=gzip") as page, run.socket() as other:
+        packed = page.recv(timeout=60)
+        assert isinstance(packed, bytes)
+        assert len(packed) < 2000
+        assert json.loads(gzip.decompress(packed))["slices"]["number"] == hear(other)["slices"]["number"] == long
+        page.send(json.dumps({"id": 2, "do": "set", "number": number}))
+        assert isinstance(page.recv(timeout=60), str), "only the first message is"
 
 
 HOSTILE = (

@@ -144,18 +144,42 @@ def test_the_frusta_of_all_accepted_photographs_stay(server: viser.ViserServer, 
     assert before._impl.removed
 
 
-def test_a_click_on_a_frustum_flies_to_its_photograph(server: viser.ViserServer) -> None:
+def test_the_frusta_without_pictures_are_one_node(server: viser.ViserServer, scene: Scene3D) -> None:
+    picture = np.full((20, 30, 3), 90, np.uint8)
+    own, *others = (
+        CameraShown(name, CAMERA, pose().camera_from_scanner, shown)
+        for name, shown in (("p1", picture), ("p2", None), ("p3", picture), ("p4", None))
+    )
+    scene.show(shown(pose()), [own, *others])
+    nodes = drawn(scene, server)
+    assert sorted(name for name in nodes if name.startswith("/cameras/")) == ["/cameras/outlines", "/cameras/p3"]
+    assert nodes["/cameras/outlines"].points.shape == (2 * 8, 2, 3)
+    scene.show(shown(pose()), [own, others[0]])
+    assert drawn(scene, server)["/cameras/outlines"].points.shape == (8, 2, 3)
+    scene.set_people({"ann": Person("p1", ModelChoice(cameras=False))})
+    assert not drawn(scene, server)["/cameras/outlines"].visible
+    scene.show(shown(pose()), [own])
+    assert not [name for name in drawn(scene, server) if name.startswith("/cameras/")]
+
+
+@pytest.mark.parametrize("pictured", [True, False])
+def test_a_click_on_a_frustum_flies_to_its_photograph(server: viser.ViserServer, *, pictured: bool) -> None:
     server.scene.reset()
     chosen: list[tuple[str, str]] = []
     scene = Scene3D(server, lambda _person, _pick: None, on_camera=lambda *of: chosen.append(of))
     viewer = Viewer(server)
     scene.add_view(1, viewer, "ann")  # type: ignore[arg-type]
     scene.set_people({"ann": Person("p1")})
-    other = CameraShown("p2", CAMERA, pose().camera_from_scanner, np.full((20, 30, 3), 90, np.uint8))
+    picture = np.full((20, 30, 3), 90, np.uint8) if pictured else None
+    other = CameraShown("p2", CAMERA, pose().camera_from_scanner, picture)
     scene.show(shown(pose()), [other])
-    frustum = drawn(scene, server)["/cameras/p2"]
-    forward = other.camera_from_scanner.rotation[2]
-    at = other.camera_from_scanner.centre + frustum.scale * frustum.compute_canonical_frustum_size()[2] * forward
+    nodes = drawn(scene, server)
+    if pictured:
+        frustum = nodes["/cameras/p2"]
+        forward = other.camera_from_scanner.rotation[2]
+        at = other.camera_from_scanner.centre + frustum.scale * frustum.compute_canonical_frustum_size()[2] * forward
+    else:
+        at = nodes["/cameras/outlines"].points[4:8, 0].mean(axis=0)
     click(server, [-3.0, 1.0, 0.0])
     assert not chosen
     click(server, list(at))

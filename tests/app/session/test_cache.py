@@ -35,6 +35,18 @@ def test_the_least_recently_used_value_is_dropped_first() -> None:
     assert [name for name in "abcdef" if name in cache] == ["f"]
 
 
+def test_the_total_size_follows_what_is_replaced_and_dropped() -> None:
+    cache: BoundedCache[bytes] = BoundedCache(100, 1000, len)
+    rng = np.random.default_rng(0)
+    for _ in range(500):
+        cache.put(str(rng.integers(20)), bytes(rng.integers(200)))
+        if rng.random() < 0.1:
+            cache.drop_oldest()
+        assert cache.bytes == sum(len(cache.get(str(name)) or b"") for name in range(20))
+    cache.clear()
+    assert cache.bytes == 0
+
+
 def test_growing_values_are_measured_again() -> None:
     cache: BoundedCache[bytearray] = BoundedCache(10, 100, len, values_grow=True)
     first = bytearray(10)

@@ -57,6 +57,23 @@ def second_photo(bench: WorkbenchDriver, by: Client) -> str:
     return bench.workbench.take_upload(path, "second.png", "photo", None, by)
 
 
+def test_an_edit_leaves_what_is_published_of_other_photographs_alone(bench: WorkbenchDriver) -> None:
+    second_photo(bench, bench.client)
+    third = second_photo(bench, bench.client)
+    before = bench.workbench.slices(bench.client)
+    bench.do("add_pick", photo="p1", kind="point", scan=[[1, 0, 0]], photo_uv=[[10, 20]])
+    after = bench.workbench.slices(bench.client)
+    assert after["picks:p1"] != before["picks:p1"]
+    for name in ("picks", "poses", "progress", "outline", "ties"):
+        assert after[f"{name}:{third}"] is before[f"{name}:{third}"], f"{name} was made again"
+    listed = [{photo["id"]: photo for photo in slices["photos"]} for slices in (before, after)]
+    assert listed[1][third] is listed[0][third]
+    bench.do("set_camera", photo=third, focal_px=500.0)
+    assert bench.slice("photos")[-1]["camera"]["fx"] == 500.0, "what it rests on has changed"
+    for _ in range(4):
+        bench.do("undo")
+
+
 def told(driver: WorkbenchDriver, name: str) -> list[Any]:
     """Return the values of a slice in all messages since the last call, the last one last."""
     found = [message["slices"][name] for message in driver.received if name in message.get("slices", {})]

@@ -70,6 +70,11 @@ def test_the_ramp_gets_lighter() -> None:
     np.testing.assert_array_equal(palette.ramp_colors(np.ones((2, 3)))[1, 2], ramp[-1])
 
 
+def test_no_levels_have_no_colors() -> None:
+    assert palette.ramp_colors(np.empty(0)).shape == (0, 3)
+    assert palette.ramp_colors(np.empty((4, 0))).shape == (4, 0, 3)
+
+
 def test_cells_are_painted_and_the_others_stay() -> None:
     picture = np.random.default_rng(0).integers(0, 256, (9, 7, 3), dtype=np.uint8)
     cells = np.random.default_rng(1).random((9, 7)) < 0.5

@@ -2,6 +2,7 @@
 
 import { store } from "../../net/store.js";
 import { element, setText } from "../../ui/dom.js";
+import { whenPanesPainted } from "../../ui/first_pictures.js";
 import { hasWebGL } from "./software_drawing.js";
 
 const MB = 1e6;
@@ -16,12 +17,12 @@ export const mountModelCover = (loader) => {
   const text = element("p", { role: "status" });
   const bar = element("progress", { "aria-label": "Loading of the model", max: 1 });
   const cover = element("div", { class: "model-cover" }, text, bar);
-  let failure = "";
+  let failure = "", painted = false;
   let last = { state: "empty", got: 0, total: 0, error: "" };
   const show = () => {
     const { state, got, total, error } = last;
     const open = Boolean(store.get("scan"));
-    const why = failure || error || (open && !hasWebGL() ? NO_WEBGL : "");
+    const why = failure || error || (open && painted && !hasWebGL() ? NO_WEBGL : "");
     const run = Boolean(store.get("acquisition")?.points); // its points are drawn without the page's help
     cover.classList.toggle("gone", (state === "drawn" || run) && !failure);
     const share = total ? got / total : 0;
@@ -39,6 +40,10 @@ export const mountModelCover = (loader) => {
     show();
   });
   store.watch(["scan", "acquisition"], show);
+  whenPanesPainted().then(() => {
+    painted = true;
+    show();
+  });
   return {
     element: cover,
     fail: (sentence) => {

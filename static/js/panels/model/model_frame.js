@@ -1,7 +1,7 @@
 /** viser's page in a frame: its address, its keys, its focus, and its failures. */
 
 import { store } from "../../net/store.js";
-import { whenFirstPicturesArrived } from "../../ui/first_pictures.js";
+import { whenPanesPainted } from "../../ui/first_pictures.js";
 
 const TYPING = "input, textarea, select, [contenteditable], [role=textbox]";
 
@@ -58,7 +58,7 @@ export const mountModelFrame = (frame, { loaded, failed }) => {
       failed("The 3-D view cannot be reached: reload the page."); // the browser's error page is not accessible
     }
   });
-  whenFirstPicturesArrived().then(() => {
+  whenPanesPainted().then(() => {
     store.watch(["people", "scan", "acquisition"], open);
     open();
   });

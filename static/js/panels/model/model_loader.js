@@ -3,7 +3,7 @@
 import { store } from "../../net/store.js";
 import { isRunning } from "../../state/pipeline.js";
 import { simplexRun } from "../../state/simplex_run.js";
-import { whenFirstPicturesArrived } from "../../ui/first_pictures.js";
+import { whenPanesPainted } from "../../ui/first_pictures.js";
 import { blockAddress, layerAddress, meshAddress, ModelParts, pictureAddress, textureAddress } from "./model_parts.js";
 import { ModelSurface } from "./model_surface.js";
 import { thrownOnto } from "./photo_slide.js";
@@ -53,10 +53,12 @@ export class ModelLoader {
   constructor(frame, software) {
     this.#surface = new ModelSurface(frame);
     this.#software = software;
-    store.watch(["scan", "shown", "model", "job"], () => this.#look());
-    setInterval(() => this.#look(), LOOK_MS);
     simplexRun.onChange(() => this.#slide());
-    this.#look();
+    whenPanesPainted().then(() => {
+      store.watch(["scan", "shown", "model", "job"], () => this.#look());
+      setInterval(() => this.#look(), LOOK_MS);
+      this.#look();
+    });
   }
 
   /** While the simplex runs or is replayed, the photograph lies where its pose throws it. */
@@ -202,7 +204,6 @@ export class ModelLoader {
     this.#running = run;
     const still = () => this.#running === run;
     try {
-      await whenFirstPicturesArrived();
       this.#tell({ whole: false });
       for (const { mesh, texture, second, layer } of stages) {
         const options = (name) => ({

@@ -4,6 +4,7 @@ import { request } from "../../net/requests.js";
 import { store } from "../../net/store.js";
 import { button } from "../../ui/controls.js";
 import { element } from "../../ui/dom.js";
+import { whenPanesPainted } from "../../ui/first_pictures.js";
 
 const KEY = "ladarreg-software-drawing";
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
@@ -83,6 +84,8 @@ export const mountSoftwareHint = (body) => {
     if (!hint.hidden) dismiss(); // at the next visit it is known
   };
   body.append(hint);
-  store.watch(["scan", "model"], show);
-  show();
+  whenPanesPainted().then(() => {
+    store.watch(["scan", "model"], show);
+    show();
+  });
 };

@@ -3,8 +3,8 @@
 import { element, shape } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
 
-const WIDTH = 220, HEIGHT = 84;
-const LEFT = 30, RIGHT = 8, TOP = 8, FOOT = 20;
+const WIDTH = 260, HEIGHT = 132;
+const LEFT = 44, RIGHT = 10, TOP = 10, FOOT = 34;
 const MM = 1000, DEGREES = 180 / Math.PI;
 /** @type {Record<string, [string, string, string]>} sign, level and words of each outcome */
 const OUTCOMES = {
@@ -15,33 +15,60 @@ const OUTCOMES = {
 
 const sizeText = (size) => String(Number(size.toPrecision(2)));
 
+const percent = (probability) => `${Math.round(100 * probability)} %`;
+
 /**
- * A power curve: the probability of seeing an error of a size, over a logarithmic axis of sizes.
+ * A power curve: the probability that an error of a size would be found, over a logarithmic axis of sizes, and the same
+ * as a table.
  * @param {[number, number][]} points
- * @param {number} factor from the points' unit to the one that is shown
+ * @param {{factor: number, unit: string, title: string, wanted: number, smallest: number | null}} shown `factor`: from
+ *   the points' unit to the one that is shown; `smallest`: size that is found with the probability `wanted`, if it is known
  */
-const curve = (points, factor, unit, title, wanted) => {
+const curve = (points, { factor, unit, title, wanted, smallest }) => {
   const sizes = points.map(([size]) => Math.log(size));
   const [low, high] = [Math.min(...sizes), Math.max(...sizes)];
-  const x = (size) => LEFT + ((Math.log(size) - low) / (high - low)) * (WIDTH - LEFT - RIGHT);
-  const y = (probability) => TOP + (1 - probability) * (HEIGHT - TOP - FOOT);
-  const line = points.map(([size, probability]) => `${x(size).toFixed(1)},${y(probability).toFixed(1)}`).join(" ");
-  const label = (at, text, anchor, up) => shape("text", { x: at, y: up, "text-anchor": anchor }, text);
-  const said = points.map(([size, probability]) => `${sizeText(size * factor)} ${unit}: ${Math.round(100 * probability)} %`).join(", ");
+  const [right, foot] = [WIDTH - RIGHT, HEIGHT - FOOT];
+  const x = (size) => LEFT + ((Math.log(size) - low) / (high - low)) * (right - LEFT);
+  const y = (probability) => foot - probability * (foot - TOP);
+  const text = (at, up, words, anchor, turned = "") =>
+    shape("text", { x: at, y: up, "text-anchor": anchor, ...(turned ? { transform: turned } : {}) }, words);
+  const of = (size) => `${sizeText(size * factor)} ${unit}`;
+  const inside = smallest !== null && Math.log(smallest) >= low && Math.log(smallest) <= high;
   const [first, middle, last] = [points[0], points[Math.floor(points.length / 2)], points.at(-1)];
+  const said = smallest === null
+    ? `No error of up to ${of(last[0])} would be found nine times in ten.`
+    : `${of(smallest)} would be found with a probability of ${percent(wanted)}.`;
+  const half = (TOP + foot) / 2;
   return element(
     "figure",
     { class: "power" },
+    element("figcaption", {}, title),
     shape(
-      "svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": `${title}: ${said}` },
-      shape("path", { class: "axis", d: `M${LEFT} ${TOP}V${HEIGHT - FOOT}H${WIDTH - RIGHT}` }),
-      shape("path", { class: "wanted", d: `M${LEFT} ${y(wanted)}H${WIDTH - RIGHT}` }),
-      shape("polyline", { class: "curve", points: line }),
-      label(LEFT - 4, `${Math.round(100 * wanted)} %`, "end", y(wanted) + 3),
-      label(LEFT - 4, "0", "end", y(0) + 3),
-      ...[first, middle, last].map(([size], k) => label(x(size), sizeText(size * factor), ["start", "middle", "end"][k], HEIGHT - 6)),
+      "svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": `${title}. ${said}` },
+      ...[0, 0.5, 1].flatMap((level) => [
+        shape("path", { class: "grid", d: `M${LEFT} ${y(level)}H${right}` }),
+        text(LEFT - 4, y(level) + 3, percent(level), "end"),
+      ]),
+      shape("path", { class: "axis", d: `M${LEFT} ${TOP}V${foot}H${right}` }),
+      inside ? shape("path", { class: "wanted", d: `M${LEFT} ${y(wanted)}H${x(smallest)}V${foot}` }) : "",
+      shape("polyline", { class: "curve", points: points.map(([size, p]) => `${x(size).toFixed(1)},${y(p).toFixed(1)}`).join(" ") }),
+      ...points.map(([size, p]) => shape("circle", { class: "point", cx: x(size).toFixed(1), cy: y(p).toFixed(1), r: 2 })),
+      ...[first, middle, last].map(([size], k) => text(x(size), foot + 13, sizeText(size * factor), ["start", "middle", "end"][k])),
+      text((LEFT + right) / 2, HEIGHT - 5, `size of the error, ${unit}`, "middle"),
+      text(10, half, "found", "middle", `rotate(-90 10 ${half})`),
     ),
-    element("figcaption", { class: "dim" }, `${title}, ${unit}`),
+    element("p", { class: "dim" }, said),
+    element(
+      "details",
+      {},
+      element("summary", { class: "dim" }, "As a table"),
+      element(
+        "table",
+        { class: "power-table figures" },
+        element("thead", {}, element("tr", {}, element("th", { scope: "col" }, "Error"), element("th", { scope: "col" }, "Found"))),
+        element("tbody", {}, ...points.map(([size, p]) => element("tr", {}, element("td", {}, of(size)), element("td", {}, percent(p))))),
+      ),
+    ),
   );
 };
 
@@ -51,7 +78,7 @@ const curve = (points, factor, unit, title, wanted) => {
  */
 export const auditReport = (found) => {
   const [sign, level, words] = OUTCOMES[found.outcome];
-  const { rotation_rad, position_m, seen_with_probability } = found.power;
+  const { rotation_rad, position_m, seen_with_probability: wanted, smallest_rotation_rad, smallest_position_m } = found.power;
   return element(
     "section",
     { class: "audit", "aria-label": "Audit" },
@@ -61,8 +88,8 @@ export const auditReport = (found) => {
     position_m.length ? element(
       "div",
       { class: "powers" },
-      curve(position_m, MM, "mm", "Shifts that would be seen", seen_with_probability),
-      curve(rotation_rad, DEGREES, "deg", "Turns that would be seen", seen_with_probability),
+      curve(position_m, { factor: MM, unit: "mm", title: "Shifts that would be found", wanted, smallest: smallest_position_m }),
+      curve(rotation_rad, { factor: DEGREES, unit: "deg", title: "Turns that would be found", wanted, smallest: smallest_rotation_rad }),
     ) : null,
   );
 };

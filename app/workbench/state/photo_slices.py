@@ -1,0 +1,145 @@
+"""The slices on each photograph, made again only where what they rest on has changed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from ...session.cache import IdentityCache, ListCache
+from ...session.loader import Loader
+from .pose_state import poses_slice, stage_state
+from .slices import outline_slice, photo_slice, pick_entry, progress_slice
+from .survey import survey_slice, ties_slice
+
+if TYPE_CHECKING:
+    from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
+
+    from ...jobs.registry import JobRegistry
+
+
+class PhotoSlices:
+    """Makes the slices on photographs; of those that an edit does not touch, they are the same objects as before.
+
+    With eighty photographs, nearly all are the same from one edit to the next: comparing what they rest on, by
+    identity, is all that they may cost then.
+
+    Args:
+        loader: reads what the document refers to.
+        jobs: knows exports, corners, self-tests and audits.
+    """
+
+    def __init__(self, loader: Loader, jobs: JobRegistry) -> None:
+        self._loader, self._jobs = loader, jobs
+        self._pick_entries = ListCache(pick_entry)
+        self._slices = IdentityCache()
+        self._known: dict[str, tuple[tuple[object, ...], dict[str, Any], dict[str, Any]]] = {}
+        self._poses_of: tuple[Sequence[PhotoEntry], tuple[PoseEntry | None, ...]] = (), ()
+
+    def all(self, document: Document, looked_at: Collection[str]) -> dict[str, Any]:
+        """Return the slices `photos` and `survey`, and those of each photograph.
+
+        Args:
+            document: the document.
+            looked_at: ids of the photographs that clients see.
+        """
+        seen = {"", *(entry.station for entry in document.photos if entry.id in looked_at)}
+        listed: list[dict[str, Any]] = []
+        found: dict[str, Any] = {"photos": listed}
+        before, self._known = self._known, {}
+        for entry in document.photos:
+            known = self._of(document, entry, is_seen=entry.station in seen, before=before.get(entry.id))
+            listed.append(known[1])
+            found.update(known[2])
+            found[f"solving:{entry.id}"] = self._jobs.solving(entry.id)
+            found[f"corners:{entry.id}"] = self._jobs.corners(entry.id)
+            found[f"self_test:{entry.id}"] = self._jobs.self_test(entry.id)
+            found[f"audit:{entry.id}"] = self._jobs.audited(entry)
+        found["survey"] = self._survey(document)
+        return found
+
+    def poses(self, document: Document) -> Sequence[PoseEntry | None]:
+        """Return the shown poses of all photographs, as the same object as long as they are the same."""
+        photos, found = self._poses_of
+        if photos is not document.photos:
+            now = tuple(entry.pose for entry in document.photos)
+            found = found if _same(found, now) else now
+            self._poses_of = document.photos, found
+        return found
+
+    def _of(
+        self,
+        document: Document,
+        entry: PhotoEntry,
+        *,
+        is_seen: bool,
+        before: tuple[tuple[object, ...], dict[str, Any], dict[str, Any]] | None,
+    ) -> tuple[tuple[object, ...], dict[str, Any], dict[str, Any]]:
+        """Return what a photograph's slices rest on, its entry of `photos`, and its slices."""
+        exported = self._jobs.exports.exported(entry)
+        rests_on = (
+            entry, document.scan, document.stations, document.adjusted, is_seen, str(exported),
+            *(self._loader.known_assessment(pose) for pose in entry.poses),
+        )  # fmt: skip
+        if before is not None and _same(before[0], rests_on):
+            found = before
+        else:
+            listed = photo_slice(self._loader, document, entry)
+            found = rests_on, listed, self._made(document, entry, exported, is_seen=is_seen)
+        if "error" not in found[1]:  # a file that has gone may come back
+            self._known[entry.id] = found
+        return found
+
+    def _made(
+        self, document: Document, entry: PhotoEntry, exported: dict[str, Any], *, is_seen: bool
+    ) -> dict[str, Any]:
+        return {
+            f"picks:{entry.id}": self._pick_entries.get(entry.id, entry.picks),
+            f"poses:{entry.id}": self._poses(document, entry),
+            f"progress:{entry.id}": progress_slice(self._loader, document, entry, exported=exported),
+            f"outline:{entry.id}": self._outline(document, entry) if is_seen else None,
+            f"ties:{entry.id}": self._slices.get(
+                ("ties", document.adjusted, entry.id, entry.pose), partial(ties_slice, document, entry)
+            ),
+        }
+
+    def _outline(self, document: Document, entry: PhotoEntry) -> dict[str, Any] | None:
+        key = ("outline", document.beside(entry).scan, entry.source, entry.camera, entry.pose)
+        return self._slices.get(key, partial(outline_slice, self._loader, document, entry))
+
+    def _poses(self, document: Document, entry: PhotoEntry) -> dict[str, Any]:
+        stages = tuple(pose.stage for pose in entry.poses)
+
+        def stage_of(pose: PoseEntry) -> dict[str, Any]:
+            assessed = self._loader.known_assessment(pose) is not None
+            stale = self._loader.stale(document, entry, pose)
+            key = ("stage", str(assessed), stale, ",".join(stages), pose)
+            return self._slices.get(key, partial(stage_state, self._loader, pose, stale=stale, stages=stages))
+
+        assessed = ",".join(str(k) for k, pose in enumerate(entry.poses) if self._loader.known_assessment(pose))
+        beside = document.beside(entry)
+        key = (beside.clouds, beside.ranges, entry.shown_stage, assessed, entry.picks, *entry.poses)
+        return self._slices.get(key, partial(poses_slice, entry, stage_of))
+
+    def _survey(self, document: Document) -> dict[str, Any] | None:
+        if document.adjusted is None:
+            return None
+        stale = {entry.id: self._is_stale(document, entry) for entry in document.photos}
+        parts = (
+            (entry.source, entry.part, entry.pose, entry.camera_held, str(stale[entry.id])) for entry in document.photos
+        )
+        places = document.adjusted, document.scan, document.stations, document.ties
+        key = ("survey", *places, *(each for part in parts for each in part))
+        return self._slices.get(key, partial(survey_slice, document, lambda entry: stale[entry.id]))
+
+    def _is_stale(self, document: Document, entry: PhotoEntry) -> bool:
+        known = self._known.get(entry.id)
+        if known is not None:
+            return bool(known[1].get("stale"))
+        return entry.pose is not None and bool(self._loader.stale(document, entry, entry.pose))
+
+
+def _same(one: tuple[object, ...], other: tuple[object, ...]) -> bool:
+    return len(one) == len(other) and all(
+        a is b or (isinstance(a, str) and a == b) for a, b in zip(one, other, strict=True)
+    )
