@@ -22,7 +22,7 @@ from ladarreg_core.survey.adjustment import (
 from ladarreg_core.survey.build import Bodies
 from ladarreg_core.survey.least_squares.problem import Matrix, projected
 from ladarreg_core.survey.least_squares.solver import Adjusted
-from ladarreg_core.survey.parts import SurveyTie
+from ladarreg_core.survey.parts import SurveyTie, tracks_of
 from ladarreg_core.survey.placement import Placement
 from ladarreg_core.survey.rigs import Rigs
 from ladarreg_core.survey.survey import Survey
@@ -138,15 +138,16 @@ def drawn_ties(
     Args:
         ties: all that were drawn, in the order in which the adjustment numbers them.
         solution: the adjustment.
-        photos: their results, by id.
+        photos: the results of all photographs in the order in which the adjustment numbers them, by id.
     """
-    return tuple(_drawn_tie(one, number, solution, photos) for number, one in enumerate(ties))
+    firsts = tracks_of([tuple(zip(one.photos, one.uv, strict=True)) for one in ties])
+    return tuple(_drawn_tie(one, first, solution, photos) for one, first in zip(ties, firsts, strict=True))
 
 
 def _drawn_tie(
-    given: SurveyTie, number: int, solution: Solution, photos: Mapping[str, AdjustedPhoto]
+    given: SurveyTie, first: int, solution: Solution, photos: Mapping[str, AdjustedPhoto]
 ) -> AdjustedTie:  # fmt: skip
-    """Return whether a tie that was drawn by hand agrees, and why it does not."""
+    """Return whether a tie that was drawn by hand agrees, and why it does not; `first` is the number of its track."""
     adjusted = solution.adjusted
 
     def judged(reason: str, residual_px: float = float("nan"), *, agrees: bool = False) -> AdjustedTie:
@@ -157,8 +158,9 @@ def _drawn_tie(
         which = "both its photographs are" if len(refused) == 2 else f"its {refused[0]} photograph is"
         return judged(f"Left out: {which} not accepted.")
     ties = adjusted.problem.ties
-    own = np.flatnonzero(ties.drawn[ties.point] == number)
-    if not len(own):
+    bodies = [body for name, body in zip(photos, _bodies(solution, len(photos)), strict=True) if name in given.photos]
+    own = np.flatnonzero((ties.drawn[ties.point] == first) & np.isin(ties.photo, bodies))
+    if len(own) < len(given.photos):
         return judged(
             "Left out: its two rays pass each other by far, or meet no surface and are nearly parallel; draw it again."
         )
@@ -168,6 +170,11 @@ def _drawn_tie(
     if not np.isfinite(worst):
         return judged("Left out: what it shows would lie behind one of the cameras; draw it again.")
     return judged(f"Left out: it lies {worst:.1f} px from where all else puts it.", worst)
+
+
+def _bodies(solution: Solution, count: int) -> list[int]:
+    """Return the bodies of the first photographs in the problem; -1: it has none."""
+    return [solution.bodies.photos.get(photo, -1) for photo in range(count)]
 
 
 def _rigs(survey: Survey, rigs: Rigs) -> dict[str, dict[str, AdjustedSensor]]:

@@ -92,3 +92,47 @@ def test_a_tie_is_drawn_in_two_photographs_listed_and_removed(
         assert page.get_by_role("button", name="Draw ties").text_content() == "Ties 1"
         page.get_by_role("button", name=re.compile("Undo")).first.click()
         operator.wait(lambda: len(operator.slice("drawn_ties")) == 2, "what was removed is back")
+
+
+def test_a_tie_is_continued_into_a_third_photograph(
+    browser: Browser, workbench: SharedWorkbench, request: pytest.FixtureRequest
+) -> None:
+    folder = sample_survey_folder()
+    names = ("IMG_0001.jpg", "IMG_0003.jpg", "IMG_0002.jpg")
+    workbench.open_files([folder / "station1.npz", *(folder / name for name in names)]).socket.close()
+    with at_work(browser, workbench.server, request) as operator:
+        operator.open()
+        page = operator.page
+        operator.step("Survey")
+        page.get_by_role("region", name="All photographs").get_by_role("button", name="Draw ties").click()
+        dialog = page.get_by_role("dialog", name="Ties drawn by hand")
+        pictures = [dialog.get_by_role("img", name=f"{side} photograph") for side in ("first", "second")]
+        painted = (
+            "() => [...document.querySelectorAll('.tie-picture')].every((c) => c.width && c.getContext('2d')"
+            ".getImageData(c.width / 2, c.height / 2, 1, 1).data[3] === 255)"
+        )
+        page.wait_for_function(painted)
+        for picture in pictures:  # the middle of both
+            picture.focus()
+            page.keyboard.press("Enter")
+        operator.wait(lambda: len(operator.slice("drawn_ties")) == 1, "the first tie")
+        (tie,) = operator.slice("drawn_ties")
+        third = next(photo["id"] for photo in operator.slice("photos") if photo["id"] not in tie["photos"])
+        dialog.get_by_role("combobox", name="The second photograph").select_option(third)
+        page.wait_for_function(painted)
+        box = pictures[0].bounding_box()
+        assert box is not None
+        page.mouse.click(box["x"] + box["width"] / 2 + 5, box["y"] + box["height"] / 2 - 4)  # near its mark
+        dialog.get_by_text("Tie 1 is continued. Now click the same place in the second photograph.").wait_for()
+        pictures[1].focus()
+        page.keyboard.press("ArrowRight")
+        page.keyboard.press("Enter")
+        operator.wait(lambda: len(operator.slice("drawn_ties")) == 2, "the second tie")
+        first, second = operator.slice("drawn_ties")
+        assert second["photos"] == [first["photos"][0], third]
+        assert second["uv"][0] == first["uv"][0], "to the last digit"
+        assert [first["track"], second["track"]] == [first["id"], first["id"]]
+        operator.shot("ties-continued")
+        page.keyboard.press("Escape")
+        page.get_by_role("button", name=re.compile("Undo")).first.click()
+        operator.wait(lambda: [one["id"] for one in operator.slice("drawn_ties")] == ["t1"], "one step each")

@@ -123,7 +123,7 @@ class Ties:
     stated_px: Matrix
     """(N,) standard deviation of each observation where it is stated, px; NaN: the noise that all residuals show."""
     drawn: IntArray
-    """(P,) number of the tie that was drawn by hand; -1: it was found."""
+    """(P,) number of the tie that was drawn by hand, of a track the first one; -1: it was found."""
 
     @staticmethod
     def none() -> Ties:

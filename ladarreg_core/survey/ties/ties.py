@@ -18,12 +18,14 @@ from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.photo_points import xyz_of_photo
 from ladarreg_core.survey.least_squares.problem import Matrix, Ties
+from ladarreg_core.survey.parts import tracks_of
 from ladarreg_core.survey.ties.features import Features
 
 PairMatches = Mapping[tuple[int, int], IntArray]
 """Matches (M, 2) of features of two photographs, by their indices i < j."""
 DrawnEnds = Mapping[tuple[int, int], tuple[int, float]]
-"""Number and pixel sigma of the ties that were drawn by hand, by their ends: (photograph, feature)."""
+"""Of the ties that were drawn by hand the number of the first one of the track, and the pixel sigma, by their ends:
+(photograph, feature)."""
 _SURFACE_SIGMA_M = 0.0025  # of the smoothed surface beside its range noise: texture is not exactly where the laser hit
 _MIN_PARALLAX_RAD = float(np.radians(2.0))  # of a tie that lies on no surface
 _FAR_PX = 60.0  # of a photograph 1000 px wide: what lies farther from where the poses put it is a wrong match
@@ -57,6 +59,8 @@ def with_drawn(
 ) -> tuple[list[Features], dict[tuple[int, int], IntArray], dict[tuple[int, int], tuple[int, float]]]:
     """Return features and matches with those that were drawn by hand: each end is a further feature of its photograph.
 
+    Ties of one track (`tracks_of`) share the feature at their common end, so that their matches are connected.
+
     Args:
         features: of each photograph.
         matches: of pairs of them.
@@ -68,15 +72,22 @@ def with_drawn(
     more: dict[int, list[FloatArray]] = {}
     pairs: dict[tuple[int, int], list[tuple[int, int]]] = {}
     ends: dict[tuple[int, int], tuple[int, float]] = {}
-    for number, (photos, uv, sigma_px) in enumerate(drawn):
+    known_ends: dict[tuple[int, int], tuple[int, int]] = {}
+    firsts = tracks_of([
+        [(photo, (float(u), float(v))) for photo, (u, v) in zip(photos, uv, strict=True)] for photos, uv, _ in drawn
+    ])  # fmt: skip
+    for first, (photos, uv, sigma_px) in zip(firsts, drawn, strict=True):
         nodes = []
         for photo, place in zip(photos, uv, strict=True):
-            own = more.setdefault(photo, [])
-            nodes.append((photo, len(features[photo]) + len(own)))
-            own.append(place)
+            node = known_ends.get((first, photo))
+            if node is None:
+                own = more.setdefault(photo, [])
+                node = known_ends[first, photo] = photo, len(features[photo]) + len(own)
+                own.append(place)
+                ends[node] = first, sigma_px
+            nodes.append(node)
         (i, a), (j, b) = sorted(nodes)
         pairs.setdefault((i, j), []).append((a, b))
-        ends |= dict.fromkeys(nodes, (number, sigma_px))
     extended = [one.extended(np.array(more[k])) if k in more else one for k, one in enumerate(features)]
     joined = dict(matches)
     for pair, rows in pairs.items():
@@ -183,14 +194,13 @@ def tie_points(
         if near.sum() < 2:
             continue
         out["points"].append(point)
-        which, sigma_px = drawn.get(group[0], (-1, np.nan))
-        out["drawn"].append(which)
+        out["drawn"].append(drawn.get(group[0], (-1, np.nan))[0])
         for (photo, feature), kept in zip(group, near.tolist(), strict=True):
             if kept:
                 out["point"].append(number)
                 out["photo"].append(body_of_photo[photo])
                 out["uv"].append(uv[photo][feature])
-                out["px"].append(sigma_px)
+                out["px"].append(drawn.get((photo, feature), (-1, np.nan))[1])
         for scan, place in _one_of_each_scan(candidates, point).items():
             out["on"].append(number)
             out["scan"].append(body_of_scan[scan])

@@ -11,6 +11,7 @@ import { fitted, allowed, inside, keptInSight, moved, SMOOTH_BELOW, toPixel, toS
 
 const MARK_PX = 7;
 const DRAG_PX = 4; // a press that moves less is a click
+const SNAP_PX = 10; // a click so near a mark means the place that it marks
 const KEY_ZOOM = 1.25;
 const STEPS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const FAST = 10; // with Shift
@@ -21,8 +22,8 @@ const addressOf = ({ id, rev }) => `picture/photo/${encodeURIComponent(id)}?rev=
 
 /**
  * One of the two pictures.
- * @param {{store: import("../net/store.js").Store, name: string, placed: () => void, marks: () => {uv: number[], label: string, bad: boolean}[]}} options `marks`:
- *   of the ties that are kept, in this picture
+ * @param {{store: import("../net/store.js").Store, name: string, placed: () => void, marks: () => {uv: number[], label: string, bad: boolean, here: boolean}[]}} options
+ *   `marks`: of the ties that are kept, in this picture; `here`: the other picture shows them, too
  */
 const makePicture = ({ store, name, placed, marks }) => {
   let viewport = null;
@@ -57,7 +58,7 @@ const makePicture = ({ store, name, placed, marks }) => {
     viewport ??= fitted([width, height], [photo.width, photo.height]);
     context.imageSmoothingEnabled = viewport.zoom < SMOOTH_BELOW;
     context.drawImage(image, viewport.x, viewport.y, photo.width * viewport.zoom, photo.height * viewport.zoom);
-    for (const { uv: at, label, bad } of marks()) sign(context, toScreen(viewport, at), bad ? look.bad : look.matches[1], label);
+    for (const { uv: at, label, bad, here } of marks()) sign(context, toScreen(viewport, at), bad ? look.bad : here ? look.matches[1] : look.dim, label);
     if (uv) sign(context, toScreen(viewport, uv), look.ink, "");
     if (cursor && document.activeElement === canvas) sign(context, toScreen(viewport, cursor), look.dim, "");
   });
@@ -68,9 +69,16 @@ const makePicture = ({ store, name, placed, marks }) => {
     draw();
   };
   const zoomBy = (factor, xy) => viewport && show(zoomedAbout(viewport, xy, allowed(viewport.zoom * factor, pane(), size())));
+  /** The place near a pixel of a tie that the other picture does not show: a tie that ends there, exactly, continues it. */
+  const marked = (at) => {
+    const away = ({ uv: there }) => Math.hypot(there[0] - at[0], there[1] - at[1]) * viewport.zoom;
+    const open = marks().filter((mark) => !mark.here && away(mark) < SNAP_PX);
+    const [nearest] = open.sort((one, other) => away(one) - away(other));
+    return nearest?.uv ?? null;
+  };
   const place = (at) => {
     if (!photo || store.readOnly) return;
-    uv = inside(at, size());
+    uv = marked(at) ?? inside(at, size());
     draw();
     placed();
   };
@@ -154,9 +162,22 @@ const SIDES = ["first", "second"];
 export const mountTiePictures = ({ store, view }) => {
   const chosen = { first: "", second: "" };
   const ofPair = () => (store.get("drawn_ties") ?? []).filter(({ photos }) => photos.includes(chosen.first) && photos.includes(chosen.second));
-  const numberOf = ({ id }) => id.slice(1);
-  const marksOf = (side) => () =>
-    ofPair().map((tie) => ({ uv: tie.uv[tie.photos.indexOf(chosen[side])], label: numberOf(tie), bad: tie.agrees === false }));
+  const numberOf = (id) => id.slice(1);
+  const other = { first: "second", second: "first" };
+  /** Of all ties that end in a picture: one of a pair that is not shown can be continued into the other picture. */
+  const marksOf = (side) => () => {
+    const ties = store.get("drawn_ties") ?? [];
+    const inOther = new Set(ties.filter(({ photos }) => photos.includes(chosen[other[side]])).map(({ track }) => track));
+    const marks = new Map();
+    for (const { id, track, photos, uv, agrees } of ties) {
+      const at = photos.indexOf(chosen[side]);
+      if (at < 0) continue;
+      const key = uv[at].join(" ");
+      const bad = agrees === false || Boolean(marks.get(key)?.bad);
+      marks.set(key, { uv: uv[at], label: numberOf(track ?? id), bad, here: inOther.has(track) });
+    }
+    return [...marks.values()];
+  };
   const pictures = Object.fromEntries(
     SIDES.map((side) => [side, makePicture({ store, name: `${side} photograph`, placed: () => keep(), marks: marksOf(side) })]),
   );
@@ -198,18 +219,21 @@ export const mountTiePictures = ({ store, view }) => {
   };
 
   const say = () => {
-    const { first, second } = pictures;
-    const other = first.uv ? "second" : "first";
+    const begun = pictures.first.uv ? "first" : "second";
+    const end = pictures[begun].uv;
+    const continued = end && marksOf(begun)().find(({ uv }) => uv[0] === end[0] && uv[1] === end[1]);
     setText(
       hint,
       store.readOnly ? "Ties are shown only: this link is read-only."
         : (store.get("photos") ?? []).length < 2 ? "Ties need two photographs: add another."
-          : !first.uv && !second.uv ? "Click a place in one photograph, then the same place in the other. Wheel: zoom; drag: move."
-            : `Now click the same place in the ${other} photograph.`,
+          : !end ? "Click a place in one photograph, then the same place in the other; or a mark, to continue its tie into a further photograph. Wheel: zoom; drag: move."
+            : `${continued ? `Tie ${continued.label} is continued. ` : ""}Now click the same place in the ${other[begun]} photograph.`,
     );
   };
 
   const row = (tie, names) => {
+    const number = numberOf(tie.id), of = numberOf(tie.track ?? tie.id);
+    const called = of === number ? number : `${number}, with ${of}`;
     const ends = tie.photos.map((id, k) => `${names.get(id) ?? id} (${tie.uv[k].map((value) => fixed(value, 1)).join(", ")})`);
     const said = tie.agrees === null ? "not adjusted yet" : tie.reason;
     return element(
@@ -218,9 +242,9 @@ export const mountTiePictures = ({ store, view }) => {
       element("button", {
         type: "button", class: "survey-name", title: "Show its two photographs",
         on: { click: () => { [chosen.first, chosen.second] = tie.photos; show(); } },
-      }, element("span", { class: "clip" }, `${numberOf(tie)}: ${ends.join(" – ")}`)),
+      }, element("span", { class: "clip" }, `${called}: ${ends.join(" – ")}`)),
       element("span", { class: `clip ${tie.agrees === false ? "bad" : "dim"}`, title: said }, said),
-      store.readOnly ? null : button({ label: `Remove tie ${numberOf(tie)}`, text: "Remove", kind: "small edits", act: () => request("remove_ties", { ties: [tie.id] }) }),
+      store.readOnly ? null : button({ label: `Remove tie ${number}`, text: "Remove", kind: "small edits", act: () => request("remove_ties", { ties: [tie.id] }) }),
     );
   };
 
@@ -230,8 +254,8 @@ export const mountTiePictures = ({ store, view }) => {
     if (!ids.includes(chosen.first)) chosen.first = store.shown() ?? ids[0] ?? "";
     if (!ids.includes(chosen.second) || chosen.second === chosen.first) chosen.second = ids.find((id) => id !== chosen.first) ?? "";
     for (const side of SIDES) {
-      const other = chosen[side === "first" ? "second" : "first"];
-      fill(selects[side], photos.filter(({ id }) => id !== other || side === "first").map(({ id, name }) => [id, name]), chosen[side]);
+      const beside = chosen[other[side]];
+      fill(selects[side], photos.filter(({ id }) => id !== beside || side === "first").map(({ id, name }) => [id, name]), chosen[side]);
       pictures[side].show(photos.find(({ id }) => id === chosen[side]) ?? null);
       pictures[side].draw();
     }

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import ladarreg_core as lr
-from ladarreg_core.frames import Rigid, rotvec_from_rotation
+from ladarreg_core.camera import Camera
+from ladarreg_core.frames import Rigid, look_along, rotvec_from_rotation
 from ladarreg_core.survey.adjustment import AdjustedPhoto
 from ladarreg_core.survey.assembly import drawn_ties
 from ladarreg_core.survey.build import Bodies
@@ -24,7 +25,7 @@ from ladarreg_core.survey.least_squares.problem import (
     pose_difference,
 )
 from ladarreg_core.survey.least_squares.solver import Adjusted, solve
-from ladarreg_core.survey.parts import SurveyTie
+from ladarreg_core.survey.parts import SurveyTie, tracks_of
 from ladarreg_core.survey.ties.features import Features
 from ladarreg_core.survey.ties.ties import laser_points, thinned, tie_points, with_drawn
 from ladarreg_core.survey.verdicts import Solution
@@ -174,3 +175,66 @@ def test_drawn_ties_follow_the_features_that_were_found() -> None:
     assert matches[0, 2].tolist() == [[1, 1], [3, 3]]
     assert matches[0, 1].tolist() == [[4, 3]]
     assert ends == {(2, 3): (0, 0.4), (0, 3): (0, 0.4), (0, 4): (1, 2.0), (1, 3): (1, 2.0)}
+
+
+def test_ties_that_share_an_end_are_one_track() -> None:
+    a, b, c, d = (("a", (1.0, 2.0)), ("b", (3.0, 4.0)), ("c", (5.0, 6.0)), ("d", (7.0, 8.0)))
+    beside = ("b", (30.0, 4.0))
+    assert tracks_of([(a, b), (c, d), (c, a)]) == [0, 0, 0], "the third joins both"
+    assert tracks_of([(a, b), (c, d), (a, c), (b, c)]) == [0, 0, 0, 0], "a ring"
+    assert tracks_of([(a, b), (("a", (1.0, 2.5)), c)]) == [0, 1], "only at the very same pixel"
+    assert tracks_of([(a, b), (a, beside), (c, d)]) == [0, 1, 2], "one of two is wrong: none is joined"
+    assert tracks_of([]) == []
+
+
+def _three_views(rng: np.random.Generator, count: int) -> tuple[Camera, list[Rigid], Matrix]:
+    """Return a camera, its three poses, and the pixels (N, 3, 2) of places that all three see."""
+    camera = Camera.from_focal(900, 600, 800.0)
+    poses = [Rigid.from_centre(look_along([1.0, -0.3 * x, 0.0]), [0.0, x, 0.0]) for x in (-0.8, 0.0, 0.8)]
+    places = np.column_stack([rng.uniform(2.5, 3.5, count), rng.uniform(-0.4, 0.4, (count, 2))])
+    return camera, poses, np.stack([camera.project(pose @ places) for pose in poses], axis=1)
+
+
+def test_a_track_of_three_photographs_is_one_point_with_three_observations() -> None:
+    rng = np.random.default_rng(3)
+    camera, poses, uv = _three_views(rng, 12)
+    uv += rng.normal(0, _NOISE_PX, uv.shape)
+    uv[4, 2] += (25.0, -15.0)
+    names = ("a", "b", "c")
+    pairs = [(k, to) for k in range(len(uv)) for to in (1, 2)]  # each from the first photograph to the second and third
+    drawn = [
+        SurveyTie(
+            id=f"t{number}", photos=("a", names[to]), uv=(tuple(uv[k, 0].tolist()), tuple(uv[k, to].tolist())),
+            sigma_px=_NOISE_PX,
+        )
+        for number, (k, to) in enumerate(pairs)
+    ]  # fmt: skip
+    features, matches, ends = with_drawn(
+        [_NO_FEATURES] * 3, {}, [((0, to), uv[k][[0, to]], _NOISE_PX) for k, to in pairs]
+    )
+    assert [len(one) for one in features] == [len(uv)] * 3, "the common end is one feature"
+    start = dict(enumerate(poses))
+    ties = tie_points(
+        matches, [one.uv for one in features], start, dict.fromkeys(range(3), camera), {}, [],
+        body_of_scan=[], body_of_photo={k: k + 1 for k in start}, drawn=ends,
+    )  # fmt: skip
+    assert len(ties.points) == len(uv)
+    assert np.bincount(ties.point).tolist() == [3] * len(uv)
+    known = [
+        RelativePose(k + 1, WORLD, pose, np.diag((_WEAK / 30) ** 2), name="its prior") for k, pose in start.items()
+    ]
+    own = CameraUnknowns(camera, np.zeros(0), np.zeros(0), np.zeros((0, 0)))
+    views = (None, *(PhotoView(0, np.eye(4), np.zeros(4), camera) for _ in range(3)))
+    fixed = np.array([True, False, False, False])
+    found = solve(Problem((Rigid.identity(), *poses), fixed, views, (own,), tuple(known), ties))
+    photos = {
+        name: AdjustedPhoto(
+            camera_from_world=pose, covariance=np.eye(6), camera=camera, camera_id="c", evidence="image", reasons=()
+        )
+        for name, pose in zip(names, poses, strict=True)
+    }
+    bodies = Bodies([0], {k: k + 1 for k in range(3)})
+    verdicts = drawn_ties(drawn, Solution(found, bodies), photos)
+    left_out = [one.id for one in verdicts if not one.agrees]
+    assert "t9" in left_out, "the end in the third photograph was drawn elsewhere"
+    assert set(left_out) <= {"t8", "t9"}, "nothing else suffers from it"
