@@ -22,10 +22,11 @@ from ladarreg_core.survey.adjustment import (
 from ladarreg_core.survey.build import Bodies
 from ladarreg_core.survey.least_squares.problem import Matrix, projected
 from ladarreg_core.survey.least_squares.solver import Adjusted
-from ladarreg_core.survey.parts import SurveyTie, tracks_of
+from ladarreg_core.survey.parts import SurveyTie
 from ladarreg_core.survey.placement import Placement
 from ladarreg_core.survey.rigs import Rigs
 from ladarreg_core.survey.survey import Survey
+from ladarreg_core.survey.ties.ties import tracks_of
 from ladarreg_core.survey.verdicts import Solution, agreeing_ties, agrees_with_scan, count_ties
 
 _UNKNOWN = np.full((6, 6), np.nan)

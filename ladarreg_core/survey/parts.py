@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -238,32 +238,3 @@ def _faults_of_values(survey: SurveyParts) -> list[str]:
         if photo.prior is not None and np.shape(photo.prior.covariance) != (6, 6):
             faults.append(f"the prior of the photo {photo.id} has a covariance that is not 6 x 6")
     return faults
-
-
-def tracks_of(ends: Sequence[Sequence[tuple[Hashable, tuple[float, float]]]]) -> list[int]:
-    """Return of each tie that was drawn the first one of its track: one place that more than two photographs show.
-
-    Ties that share an end, at the very same pixel of a photograph, are one track. Where that would give it two places
-    in one photograph, one of the ties is wrong and nobody knows which: each is a track of its own.
-
-    Args:
-        ends: of each tie its photographs, and the pixel in each.
-    """
-    first = list(range(len(ends)))
-
-    def root(number: int) -> int:
-        while first[number] != number:
-            number = first[number]
-        return number
-
-    seen: dict[tuple[Hashable, tuple[float, float]], int] = {}
-    for number, both in enumerate(ends):
-        for end in both:
-            one, other = sorted((root(number), root(seen.setdefault(end, number))))
-            first[other] = one
-    roots = [root(number) for number in range(len(ends))]
-    places: dict[int, set[tuple[Hashable, tuple[float, float]]]] = {}
-    for number, both in zip(roots, ends, strict=True):
-        places.setdefault(number, set()).update(both)
-    sound = {number for number, those in places.items() if len({photo for photo, _ in those}) == len(those)}
-    return [one if one in sound else number for number, one in enumerate(roots)]

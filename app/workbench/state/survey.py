@@ -71,13 +71,14 @@ def ties_slice(document: Document, entry: PhotoEntry) -> list[list[float]] | Non
 
 def drawn_ties_slice(document: Document) -> list[dict[str, Any]]:
     """Return the slice `drawn_ties`: the ties that were drawn, and what the last adjustment said of each."""
-    from ladarreg_core.survey.parts import tracks_of
+    from ladarreg_core.survey.ties.ties import tracks_of
 
     said = {} if document.adjusted is None else document.adjusted.drawn
     firsts = tracks_of([tuple(zip(tie.photos, tie.uv, strict=True)) for tie in document.ties])
     return [
         {
-            "id": tie.id, "track": document.ties[first].id, "photos": list(tie.photos), "uv": [list(uv) for uv in tie.uv], "sigma_px": tie.sigma_px,
+            "id": tie.id, "track": document.ties[first].id, "photos": list(tie.photos),
+            "uv": [list(uv) for uv in tie.uv], "sigma_px": tie.sigma_px,
             "agrees": said[tie.id].agrees if tie.id in said else None,
             "residual_px": said[tie.id].residual_px if tie.id in said else None,
             "reason": as_fields(said[tie.id].reason) if tie.id in said else "",

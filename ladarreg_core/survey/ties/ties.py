@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -18,7 +18,6 @@ from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.photo_points import xyz_of_photo
 from ladarreg_core.survey.least_squares.problem import Matrix, Ties
-from ladarreg_core.survey.parts import tracks_of
 from ladarreg_core.survey.ties.features import Features
 
 PairMatches = Mapping[tuple[int, int], IntArray]
@@ -94,6 +93,35 @@ def with_drawn(
         known = joined.get(pair)
         joined[pair] = np.array(rows) if known is None else np.concatenate([known, np.array(rows)])
     return extended, joined, ends
+
+
+def tracks_of(ends: Sequence[Sequence[tuple[Hashable, tuple[float, float]]]]) -> list[int]:
+    """Return of each tie that was drawn the first one of its track: one place that more than two photographs show.
+
+    Ties that share an end, at the very same pixel of a photograph, are one track. Where that would give it two places
+    in one photograph, one of the ties is wrong and nobody knows which: each is a track of its own.
+
+    Args:
+        ends: of each tie its photographs, and the pixel in each.
+    """
+    first = list(range(len(ends)))
+
+    def root(number: int) -> int:
+        while first[number] != number:
+            number = first[number]
+        return number
+
+    seen: dict[tuple[Hashable, tuple[float, float]], int] = {}
+    for number, both in enumerate(ends):
+        for end in both:
+            one, other = sorted((root(number), root(seen.setdefault(end, number))))
+            first[other] = one
+    roots = [root(number) for number in range(len(ends))]
+    places: dict[int, set[tuple[Hashable, tuple[float, float]]]] = {}
+    for number, both in zip(roots, ends, strict=True):
+        places.setdefault(number, set()).update(both)
+    sound = {number for number, those in places.items() if len({photo for photo, _ in those}) == len(those)}
+    return [one if one in sound else number for number, one in enumerate(roots)]
 
 
 def thinned(matches: IntArray, uv: FloatArray, limit: int = _PAIR_LIMIT, *, keep: BoolArray | None = None) -> IntArray:

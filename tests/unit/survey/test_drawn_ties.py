@@ -25,9 +25,9 @@ from ladarreg_core.survey.least_squares.problem import (
     pose_difference,
 )
 from ladarreg_core.survey.least_squares.solver import Adjusted, solve
-from ladarreg_core.survey.parts import SurveyTie, tracks_of
+from ladarreg_core.survey.parts import SurveyTie
 from ladarreg_core.survey.ties.features import Features
-from ladarreg_core.survey.ties.ties import laser_points, thinned, tie_points, with_drawn
+from ladarreg_core.survey.ties.ties import laser_points, thinned, tie_points, tracks_of, with_drawn
 from ladarreg_core.survey.verdicts import Solution
 from testing.scenes.shared_places import SharedPlaces, shared_places
 
