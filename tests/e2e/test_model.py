@@ -38,6 +38,11 @@ MESHES = """() => {
   });
   return count;
 }"""
+HIDDEN = """(names) => names.every((name) => {
+  for (let node = window.__viserMutable.nodeRefFromName[name]; node; node = node.parent) if (!node.visible) return true;
+  return !window.__viserMutable.nodeRefFromName[name];
+})"""
+"""Whether nodes of viser's scene are not seen."""
 PROJECTED = """() => {
   let points = null;
   const { camera, nodeRefFromName } = window.__viserMutable;
@@ -393,9 +398,10 @@ def test_who_looks_from_the_camera_sees_its_photograph_as_opaque_as_the_slider_s
 def test_two_textures_are_mixed_as_the_slider_says_without_another_transfer(visit: Visit) -> None:
     page = visit.page
     page.set_viewport_size({"width": 1280, "height": 900})
-    visit.drawn()
+    frame = visit.drawn()
     page.locator("#model-pane [data-whole]").wait_for()
-    page.keyboard.press("m")  # without matches and camera
+    page.keyboard.press("m")  # without matches and camera, once the workbench has taken them away
+    frame.wait_for_function(f"() => ({HIDDEN})(['/matches/points', '/camera', '/scanner'])")
     legend, bar = page.get_by_role("group", name="Legend"), page.get_by_role("group", name="Blend of two textures")
     titles = {"intensity": "laser intensity", "range": "Range from the scanner, m"}
 
