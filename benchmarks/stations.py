@@ -24,17 +24,16 @@ from ladarreg_core.errors import LadarregError
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.registration.stations.network import adjusted
-from ladarreg_core.registration.stations.pair import prepare, register_pair
+from ladarreg_core.registration.stations.pair import prepare, register_pair, voxels_of
 from ladarreg_core.registration.stations.registration import register_scans
 from ladarreg_core.registration.stations.search import search
-from ladarreg_core.registration.stations.surfels import surfels_of
 from ladarreg_core.registration.stations.survey_target import SurveyTarget
 from ladarreg_core.registration.stations.target_names import name_targets
 from ladarreg_core.registration.stations.target_pose import TargetNetwork, register_targets
 from ladarreg_core.registration.stations.target_search import find_targets
 from ladarreg_core.registration.stations.targets import fit_target
 from ladarreg_core.scan import Scan
-from ladarreg_core.simulate.alike import alike_corridor, equal_rooms, symmetric_room
+from ladarreg_core.simulate.alike import alike_corridor, equal_rooms, rooms_with_doorway, symmetric_room
 from ladarreg_core.simulate.stations import scan_stations, station_room, upright_pose, with_plates, with_spheres
 
 _SCENES = ("office", "boxes", "people", "desk", "plain")
@@ -125,6 +124,32 @@ def halls_rows(quick: bool, show: Show) -> list[Row]:
     ]  # fmt: skip
 
 
+def doors_rows(quick: bool, show: Show) -> list[Row]:
+    """Stations in two rooms that see each other's through a doorway only, .8 to 3 m before it, with .15 to .3 deg."""
+    found: list[dict[str, Any]] = []
+    for k in range(6 if quick else 30):
+        rng = np.random.default_rng([_FIRST_SEED, 9, k])
+        room = rooms_with_doorway(_FIRST_SEED + 600 + k)
+        away, aside = rng.uniform(0.8, 3.0, 2), rng.uniform(-0.5, 0.5, 2)
+        poses = [_pose(rng, [-away[0], aside[0]]), _pose(rng, [away[1], aside[1]])]
+        scans = scan_stations(room, poses, seed=k, step_deg=float(rng.uniform(0.15, 0.3)))
+        pair = register_pair(prepare(scans[0]), prepare(scans[1]))
+        mm, deg, distance = _error(poses[0].inverse @ poses[1], pair.first_from_second, pair.covariance)
+        found.append({"doorway": k, "away_m": away.round(2).tolist(), "verdict": pair.verdict, "mm": mm, "deg": deg,
+                      "distances": [distance], "overlap": pair.evidence.overlap, "reasons": pair.reasons})  # fmt: skip
+        show(json.dumps(found[-1]))
+    accepted = [one for one in found if one["verdict"] == "verified"]
+    right = [one for one in accepted if one["mm"] <= 5 and one["deg"] <= 0.05]
+    kept = [one for one in found if one["verdict"] == "ambiguous"]
+    return [
+        Row("through a doorway: verified", "counted", f"{len(accepted)} of {len(found)}", True),
+        Row("those within 5 mm, .05 deg", "all", f"{len(right)}", len(right) == len(accepted)),
+        Row("not determined, and kept as ambiguous", "counted", f"{len(kept)}", True),
+        Row("doorways: Mahalanobis distance / sqrt 6 of those verified, RMS", ".9 to 1.2", f"{_rms(accepted):.2f}",
+            0.9 <= _rms(accepted) <= 1.2),
+    ]  # fmt: skip
+
+
 def alike_rows(quick: bool, show: Show) -> list[Row]:
     """Corridors of equal bays, equal rooms, symmetric rooms: none may be accepted wrongly."""
     wrong, count = [], 6 if quick else 20
@@ -199,7 +224,9 @@ def covariance_rows(quick: bool, show: Show) -> list[Row]:
                 n: pose @ Rigid.from_rotvec(rng.normal(0, 5e-4, 3), rng.normal(0, 0.002, 3)) if n else pose
                 for n, pose in truth.items()
             }
-            placed = adjusted({n: surfels_of(scan).returns for n, scan in enumerate(scans)}, 0, near)
+            prepared = [prepare(scan) for scan in scans]
+            placed = adjusted({n: one.view.surfels.returns for n, one in enumerate(prepared)}, 0, near,
+                              voxels_of(prepared))  # fmt: skip
             each = [_error(truth[n], *placed[n])[2] for n in range(1, count)]
             squares += list(np.square(each))
             show(json.dumps({"covariance": what, "seed": k, "distances": each}))
@@ -572,6 +599,7 @@ def _rms(found: Sequence[dict[str, Any]]) -> float:
 
 ROWS: dict[str, Callable[[bool, Show], list[Row]]] = {
     "stations": stations_rows, "different": different_rows, "alike": alike_rows, "halls": halls_rows,
+    "doors": doors_rows,
     "loop": loop_rows,
     "covariance": covariance_rows,
     "targets": targets_rows,

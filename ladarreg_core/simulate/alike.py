@@ -1,4 +1,4 @@
-"""Places that look alike: corridors of equal bays, pairs of equal rooms, rooms that are the same turned round."""
+"""Hard places for stations: such as look alike (equal bays, equal rooms, half turns), and rooms joined by a doorway."""
 
 from __future__ import annotations
 
@@ -52,6 +52,36 @@ def symmetric_room(seed: int) -> Room:
     for sign in (1.0, -1.0):
         b.box(Placement(float(sign * x), float(sign * y), floor, 0.0), (1.2, 0.5, 1.4), wood)
         b.box(Placement(float(sign * (deep - 0.7)), float(-sign * 0.8), floor, float(turn)), (0.6, 0.9, 0.75), paint)
+    return _done(shop)
+
+
+def rooms_with_doorway(seed: int) -> Room:
+    """Return two rooms on either side of X = 0 with a doorway around the X axis, through which each sees the other."""
+    shop = _workshop(seed)
+    rng, p, b = shop.rng, shop.printer, shop.builder
+    high, floor, tall = rng.uniform(2.5, 2.9), -rng.uniform(1.2, 1.5), 2.05
+    deep, wide, aside = rng.uniform(4.0, 6.0, 2), rng.uniform(3.6, 5.5, 2), rng.uniform(-0.5, 0.5, 2)
+    thick, gap = rng.uniform(0.1, 0.25), rng.uniform(0.9, 1.4)
+    paint, ground = p.plain(p.inks.bright()), p.plain(p.inks.muted())
+    for sign, length, width, middle in zip((-1.0, 1.0), deep, wide, aside, strict=True):
+        near, far = sign * thick / 2, sign * (thick / 2 + length)
+        low, top, half = min(near, far), max(near, far), (near + far) / 2
+        shop.panel(Placement(far, middle, floor, 0.0 if sign > 0 else np.pi), width, high, paint)
+        for side in (-1.0, 1.0):
+            shop.panel(Placement(half, middle + side * width / 2, floor, side * np.pi / 2), length, high, paint)
+        b.quad((top, middle + width / 2, floor), (0, -width, 0), (low - top, 0, 0), ground)
+        b.quad((low, middle + width / 2, floor + high), (0, -width, 0), (top - low, 0, 0), paint)
+        at = Placement(far - sign * 0.3, middle + rng.uniform(-0.5, 0.5), floor, 0.0 if sign > 0 else np.pi)
+        make.bookcase(shop, at, width_m=1.4, height_m=1.9)
+        make.desk(shop, Placement(half, middle - width / 2 + 0.5, floor, -np.pi / 2), width_m=1.5)
+        for _ in range(3):
+            away, across = rng.uniform(0.8, length - 0.6), rng.choice([-1, 1]) * rng.uniform(0.9, width / 2 - 0.4)
+            make.stack(shop, Placement(near + sign * away, middle + across, floor, float(rng.uniform(0, 6))), 0.4, 0.9)
+    reach = float(np.max(np.abs(aside) + wide / 2)) - gap / 2
+    for side in (-1.0, 1.0):
+        b.box(Placement(0.0, side * (gap / 2 + reach / 2), floor), (thick, reach, high), paint)
+    b.box(Placement(0.0, 0.0, floor + tall), (thick, gap, high - tall), paint)
+    b.box(Placement(0.0, 0.0, floor - 0.02), (thick, gap, 0.02), ground)
     return _done(shop)
 
 
