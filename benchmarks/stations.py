@@ -435,19 +435,36 @@ def _worst_m(poses: Sequence[Rigid], placed: TargetNetwork, world: Rigid) -> flo
 
 def found_rows(quick: bool, show: Show) -> list[Row]:
     """Six spheres in furnished rooms and halls, at least 8 cells across, found and named by their coordinates alone."""
-    count, sigma_m = 4 if quick else 20, 0.001
-    spheres, seen, others, right, wrong = 0, 0, 0, 0, 0
+    return _found("spheres", quick, show)
+
+
+def found_plates_rows(quick: bool, show: Show) -> list[Row]:
+    """The same with flat targets, at least 12 cells along a side, turned by up to 35 deg from facing the scanner."""
+    return _found("flat targets", quick, show)
+
+
+def _found(kind: str, quick: bool, show: Show) -> list[Row]:
+    count, sigma_m, is_flat = 4 if quick else 20, 0.001, kind == "flat targets"
+    put, seen, others, right, wrong = 0, 0, 0, 0, 0
     for k in range(count):
-        rng = np.random.default_rng([_FIRST_SEED, 9, k])
-        room = station_room((*_SCENES, "hall")[k % 6], _FIRST_SEED + 500 + k)
-        step, radius, pose = np.radians(rng.uniform(0.08, 0.25)), float(rng.choice([0.0725, 0.1])), _pose(rng, [0, 0])
+        rng = np.random.default_rng([_FIRST_SEED, 13 if is_flat else 9, k])
+        room = station_room((*_SCENES, "hall")[k % 6], _FIRST_SEED + (600 if is_flat else 500) + k)
+        step = np.radians(rng.uniform(0.08, 0.25))
+        size, pose = float(rng.choice([0.15, 0.2] if is_flat else [0.0725, 0.1])), _pose(rng, [0, 0])
         (scan,) = scan_stations(room, [pose], seed=k, step_deg=float(np.degrees(step)))
-        own = _in_free_space(scan, radius, step, rng)
-        scan = with_spheres(scan, own, radius, noise_m=float(rng.uniform(0.001, 0.003)), seed=k)
-        found = find_targets(scan, radius_m=radius)
+        reach = size * np.sqrt(0.5) if is_flat else size
+        own = _in_free_space(scan, reach, size / ((12 if is_flat else 4) * step), rng)
+        noise_m = float(rng.uniform(0.001, 0.003))
+        if is_flat:
+            facing = np.array([_facing(center, rng) for center in own])
+            beam_rad = float(rng.uniform(4e-4, 1.6e-3))
+            scan = with_plates(scan, own, facing, size, noise_m=noise_m, beam_rad=beam_rad, seed=k)
+        else:
+            scan = with_spheres(scan, own, size, noise_m=noise_m, seed=k)
+        found = find_targets(scan, side_m=size) if is_flat else find_targets(scan, radius_m=size)
         away = np.array([[np.linalg.norm(one.center - center) for one in found] for center in own])
         near = int((away.min(axis=1, initial=np.inf) < 0.01).sum())
-        spheres, seen, others = spheres + len(own), seen + near, others + len(found) - near
+        put, seen, others = put + len(own), seen + near, others + len(found) - near
         surveyed = {f"S{n}": pose @ center + rng.normal(0, sigma_m, 3) for n, center in enumerate(own)}
         mm = np.nan
         try:
@@ -456,22 +473,25 @@ def found_rows(quick: bool, show: Show) -> list[Row]:
             right, wrong = right + (mm < 5 and deg < 0.1), wrong + (mm > 30)
         except LadarregError as error:
             show(json.dumps({"found": k, "refused": str(error)}))
-        show(json.dumps({"found": k, "spheres": len(own), "seen": near, "others": len(found) - near, "mm": mm}))
+        missed = [float(np.linalg.norm(center)) for center, off in zip(own, away, strict=True)
+                  if off.min(initial=np.inf) >= 0.01]  # fmt: skip
+        show(json.dumps({"found": k, "kind": kind, "put": len(own), "seen": near, "others": len(found) - near, "mm": mm,
+                         "missed_m": missed, "step_deg": float(np.degrees(step))}))  # fmt: skip
     return [
-        Row("spheres in rooms: found without picks", "reported", f"{seen} of {spheres}, and {others} others", True),
-        Row("scanners placed by found spheres, within 5 mm and .1 deg", "reported", f"{right} of {count}", True),
-        Row("scanners placed by found spheres: wrong", "0", f"{wrong}", wrong == 0),
+        Row(f"{kind} in rooms: found without picks", "reported", f"{seen} of {put}, and {others} others", True),
+        Row(f"scanners placed by found {kind}, within 5 mm and .1 deg", "reported", f"{right} of {count}", True),
+        Row(f"scanners placed by found {kind}: wrong", "0", f"{wrong}", wrong == 0),
     ]
 
 
-def _in_free_space(scan: Scan, radius: float, step: float, rng: np.random.Generator) -> FloatArray:
-    """Return six places (6, 3), m, before what a scan saw, where a sphere is at least 8 cells across."""
+def _in_free_space(scan: Scan, radius: float, most_m: float, rng: np.random.Generator) -> FloatArray:
+    """Return six places (6, 3), m, before what a scan saw, where nothing within a radius hides a target."""
     found: list[FloatArray] = []
     while len(found) < 6:
         row = int(rng.integers(scan.shape[0] // 4, 2 * scan.shape[0] // 3))
         column = int(rng.integers(scan.shape[1]))
         behind = float(scan.ranges[row, column])
-        distance = min(behind - float(rng.uniform(0.15, 1.5)), radius / (4 * step), 8.0)
+        distance = min(behind - float(rng.uniform(0.15, 1.5)), most_m, 8.0)
         center = scan.rays[row, column].astype(np.float64) * distance
         clear = np.isfinite(behind) and distance > max(1.0, 5 * radius)
         if clear and all(np.linalg.norm(center - other) > 0.5 for other in found):
@@ -479,6 +499,14 @@ def _in_free_space(scan: Scan, radius: float, step: float, rng: np.random.Genera
             if np.nanmin(scan.ranges[around]) > distance + radius:
                 found.append(center)
     return np.array(found)
+
+
+def _facing(center: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return the rotation vector (3,) of a plate there, turned at will, that faces a scanner within 35 deg."""
+    bearing, height = np.arctan2(center[1], center[0]), np.arctan2(center[2], np.hypot(center[0], center[1]))
+    toward = Rigid.from_rotvec([0.0, 0.0, bearing]) @ Rigid.from_rotvec([0.0, -height, 0.0])
+    leaning = Rigid.from_rotvec([0.0, *rng.uniform(-0.43, 0.43, 2)]) @ Rigid.from_rotvec([rng.uniform(-3, 3), 0.0, 0.0])
+    return rotvec_from_rotation((toward @ leaning).rotation)
 
 
 def plates_rows(quick: bool, show: Show) -> list[Row]:
@@ -607,6 +635,7 @@ ROWS: dict[str, Callable[[bool, Show], list[Row]]] = {
     "names": names_rows,
     "plates": plates_rows,
     "found": found_rows,
+    "found_plates": found_plates_rows,
     "unit_camera": unit_camera_rows,
     "page_28m": page_rows,
 }  # fmt: skip

@@ -9,6 +9,7 @@ import pytest
 import ladarreg_core as lr
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.frames import rotvec_from_rotation
+from ladarreg_core.registration.stations.target_search import _apart, _candidates
 from ladarreg_core.simulate.stations import scan_stations, station_room, upright_pose, with_plates, with_spheres
 
 _RADIUS, _NOISE = 0.0725, 0.002
@@ -309,6 +310,24 @@ def test_flat_targets_are_found_among_pictures_on_the_wall():
     assert (away.min(axis=0) < 0.003).all()
     assert all(one.side_m == 0.2 for one in found)
     assert len(lr.name_targets(found, dict(zip(_NAMES, _WORLD * 0.6, strict=True)))) == len(_NAMES)
+
+
+def test_flat_targets_come_before_corners_of_prints() -> None:
+    """Blocks of grey meet in corners that look like quadrants on one ring, and do not go on as such."""
+    scan = _empty_scan()
+    light = np.random.default_rng(5).uniform(0.1, 0.9, (40, 90)).repeat(6, 0).repeat(6, 1)
+    scan = replace(scan, intensity=light[: scan.shape[0], : scan.shape[1]].astype(np.float32))
+    centers = _WORLD * 0.6
+    scan = with_plates(scan, centers, np.tile([0.5, 0.1, -0.1], (len(centers), 1)), 0.2, noise_m=_NOISE)
+    candidates = [one for found in _candidates(scan, 0.1, is_sphere=False) for one in found]
+    ranked = [scan.rays[one.cell] * scan.ranges[one.cell] for one in _apart(scan, candidates, 0.1)]
+    assert len(ranked) > 3 * len(centers), "the control: prints are candidates"
+    for center in centers:
+        places = np.flatnonzero(np.linalg.norm(np.array(ranked) - center, axis=1) < 0.05)
+        assert places[0] < len(centers) + 2
+    found = lr.find_targets(scan, side_m=0.2)
+    away = np.linalg.norm(np.array([one.center for one in found])[:, None] - centers, axis=-1)
+    assert (away.min(axis=0) < 0.003).all()
 
 
 @pytest.mark.parametrize("size", [{}, {"radius_m": 0.1, "side_m": 0.1}, {"radius_m": -1.0}, {"side_m": np.nan}])

@@ -43,13 +43,16 @@ _ADVICE = "pick the middle of the target, or correct its side"
 Array = NDArray[np.float64]
 
 
-def fit_flat_target(scan: Scan, pick: tuple[int, int], *, side_m: float) -> SurveyTarget:
+def fit_flat_target(
+    scan: Scan, pick: tuple[int, int], *, side_m: float, least_explained: float = _MIN_EXPLAINED
+) -> SurveyTarget:
     """Fit the middle of a black-and-white target of four quadrants.
 
     Args:
         scan: the scan, with intensities.
         pick: row and column of a cell near the middle, within a third of the side.
         side_m: side of the pattern of four quadrants, m.
+        least_explained: share of the variance of the intensities that the quadrants must explain.
 
     Returns:
         the middle with its covariance: along the plate from the scatter of the intensities, across it from that of the
@@ -73,7 +76,7 @@ def fit_flat_target(scan: Scan, pick: tuple[int, int], *, side_m: float) -> Surv
     uv = (d * (distance / (d @ across))[:, None] - origin) @ along.T  # where each ray meets the plate
     scale = float(np.std(light)) or 1.0
     found, covariance, used, explained = _pattern(uv, (light - light.mean()) / scale, side, row, column)
-    if explained < _MIN_EXPLAINED:
+    if explained < least_explained:
         raise DegenerateGeometryError(
             f"there is no black-and-white target of {format_length(side)} around row {row}, column {column}: four "
             f"quadrants explain {explained:.0%} of its intensities; {_ADVICE}"

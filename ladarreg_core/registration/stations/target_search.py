@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.foundations.validation import require_positive, require_type
+from ladarreg_core.registration.stations.flat_targets import fit_flat_target
 from ladarreg_core.registration.stations.survey_target import SurveyTarget
 from ladarreg_core.registration.stations.targets import fit_target
 from ladarreg_core.scan import Scan
@@ -31,6 +32,8 @@ _RIM_RISE = (0.6, 1.5)  # the lower quartile of those near the rim, where some p
 _RIM_CELLS = 8.0  # half the width below which the rim is not told from what is beside it
 _MOST_TILT = 1.4  # difference of opposite places over the rise: more is beside the middle
 _FLAT_OF_SIDE = 0.03  # mean of the ring less the middle, of the side: more is bent
+_OTHER_RINGS_OF_SIDE = 0.16, 0.38  # where a corner of a print seldom goes on as the quadrants of a plate do
+_LEAST_EXPLAINED = 0.9  # of the intensities of a plate that is found; prints among those tried explain .82 to .98
 _LEAST_SECOND, _LEAST_CONTRAST = 0.6, 0.25  # share of the second harmonic; standard deviation over the mean
 _MOST_FITS = 400  # at up to .05 s each
 _BLOCK_CELLS = 1 << 19
@@ -73,7 +76,10 @@ def find_targets(scan: Scan, *, radius_m: float | None = None, side_m: float | N
             continue
         try:
             part, pick = _around(scan, one.cell, reach)
-            target = fit_target(part, pick, radius_m=radius_m, side_m=side_m)
+            if side_m is not None:
+                target = fit_flat_target(part, pick, side_m=side_m, least_explained=_LEAST_EXPLAINED)
+            else:
+                target = fit_target(part, pick, radius_m=radius_m)
         except DegenerateGeometryError:
             continue
         if all(np.linalg.norm(target.center - other.center) > reach for other in found):
@@ -193,19 +199,35 @@ class _Ring:
 
     def as_quadrants(self, light: NDArray[np.float32], side: float) -> Array:
         """Return how well flat cells go from bright to dark twice around, (n,), 1 at best; 0 where they do not."""
-        seen, rise = np.empty((_AROUND, len(self._front))), np.empty((_AROUND, len(self._front)))
-        for k, (row, column, inside) in enumerate(self._cells(2 * _RING_OF_SIDE)):
-            seen[k] = np.where(inside, light[row, column], np.nan)
+        rise = np.empty((_AROUND, len(self._front)))
+        for k, (row, column, _) in enumerate(self._cells(2 * _RING_OF_SIDE)):
             rise[k] = self._ranges[row, column] - self._front
+        second, contrast = self._second(light, _RING_OF_SIDE)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            fits = np.abs(rise.mean(axis=0)) < _FLAT_OF_SIDE * side
+            fits &= (np.abs(second) ** 2 > _LEAST_SECOND) & (contrast > _LEAST_CONTRAST)
+        score = np.zeros(len(fits))
+        left = np.flatnonzero(fits)
+        some = self._of_cells(left)
+        rings = [second[left], *(some._second(light, share)[0] for share in _OTHER_RINGS_OF_SIDE)]
+        # Edges that are straight through all rings have one phase; nothing is refused by the other two.
+        score[left] = np.abs(np.nan_to_num(np.array(rings)).mean(axis=0)) + 1e-6
+        return score
+
+    def _second(self, light: NDArray[np.float32], share_of_side: float) -> tuple[NDArray[np.complex128], Array]:
+        """Return the second harmonic of the light on a ring, (n,), of length 1 if there is no other, and its contrast.
+
+        The contrast is the standard deviation over the mean.
+        """
+        seen = np.empty((_AROUND, len(self._front)))
+        for k, (row, column, inside) in enumerate(self._cells(2 * share_of_side)):
+            seen[k] = np.where(inside, light[row, column], np.nan)
         wave = np.exp(2j * np.arange(_AROUND) * (2 * np.pi / _AROUND))
         with np.errstate(invalid="ignore", divide="ignore"):
             deviation = seen - seen.mean(axis=0)
             energy = (deviation**2).sum(axis=0)
-            second = 2 * np.abs(wave @ deviation) ** 2 / (_AROUND * energy)
-            contrast = np.sqrt(energy / _AROUND) / np.abs(seen.mean(axis=0))
-            fits = np.abs(rise.mean(axis=0)) < _FLAT_OF_SIDE * side
-            fits &= (second > _LEAST_SECOND) & (contrast > _LEAST_CONTRAST)
-            return np.where(fits, second, 0.0)
+            second = np.sqrt(2 / _AROUND) * (wave @ deviation) / np.sqrt(energy)
+            return second, np.sqrt(energy / _AROUND) / np.abs(seen.mean(axis=0))
 
 
 def _apart(scan: Scan, candidates: list[_Candidate], reach: float) -> list[_Candidate]:
