@@ -327,7 +327,7 @@ def _verdict(
 ) -> tuple[PairVerdict, tuple[str, ...]]:
     against, unsure = _against_sight(evidence, o), []
     if evidence.held_out_planes < o.least_held_out:
-        against.append(f"Only {evidence.held_out_planes} surfaces were left to check the alignment by.")
+        unsure.append(f"Only {evidence.held_out_planes} surfaces were left to check the alignment by.")
     elif not evidence.held_out_ratio <= o.most_held_out_ratio:
         against.append(
             f"On surfaces that were kept from the alignment the scans are {evidence.held_out_ratio:.1f} times as far "
