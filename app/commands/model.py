@@ -41,7 +41,7 @@ class Arguments(ScanArguments):
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="OUT")]
     """Output folder; an existing one is refused, but see --force."""
     to: Annotated[str, tyro.conf.arg(metavar="FORMATS")] = "glb,laz,ply"
-    """Files beside the pictures of the layers, separated by commas: glb, laz, ply, e57, potree."""
+    """Files beside the pictures of the layers, separated by commas: glb, laz, ply, e57, potree, tiles."""
     values: Annotated[tyro.conf.UseAppendAction[_Names], tyro.conf.arg(metavar="QUANTITY")] = field(
         default_factory=list
     )

@@ -23,6 +23,7 @@ from ladarreg_core.export.targets.laz import layered_laz_files
 from ladarreg_core.export.targets.model import layered_glb_files
 from ladarreg_core.export.targets.ply import layered_ply_files
 from ladarreg_core.export.targets.potree import layered_potree_files
+from ladarreg_core.export.targets.tiles import layered_tiles_files
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.fusion.fused_model import FusedModel, Station, fuse_stations
 from ladarreg_core.fusion.layers import Layer, Quantity, layer_pictures, layer_values, model_layers
@@ -41,6 +42,7 @@ _KINDS: Mapping[str, Callable[[Sequence[LayeredScan], Report | None], Sequence[F
     "ply": layered_ply_files,
     "e57": layered_e57_files,
     "potree": layered_potree_files,
+    "tiles": layered_tiles_files,
 }
 MODEL_FORMATS = tuple(_KINDS)
 """Files of a model that may be asked for; layers are always written as pictures, too."""

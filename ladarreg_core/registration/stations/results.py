@@ -70,8 +70,8 @@ class StationPair:
     second: int
     """Index of the scan that was placed in it."""
     verdict: PairVerdict
-    """`verified`; `ambiguous`: another placement, or a sliding one, explains the scans as well, or too little was left to
-    check it by; `refused`: something speaks against it."""
+    """`verified`; `ambiguous`: another placement, or a sliding one, explains the scans as well, or too little was left
+    to check it by; `refused`: something speaks against it."""
     reasons: tuple[str, ...]
     """Sentences that say why."""
     first_from_second: Rigid

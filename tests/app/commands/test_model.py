@@ -205,6 +205,35 @@ def test_the_textured_model_has_the_layers_as_variants_on_the_grid(model: Path, 
     np.testing.assert_array_equal(cv2.imdecode(png, cv2.IMREAD_COLOR), drawn[: scan.shape[0], : scan.shape[1]])
 
 
+def check_tilesets(folder: Path, scans: list[np.ndarray]) -> None:
+    """Follow the references of the whole tileset, and compare what a viewer draws with the scans in the world."""
+    whole = json.loads((folder / "tileset.json").read_bytes())["root"]
+    centre, *edges = np.array(whole["boundingVolume"]["box"]).reshape(4, 3)
+    assert whole["refine"] == "ADD"
+    assert len(whole["children"]) == len(scans)
+    for child, points in zip(whole["children"], scans, strict=True):
+        inner = json.loads((folder / child["content"]["uri"]).read_bytes())
+        transform = np.array(inner["root"].get("transform", np.eye(4).ravel())).reshape(4, 4).T
+        found, _ = glb((folder / child["content"]["uri"]).parent / inner["root"]["content"]["uri"])
+        bounds = [
+            found["accessors"][primitive["attributes"]["POSITION"]] for primitive in found["meshes"][0]["primitives"]
+        ]
+        # glTF is Y up; the node turns it, viewers turn it back: its own axes are those of the tile
+        low, high = (fold([one[name] for one in bounds], axis=0) for name, fold in (("min", np.min), ("max", np.max)))
+        corners = (
+            np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T @ transform[:3, :3].T
+            + transform[:3, 3]
+        )
+        here = points[np.isfinite(points).all(axis=-1)]
+        assert (corners.min(axis=0) > here.min(axis=0) - 0.05).all(), "nothing beyond what that scan saw"
+        assert (corners.max(axis=0) < here.max(axis=0) + 0.05).all()
+        assert (corners.max(axis=0) - corners.min(axis=0) > 0.5).all()
+        own, *halves = np.array(child["boundingVolume"]["box"]).reshape(4, 3)
+        reach = np.abs(halves).sum(axis=0) + 1e-3
+        assert (np.abs(corners - own) < reach).all(), "inside its box"
+        assert (np.abs(own - centre) + np.abs(halves).sum(axis=0) < np.abs(edges).sum(axis=0) + 1e-6).all()
+
+
 def test_parts_of_several_scans_meet_without_doubled_walls(tmp_path: Path) -> None:
     tour = photo_tour(0, photos=6, cells=CELLS, size=SIZE)
     where = (0.6, 0.8, 0.1)
@@ -219,10 +248,12 @@ def test_parts_of_several_scans_meet_without_doubled_walls(tmp_path: Path) -> No
     write_tour(tmp_path / "two", replace(tour, scan=other, views=views), name="other", first=4)
     results = [str(one) for one in sorted(tmp_path.glob("*/results-*"))]
     out = tmp_path / "out"
-    words = ["model", *results, "--to", "glb,laz,ply,e57,potree", "-o", str(out), "--quiet"]
+    words = ["model", *results, "--to", "glb,laz,ply,e57,potree,tiles", "-o", str(out), "--quiet"]
     assert main(words) == ExitCode.ACCEPTED
     found = document(out)
     assert found["frame"]["frame"] == "world"
+    seen = {"scan": read_scan(tmp_path / "one" / "scan.npz").points, "other": other.points + np.array(where)}
+    check_tilesets(out / "tiles", [seen[one["name"]] for one in found["scans"]])
     file = libe57.ImageFile(str(out / "cloud.e57"), "r")
     counts = [file.root()[name].childCount() for name in ("data3D", "images2D")]
     records = [file.root()["data3D"][k]["points"].childCount() for k in range(counts[0])]
