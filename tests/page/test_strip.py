@@ -85,3 +85,16 @@ def test_a_stroke_goes_on_from_the_same_direction_in_another_view(blank: Page) -
         first, second, drawn, rays = run(blank, "picking", body, [view(0), view(turned_deg)])
         assert (first, second) == ("drawing", "open")
         assert drawn["ends"] == rays
+
+
+def test_of_names_that_cover_each_other_the_first_are_written(blank: Page) -> None:
+    boxes = np.random.default_rng(2).uniform(0, [560, 230], (80, 2))
+    boxes = np.concatenate([boxes, boxes + [60, 14]], axis=1)
+    body = "const taken = []; return a.map((box) => m.takesRoom(taken, box))"
+    written = run(blank, "strip_geometry", body, boxes.tolist())
+    kept: list[Any] = []
+    for box, shown in zip(boxes, written, strict=True):
+        free = not any(box[0] < k[2] and k[0] < box[2] and box[1] < k[3] and k[1] < box[3] for k in kept)
+        assert shown == free
+        kept += [box] if free else []
+    assert 20 < len(kept) < 80

@@ -8,7 +8,7 @@ import { button } from "../ui/controls.js";
 import { element } from "../ui/dom.js";
 import { loadBitmap } from "./picture_source.js";
 import { rayOf } from "./projection.js";
-import { amid, angleBetween, anglesAt, anglesOf, directionSaid, filling, outlineIn, positionOf, rayAt, viewTowards, wrapped } from "./strip_geometry.js";
+import { amid, angleBetween, anglesAt, anglesOf, directionSaid, filling, outlineIn, positionOf, rayAt, takesRoom, viewTowards, wrapped } from "./strip_geometry.js";
 import { centredOn, middle, wheelFactor } from "./viewport.js";
 
 const HIGHEST_EM = 7;
@@ -66,7 +66,9 @@ export const mountStrip = (body, controller) => {
         context.stroke();
       }
     }
-    for (const { name, rays } of found) label(context, strip, size, name, rays, em);
+    const taken = [];
+    const chosenFirst = [...found].sort((a, b) => Number(b.id === store.shown()) - Number(a.id === store.shown()));
+    for (const { name, rays } of chosenFirst) label(context, strip, size, name, rays, em, taken);
   };
 
   /** The border of what the pane shows, as rays. */
@@ -290,7 +292,11 @@ const shade = (context, [width, height], covering) => {
   context.drawImage(veil, 0, 0, width, height);
 };
 
-const label = (context, strip, size, name, rays, em) => {
+/**
+ * Write a name where there is room.
+ * @param {number[][]} taken left, top, right, bottom of the names that are written
+ */
+const label = (context, strip, size, name, rays, em, taken) => {
   const towards = amid(rays);
   if (!towards) return;
   const [x, y] = positionOf(strip, size, anglesOf(towards));
@@ -298,6 +304,7 @@ const label = (context, strip, size, name, rays, em) => {
   const half = context.measureText(text).width / 2 + 3;
   const inside = Math.min(size[0] - half, Math.max(half, x));
   const line = Math.min(size[1] - 0.8 * em, Math.max(0.8 * em, y));
+  if (!takesRoom(taken, [inside - half, line - 0.7 * em, inside + half, line + 0.7 * em])) return;
   Object.assign(context, { textAlign: "center", textBaseline: "middle", fillStyle: "rgba(9, 11, 14, 0.8)" });
   context.fillRect(inside - half, line - 0.7 * em, 2 * half, 1.4 * em);
   context.fillStyle = "#e8ecf2";

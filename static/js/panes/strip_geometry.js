@@ -121,3 +121,16 @@ export const directionSaid = ([azimuth, elevation]) => {
   const side = across === 0 ? "ahead" : Math.abs(across) === 180 ? "behind" : `${Math.abs(across)} degrees ${across > 0 ? "left" : "right"}`;
   return up === 0 ? side : `${side}, ${Math.abs(up)} degrees ${up > 0 ? "up" : "down"}`;
 };
+
+/**
+ * Take room for a box if it covers none that was taken before.
+ * @param {number[][]} taken left, top, right, bottom of each; the box is added
+ * @param {number[]} box
+ * @returns {boolean} whether there was room
+ */
+export const takesRoom = (taken, box) => {
+  const [left, top, right, bottom] = box;
+  if (taken.some(([l, t, r, b]) => left < r && l < right && top < b && t < bottom)) return false;
+  taken.push(box);
+  return true;
+};
