@@ -25,7 +25,7 @@ const PICTURE_INTERVAL_MS = 180;
  * Mount the two image panes.
  * @param {{scanHead: HTMLElement, scanBody: HTMLElement, photoHead: HTMLElement, photoBody: HTMLElement,
  *          model?: ReturnType<typeof import("../panels/model/model_pane.js").mountModelPane>,
- *          store: import("../net/store.js").Store, view: any, ask: (what: string, args?: any) => Promise<any>}} page
+ *          store: import("../net/store.js").Store, view: any, ask: typeof import("../net/connection.js").ask}} page
  */
 export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, model, store, view, ask }) => {
   const controller = new Controller({ store, view, ask });

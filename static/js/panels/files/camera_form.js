@@ -161,8 +161,8 @@ export const mountCameraForm = (opener) => {
     requestAnimationFrame(offerOnce);
   });
   document.addEventListener("close", () => requestAnimationFrame(offerOnce), true); // when the dialog over it closes
-  panel.addEventListener("beforetoggle", (/** @type {ToggleEvent} */ event) => {
-    if (event.newState !== "open") return;
+  panel.addEventListener("beforetoggle", (event) => {
+    if (/** @type {ToggleEvent} */ (event).newState !== "open") return;
     fail("");
     show();
     overPhoto(panel);

@@ -64,6 +64,7 @@ export const scanQuestion = () => {
     await act(choice);
     if (mine === asked) show(false);
   };
+  /** @param {{scans: string[], said?: string}} asked @param {(choice: Choice) => any} act */
   const ask = ({ scans, said }, act, uploaded = true) => {
     asked += 1;
     const many = scans.length > 1;

@@ -75,5 +75,5 @@ export const mountHistory = (opener) => {
     if (focused >= 0) list.querySelectorAll("button")[focused]?.focus();
   };
   store.watch(["history"], () => panel.matches(":popover-open") && show());
-  panel.addEventListener("beforetoggle", (/** @type {ToggleEvent} */ event) => event.newState === "open" && show());
+  panel.addEventListener("beforetoggle", (event) => /** @type {ToggleEvent} */ (event).newState === "open" && show());
 };
