@@ -18,7 +18,7 @@ from ladarreg_core.export.dxf import DxfEntity, write_dxf
 from ladarreg_core.export.json import write_document
 from ladarreg_core.formats.documents.places_file import Place
 from ladarreg_core.formats.parsing.untrusted import shown_name
-from ladarreg_core.foundations.validation import require_choice
+from ladarreg_core.foundations.validation import require_choice, require_number
 from ladarreg_core.frames import Rigid
 from ladarreg_core.measuring.measurement import KINDS, Measurement, MeasurementKind, measure
 from ladarreg_core.measuring.points import PICKED_PX, MeasuredPoints
@@ -102,6 +102,7 @@ def measure_places(
         OptionError: if a photograph is not known, a kind is unknown, missing or contradictory, or `sigma_px` negative.
         ExportError: if the pose of a photograph was refused.
     """
+    require_number(sigma_px, "sigma_px", least=0)
     points = _points(scan, photos, places, sigma_px, world_from_scanner)
     viewpoint = np.zeros(3) if world_from_scanner is None else world_from_scanner.translation
     groups: dict[str, list[int]] = {}
