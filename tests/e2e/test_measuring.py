@@ -240,8 +240,8 @@ def test_the_list_and_the_bar_fit(measurer: Operator, theme: str) -> None:
     page.locator(".measurement-value", has_text="±").nth(2).wait_for()
     click(measurer, "scan", scan[0])
     found = []
-    for width in (1280, 1440):
-        page.set_viewport_size({"width": width, "height": 800})
+    for width, height in ((768, 900), (1280, 800), (1440, 800)):
+        page.set_viewport_size({"width": width, "height": height})
         measurer.shot(f"{width}-{theme}")
         found += [f"{width}: {fault}" for fault in layout_faults(page)]
     assert not found
