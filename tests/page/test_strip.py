@@ -89,7 +89,7 @@ def test_a_stroke_goes_on_from_the_same_direction_in_another_view(blank: Page) -
 
 def test_of_names_that_cover_each_other_the_first_are_written(blank: Page) -> None:
     boxes = np.random.default_rng(2).uniform(0, [560, 230], (80, 2))
-    boxes = np.concatenate([boxes, boxes + [60, 14]], axis=1)
+    boxes = np.concatenate([boxes, boxes + np.array([60, 14])], axis=1)
     body = "const taken = []; return a.map((box) => m.takesRoom(taken, box))"
     written = run(blank, "strip_geometry", body, boxes.tolist())
     kept: list[Any] = []
