@@ -48,7 +48,7 @@ class Arguments(ScanArguments):
     """Values of a sensor as a layer, NAME:UNIT:PHOTO or NAME:UNIT:PHOTO:FILE: the pixels of that photo are no colours
     but values, or FILE is an image of values with the same field of view. Thermal photos need none. Repeatable."""
     vignetting: bool = False
-    """Find from what the photos share how their lenses darken the corners, and undo it."""
+    """Estimate the vignetting of each lens from overlaps of its photos, and correct it."""
     scan_index: Annotated[int, tyro.conf.arg(metavar="N")] = 0
     """Index of the scan in a file with several, for results that do not record it."""
     root: Annotated[tyro.conf.UseAppendAction[_Paths], tyro.conf.arg(metavar="FOLDER")] = field(default_factory=list)

@@ -109,7 +109,7 @@ def fuse(
         values: for each photograph an image (h, w) float32 of values of its pixels, such as counts, or None. Those of
             thermal photographs are their temperatures, K.
         others: surfaces of other stations, which hide cells from cameras, too.
-        vignetting: find how the lenses darken the corners of their photographs, and undo it.
+        vignetting: estimate the vignetting of each lens from overlaps of its photographs, and correct it.
         report: receives the progress; may raise `Cancelled`.
 
     Raises:

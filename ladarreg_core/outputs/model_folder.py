@@ -98,7 +98,7 @@ def write_model(
         sources: scans and photographs.
         formats: of `MODEL_FORMATS`.
         values: values of sensors.
-        vignetting: undo the darkening of the photographs towards their corners, see `fuse`.
+        vignetting: estimate and correct vignetting, see `fuse`.
         force: replace an earlier model.
         report: receives the progress; may raise `Cancelled`, and nothing is left then.
 

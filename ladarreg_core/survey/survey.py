@@ -42,7 +42,7 @@ class Survey:
     """For each rig, by the names of its sensors, `sensor_from_reference` if it is known; the first sensor is the
     reference."""
     ties: tuple[SurveyTie, ...] = ()
-    """Places that two photographs show, as somebody drew them."""
+    """Points that were marked by hand in two photographs."""
 
     def __post_init__(self) -> None:
         faults = faults_of(self)

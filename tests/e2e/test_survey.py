@@ -14,7 +14,7 @@ from testing.workbench.operator import Operator, at_work
 from testing.workbench.shared import SharedWorkbench
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, FloatRect
+    from playwright.sync_api import Browser, FloatRect, Locator
 
 pytestmark = pytest.mark.slow
 
@@ -43,25 +43,36 @@ def test_photographs_are_adjusted_and_taken_back(operator: Operator) -> None:
     part.get_by_text("1 of 1 accepted").wait_for()
 
 
+PAINTED = (
+    "() => [...document.querySelectorAll('.tie-picture')].every((c) => c.width && c.getContext('2d')"
+    ".getImageData(c.width / 2, c.height / 2, 1, 1).data[3] === 255)"
+)
+"""Whether both pictures of the dialog are there: a canvas is painted."""
+
+
+def open_ties(operator: Operator) -> tuple[Locator, list[Locator]]:
+    """Open the dialog in which ties are drawn; return it with its two pictures."""
+    operator.open()
+    operator.step("Survey")
+    page = operator.page
+    page.get_by_role("region", name="All photographs").get_by_role("button", name="Draw ties").click()
+    dialog = page.get_by_role("dialog", name="Ties drawn by hand")
+    pictures = [dialog.get_by_role("img", name=f"{side} photograph") for side in ("first", "second")]
+    page.wait_for_function(PAINTED)
+    return dialog, pictures
+
+
 def test_a_tie_is_drawn_in_two_photographs_listed_and_removed(
     browser: Browser, workbench: SharedWorkbench, request: pytest.FixtureRequest
 ) -> None:
     folder = sample_survey_folder()
     workbench.open_files([folder / name for name in ("station1.npz", "IMG_0001.jpg", "IMG_0003.jpg")]).socket.close()
     with at_work(browser, workbench.server, request) as operator:
-        operator.open()
         page = operator.page
-        operator.step("Survey")
-        page.get_by_role("region", name="All photographs").get_by_role("button", name="Draw ties").click()
-        dialog = page.get_by_role("dialog", name="Ties drawn by hand")
-        pictures = [dialog.get_by_role("img", name=f"{side} photograph") for side in ("first", "second")]
+        dialog, pictures = open_ties(operator)
         first, second = (picture.bounding_box() for picture in pictures)
         assert first is not None
         assert second is not None
-        page.wait_for_function(  # both pictures are there: a canvas is painted
-            "() => [...document.querySelectorAll('.tie-picture')].every((c) => c.width && c.getContext('2d')"
-            ".getImageData(c.width / 2, c.height / 2, 1, 1).data[3] === 255)"
-        )
         scale = min(first["width"] / 576, first["height"] / 384)
 
         def at(box: FloatRect, u: float, v: float) -> tuple[float, float]:
@@ -101,17 +112,8 @@ def test_a_tie_is_continued_into_a_third_photograph(
     names = ("IMG_0001.jpg", "IMG_0003.jpg", "IMG_0002.jpg")
     workbench.open_files([folder / "station1.npz", *(folder / name for name in names)]).socket.close()
     with at_work(browser, workbench.server, request) as operator:
-        operator.open()
         page = operator.page
-        operator.step("Survey")
-        page.get_by_role("region", name="All photographs").get_by_role("button", name="Draw ties").click()
-        dialog = page.get_by_role("dialog", name="Ties drawn by hand")
-        pictures = [dialog.get_by_role("img", name=f"{side} photograph") for side in ("first", "second")]
-        painted = (
-            "() => [...document.querySelectorAll('.tie-picture')].every((c) => c.width && c.getContext('2d')"
-            ".getImageData(c.width / 2, c.height / 2, 1, 1).data[3] === 255)"
-        )
-        page.wait_for_function(painted)
+        dialog, pictures = open_ties(operator)
         for picture in pictures:  # the middle of both
             picture.focus()
             page.keyboard.press("Enter")
@@ -119,7 +121,7 @@ def test_a_tie_is_continued_into_a_third_photograph(
         (tie,) = operator.slice("drawn_ties")
         third = next(photo["id"] for photo in operator.slice("photos") if photo["id"] not in tie["photos"])
         dialog.get_by_role("combobox", name="The second photograph").select_option(third)
-        page.wait_for_function(painted)
+        page.wait_for_function(PAINTED)
         box = pictures[0].bounding_box()
         assert box is not None
         page.mouse.click(box["x"] + box["width"] / 2 + 5, box["y"] + box["height"] / 2 - 4)  # near its mark

@@ -295,7 +295,7 @@ def test_three_of_very_many_fit_by_chance():
 
 def test_too_many_targets_are_refused_before_they_are_compared():
     places = np.random.default_rng(6).uniform(-9, 9, (90, 3))
-    with pytest.raises(DegenerateGeometryError, match="too many to be told apart"):
+    with pytest.raises(DegenerateGeometryError, match="too many to be matched"):
         lr.name_targets([_target(center) for center in places], {f"T{k}": place for k, place in enumerate(places)})
 
 

@@ -118,8 +118,8 @@ def _joined_all(clusters: dict[int, _Cluster]) -> _Cluster:
                            key=lambda one: one[0])  # fmt: skip
             outside = [name for cluster in others for name in cluster.scans]
             raise DegenerateGeometryError(
-                f"the targets of {_listed(outside)} cannot be told to be those of {_listed(first.scans)}: {why}; name "
-                "them by picks, or put up more, at uneven distances, that both see"
+                f"the targets of {_listed(outside)} cannot be matched with those of {_listed(first.scans)}: {why}; "
+                "name them by picks, or put up more, at uneven distances, that both see"
             )
         _, i, j = min(options)
         found = tried[i, j]
@@ -141,7 +141,7 @@ def _matched(first: _Cluster, second: _Cluster) -> tuple[Assignment, Rigid] | st
     ).reshape(-1, 2)  # fmt: skip
     both = f"{len(first.things)} and {len(second.things)} things in {_listed(first.scans)} and {_listed(second.scans)}"
     if len(nodes) > MOST_ASSIGNMENTS:
-        return f"{both} look like targets, too many to be told apart"
+        return f"{both} look like targets, too many to be matched"
     own, world = (np.array([one.place for one in each.things]).reshape(-1, 3) for each in (second, first))
     variances = [np.array([one.variance for one in each.things]) for each in (second, first)]
     tolerance = FLOOR_M + SIGMAS * np.sqrt(variances[0][nodes[:, 0]] + variances[1][nodes[:, 1]])

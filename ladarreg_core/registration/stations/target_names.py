@@ -77,7 +77,7 @@ def name_targets(
         if 0 < len(coordinates) < LEAST:
             raise DegenerateGeometryError(
                 f"surveyed coordinates of {len(coordinates)} targets are given, and at least {LEAST} are needed to "
-                "tell which they are; give more, or none, or pick the targets"
+                "identify the targets; give more, or none, or pick the targets"
             )
         known = {name: known_place(name, value, sigma_m) for name, value in coordinates.items()}
         return named_across(found, known)
@@ -193,7 +193,7 @@ def _named(
     if len(nodes) > MOST_ASSIGNMENTS:
         raise DegenerateGeometryError(
             f"{len(found)} things in the scan look like targets, and there are {len(names)} coordinates: too many to "
-            "be told apart; pick the targets, or give the coordinates of those near the scanner"
+            "be matched; pick the targets, or give the coordinates of those near the scanner"
         )
     tolerance = FLOOR_M + SIGMAS * np.sqrt(spread[nodes[:, 0]] + spread_of_known[nodes[:, 1]])
     ranked = list(ranked_assignments(nodes, own, world, tolerance))

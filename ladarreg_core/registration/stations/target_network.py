@@ -138,8 +138,8 @@ def _not_joined(
     inside = [bodies[k].name for k in sorted(own)]
     contradicted = [one for one in reasons if not isinstance(one, NotConnectedError)]
     kind = NotConnectedError if len(contradicted) < len(reasons) or not reasons else DegenerateGeometryError
-    told = "; ".join(dict.fromkeys(str(one) for one in (contradicted or reasons)[:2]))
-    return kind(f"{_listed(outside)} cannot be joined to {_listed(inside)} by targets: {told}")
+    why = "; ".join(dict.fromkeys(str(one) for one in (contradicted or reasons)[:2]))
+    return kind(f"{_listed(outside)} cannot be joined to {_listed(inside)} by targets: {why}")
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -347,7 +347,7 @@ def _settled(seen: _Observations, poses: Sequence[Rigid], root: int) -> NetworkF
                 "standard deviation of the coordinates, or check that nothing was moved between the scans"
             )
         suspects = found.rows[tests > tests.max() - _LIKELIER]
-        for row in suspects:  # of two observations neither can be told to be the wrong one
+        for row in suspects:  # of only two observations it is not known which one is wrong
             same = found.rows[seen.target[found.rows] == seen.target[row]]
             used[same if len(same) == 2 else row] = False
         _check_enough(seen, used, suspects)
