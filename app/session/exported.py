@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.progress import Progress, Report
-from ladarreg_core.project.station_edits import is_stale, known_place, surveyed_pose
+from ladarreg_core.project.station_edits import is_stale, known_place, partner_of, surveyed_pose
 
 from .loader import Loader
-from .measured import measured_places, photos_of, stale_poses
+from .measured import Picked, in_common_frame, measured_places, photos_of, stale_poses
 
 if TYPE_CHECKING:
     from ladarreg_core.export.output_frame import FrameName
@@ -110,7 +110,7 @@ def exported_pose(
         [reading, entry.photo_options],
         _matches(loader, document, entry),
         rests_on(entry, pose, loader.solved_on(pose), document.clouds, document.ranges),
-        smoothed_scan(scan, document),
+        smoothed_scan(scan, document, entry.station),
     )
 
 
@@ -241,22 +241,19 @@ def _measurements(loader: Loader, folder: ProjectFolder, document: Document, fra
     from ladarreg_core.export.targets.measurements import MeasurementList
     from ladarreg_core.measuring.measurement_list import in_frame, write_measurements
 
-    document = loader.seen_from_scan(document)
     scan = loader.scan(document)
     if document.scan is None or scan is None:
         raise OptionError("the project has no scan; open one in the workbench")
-    placed = OutputFrame.of(scan, frame)
+    world = None if frame == "scanner" else OutputFrame.of(scan, frame).world_from_scanner
     entries = document.measurements
-    measured = measured_places(loader, document, scan, [(entry.kind, entry.places) for entry in entries])
-    listed = [
-        in_frame(
-            one, None if frame == "scanner" else placed.world_from_scanner, name=entry.title,
-            more_flags=stale_poses(loader, document, entry.places),
-        )
-        for entry, one in zip(entries, measured, strict=True)
-    ]  # fmt: skip
+    listed = []
+    for entry, measured in zip(entries, measured_places(loader, document, list(map(Picked.of, entries))), strict=True):
+        one = in_common_frame(document, entry.station, measured)
+        stale = stale_poses(loader, loader.seen_from_scan(document, entry.station), entry.places)
+        listed.append(in_frame(one, None if one.own_frame else world, name=entry.title, more_flags=stale))
     photos = [document.photo(photo) for entry in entries for photo in photos_of(entry.places)]
-    sources = [document.scan, *(photo.source for photo in photos if photo is not None)]
+    scans = [partner_of(document, entry.station) for entry in entries]
+    sources = [document.scan, *filter(None, scans), *(photo.source for photo in photos if photo is not None)]
     inputs = [path for source in dict.fromkeys(sources) for path in folder.source_files(source)]
     return MeasurementList(lambda path: write_measurements(path, listed, frame=frame), inputs)
 

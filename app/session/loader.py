@@ -52,7 +52,7 @@ _LIMITS = {
     "measured": (8, 200_000_000),
     "picture": (64, 420_000_000),
     "carried": (256, 20_000_000),
-    "seen": (4, 1_000_000),
+    "seen": (16, 1_000_000),
     "model": (40, 150_000_000),
     "line": (512, 50_000_000),
     "station": (16, 20_000_000),
@@ -382,31 +382,42 @@ class Loader:
         self.cached("scan", source, lambda: scan)
         self.cached("views", source, lambda: views)
 
-    def seen_from_scan(self, document: Document) -> Document:
-        """Return a document with all photographs beside its scan: the poses of others are carried over.
+    def seen_from_scan(self, document: Document, station: str = "") -> Document:
+        """Return a document with a station's scan as its scan, and all photographs beside it: the poses of others are
+        carried over.
 
         What is carried over is the same object as long as nothing that it rests on changes.
+
+        Args:
+            document: the document.
+            station: id of the station; empty: the project's scan.
+
+        Raises:
+            OptionError: if there is no such station.
         """
-        if not any(photo.station for photo in document.photos):
+        from ladarreg_core.project.station_edits import partner_of
+
+        if not station and not any(photo.station for photo in document.photos):
             return document
+        scan = partner_of(document, station)
 
         def seen(photo: PhotoEntry) -> PhotoEntry:
-            if not photo.station:
+            if photo.station == station:
                 return photo
             rests_on = (photo, document.scan, document.stations, document.survey, document.adjusted)
-            key = tuple(map(id, rests_on))
-            return self.cached("carried", key, lambda: (rests_on, self._current_only(document, photo)))[1]
+            key = station, *map(id, rests_on)
+            return self.cached("carried", key, lambda: (rests_on, self._current_only(document, photo, station)))[1]
 
         def made() -> Document:
-            return msgspec.structs.replace(document, photos=tuple(map(seen, document.photos)))
+            return msgspec.structs.replace(document, scan=scan, photos=tuple(map(seen, document.photos)))
 
-        return self.cached("seen", id(document), lambda: (document, made()))[1]
+        return self.cached("seen", (station, id(document)), lambda: (document, made()))[1]
 
-    def _current_only(self, document: Document, photo: PhotoEntry) -> PhotoEntry:
-        """Return a photograph as it is beside the document's scan; a pose that is out of date stays so."""
+    def _current_only(self, document: Document, photo: PhotoEntry, station: str) -> PhotoEntry:
+        """Return a photograph as it is beside a station's scan; a pose that is out of date stays so."""
         from ladarreg_core.project.station_edits import seen_from_scan
 
-        found, pose = seen_from_scan(document, photo), photo.pose
+        found, pose = seen_from_scan(document, photo, station), photo.pose
         if pose is None or not found.poses or not self.stale(document, photo, pose):
             return found
         return msgspec.structs.replace(

@@ -324,7 +324,7 @@ class Workbench:
             "shown": shown.id if shown else None,
             "partner": self.partners.slice(shown),
             "beside": self._scan_slice(shown) if shown and shown.station else None,
-            "smoothing": self.smoothing.slice(client),
+            "smoothing": self.smoothing.slice(client, shown.station if shown else ""),
             "people": self.clients.slice(client, self._photo_id_of),
             "model": client.model.slice()
             | self._slices.get(self._shown_parts(shown), partial(self.model_parts.slice, self.session.document, shown)),

@@ -44,16 +44,28 @@ class NamedMeasurement:
     """None: it was refused."""
     refusal: str = ""
     """Why it was refused."""
+    scan: str = ""
+    """Name of the scan that it was measured on; empty: there is one only."""
+    own_frame: bool = False
+    """Whether its coordinates are in the frame of that scan's own scanner: it is not known where that stands."""
 
     def as_fields(self) -> dict[str, Any]:
         """Return the entry as JSON-ready values."""
+        of = {"scan": self.scan, "frame": "its own scanner"} if self.own_frame else {"scan": self.scan}
+        fields = {"name": self.name, **(of if self.scan else {})}
         if self.measurement is None:
-            return {"name": self.name, "kind": self.kind, "refused": self.refusal}
-        return {"name": self.name, **self.measurement.as_fields()}
+            return {**fields, "kind": self.kind, "refused": self.refusal}
+        return {**fields, **self.measurement.as_fields()}
 
 
 def in_frame(
-    entry: NamedMeasurement, world_from_scanner: Rigid | None, *, name: str, more_flags: Sequence[str] = ()
+    entry: NamedMeasurement,
+    world_from_scanner: Rigid | None,
+    *,
+    name: str,
+    more_flags: Sequence[str] = (),
+    sigma_m: float = 0.0,
+    sigma_rad: float = 0.0,
 ) -> NamedMeasurement:
     """Return an entry that was measured in the scanner frame, by another name.
 
@@ -62,12 +74,14 @@ def in_frame(
         world_from_scanner: the frame of the result; None: the scanner's.
         name: its name in the list.
         more_flags: what is doubtful besides.
+        sigma_m: standard deviation of the scanner's position there, m, of all axes together.
+        sigma_rad: of its direction, rad.
     """
     if entry.measurement is None:
         return replace(entry, name=name)
     found = entry.measurement
     if world_from_scanner is not None:
-        moved = found.points.moved(world_from_scanner)
+        moved = found.points.moved(world_from_scanner, sigma_m=sigma_m, sigma_rad=sigma_rad)
         # a rigid motion changes no length; the side of a plane that is up is that of the scanner
         found = measure("point", moved) if entry.kind == "point" else replace(found, points=moved)
     flags = tuple(dict.fromkeys((*entry.measurement.flags, *more_flags)))
@@ -176,6 +190,8 @@ def write_measurements(
 ) -> None:
     """Write a list of measurements; the name's suffix says how: .csv, .json, .geojson or .dxf.
 
+    Where they are of several scans, each states its scan; those in a frame of their own are in no drawing.
+
     Args:
         path: the file; an existing one is not replaced.
         entries: the measurements; refused ones are listed as such, drawings leave them out.
@@ -189,7 +205,7 @@ def write_measurements(
     target, suffix = Path(path), Path(path).suffix.lower()
     check_target(path, frame=frame, crs=crs)
     if suffix == ".csv":
-        write_bytes(target, _csv(entries).encode())
+        write_bytes(target, _csv(entries, frame).encode())
     elif suffix == ".json":
         write_document(target, {"version": 1, "frame": frame, "crs": crs, "unit": "m, m2, deg",
                                 "measurements": [one.as_fields() for one in entries]})  # fmt: skip
@@ -220,19 +236,22 @@ def check_target(path: str | Path, *, frame: str = "scanner", crs: str | None = 
         raise OptionError("a reference system is that of the world; choose the frame 'world', too")
 
 
-def _csv(entries: Sequence[NamedMeasurement]) -> str:
+def _csv(entries: Sequence[NamedMeasurement], frame: str) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["name", "kind", "value", "unit", "sigma", "low_95", "high_95", "points", "flags"])
+    several = any(one.scan for one in entries)
+    scans = ["scan", "frame"] if several else []
+    writer.writerow(["name", "kind", "value", "unit", "sigma", "low_95", "high_95", "points", "flags", *scans])
     for one in entries:
         m = one.measurement
+        of = [_cell(one.scan), "its own scanner" if one.own_frame else frame] if several else []
         if m is None:
-            writer.writerow([_cell(one.name), one.kind, "", "", "", "", "", "", f"refused: {one.refusal}"])
+            writer.writerow([_cell(one.name), one.kind, "", "", "", "", "", "", f"refused: {one.refusal}", *of])
             continue
         low, high = m.interval
         numbers = [_numbers(value) for value in (m.value, m.sigma, low, high)]
         places = "; ".join(_numbers(row) for row in m.points.xyz)
-        writer.writerow([_cell(one.name), one.kind, numbers[0], m.unit, *numbers[1:], places, "; ".join(m.flags)])
+        writer.writerow([_cell(one.name), one.kind, numbers[0], m.unit, *numbers[1:], places, "; ".join(m.flags), *of])
     return text.getvalue()
 
 
@@ -252,7 +271,7 @@ def _geojson(entries: Sequence[NamedMeasurement], frame: str, crs: str | None) -
         fields = one.as_fields()
         points = fields.pop("points", [])
         geometry = None
-        if m is not None:
+        if m is not None and not one.own_frame:
             geometry = {"type": "LineString", "coordinates": points}
             if m.kind == "point":
                 geometry = {"type": "Point", "coordinates": points[0]}
@@ -269,7 +288,7 @@ def _geojson(entries: Sequence[NamedMeasurement], frame: str, crs: str | None) -
 
 
 def _drawing(entries: Sequence[NamedMeasurement]) -> list[DxfEntity]:
-    shown = [(one, one.measurement) for one in entries if one.measurement is not None]
+    shown = [(one, one.measurement) for one in entries if one.measurement is not None and not one.own_frame]
     every = np.concatenate([m.points.xyz for _, m in shown] or [np.zeros((1, 3))])
     height = max(float(np.ptp(every, axis=0).max()) * _TEXT_SHARE, 0.01)
     drawn: list[DxfEntity] = []

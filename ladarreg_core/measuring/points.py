@@ -238,13 +238,22 @@ class MeasuredPoints:
             refusals=tuple(one for part in parts for one in part.refusals),
         )
 
-    def moved(self, to_from_here: Rigid) -> MeasuredPoints:
-        """Return the same points in another frame, such as the world; its pose counts as exact."""
+    def moved(self, to_from_here: Rigid, *, sigma_m: float = 0.0, sigma_rad: float = 0.0) -> MeasuredPoints:
+        """Return the same points in another frame, such as the world.
+
+        Args:
+            to_from_here: the pose of this frame in the other one.
+            sigma_m: standard deviation of its position, m, of all axes together; 0: it counts as exact.
+            sigma_rad: of its direction, rad.
+        """
         turn = to_from_here.rotation.T
-        return replace(
-            self, xyz=to_from_here @ self.xyz, own=self.own @ turn,
-            shared={name: part @ turn for name, part in self.shared.items()},
-        )  # fmt: skip
+        shared = {name: part @ turn for name, part in self.shared.items()}
+        if sigma_m or sigma_rad:
+            axes = np.eye(3)
+            turned = np.cross(axes, self.xyz[:, None]) * (sigma_rad / np.sqrt(3))  # (N, 3, 3) m, by each axis
+            shifted = np.broadcast_to(axes * (sigma_m / np.sqrt(3)), turned.shape)
+            shared["the place of its scan"] = np.concatenate([turned @ turn, shifted], axis=1)
+        return replace(self, xyz=to_from_here @ self.xyz, own=self.own @ turn, shared=shared)
 
     def subset(self, chosen: Sequence[int]) -> MeasuredPoints:
         """Return some of the points, by their numbers."""

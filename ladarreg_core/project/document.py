@@ -256,6 +256,8 @@ class MeasurementEntry(msgspec.Struct, frozen=True, kw_only=True):
     """The points, in order."""
     name: str = ""
     """Name that the operator gave it; empty: kind and number."""
+    station: str = ""
+    """Id of the station on whose scan it was measured; empty: the scan of the project."""
 
     @property
     def title(self) -> str:
@@ -276,7 +278,7 @@ class StationEntry(msgspec.Struct, frozen=True, kw_only=True):
     """The photographs with their matches and poses as they were when this station was shown last, by versions of the
     program that did not keep them with the photographs."""
     measurements: tuple[MeasurementEntry, ...] = ()
-    """What was measured on its scan."""
+    """What was measured on its scan, by versions of the program that kept it here, see `with_one_list`."""
 
 
 class Survey(msgspec.Struct, frozen=True, kw_only=True):
@@ -438,7 +440,7 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
     adjusted: Adjusted | None = None
     """What solving everything together gave; None before that was done."""
     measurements: tuple[MeasurementEntry, ...] = ()
-    """What was measured on the scan, in the order of its making."""
+    """What was measured on the scans, in the order of its making."""
     numbered_measurements: int = 0
     """Last number given to a measurement."""
     ties: tuple[TieEntry, ...] = ()

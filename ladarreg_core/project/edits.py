@@ -29,7 +29,7 @@ WEIGHTS = 1e-6, 1e6
 def with_scan(document: Document, scan: Source) -> Document:
     """Return the document with another scan, without the picks, poses and measurements that belong to the old one.
 
-    Photographs that are matched with a station keep theirs.
+    Photographs that are matched with a station keep theirs, and what was measured on its scan stays.
     """
     taken = {(path, scan.index) for path in scan.paths}
     others = (s for s in document.stations if (s.source.path, s.source.index) not in taken)
@@ -44,7 +44,8 @@ def with_scan(document: Document, scan: Source) -> Document:
         return replace(photo, station="", station_given=False, elsewhere=elsewhere, **nothing)
 
     photos = tuple(map(kept, document.photos))
-    return replace(document, scan=scan, photos=photos, stations=stations, measurements=())
+    measurements = tuple(each for each in document.measurements if each.station in left)
+    return replace(document, scan=scan, photos=photos, stations=stations, measurements=measurements)
 
 
 def with_more_clouds(document: Document, paths: Sequence[str], names: Sequence[str] = ()) -> Document:

@@ -1,8 +1,8 @@
 """The inverse of one edit, applied to a later document: what the edit touched gets its former value, all else stays.
 
-A document is compared by parts: its fields, the settings, the measurements and ties, and of each photograph its fields,
-poses and picks, by path: `("name",)`, `("settings", "t1")`, `("measurements", "m1")`, `("photos", "p1")` where the
-photograph exists on one side only, else `("photos", "p1", "camera")`, `("photos", "p1", "poses", "auto")`,
+A document is compared by parts: its fields, the settings, the stations, measurements and ties, and of each photograph
+its fields, poses and picks, by path: `("name",)`, `("settings", "t1")`, `("measurements", "m1")`, `("photos", "p1")`
+where the photograph exists on one side only, else `("photos", "p1", "camera")`, `("photos", "p1", "poses", "auto")`,
 `("photos", "p1", "picks", "3", "on")`.
 Counters of given numbers are no part: a number is never given twice.
 """
@@ -24,8 +24,8 @@ Parts = dict[Part, tuple[Any, Any]]
 T = TypeVar("T", bound=msgspec.Struct)
 _COUNTERS = ("numbered", "numbered_stations", "numbered_measurements", "numbered_ties")
 _LISTS = ("picks", "poses")
-_KEYS = {"photos": "id", "picks": "id", "poses": "stage", "measurements": "id", "ties": "id"}
-_WHOLE = ("measurements", "ties")
+_KEYS = {"photos": "id", "picks": "id", "poses": "stage", "stations": "id", "measurements": "id", "ties": "id"}
+_WHOLE = ("stations", "measurements", "ties")
 """Lists of the document whose items are compared as wholes."""
 
 

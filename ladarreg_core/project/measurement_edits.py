@@ -10,6 +10,7 @@ from msgspec.structs import replace
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project.document import Document, MeasuredPlace, MeasurementEntry, MeasurementKind
 from ladarreg_core.project.edits import MAX_PIXEL, finite, require_photo
+from ladarreg_core.project.station_edits import partner_of
 
 MAX_MEASUREMENTS = 500
 MAX_PLACES = 100
@@ -53,14 +54,21 @@ def place(at: Sequence[object], photo: str = "", sigma: object = 0.0) -> Measure
 
 
 def with_measurement(
-    document: Document, kind: MeasurementKind, places: Sequence[MeasuredPlace]
+    document: Document, kind: MeasurementKind, places: Sequence[MeasuredPlace], station: str = ""
 ) -> tuple[Document, MeasurementEntry]:
     """Return the document with a measurement, and that.
 
+    Args:
+        document: the document.
+        kind: what is measured.
+        places: the points.
+        station: id of the station on whose scan it is measured; empty: the project's scan.
+
     Raises:
-        OptionError: if there is no scan, there are too many measurements or points, or a photograph is unknown.
+        OptionError: if there is no scan, there are too many measurements or points, or a photograph or the station is
+            unknown.
     """
-    if document.scan is None:
+    if partner_of(document, station) is None:
         raise OptionError("there is no scan to measure on; open one")
     if len(document.measurements) >= MAX_MEASUREMENTS:
         raise OptionError(f"the project has {MAX_MEASUREMENTS} measurements, which is the maximum; remove some first")
@@ -68,7 +76,8 @@ def with_measurement(
         if one.photo:
             require_photo(document, one.photo)
     number = document.numbered_measurements + 1
-    new = checked_measurement(MeasurementEntry(id=f"m{number}", number=number, kind=kind, places=tuple(places)))
+    entry = MeasurementEntry(id=f"m{number}", number=number, kind=kind, places=tuple(places), station=station)
+    new = checked_measurement(entry)
     return replace(document, measurements=(*document.measurements, new), numbered_measurements=number), new
 
 
@@ -87,6 +96,20 @@ def with_measurement_name(document: Document, measurement_id: str, name: str) ->
 def without_measurements(document: Document, ids: Collection[str]) -> Document:
     """Return the document without some measurements."""
     return replace(document, measurements=tuple(each for each in document.measurements if each.id not in ids))
+
+
+def with_one_list(document: Document) -> Document:
+    """Return a document with all measurements in one list, without those of stations that it has no longer; earlier
+    versions kept what was measured on a station's scan with the station.
+    """
+    ids = {"", *(station.id for station in document.stations)}
+    moved = [replace(each, station=one.id) for one in document.stations for each in one.measurements]
+    if not moved and all(each.station in ids for each in document.measurements):
+        return document
+    again = {each.id for each in moved}
+    kept = (each for each in document.measurements if each.station in ids and each.id not in again)
+    stations = tuple(replace(one, measurements=()) if one.measurements else one for one in document.stations)
+    return replace(document, measurements=(*kept, *moved), stations=stations)
 
 
 def require_measurement(document: Document, measurement_id: object) -> MeasurementEntry:

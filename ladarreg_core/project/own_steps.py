@@ -151,6 +151,8 @@ def _last_change(history: History, index: int, part: Part) -> Entry:
 def _described(history: History, part: Part) -> str:
     if part[0] == "measurements":
         return "the measurements" if len(part) == 1 else "the measurement"
+    if part[0] == "stations":
+        return "the stations" if len(part) == 1 else "the station"
     if part[0] == "ties":
         return "the ties" if len(part) == 1 else f"the tie {part[1].removeprefix('t')}"
     if part[0] != "photos":

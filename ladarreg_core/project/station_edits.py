@@ -11,7 +11,15 @@ from msgspec.structs import replace
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
 from ladarreg_core.frames import Rigid, rotation_about
 from ladarreg_core.project.carried import carried_pose
-from ladarreg_core.project.document import Document, PhotoEntry, Rows, StationEntry, StationWork, Survey
+from ladarreg_core.project.document import (
+    Document,
+    PhotoEntry,
+    PoseEntry,
+    Rows,
+    StationEntry,
+    StationWork,
+    Survey,
+)
 from ladarreg_core.project.edits import finite, require_photo
 from ladarreg_core.project.source import Source
 
@@ -64,7 +72,9 @@ def require_station(document: Document, station_id: object) -> StationEntry:
 
 
 def without_station(document: Document, station_id: object) -> Document:
-    """Return the document without a station; photographs that are matched with it return to the project's scan."""
+    """Return the document without a station; photographs that are matched with it return to the project's scan, and
+    what was measured on its scan goes with it.
+    """
     gone = require_station(document, station_id)
     for photo in document.photos:
         if photo.station == gone.id:
@@ -73,7 +83,23 @@ def without_station(document: Document, station_id: object) -> Document:
         replace(photo, elsewhere=tuple(work for work in photo.elsewhere if work.station != gone.id))
         if photo.elsewhere else photo for photo in document.photos
     )  # fmt: skip
-    return replace(document, photos=photos, stations=tuple(each for each in document.stations if each is not gone))
+    return replace(
+        document, photos=photos, stations=tuple(each for each in document.stations if each is not gone),
+        measurements=tuple(each for each in document.measurements if each.station != gone.id),
+    )  # fmt: skip
+
+
+def with_partner_scan(document: Document, station_id: str, scan: Source) -> Document:
+    """Return the document with another state of a station's scan; with an empty id of the project's.
+
+    Raises:
+        OptionError: if there is no such station.
+    """
+    if not station_id:
+        return replace(document, scan=scan)
+    chosen = require_station(document, station_id)
+    stations = tuple(replace(each, source=scan) if each is chosen else each for each in document.stations)
+    return replace(document, stations=stations)
 
 
 def rough_pose(fields: Mapping[str, object]) -> Rigid:
@@ -246,27 +272,50 @@ def may_choose_partner(photo: PhotoEntry) -> bool:
     return not (photo.station_given or photo.picks or found_here or photo.part == "held")
 
 
-def seen_from_scan(document: Document, photo: PhotoEntry) -> PhotoEntry:
-    """Return a photograph as it is beside the project's scan: where it is matched with another one, its pose is carried
+def seen_from_scan(document: Document, photo: PhotoEntry, station_id: str = "") -> PhotoEntry:
+    """Return a photograph as it is beside a station's scan: where it is matched with another one, its pose is carried
     over, without matches; it has none where it is not known how the two scans stand to each other.
+
+    Args:
+        document: the document.
+        photo: the photograph.
+        station_id: id of the station; empty: the project's scan.
+
+    Raises:
+        OptionError: if there is no such station.
     """
-    if not photo.station:
+    if photo.station == station_id:
         return photo
-    place, pose = known_place(document, photo.station), photo.pose
-    assert document.scan is not None, "stations are added to a scan"
+    between, pose = place_between(document, photo.station, station_id), photo.pose
+    source = partner_of(document, station_id)
+    assert source is not None, "stations are added to a scan"
     found: dict[str, Any] = {"poses": (), "shown_stage": None}
-    if place is not None and pose is not None:
-        sigma_m, sigma_rad = _place_sigmas(document, photo.station, "")
-        carried = carried_pose(pose, place.inverse, document.scan, sigma_m=sigma_m, sigma_rad=sigma_rad)
+    if between is not None and pose is not None:
+        sigma_m, sigma_rad = place_sigmas(document, photo.station, station_id)
+        carried = carried_pose(pose, between, source, sigma_m=sigma_m, sigma_rad=sigma_rad)
         found = {"poses": (carried,), "shown_stage": pose.stage}
     return replace(photo, station="", elsewhere=(), picks=(), stated_pose=None, stated_by="", **found)
+
+
+def place_between(document: Document, one: str, other: str) -> Rigid | None:
+    """Return `one_from_other` of two stations by their ids, empty: the project's scan; None where it is not known."""
+    first, second = known_place(document, one), known_place(document, other)
+    return None if first is None or second is None else first.inverse @ second
+
+
+def pose_beside(photo: PhotoEntry, station_id: str) -> PoseEntry | None:
+    """Return the current pose of a photograph beside a station's scan, with which it need not be matched now."""
+    if photo.station == station_id:
+        return photo.pose
+    kept = next((work for work in photo.elsewhere if work.station == station_id), None)
+    return None if kept is None else next((pose for pose in kept.poses if pose.stage == kept.shown_stage), None)
 
 
 def with_station_shown(document: Document, station_id: object) -> Document:
     """Return the document with another station's scan as the project's, to whose frame it refers from now on.
 
-    The former one becomes a station, and keeps what was measured on it. Photographs beside it come to be beside the new
-    one, see `with_partner`; those that are matched with other stations stay with them.
+    The former one becomes a station. Photographs beside it come to be beside the new one, see `with_partner`; those
+    that are matched with other stations stay with them, and measurements with the scans that they were made on.
     """
     chosen = require_station(document, station_id)
     assert document.scan is not None, "stations are added to a scan"
@@ -277,13 +326,16 @@ def with_station_shown(document: Document, station_id: object) -> Document:
         _renamed(photo if photo.station else _beside(document, photo, chosen.id), renamed) for photo in document.photos
     )
     rough = None if between is None else _rows(between.inverse)
-    before = StationEntry(id=f"s{number}", source=document.scan, rough=rough, measurements=document.measurements)
+    before = StationEntry(id=f"s{number}", source=document.scan, rough=rough)
+    measurements = tuple(
+        replace(each, station=renamed.get(each.station, each.station)) for each in document.measurements
+    )
     stations = tuple(
         before if each is chosen else replace(each, rough=_seen_from(each.rough, between)) for each in document.stations
     )
     return replace(
         document, scan=chosen.source, photos=photos, stations=stations, numbered_stations=number,
-        measurements=chosen.measurements,
+        measurements=measurements,
     )  # fmt: skip
 
 
@@ -317,19 +369,18 @@ def _kept_by_station(document: Document, photo: PhotoEntry, station_id: str) -> 
 def _carried(document: Document, photo: PhotoEntry, station_id: str) -> dict[str, Any]:
     """Return the pose of a photograph as it is known beside another scan, as fields of its entry."""
     found: dict[str, Any] = {"poses": (), "shown_stage": None, "stated_pose": None, "stated_by": ""}
-    was, now = known_place(document, photo.station), known_place(document, station_id)
+    from_new = place_between(document, photo.station, station_id)
     source, pose = partner_of(document, station_id), photo.pose
     former = partner_of(document, photo.station)
-    if was is None or now is None or source is None or former is None:
+    if from_new is None or source is None or former is None:
         return found
-    from_new = was.inverse @ now
     if pose is not None and pose.accepted:
         found |= {
             "stated_pose": _rows(Rigid.from_matrix(np.array(pose.camera_from_scanner)) @ from_new),
             "stated_by": former.name,
         }
         if pose.stage == "survey":
-            sigma_m, sigma_rad = _place_sigmas(document, photo.station, station_id)
+            sigma_m, sigma_rad = place_sigmas(document, photo.station, station_id)
             carried = carried_pose(pose, from_new, source, sigma_m=sigma_m, sigma_rad=sigma_rad)
             found |= {"poses": (carried,), "shown_stage": "survey"}
     elif photo.stated_pose is not None:
@@ -340,8 +391,11 @@ def _carried(document: Document, photo: PhotoEntry, station_id: str) -> dict[str
     return found
 
 
-def _place_sigmas(document: Document, one: str, other: str) -> tuple[float, float]:
-    """Return how well the places of two scans are known together, m and rad; those of the first scan are exact."""
+def place_sigmas(document: Document, one: str, other: str) -> tuple[float, float]:
+    """Return how well the places of two stations' scans are known together, m and rad, of all axes together.
+
+    Those of the scan that the others were registered to are exact.
+    """
     total = np.zeros(2)
     for source in (partner_of(document, one), partner_of(document, other)):
         adjusted = () if document.adjusted is None or source is None else document.adjusted.scans

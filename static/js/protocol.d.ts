@@ -15,7 +15,7 @@ export interface Commands {
   acquire_stop: Record<string, never>;
   acquire_take_over: Record<string, never>;
   add_embedded: { images: number[] };
-  add_measurement: { kind: "point" | "distance" | "polyline" | "angle" | "area" | "height"; places: (Record<string, unknown>)[] };
+  add_measurement: { kind: "point" | "distance" | "polyline" | "angle" | "area" | "height"; places: (Record<string, unknown>)[]; station?: string };
   add_pick: { photo: string; kind: "point" | "line"; scan: number[][]; photo_uv: number[][]; station?: string | null };
   add_tie: { photos: string[]; uv: number[][]; sigma_px?: number };
   adjust: { photos?: string[] | null };
@@ -37,7 +37,7 @@ export interface Commands {
   list_projects: Record<string, never>;
   list_served: Record<string, never>;
   look: { viewpoint: "start" | "overview" | "scanner" | "camera" };
-  measure: { kind: "point" | "distance" | "polyline" | "angle" | "area" | "height"; places: (Record<string, unknown>)[] };
+  measure: { kind: "point" | "distance" | "polyline" | "angle" | "area" | "height"; places: (Record<string, unknown>)[]; station?: string };
   new_project: { name?: string | null; files?: string[] | null; sure?: boolean };
   open_files: { files: string[]; scan?: "replace" | "frames" | "stations" | null; photo?: string | null; reading?: Record<string, unknown> | null };
   open_job: { wanted: string; sure?: boolean };
@@ -63,7 +63,7 @@ export interface Commands {
   remove_ties: { ties: string[] };
   rename: { name: string };
   rename_measurement: { measurement: string; name: string };
-  restore_ranges: Record<string, never>;
+  restore_ranges: { station?: string };
   run: { photo: string; job: string };
   sample_line: { scan: number[][] };
   set_camera: { photo: string; focal_35mm?: number | null; focal_mm?: number | null; sensor_mm?: number | null; focal_px?: number | null; model?: "equirectangular" | null };

@@ -6,22 +6,27 @@ from typing import Any
 
 
 def page_measurements(
-    facts: dict[str, Any], measurements: list[dict[str, Any]], measured: list[dict[str, Any]]
+    facts: dict[str, Any],
+    measurements: list[dict[str, Any]],
+    measured: list[dict[str, Any]],
+    stations: dict[str, Any] | None,
 ) -> list[str]:
     """Return where the page says something else of the measurements than the slices."""
     values = {one["id"]: one for one in measured}
-    wanted = [_row(one["name"], values.get(one["id"])) for one in measurements]
+    scans = {one["id"] or "": one["name"] for one in (stations or {"stations": []})["stations"]}
+    wanted = [_row(one["name"], values.get(one["id"]), scans.get(one["station"], "")) for one in measurements]
     if facts["measurements"] == wanted:
         return []
     return [f"the page says of the measurements {facts['measurements']!r}, and it is {wanted!r}"]
 
 
-def _row(name: str, found: dict[str, Any] | None) -> list[str]:
+def _row(name: str, found: dict[str, Any] | None, scan: str) -> list[str]:
+    on = [f"on {scan}"] if scan else []
     if found is None:
-        return [name, "…", ""]
-    interval = f"95 %: {found['interval']}" if found["interval"] else ""
+        return [name, "…", *(on or [""])]
+    interval = [f"95 %: {found['interval']}"] if found["interval"] else []
     notes = [found["refusal"]] if found["refusal"] else found["notes"]
-    return [name, found["value"] or "Not measured", interval, *notes]
+    return [name, found["value"] or "Not measured", " · ".join([*interval, *on]), *notes]
 
 
 def page_smoothing(facts: dict[str, Any], smoothing: dict[str, Any]) -> list[str]:

@@ -131,7 +131,8 @@ def page_contradictions(
     found = _Comparison(facts, slices).everything(constants)
     found += page_survey(facts, slices.get("photos") or [], slices.get("survey"), slices.get("drawn_ties") or [])
     found += page_smoothing(facts, slices.get("smoothing") or {})
-    found += page_measurements(facts, slices.get("measurements") or [], slices.get("measured") or [])
+    measurements = (slices.get(name) or [] for name in ("measurements", "measured"))
+    found += page_measurements(facts, *measurements, slices.get("stations"))
     return [*found, *page_stations(facts, slices.get("stations"), slices.get("survey"))]
 
 

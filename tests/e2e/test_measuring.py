@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.cameras.camera_file import read_camera
+from ladarreg_core.formats.scans.npz import write_npz_xyz
 from ladarreg_core.simulate.case import case_world
 from ladarreg_core.simulate.sample import SCENE, SEED, sample_folder
+from testing.scenes.thinned_scan import thinned
 from testing.workbench.audits import layout_faults
 from testing.workbench.measured_truth import page_measurements
 from testing.workbench.operator import Operator, at_work
@@ -19,6 +22,7 @@ from testing.workbench.page_truth import facts_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
     from playwright.sync_api import Browser
 
@@ -152,6 +156,56 @@ def test_a_distance_is_clicked_and_its_interval_contains_the_truth(measurer: Ope
     assert saved.value.suggested_filename.endswith(".zip")
     page.get_by_role("button", name="Remove Desk").click()
     measurer.wait(lambda: measurer.slice("measurements") == [], "an empty list")
+
+
+@pytest.mark.slow
+def test_a_measurement_is_of_the_scan_in_which_it_is_picked_and_drawn_where_that_is_shown(
+    measurer: Operator, tmp_path: Path
+) -> None:
+    page, station = measurer.page, tmp_path / "window.npz"
+    write_npz_xyz(station, thinned(read_scan(sample_folder() / "scan.npz"), 2))
+    reply = measurer.socket.ask("open_files", files=[measurer.server.upload(station)], scan="stations")
+    assert reply["ok"], reply
+    beside = page.get_by_label("Scan beside the photograph")
+    beside.select_option(label="window.npz")
+    measurer.wait(lambda: (measurer.slice("beside") or {}).get("name") == "window.npz", "the station's scan")
+    (window,) = (one["id"] for one in measurer.slice("stations")["stations"] if one["id"])
+    measurer.step("Judge")
+    page.keyboard.press("d")
+    view = measurer.slice("beside")["views"][0]
+    ends = [(round(view["width"] * x), round(view["height"] * y)) for x, y in ((0.25, 0.3), (0.7, 0.35))]
+    bar = page.locator("#scan-pane .pane-measure")
+    click(measurer, "scan", ends[0])
+    bar.get_by_text("second point").wait_for()
+    # A point in another scan is none of this measurement.
+    beside.select_option(index=0)
+    measurer.wait(lambda: measurer.slice("beside") is None, "the project's scan")
+    click(measurer, "scan", pixels_on_surfaces(measurer, "scan")[0])
+    bar.get_by_text("Begun in window.npz: go on there").wait_for()
+    beside.select_option(label="window.npz")
+    measurer.wait(lambda: (measurer.slice("beside") or {}).get("name") == "window.npz", "the station's scan again")
+    click(measurer, "scan", ends[1])
+    found = only_measured(measurer, 1)
+    assert measurer.slice("measurements")[0]["station"] == window
+    truth = float(np.linalg.norm(np.subtract(
+        *(true_place(measurer, place) for place in measurer.slice("measurements")[0]["places"])
+    )))  # fmt: skip
+    value, sigma = (float(word) for word in found["value"].removesuffix(" m").split(" ± "))
+    assert abs(value - truth) < 4 * sigma + 1e-3, (truth, found)
+    page.get_by_role("region", name="Measurements").get_by_text("on window.npz").wait_for()
+    measurer.shot("on-a-station")
+    # It is selected where it is drawn, which is in its own scan only.
+    page.keyboard.press("v")
+    selected = "import('./js/state/view.js').then(({ view }) => view.get().measurement)"
+    page.evaluate("import('./js/state/view.js').then(({ view }) => view.set({ measurement: null }))")
+    click(measurer, "scan", ends[0])
+    measurer.wait(lambda: page.evaluate(selected), "it is selected in its own scan")
+    page.evaluate("import('./js/state/view.js').then(({ view }) => view.set({ measurement: null }))")
+    beside.select_option(index=0)
+    measurer.wait(lambda: measurer.slice("beside") is None, "the project's scan")
+    scale = measurer.slice("scan")["views"][0]["width"] / view["width"]
+    click(measurer, "scan", (ends[0][0] * scale, ends[0][1] * scale))
+    assert page.evaluate(selected) is None
 
 
 IN_MODEL = """(xyz) => {

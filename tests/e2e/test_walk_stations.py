@@ -47,6 +47,10 @@ def test_a_walk_through_stations(walk: Walk, tmp_path: Path) -> None:
     walk.state("it is registered there, too", "verified", ticks=solved)
     walk.do("show_station", station=walk.stations()[1])
     walk.state("the first is shown again", "verified", ticks=solved)
+    for station, at in (("", "first"), (walk.stations()[1], "second")):
+        at_all = ({"kind": "point", "places": [{"ray": [1.0, y / 20, -0.1]}], "station": station} for y in range(20))
+        walk.do("add_measurement", **next(one for one in at_all if not walk.do("measure", **one)["refusal"]))
+        walk.state(f"a point is measured at the {at}", "verified", ticks=solved)
     walk.do("remove_station", station=walk.stations()[1])
     walk.state("the second is removed", "verified", ticks=solved)
     walk.do("undo")

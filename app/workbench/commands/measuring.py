@@ -13,6 +13,7 @@ from ladarreg_core.project.document import MeasuredPlace, MeasurementKind
 from ladarreg_core.project.edits import require_photo
 from ladarreg_core.project.measurement_edits import MAX_PLACES
 
+from ...session.measured import Picked
 from .command import Context, Reply, WorkbenchCommand
 from .matches import step_reply
 
@@ -38,28 +39,18 @@ class OfPlaces(WorkbenchCommand, frozen=True):
 
     kind: Kind
     places: Places
+    station: Annotated[str, Meta(title="the station is no longer in the project; choose another")] = ""
 
-    def picked(self, context: Context, client: Client) -> tuple[MeasuredPlace, ...]:
-        """Return the points.
-
-        Raises:
-            OptionError: if one is neither a ray nor a pixel, or was picked in a scan that is not the project's.
-        """
-        places = tuple(_place(one) for one in self.places)
-        shown, scan = context.selection.photo_of(client), context.session.document.scan
-        if scan is not None and shown is not None and shown.station and not all(one.photo for one in places):
-            raise OptionError(
-                f"the scan of another station is shown here, and measurements are of {scan.name}: pick in the "
-                "photograph, or choose that scan beside it"
-            )
-        return places
+    def picked(self) -> Picked:
+        """Return what is measured; raises `OptionError` if a point is neither a ray nor a pixel."""
+        return Picked(self.station, self.kind, tuple(_place(one) for one in self.places))
 
 
 class Measure(OfPlaces, frozen=True):
-    """measures points, each `{ray}` in the scan or `{photo, uv}`, with the standard deviation of the pick along each
-    axis, `sigma_rad` or `sigma_px`, where the picture was shown too small for the usual half a cell or pixel; and
-    changes nothing: value with standard deviation, 95 % interval and notes as in the slice `measured`, or why it is
-    refused
+    """measures points on the scan of a station (empty: the project's), each `{ray}` in that scan or `{photo, uv}`, with
+    the standard deviation of the pick along each axis, `sigma_rad` or `sigma_px`, where the picture was shown too small
+    for the usual half a cell or pixel; and changes nothing: value with standard deviation, 95 % interval and notes as
+    in the slice `measured`, or why it is refused
     """
 
     looks: ClassVar[bool] = True
@@ -67,26 +58,26 @@ class Measure(OfPlaces, frozen=True):
 
     def execute(self, context: Context, client: Client) -> Reply:
         """Measure them."""
-        return context.measured.preview(self.kind, self.picked(context, client))
+        return context.measured.preview(self.picked())
 
 
 class AddMeasurement(OfPlaces, frozen=True):
-    """keeps a measurement; one that is refused is not kept"""
+    """keeps a measurement on the scan of a station (empty: the project's); one that is refused is not kept"""
 
     replies: ClassVar[str] = "measurement"
 
     def execute(self, context: Context, client: Client) -> Reply:
         """Keep it."""
-        places = self.picked(context, client)
-        for one in places:
+        picked = self.picked()
+        for one in picked.places:
             if one.photo:
                 require_photo(context.session.document, one.photo)
-        context.measured.check(self.kind, places)
+        context.measured.check(picked)
         made = ""
 
         def edit(document: Document) -> Document:
             nonlocal made
-            found, entry = measurement_edits.with_measurement(document, self.kind, places)
+            found, entry = measurement_edits.with_measurement(document, picked.kind, picked.places, picked.station)
             made = entry.id
             return found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from msgspec import Meta
@@ -20,8 +21,8 @@ Show = Annotated[
 
 
 class PreviewSmoothing(WorkbenchCommand, frozen=True):
-    """shows this client which ranges the accepted pose of a photograph would replace, in the slice `smoothing`,
-    in the scan and in the 3-D view; nothing is changed
+    """shows this client which ranges of the scan beside a photograph its accepted pose would replace, in the slice
+    `smoothing`, in the scan and in the 3-D view; nothing is changed
     """
 
     photo: PhotoId
@@ -61,9 +62,11 @@ class ApplySmoothing(WorkbenchCommand, frozen=True):
 
 
 class RestoreRanges(WorkbenchCommand, frozen=True):
-    """restores all ranges of the scan as they were measured"""
+    """restores all ranges of the scan of a station (empty: the project's) as they were measured"""
+
+    station: Annotated[str, Meta(title="the station is no longer in the project; choose another")] = ""
 
     def execute(self, context: Context, client: Client) -> Reply:
         """Restore them."""
-        number = context.session.commit("Restore the measured ranges", without_smoothings, author=client.author)
-        return step_reply(number)
+        change = partial(without_smoothings, station_id=self.station)
+        return step_reply(context.session.commit("Restore the measured ranges", change, author=client.author))

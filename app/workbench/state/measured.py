@@ -12,16 +12,17 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from ladarreg_core.errors import LadarregError, OptionError
+from ladarreg_core.project.station_edits import partner_of
 
 from ...messages import sentence
 from ...session.loader import Loader
-from ...session.measured import Picked, measured_places, photos_of, stale_poses
+from ...session.measured import Picked, in_common_frame, measured_places, photos_of, stale_poses
 from ...session.session import Session
 
 if TYPE_CHECKING:
     from ladarreg_core.measuring.drawn import DrawnMeasurement
     from ladarreg_core.measuring.measurement_list import NamedMeasurement
-    from ladarreg_core.project.document import Document, MeasuredPlace, MeasurementEntry, MeasurementKind, PhotoEntry
+    from ladarreg_core.project.document import Document, MeasuredPlace, MeasurementEntry, PhotoEntry
     from ladarreg_core.scan import Scan
     from ladarreg_core.surface.visibility.visible_points import Occluder
 
@@ -51,64 +52,60 @@ class Measured:
 
     def slice(self) -> list[dict[str, Any]]:
         """Return the slice `measured`."""
-        document = self._loader.seen_from_scan(self._session.document)
-        if not document.measurements:
-            return []
-        try:
-            scan = self._loader.scan(document)
-        except LadarregError:  # the slice `scan` states it
-            scan = None
-        if scan is None:
-            return []
-        found = self._measured(document, scan, document.measurements)
-        seen = [photo for each in sorted(self._looked_at()) if (photo := document.photo(each)) is not None]
+        document = self._session.document
+        entries = document.measurements
+        found = self._of_places(document, list(map(Picked.of, entries)))
+        looked_at = sorted(self._looked_at()) if entries else []
         return [
             {
                 "id": entry.id,
-                **self._fields(document, entry.places, value),
-                **self._drawing(scan, entry.places, value, seen),
+                **self._fields(document, Picked.of(entry), value),
+                **self._drawing(document, Picked.of(entry), value, looked_at),
             }
-            for entry, value in zip(document.measurements, found, strict=True)
+            for entry, value in zip(entries, found, strict=True)
         ]
 
-    def preview(self, kind: MeasurementKind, places: Sequence[MeasuredPlace]) -> dict[str, Any]:
+    def preview(self, picked: Picked) -> dict[str, Any]:
         """Return the value of points that are being picked, or why they cannot be measured.
 
         Raises:
-            OptionError: if there is no scan.
+            OptionError: if there is no scan, or no such station.
         """
-        document, scan = self._present()
-        (found,) = self._of_places(document, scan, [(kind, places)])
-        return self._fields(document, places, found)
+        document = self._with_scan(picked.station)
+        (found,) = self._of_places(document, [picked])
+        return self._fields(document, picked, found)
 
-    def check(self, kind: MeasurementKind, places: Sequence[MeasuredPlace]) -> None:
+    def check(self, picked: Picked) -> None:
         """Refuse what cannot be measured.
 
         Raises:
             OptionError: with the reason.
         """
-        document, scan = self._present()
-        (found,) = self._of_places(document, scan, [(kind, places)])
+        (found,) = self._of_places(self._with_scan(picked.station), [picked])
         if found.measurement is None:
             raise OptionError(found.refusal)
 
     def shown(self) -> MeasuredShown | None:
-        """Return what is drawn of measurements in space; None: nothing."""
+        """Return what is drawn of measurements in space, in the frame of the project's scan; None: nothing.
+
+        Those of stations that stand nobody knows where are not drawn.
+        """
         from ladarreg_core.measuring.drawn import lines_of
 
         from ...scene import MeasuredShown
 
-        document = self._loader.seen_from_scan(self._session.document)
-        scan = self._loader.scan(document) if document.measurements else None
-        if scan is None:
+        document = self._session.document
+        entries = document.measurements
+        if not entries or self._loader.scan(document) is None:
             return None
-        values = self._measured(document, scan, document.measurements)
-        key = tuple(map(id, values)), tuple(entry.title for entry in document.measurements)
+        values = self._of_places(document, list(map(Picked.of, entries)))
+        placed = [self._placed(document, entry.station, value) for entry, value in zip(entries, values, strict=True)]
+        key = tuple(map(id, placed)), tuple(entry.title for entry in entries)
         if key != self._shown[0]:
             pairs = [
                 (entry, value.measurement)
-                for entry, value in zip(document.measurements, values, strict=True)
-                if value.measurement is not None
+                for entry, value in zip(entries, placed, strict=True)
+                if value.measurement is not None and not value.own_frame
             ]
             lines = [lines_of(measured) for _, measured in pairs]
             points = [measured.points.xyz for _, measured in pairs]
@@ -123,32 +120,43 @@ class Measured:
             self._shown = key, shown
         return self._shown[1]
 
-    def _present(self) -> tuple[Document, Scan]:
-        document = self._loader.seen_from_scan(self._session.document)
-        scan = self._loader.scan(document)
-        if scan is None:
+    def _with_scan(self, station: str) -> Document:
+        document = self._session.document
+        if partner_of(document, station) is None:
             raise OptionError("there is no scan to measure on; open one")
-        return document, scan
+        return document
 
-    def _measured(self, document: Document, scan: Scan, entries: Sequence[MeasurementEntry]) -> list[NamedMeasurement]:
-        return self._of_places(document, scan, [(entry.kind, entry.places) for entry in entries])
-
-    def _of_places(self, document: Document, scan: Scan, wanted: Sequence[Picked]) -> list[NamedMeasurement]:
+    def _of_places(self, document: Document, wanted: Sequence[Picked]) -> list[NamedMeasurement]:
         """Return what was measured; all that is not known yet is measured together, which takes hardly longer."""
-        keys = [
-            (document.scan, kind, tuple(places), tuple(_known(document.photo(each)) for each in photos_of(places)))
-            for kind, places in wanted
-        ]
+
+        def poses(one: Picked) -> Hashable:
+            seen = self._loader.seen_from_scan(document, one.station)
+            return tuple(_pose_of(seen.photo(each)) for each in photos_of(one.places))
+
+        keys = [(partner_of(document, one.station), one.kind, one.places, poses(one)) for one in wanted]
         with self._lock:
             new = {key: one for key, one in zip(keys, wanted, strict=True) if key not in self._values}
-            made = dict(zip(new, measured_places(self._loader, document, scan, list(new.values())), strict=True))
+            made = dict(zip(new, measured_places(self._loader, document, list(new.values())), strict=True))
             return [self._kept(self._values, key, partial(made.__getitem__, key)) for key in keys]
 
-    def _fields(self, document: Document, places: Sequence[MeasuredPlace], found: NamedMeasurement) -> dict[str, Any]:
-        measured = found.measurement
-        if measured is None:
+    def _placed(self, document: Document, station: str, found: NamedMeasurement) -> NamedMeasurement:
+        """Return it in the frame of the project's scan; the same object while the station stays where it is."""
+        if not document.stations:
+            return found
+        rests_on = (found, document.scan, document.stations, document.survey, document.adjusted)
+        key = "placed", station, *map(id, rests_on)
+        return self._kept(self._drawn, key, lambda: (rests_on, in_common_frame(document, station, found)))[1]  # type: ignore[no-any-return]
+
+    def _fields(self, document: Document, picked: Picked, found: NamedMeasurement) -> dict[str, Any]:
+        if found.measurement is None:
             return {"value": "", "interval": "", "notes": [], "refusal": sentence(found.refusal)}
-        notes = [*measured.flags, *stale_poses(self._loader, document, places)]
+        placed = self._placed(document, picked.station, found)
+        measured = placed.measurement
+        assert measured is not None, "it was measured"
+        seen = self._loader.seen_from_scan(document, picked.station)
+        notes = [*measured.flags, *stale_poses(self._loader, seen, picked.places)]
+        if placed.own_frame and measured.kind == "point":
+            notes.append(f"is in the frame of {placed.scan}: it is not known where that stands; register the stations")
         return {
             "value": _typeset(measured.described),
             "interval": _typeset(measured.described_interval),
@@ -157,20 +165,23 @@ class Measured:
         }
 
     def _drawing(
-        self, scan: Scan, places: Sequence[MeasuredPlace], found: NamedMeasurement, photos: Sequence[PhotoEntry]
+        self, document: Document, picked: Picked, found: NamedMeasurement, looked_at: Sequence[str]
     ) -> dict[str, Any]:
         measured = found.measurement
         if measured is None:
             return {"drawn": None, "in_photo": {}}
         from ladarreg_core.measuring.drawn import drawn_from_scanner
 
+        seen = self._loader.seen_from_scan(document, picked.station)
+        scan = self._loader.scan(seen)
+        assert scan is not None, "it was measured on it"
         # the measurement is kept beside what is drawn of it, so that its id is not used again
         _, drawn = self._kept(self._drawn, id(found), lambda: (found, _rows(drawn_from_scanner(measured), 6)))
         pictures: dict[str, Any] = {}
-        for photo in photos:
-            key = (id(found), photo.id, _pose_name(photo))
+        for photo in filter(None, map(seen.photo, looked_at)):
+            key = (id(found), photo.id, _pose_of(photo))
             if key[-1]:
-                _, picture = self._kept(self._drawn, key, partial(self._in_photo, scan, places, found, photo))
+                _, picture = self._kept(self._drawn, key, partial(self._in_photo, scan, picked.places, found, photo))
                 if picture is not None:
                     pictures[photo.id] = picture
         return {"drawn": drawn, "in_photo": pictures}
@@ -190,7 +201,7 @@ class Measured:
         if not may_be_drawn(found.measurement, registration):
             return found, None
         occluder = self._kept(
-            self._occluders, (id(scan), _pose_name(photo)),
+            self._occluders, (id(scan), _pose_of(photo)),
             lambda: Occluder(scan, registration.camera, registration.camera_from_scanner), most=_OCCLUDERS,
         )  # fmt: skip
         seen = [one.photo == photo.id for one in places]
@@ -210,6 +221,7 @@ def measurement_entry(entry: MeasurementEntry) -> dict[str, Any]:
     """Return an entry of the slice `measurements`."""
     return {
         "id": entry.id,
+        "station": entry.station,
         "name": entry.title,
         "kind": entry.kind,
         "places": [_place(one) for one in entry.places],
@@ -221,13 +233,14 @@ def _place(one: MeasuredPlace) -> dict[str, Any]:
     return at | ({f"sigma_{unit}": one.sigma} if one.sigma else {})
 
 
-def _pose_name(entry: PhotoEntry) -> str:
-    """Return what changes with the pose by which a photograph is measured; empty: none."""
-    return "" if entry.pose is None or not entry.pose.accepted else entry.pose.name
-
-
-def _known(entry: PhotoEntry | None) -> str | None:
-    return None if entry is None else _pose_name(entry)
+def _pose_of(entry: PhotoEntry | None) -> Hashable:
+    """Return what changes with the pose by which a photograph is measured; None: there is no photograph, or empty: it
+    has no such pose.
+    """
+    if entry is None:
+        return None
+    pose = entry.pose
+    return (pose.name, pose.camera_from_scanner, pose.covariance) if pose is not None and pose.accepted else ()
 
 
 def _rows(drawn: DrawnMeasurement, digits: int) -> dict[str, Any]:

@@ -18,12 +18,14 @@ from ladarreg_core.project.smoothing_edits import (
     smoothing_sentence,
     with_smoothing,
 )
+from ladarreg_core.project.station_edits import known_place, partner_of
 
 from ...session.loader import Loader
 from ...session.session import Session
 from .clients import Client, SmoothingChoice
 
 if TYPE_CHECKING:
+    from ladarreg_core.frames import Rigid
     from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
     from ladarreg_core.quality.smoothing import Replacements
     from ladarreg_core.scan import Scan
@@ -98,30 +100,28 @@ class Smoothing:
         client.smoothing = None
         return number
 
-    def slice(self, client: Client) -> dict[str, Any]:
-        """Return the slice `smoothing` of a client."""
+    def slice(self, client: Client, station: str = "") -> dict[str, Any]:
+        """Return the slice `smoothing` of a client that sees the scan of a station; empty: the project's."""
         document = self._session.document
         return {
-            "replaced": replaced_count(document.scan),
-            "sentence": smoothing_sentence(document),
+            "station": station,
+            "replaced": replaced_count(partner_of(document, station)),
+            "sentence": smoothing_sentence(document, station),
             "preview": self._preview_slice(document, client.smoothing),
         }
 
     def shown(self, client: Client) -> SmoothingShown | None:
-        """Return what the 3-D view of a client shows of its preview; the same object while nothing changes."""
-        choice = client.smoothing
-        found = None if choice is None else self._current(self._session.document, choice)
+        """Return what the 3-D view of a client shows of its preview, in the frame of the project's scan; the same
+        object while nothing changes. None: nothing, or it is not known where the scan's station stands.
+        """
+        document, choice = self._session.document, client.smoothing
+        found = None if choice is None else self._current(document, choice)
         if choice is None or found is None:
             return None
+        key = found, choice.show, document.scan, document.stations, document.survey, document.adjusted
         known = self._shown.get(client.id)
-        if known is None or known[0][0] is not found or known[0][1] != choice.show:
-            from ...scene import SmoothingShown
-
-            one = found.replacements
-            before, after = (lengths[:, None] * found.rays for lengths in (one.measured, one.ranges))
-            known = self._shown[client.id] = (
-                (found, choice.show), SmoothingShown(before, after, one.at_edge, choice.show),
-            )  # fmt: skip
+        if known is None or known[0] != key:
+            known = self._shown[client.id] = key, _drawn(found, choice, known_place(document, found.made_of[2].station))
         return known[1]
 
     def _preview_slice(self, document: Document, choice: SmoothingChoice | None) -> dict[str, Any] | None:
@@ -131,6 +131,7 @@ class Smoothing:
         shared = {
             "photo": choice.photo,
             "name": "" if entry is None else entry.source.name,
+            "station": "" if entry is None else entry.station,
             "show": choice.show,
             "rev": choice.rev,
         }
@@ -173,6 +174,7 @@ class Smoothing:
         entry = document.photo(photo_id)
         assert entry is not None, "it has a pose"
         self._require_current(document, entry, pose)
+        document = document.beside(entry)
         scan = self._loader.scan(document)
         assert scan is not None, "a scan is open"
         with self._lock:
@@ -201,3 +203,13 @@ class Smoothing:
         )
         nothing = "" if len(found) else nothing_found(result)
         return _Found((scan, pose, entry), found, rays, uv, nothing, blake2b(made_of, digest_size=8).hexdigest())
+
+
+def _drawn(found: _Found, choice: SmoothingChoice, place: Rigid | None) -> SmoothingShown | None:
+    from ...scene import SmoothingShown
+
+    if place is None:
+        return None
+    one = found.replacements
+    before, after = (place @ (lengths[:, None] * found.rays) for lengths in (one.measured, one.ranges))
+    return SmoothingShown(before, after, one.at_edge, choice.show)

@@ -9,7 +9,7 @@ import msgspec
 
 from ladarreg_core.errors import FormatError, NewerVersionError, OptionError
 from ladarreg_core.project.document import VERSION, Document, PoseEntry
-from ladarreg_core.project.measurement_edits import checked_measurement
+from ladarreg_core.project.measurement_edits import checked_measurement, with_one_list
 from ladarreg_core.project.station_edits import checked_survey
 from ladarreg_core.project.stored_arrays import StoredArrays
 from ladarreg_core.project.tie_edits import checked_tie
@@ -58,10 +58,12 @@ def decode_document(data: bytes, find: FindArrays) -> Document:
     for work in found.work:
         for pick in work.picks:
             pick.as_pick()  # validates
-    lost = {photo.station for photo in found.photos} - {"", *(station.id for station in found.stations)}
-    if lost:
-        raise FormatError(f"the project is damaged: it has no station {min(lost)!r}, which a photograph belongs to")
-    for measurement in (*found.measurements, *(each for station in found.stations for each in station.measurements)):
+    stations = {"", *(station.id for station in found.stations)}
+    for belongs, what in ((found.photos, "photograph"), (found.measurements, "measurement")):
+        if lost := {each.station for each in belongs} - stations:
+            raise FormatError(f"the project is damaged: it has no station {min(lost)!r}, which a {what} belongs to")
+    found = with_one_list(found)
+    for measurement in found.measurements:
         checked_measurement(measurement)
     for tie in found.ties:
         checked_tie(tie)

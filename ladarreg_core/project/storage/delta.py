@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from ladarreg_core.errors import FormatError, LadarregError
 from ladarreg_core.project.document import Document, MeasurementEntry, PhotoEntry, PickEntry, TieEntry
-from ladarreg_core.project.measurement_edits import checked_measurement
+from ladarreg_core.project.measurement_edits import checked_measurement, with_one_list
 from ladarreg_core.project.storage.codec import FindArrays, arrays_of, encode, from_plain
 from ladarreg_core.project.tie_edits import checked_tie
 
@@ -62,7 +62,7 @@ def apply_change(document: Document, change: object, find: FindArrays) -> Docume
         FormatError: if the change does not fit this document.
     """
     try:
-        return _apply(document, change, find)
+        return with_one_list(_apply(document, change, find))
     except (KeyError, AttributeError, TypeError, ValueError, LadarregError) as error:
         raise FormatError(f"the change does not fit this document ({type(error).__name__}: {error})") from None
 
@@ -136,6 +136,9 @@ def _apply_list_change(before: Sequence[Any], change: Any, kind: type[Any], find
     order = change.get("order")
     if order is None:
         return tuple(things.values())
+    # what earlier versions kept with stations is in the list by now, and their orders do not name it
+    moved = [name for name, thing in things.items() if kind is MeasurementEntry and thing.station and name not in order]
+    order = [*order, *moved]
     if sorted(order) != sorted(things):
         raise ValueError("the order names other objects")
     return tuple(things[name] for name in order)

@@ -1,7 +1,7 @@
 /** The state that the parts of the two image panes share, and the edits that they send to the workbench. */
 
 import { measurementsNow } from "../state/measuring.js";
-import { newRanges } from "../state/smoothing.js";
+import { newRangesHere } from "../state/smoothing.js";
 import { readLook } from "./colors.js";
 import { marksOf } from "./marks.js";
 import { measuredMarks } from "./measured_layer.js";
@@ -130,7 +130,7 @@ export class Controller {
 
   /** @returns {ReturnType<typeof smoothedMarks>} ranges of the scan that would be replaced, as they are drawn */
   get smoothed() {
-    this.#smoothed ??= this.sides.scan.extent ? smoothedMarks(newRanges(), this.sides.scan) : [];
+    this.#smoothed ??= this.sides.scan.extent ? smoothedMarks(newRangesHere(), this.sides.scan) : [];
     return this.#smoothed;
   }
 
@@ -259,7 +259,6 @@ export class Controller {
     const photos = (store.get("photos") ?? []).map(({ id }) => id);
     const lost = picking.forgetPhotosBut(photos);
     this.measuring.forgetPhotosBut(photos);
-    if (scanReplaced) this.measuring.clear();
     if (scanReplaced && picking.forgetScan()) this.notify("The unfinished match was discarded: another scan was opened.");
     else if (lost) this.notify("The unfinished match was discarded: its photograph was removed.");
     else if (drawing === "kept") this.notify(`The unfinished match stays with ${name}: show that photograph to complete it.`);

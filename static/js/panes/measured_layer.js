@@ -13,8 +13,8 @@ const LABEL_PX = 6;
  * @returns {{id: string, text: string, ends: number[][], lines: (number[] | null)[][]}[]} in pixels of the picture
  */
 export const measuredMarks = (measurements, side) =>
-  measurements.flatMap(({ id, name, kind, value, drawn, in_photo: photos }) => {
-    const ofScan = () => /** @type {import("./sides.js").ScanSide} */ (side).isOwn ? drawn : null;
+  measurements.flatMap(({ id, name, kind, value, station, drawn, in_photo: photos }) => {
+    const ofScan = () => (/** @type {import("./sides.js").ScanSide} */ (side).station === station ? drawn : null);
     const rows = side.name === "scan" ? ofScan() : photos[side.id];
     if (!rows) return [];
     const pixel = (at) => at && side.toPixel(at);

@@ -5,6 +5,7 @@
  */
 
 import { MEASURES } from "../state/measuring.js";
+import { scanOfStation, stationsNow } from "../state/stations.js";
 
 const CLICK_PX = 6;
 const DOUBLE_CLICK_MS = 400;
@@ -12,8 +13,9 @@ const PICKED_PX = 0.5; // standard deviation of a click along each axis, on the 
 const [MAX_RAD, MAX_PX] = [0.2, 1000];
 
 /**
- * @typedef {{side: "scan" | "photo", of: string | null, world: number[], sigma: number}} Place `of`: id of the photograph;
- *   `sigma`: standard deviation of the click along each axis, rad of a ray or pixels of the photograph
+ * @typedef {{side: "scan" | "photo", of: string | null, station: string, world: number[], sigma: number}} Place `of`: id of
+ *   the photograph; `station`: id of the station whose scan it was picked in, or stood beside the photograph; `sigma`:
+ *   standard deviation of the click along each axis, rad of a ray or pixels of the photograph
  */
 
 const rounded = (value) => Number(value.toPrecision(2)); // points of one zoom are measured together
@@ -41,12 +43,18 @@ export class Measuring {
   #listeners = new Set();
   #asked = 0;
   #last = null;
+  #grid = null;
 
   /** @param {import("./controller.js").Controller} controller */
   constructor(controller) {
     this.#controller = controller;
     controller.view.on((_, changed) => {
       if (changed.has("tool") || changed.has("measures")) this.clear();
+    });
+    controller.store.watch(["scan"], () => {
+      const grid = controller.store.get("scan")?.grid ?? null;
+      if (this.#grid && grid !== this.#grid) this.clear(); // stations have other names from then on
+      this.#grid = grid;
     });
   }
 
@@ -77,16 +85,31 @@ export class Measuring {
     const { points } = MEASURES[kind];
     const next = points[Math.min(places.length, points.length - 1)];
     const back = places.length ? " · Esc takes the last point back" : "";
-    return `Click ${next} in a picture or on the model${this.finishable ? " · Enter or a double click finishes" : ""}${back}`;
+    const on = stationsNow().stations.length ? ` · Measured on the scan of ${scanOfStation(this.station)}` : "";
+    return `Click ${next} in a picture or on the model${this.finishable ? " · Enter or a double click finishes" : ""}${back}${on}`;
   }
 
-  /** @returns {any[][]} for a pane, runs of the points that were picked in it one after the other */
-  runs(side) {
-    const shown = this.#controller.store.shown();
+  /** @returns {string} id of the station whose scan is measured: the one that was picked in, or stood beside the first photograph */
+  get station() {
+    const { places } = this;
+    return (places.find(({ side }) => side === "scan") ?? places[0])?.station ?? this.#controller.store.station();
+  }
+
+  /** @returns {boolean} whether a point was picked in what a pane shows, for a scan the one of a station */
+  #isIn(side, place, station) {
+    return place.side === side && (side === "scan" ? place.station === station : place.of === this.#controller.store.shown());
+  }
+
+  /**
+   * @param {"scan" | "photo"} side
+   * @param {string} station id of the station whose scan is shown
+   * @returns {any[][]} for a pane, runs of the points that were picked in it one after the other
+   */
+  runs(side, station = this.#controller.store.station()) {
     const found = [];
     let before = false;
     for (const place of this.places) {
-      const here = place.side === side && (side === "scan" || place.of === shown);
+      const here = this.#isIn(side, place, station);
       if (here && before) found.at(-1).push(place.world);
       else if (here) found.push([place.world]);
       before = here;
@@ -97,7 +120,7 @@ export class Measuring {
   /** @returns {boolean} whether the last point was picked in a pane: the next line begins there */
   endsIn(side) {
     const last = this.places.at(-1);
-    return Boolean(last) && last.side === side && (side === "scan" || last.of === this.#controller.store.shown());
+    return Boolean(last) && this.#isIn(side, last, this.#controller.store.station());
   }
 
   press(side) {
@@ -122,9 +145,10 @@ export class Measuring {
    * A click, or a key at the crosshair, sets a point.
    * @param {"scan" | "photo"} side
    * @param {import("./picking.js").PickPosition} position
-   * @param {{sigma?: number, on?: string}} more `sigma`: see `Place`, if it is known; `on`: where it was clicked
+   * @param {{sigma?: number, on?: string, station?: string}} more `sigma` and `station`: see `Place`, if they are known;
+   *   `on`: where it was clicked
    */
-  async set(side, position, { sigma = this.#sigma(side, position), on = side } = {}) {
+  async set(side, position, { sigma = this.#sigma(side, position), on = side, station = this.#controller.store.station() } = {}) {
     this.pressed = null;
     const last = this.#last;
     this.#last = { on, position };
@@ -136,7 +160,12 @@ export class Measuring {
     }
     const { store } = this.#controller;
     if (side === "photo" && !store.photo()) return;
-    const place = { side, of: side === "photo" ? store.shown() : null, world: position.world, sigma };
+    const elsewhere = side === "scan" && this.places.find((one) => one.side === "scan" && one.station !== station);
+    if (elsewhere) {
+      this.say(`Begun in ${scanOfStation(elsewhere.station)}: go on there, or take its points back (Esc)`);
+      return;
+    }
+    const place = { side, of: side === "photo" ? store.shown() : null, station, world: position.world, sigma };
     this.places.push(place);
     this.made = null;
     this.said = "";
@@ -149,16 +178,16 @@ export class Measuring {
 
   /** A point that lies on no surface is taken back, with the reason; enough of them have a value. */
   async #check(place) {
-    const { kind } = this;
+    const { kind, station } = this;
     const asked = ++this.#asked;
     try {
-      const alone = await this.#controller.ask("measure", { kind: "point", places: [sent(place)] });
+      const alone = await this.#controller.ask("measure", { kind: "point", places: [sent(place)], station });
       if (alone.refusal) {
         this.#refuse(place, alone.refusal);
         return;
       }
       if (asked !== this.#asked || !this.finishable || kind !== this.kind) return;
-      const found = await this.#controller.ask("measure", { kind, places: this.places.map(sent) });
+      const found = await this.#controller.ask("measure", { kind, places: this.places.map(sent), station });
       if (asked !== this.#asked) return;
       this.soFar = found.refusal ? null : found;
       this.said = found.refusal ?? "";
@@ -177,7 +206,7 @@ export class Measuring {
 
   /** Keep what was picked. @returns {Promise<boolean>} whether there was enough of it */
   async finish() {
-    const { kind, places } = this;
+    const { kind, places, station } = this;
     if (places.length < MEASURES[kind].least) return false;
     this.#asked++;
     this.places = [];
@@ -185,7 +214,7 @@ export class Measuring {
     this.said = "Measuring …";
     this.#changed();
     try {
-      const { measurement } = await this.#controller.ask("add_measurement", { kind, places: places.map(sent) });
+      const { measurement } = await this.#controller.ask("add_measurement", { kind, places: places.map(sent), station });
       this.said = "";
       this.made = measurement;
       this.#controller.view.set({ measurement });

@@ -5,6 +5,7 @@ import { mountMeasureBar } from "./measure_bar.js";
 import { drawPicked } from "./measured_layer.js";
 
 const NOTHING_THERE = "The model has no surface there: click on it";
+const OF_MODEL = ""; // the model is the surface of the project's scan, whatever is beside the photograph
 const AS_ON_SCREEN = { x: 0, y: 0, zoom: 1 };
 
 /**
@@ -27,7 +28,7 @@ export const mountModelMeasuring = ({ body, frame, surface }, controller) => {
     const far = Math.hypot(...place);
     const uv = [ndc[0] * frame.clientWidth, ndc[1] * frame.clientHeight].map((length) => length / 2);
     const position = { world: place.map((value) => value / far), uv, zoom: 1, time_ms: performance.now() };
-    return measuring.set("scan", position, { sigma, on: "model" });
+    return measuring.set("scan", position, { sigma, on: "model", station: OF_MODEL });
   };
 
   const screenOf = (ray) => {
@@ -38,7 +39,7 @@ export const mountModelMeasuring = ({ body, frame, surface }, controller) => {
 
   /** Draw what is picked anew when it or the view has changed. */
   const draw = () => {
-    const rays = measures() ? measuring.runs("scan") : [];
+    const rays = measures() ? measuring.runs("scan", OF_MODEL) : [];
     const size = [body.clientWidth, body.clientHeight];
     const now = rays.length ? [surface.viewpoint, size, JSON.stringify(rays)].join() : "";
     if (now !== drawn) {

@@ -28,9 +28,9 @@ export class ScanSide {
     return this.#store.scanBeside();
   }
 
-  /** @returns {boolean} whether it is the project's scan, which is measured on and whose ranges can be replaced */
-  get isOwn() {
-    return !this.#store.station();
+  /** @returns {string} id of the station whose scan it is; empty: the project's */
+  get station() {
+    return this.#store.station();
   }
 
   /** @returns {number} index of the shown view */

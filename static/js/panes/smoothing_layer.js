@@ -4,13 +4,13 @@ import { stamp } from "./symbols.js";
 import { toScreen } from "./viewport.js";
 
 /**
- * @param {import("../state/smoothing.js").NewRange[]} ranges
+ * @param {import("../state/smoothing.js").NewRange[]} ranges of the scan that is shown
  * @param {import("./sides.js").ScanSide} side
  * @returns {{id: string, edge: boolean, uv: number[]}[]} in pixels of the picture
  */
 export const smoothedMarks = (ranges, side) =>
   ranges.flatMap(({ id, edge, ray }) => {
-    const uv = side.isOwn && side.toPixel(ray);
+    const uv = side.toPixel(ray);
     return uv ? [{ id, edge, uv }] : [];
   });
 

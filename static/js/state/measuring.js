@@ -18,7 +18,7 @@ export const MEASURES = {
 };
 
 /**
- * @typedef {{id: string, name: string, kind: string, places: any[], known: boolean, value: string, interval: string,
+ * @typedef {{id: string, name: string, kind: string, station: string, places: any[], known: boolean, value: string, interval: string,
  *            notes: string[], refusal: string, drawn: any, in_photo: Record<string, any>}} Measurement
  */
 

@@ -5,7 +5,7 @@ import { view } from "./view.js";
 
 /**
  * @typedef {{id: string, ray: number[], uv: number[] | null, before_m: number, after_m: number, sigma_m: number, edge: boolean}} NewRange
- * @typedef {{photo: string, name: string, show: "before" | "after" | "difference", rev: string, stale: string,
+ * @typedef {{photo: string, name: string, station: string, show: "before" | "after" | "difference", rev: string, stale: string,
  *            nothing: string, ranges: NewRange[]}} Preview
  */
 
@@ -17,6 +17,9 @@ export const previewNow = () => store.get("smoothing")?.preview ?? null;
 
 /** @returns {NewRange[]} all ranges of the preview */
 export const newRanges = () => previewNow()?.ranges ?? NOTHING;
+
+/** @returns {NewRange[]} those of them that are of the scan that is shown */
+export const newRangesHere = () => (previewNow()?.station === store.station() ? newRanges() : NOTHING);
 
 /** @returns {boolean} whether a range would be replaced: at a spike, or at an edge if the operator says so */
 export const isMeant = ({ edge }) => !edge || view.get().smooth_edges;

@@ -19,6 +19,12 @@ export const isRegistered = () => stationsNow().registered && !stationsNow().sta
 export const stationName = (station) =>
   station.index ? `${scanName(station)}, scan ${station.index + 1}` : scanName(station);
 
+/** @returns {string} the name of the scan of a station by its id; empty: the project's */
+export const scanOfStation = (id) => {
+  const found = stationsNow().stations.find((station) => (station.id ?? "") === id);
+  return found ? stationName(found) : scanName(store.get("scan"));
+};
+
 /** Rounded up: a bound of the standard deviation, and never 0. */
 const bound = (value, digits) => Math.max(Math.ceil(value * 10 ** digits) / 10 ** digits, 10 ** -digits).toFixed(digits);
 

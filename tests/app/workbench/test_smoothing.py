@@ -84,7 +84,7 @@ def test_a_preview_lists_what_would_be_replaced_and_changes_nothing(bench: Workb
     assert nearer >= 0.9 * len(listed)
     assert bench.workbench.session.document is document
     bench.do("discard_smoothing")
-    assert bench.slice("smoothing") == {"replaced": 0, "sentence": "", "preview": None}
+    assert bench.slice("smoothing") == {"station": "", "replaced": 0, "sentence": "", "preview": None}
     assert np.array_equal(ranges_of(bench), before, equal_nan=True)
     assert bench.workbench.session.document is document
 
@@ -170,6 +170,63 @@ def test_results_on_the_former_ranges_are_out_of_date(bench: WorkbenchDriver) ->
     bench.job("solve")
     assert bench.slice("photos")[0]["stale"] == ""
     assert "has changed since" in bench.slice("smoothing")["sentence"]
+
+
+def test_ranges_of_a_station_are_replaced_where_it_is_shown(
+    bench: WorkbenchDriver, spiked: SpikedScan, tmp_path: Path
+) -> None:
+    """The scan beside the photograph is a station's; the project's scan, of the same place, stays as it is."""
+    other = shutil.copyfile(sample_folder() / "scan.npz", tmp_path / "plain.npz")
+    bench.workbench.files.open(other, "plain.npz", "station", None, bench.client)
+    (plain,) = (one["id"] for one in bench.slice("stations")["stations"] if one["id"])
+    bench.do("show_station", station=plain)
+    (name,) = (one["id"] for one in bench.slice("stations")["stations"] if one["id"])
+    bench.do("set_station", **PHOTO, station=name)
+    session, loader = bench.workbench.session, bench.workbench.loader
+    assert bench.slice("photos")[0]["state"] == "accepted"
+
+    def ranges() -> list[np.ndarray]:
+        document = session.document
+        found = (loader.scan(one) for one in (document, document.beside(document.photos[0])))
+        return [np.array(scan.ranges) for scan in found if scan is not None]
+
+    before, document = ranges(), session.document
+    preview = previewed(bench)
+    assert preview["station"] == name
+    assert len(preview["ranges"]) >= 15
+    assert bench.workbench.smoothing.shown(bench.client) is None, "nobody knows where it stands"
+    bench.do("apply_smoothing", **PHOTO, rev=preview["rev"])
+    after = ranges()
+    np.testing.assert_array_equal(after[0], before[0])
+    changed = np.argwhere((after[1] != before[1]) & np.isfinite(before[1]))
+    assert {tuple(cell) for cell in changed.tolist()} == {cell_of(one) for one in preview["ranges"] if not one["edge"]}
+    state = bench.slice("smoothing")
+    assert (state["station"], state["replaced"]) == (name, len(changed))
+    assert "of scan.npz were replaced" in state["sentence"]
+    assert bench.slice("beside")["id"] != bench.slice("scan")["id"]
+    assert bench.slice("photos")[0]["stale"] == ""
+    bench.do("undo")
+    assert session.document == document
+    np.testing.assert_array_equal(ranges()[1], before[1])
+    bench.do("redo")
+    assert "nothing to restore" in bench.refused("restore_ranges")
+
+    # It is kept with the project, and stated in its results.
+    folder = session.folder.path
+    bench.workbench.close()
+    bench.workbench = open_bench(folder).workbench
+    np.testing.assert_array_equal(
+        bench.workbench.loader.scan(bench.workbench.session.document.beside(session.document.photos[0])).ranges,
+        after[1],
+    )
+    bench.do("export", targets=["results"], photos=["p1"])
+    bench.workbench.runner.wait(240)
+    path, _ = bench.workbench.export_file("p1") or (Path(), "")
+    with zipfile.ZipFile(path) as archive:
+        stated = json.loads(archive.read(next(one for one in archive.namelist() if one.endswith("registration.json"))))
+    assert stated["smoothing"]["cells_replaced"] == len(changed)
+    bench.do("restore_ranges", station=name)
+    assert "other ranges" in bench.slice("photos")[0]["stale"]
 
 
 def test_two_people_preview_on_their_own_and_undo_their_own(bench: WorkbenchDriver) -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
+import re
 import shutil
 import zipfile
 from collections.abc import Iterator
@@ -159,8 +162,9 @@ def test_two_people_match_photographs_with_stations_of_their_own(
     drawn = {"photo": second, "kind": "point", "scan": [ray], "photo_uv": [[300, 200]]}
     assert "beside another scan" in bench.refused("add_pick", station="", **drawn)
     other.do("add_pick", station=window, **drawn)
-    assert "measurements are of hall.npz" in other.refused("add_measurement", kind="point", places=[{"ray": ray}])
-    bench.do("add_measurement", kind="point", places=[{"ray": ray}])
+    made = [bench.do("add_measurement", kind="point", places=[{"ray": ray}], station=name) for name in ("", window)]
+    assert [one["station"] for one in bench.slice("measurements")] == ["", window]
+    bench.do("remove_measurements", measurements=[made[1]["measurement"]])
 
     # Registered there, the photograph stands where the first one does, which is the same picture.
     assert other.job("auto", photo=second).state == "done"
@@ -197,6 +201,80 @@ def test_two_people_match_photographs_with_stations_of_their_own(
         other.do("undo")
     assert other.slice("beside") is None
     assert [bench.slice("poses:p1")["shown"], other.slice(f"poses:{second}")["shown"]] == ["auto", None]
+
+
+def test_a_place_is_the_same_measured_at_either_station(
+    bench: WorkbenchDriver, files: tuple[list[Path], Path, Path], tmp_path: Path
+) -> None:
+    """Picked in the scans of two stations, it has the same coordinates, in the frame of the project's scan."""
+    document, window = bench.workbench.session.document, station(bench)["id"]
+    here, there = (read_scan(path) for path in files[0])
+    targets = here.points[np.isfinite(here.points).all(axis=-1)][::991]
+    seen = [BETWEEN.inverse @ at for at in targets]
+    rays = [one / np.linalg.norm(one) for one in seen]
+    known = [(probe(here, at / np.linalg.norm(at)), probe(there, ray)) for at, ray in zip(targets, rays, strict=True)]
+    same = [
+        k for k, (at, both) in enumerate(zip(seen, known, strict=True))
+        if both[1].range_m is not None and abs(both[1].range_m - np.linalg.norm(at)) < 0.01
+        and both[0].edge is None and both[1].edge is None
+    ]  # fmt: skip
+    assert len(same) >= 2
+    chosen = [same[0], same[-1]]
+
+    def xyz(value: str) -> list[float]:
+        return [float(number) for number in re.findall(r"-?\d+\.\d+(?= ±)", value)]
+
+    places = {"": [{"ray": targets[k].tolist()} for k in chosen], window: [{"ray": rays[k].tolist()} for k in chosen]}
+    points, lengths = (
+        [bench.do("measure", kind=kind, places=ends[:count], station=name) for name, ends in places.items()]
+        for kind, count in (("point", 1), ("distance", 2))
+    )
+    assert [one["refusal"] for one in (*points, *lengths)] == [""] * 4
+    np.testing.assert_allclose(xyz(points[1]["value"]), xyz(points[0]["value"]), atol=0.02)
+    assert float(lengths[1]["value"].split()[0]) == pytest.approx(float(lengths[0]["value"].split()[0]), abs=0.03)
+    made = bench.do("add_measurement", kind="distance", places=places[window], station=window)["measurement"]
+    measured = bench.eventually(lambda: next((one for one in bench.slice("measured") if one["id"] == made), None))
+    np.testing.assert_allclose(measured["drawn"]["ends"], [rays[k] for k in chosen], atol=1e-3)
+
+    # In space and in the list it is where the project's scanner sees it.
+    shown = bench.workbench.measured.shown()
+    assert shown is not None
+    np.testing.assert_allclose(shown.points, [targets[k] for k in chosen], atol=0.02)
+    bench.do("export", targets=["measurements"], photos=[])
+    bench.workbench.runner.wait(60)
+    path, _ = bench.workbench.export_file("all") or (tmp_path, "")
+    with zipfile.ZipFile(path) as packed:
+        (row,) = csv.DictReader(io.StringIO(packed.read("measurements.csv").decode()))
+    assert (row["scan"], row["frame"]) == ("window.npz", "scanner")
+    ends = np.array([[float(number) for number in end.split()] for end in row["points"].split("; ")])
+    np.testing.assert_allclose(ends, [targets[k] for k in chosen], atol=0.02)
+
+    # A pixel of a photograph beside one scan is measured on the other by the pose that is carried over.
+    entry = document.photos[0]
+    assert entry.pose is not None
+    result = bench.workbench.loader.registration(entry.pose)
+    uv = result.camera.project(result.camera_from_scanner @ targets)
+    pixel = next(uv[k].tolist() for k in same if result.camera.contains(uv[k], border=5))
+    of_photo = [
+        bench.do("measure", kind="point", places=[{"photo": "p1", "uv": pixel}], station=name) for name in ("", window)
+    ]
+    assert [one["refusal"] for one in of_photo] == ["", ""]
+    np.testing.assert_allclose(xyz(of_photo[1]["value"]), xyz(of_photo[0]["value"]), atol=0.04)
+
+    # It goes with its scan: shown, that is the project's.
+    bench.do("show_station", station=window)
+    assert [one["station"] for one in bench.slice("measurements")] == [""]
+    after = bench.eventually(lambda: next((one for one in bench.slice("measured") if one["id"] == made), None))
+    assert after["value"] == measured["value"]
+    bench.do("undo")
+
+    # Where its station stands is not known any more: the length stays, nothing is drawn in another's frame.
+    bench.workbench.session.commit("Forget", lambda d: msgspec.structs.replace(d, survey=None), author=NOBODY)
+    lost = bench.do("measure", kind="point", places=places[window][:1], station=window)
+    assert "in the frame of window.npz" in lost["notes"][-1]
+    assert bench.workbench.measured.shown() is None
+    bench.do("remove_station", station=window)
+    assert bench.slice("measurements") == []
 
 
 def test_the_station_that_sees_most_of_a_photograph_is_beside_it(

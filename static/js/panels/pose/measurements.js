@@ -4,11 +4,16 @@ import { request } from "../../net/requests.js";
 import { store } from "../../net/store.js";
 import { isRunning } from "../../state/pipeline.js";
 import { measurementsNow } from "../../state/measuring.js";
+import { scanOfStation, stationName, stationsNow } from "../../state/stations.js";
 import { view } from "../../state/view.js";
 import { button } from "../../ui/controls.js";
 import { element, setChildren, setText } from "../../ui/dom.js";
 
 const EMPTY = "Choose a kind, and click the points in the scan, in a registered photograph, or on the model.";
+
+/** @returns {string} the interval of a measurement, and where there are several the scan that it was made on */
+const about = ({ interval, station }) =>
+  [interval && `95 %: ${interval}`, stationsNow().stations.length && `on ${scanOfStation(station)}`].filter(Boolean).join(" · ");
 
 /** @returns {HTMLElement} */
 export const mountMeasurements = () => {
@@ -75,7 +80,7 @@ export const mountMeasurements = () => {
           act: () => request("remove_measurements", { measurements: [one.id] }),
         }),
       ),
-      one.interval ? element("p", { class: "dim figures" }, `95 %: ${one.interval}`) : null,
+      about(one) ? element("p", { class: "dim figures" }, about(one)) : null,
       ...said.map((note) => element("p", { class: "measurement-note" }, note)),
     );
   };
@@ -90,6 +95,7 @@ export const mountMeasurements = () => {
   };
 
   let drawn = null;
+  let named = "";
   const show = () => {
     const all = measurementsNow();
     const { tool } = view.get();
@@ -99,14 +105,16 @@ export const mountMeasurements = () => {
     empty.hidden = all.length > 0;
     setText(empty, EMPTY);
     // a name that is being typed is not taken away
-    if (all !== drawn && !list.contains(document.activeElement?.closest("input[type=text]") ?? null)) {
+    const scans = stationsNow().stations.map(stationName).join("\n");
+    if ((all !== drawn || scans !== named) && !list.contains(document.activeElement?.closest("input[type=text]") ?? null)) {
       drawn = all;
+      named = scans;
       setChildren(list, ...all.map(row));
     }
     mark();
   };
   list.addEventListener("focusout", () => setTimeout(show));
-  store.watch(["measurements", "measured", "scan", "job", "people"], show);
+  store.watch(["measurements", "measured", "stations", "scan", "job", "people"], show);
   store.onEvent("export_ready", ({ targets, url }) => {
     if (saves && targets.includes("measurements")) element("a", { href: url, download: "" }).click();
     saves = false;

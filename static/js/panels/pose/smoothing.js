@@ -24,7 +24,10 @@ const headOf = () =>
 
 const rowOf = (one) => {
   const [row, column] = one.id.split(".");
-  const show = () => view.set({ smoothed: one.id, reveal_place: { ray: one.ray, uv: one.uv } });
+  const show = () => {
+    const isShown = previewNow()?.photo === store.shown();
+    view.set({ smoothed: one.id, reveal_place: isShown ? { ray: one.ray, uv: one.uv } : null });
+  };
   return element(
     "tr",
     { class: `smoothed-range ${one.edge ? "edge" : "spike"}`, "data-range": one.id },
@@ -72,7 +75,7 @@ export const mountSmoothing = () => {
     text: "Restore",
     kind: "small edits",
     title: "Restore all ranges of the scan as they were measured",
-    act: () => request("restore_ranges"),
+    act: () => request("restore_ranges", { station: store.get("smoothing")?.station ?? "" }),
   });
   const applied = element("p", { class: "smoothing-applied" });
   const said = element("p", { role: "status" });
