@@ -239,14 +239,16 @@ class BlockMatches:
     """(M,) bool, offset within 3.5 robust standard deviations."""
     scatter_px: float
     """Standard deviation of the inliers' offsets from the projection, photo pixels; NaN without matches."""
-    of_block: IntArray
-    """(M,) the block of each match among those compared."""
     compared: ComparedBlocks | None = None
     """All blocks that were compared, with their information; None: not asked for."""
 
 
-def block_matches(seen: BlockComparison, points: ViewPoints, working: Camera, camera: Camera) -> BlockMatches:
+def block_matches(
+    seen: BlockComparison, points: ViewPoints, working: Camera, camera: Camera
+) -> tuple[BlockMatches, IntArray]:
     """Return one match for each block, displaced from its projection by the block's own Lucas-Kanade step.
+
+    With them the block of each match (M,), among those compared.
 
     The step is damped along straight edges, where a block does not constrain it, so that the match stays at the
     projection in that direction. The least-squares pose of these matches is therefore the finished pose, apart from
@@ -278,11 +280,11 @@ def block_matches(seen: BlockComparison, points: ViewPoints, working: Camera, ca
         at[matched] / ranges[matched, None], ranges[matched], own[matched], tuple(names[k] for k in of_block.tolist())
     )
     if not len(matches):
-        return BlockMatches(matches, np.zeros(0, np.bool_), float("nan"), of_block)
+        return BlockMatches(matches, np.zeros(0, np.bool_), float("nan")), of_block
     off = np.abs(offset[matched])
     scatter = _SD_OF_MEDIAN * float(np.median(off)) + _MIN_SCATTER_PX
     inliers = off.max(axis=-1) <= _OUTLIER_SIGMA * scatter
-    return BlockMatches(matches, inliers, scatter * camera.focal_px / working.focal_px, of_block)
+    return BlockMatches(matches, inliers, scatter * camera.focal_px / working.focal_px), of_block
 
 
 def block_names(seen: BlockComparison, points: ViewPoints) -> tuple[str, ...]:

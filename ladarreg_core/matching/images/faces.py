@@ -68,6 +68,17 @@ class Face:
     """(h, w) bool: pixels inside the photograph."""
     own: BoolArray
     """(h, w) bool: those of `seen` whose direction is nearer to this face's axis than to any other's."""
+    whole: CameraModel
+    """The camera of the photograph."""
+
+    def in_photo(self, uv: FloatArray, camera: Camera) -> FloatArray:
+        """Return the photograph's pixels (..., 2) of pixels (..., 2) of the face.
+
+        Args:
+            uv: its pixels.
+            camera: the pinhole camera that these pixels belong to.
+        """
+        return self.whole.project(camera.unproject(uv) @ self.face_from_camera.rotation)
 
 
 class FaceSet:
@@ -116,16 +127,6 @@ class FaceSet:
             self._levels[key] = made
         return self._levels[key]
 
-    def in_photo(self, face: Face, uv: FloatArray, camera: Camera) -> FloatArray:
-        """Return the photograph's pixels (..., 2) of pixels (..., 2) of a face.
-
-        Args:
-            face: the face.
-            uv: its pixels.
-            camera: the pinhole camera that these pixels belong to.
-        """
-        return self.photo.camera.project(camera.unproject(uv) @ face.face_from_camera.rotation)
-
     def _cut(self, number: int, turn: Rigid, axes: NDArray[np.float64]) -> Face:
         camera, source = self.camera, self.photo.camera
         v, u = np.mgrid[: camera.height, : camera.width]
@@ -138,7 +139,7 @@ class FaceSet:
         kelvin = self.photo.temperature_k
         heat = None if kelvin is None else look_up(*_wrapped(kelvin, source, inside))
         photo = replace(self.photo, pixels=values, camera=camera, temperature_k=heat)
-        return Face(number, turn, camera, photo, seen, seen & (nearest == number))
+        return Face(number, turn, camera, photo, seen, seen & (nearest == number), source)
 
 
 _SHARED = ("gray", "_raw_fine", "channels", "fine_channels")

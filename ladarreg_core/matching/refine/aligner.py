@@ -1,17 +1,23 @@
-"""Alignment of one photo with one view of the scan: refinement, flow steps, finish and verification."""
+"""Alignment of a picture, a photograph or one of its faces, with a view of the scan.
+
+Refinement, flow steps, finish and verification; all poses are those of the photograph.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
+from ladarreg_core.camera import Camera
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.foundations.parallel import made_once, side_by_side
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.images.blocks import BlockComparison, BlockMatches, Target, block_matches, compare_blocks
+from ladarreg_core.matches import Matches
+from ladarreg_core.matching.images.blocks import BlockComparison, BlockMatches, Target, block_matches
+from ladarreg_core.matching.images.faces import Face
 from ladarreg_core.matching.images.pyramid import (
     BLOCK_PX,
     LEVELS,
@@ -23,28 +29,29 @@ from ladarreg_core.matching.images.support import common_variance
 from ladarreg_core.matching.images.zbuffer import Occluder
 from ladarreg_core.matching.refine.compared_blocks import compared_blocks
 from ladarreg_core.matching.refine.covariance import RegionEvidence, region_evidence
-from ladarreg_core.matching.refine.ecc import NO_CHANGE, CameraAnchor, CameraChange, RefineOptions, refine_pose
+from ladarreg_core.matching.refine.ecc import NO_CHANGE, CameraAnchor, CameraChange, Picture, RefineOptions, refine_pose
 from ladarreg_core.matching.verify.agreement import Agreement, agreement
 from ladarreg_core.matching.verify.verification import (
     GateOptions,
     Verification,
+    region_markers,
     small_regions_gate,
     verify,
 )
 from ladarreg_core.pose.estimators.ransac import ransac_pose
 
 REFINEMENT = {2: RefineOptions(tau_px=8, iterations=8), 1: RefineOptions(tau_px=6, iterations=6)}
-FINISH = RefineOptions(tau_px=3, iterations=6)
+_FINISH = RefineOptions(tau_px=3, iterations=6)
 FINE = RefineOptions(tau_px=2, iterations=8)
 FINE_POINTS = 20_000
 """Number of points of the finish, and of the verdict."""
 _RADIUS = {0: 6, 1: 6, 2: 8}
 _DAMPING = 3.0
 _SUFFICIENT_FRACTION = 0.8
-FINISH_ROUNDS = 5
+_FINISH_ROUNDS = 5
 _FREE_CAMERA_STEPS = 6
 _FREE_CAMERA_ROUNDS = 3
-STILL_PX = 0.05
+_STILL_PX = 0.05
 _MIN_HEIGHT_SD = 2.2
 _POINTS_PER_WINDOW = 3
 _RANSAC_PX = 1.5
@@ -70,14 +77,15 @@ class Candidate:
 
 
 class Aligner:
-    """Aligns one photo with one view of the scan from any initial pose; data of the pair are computed once.
+    """Aligns one picture with one view of the scan from any initial pose; data of the pair are computed once.
 
     Args:
         scan: the scan's levels in one view.
-        photo: the photo's levels.
+        photo: the levels of the photograph, or of one of its faces.
         gate: thresholds of verification.
         seed: random seed of the points drawn.
         fine_points: number of points of the finish and of the verdict, each.
+        face: the face; None: the photograph itself.
     """
 
     def __init__(
@@ -88,7 +96,9 @@ class Aligner:
         gate: GateOptions,
         seed: int,
         fine_points: int = FINE_POINTS,
+        face: Face | None = None,
     ) -> None:
+        self.face = face
         self._fine_count = fine_points
         self.scan = scan
         self.photo = photo
@@ -96,7 +106,7 @@ class Aligner:
         self.seed = seed
         self.points: dict[int, ViewPoints] = {}
         self._strength: dict[int, FloatArray] = {}
-        self._last_blocks: tuple[Rigid, CameraChange, BlockComparison | None] | None = None
+        self._last_blocks: tuple[Rigid, CameraChange, tuple[Picture, BlockComparison] | None] | None = None
         for level in LEVELS:
             strength = scan.once(("strength", level), partial(edge_strength, scan, scan.channels[level], level=level))
             if strength is not None:
@@ -164,10 +174,52 @@ class Aligner:
             lambda: self.targets[0].squares,
         )
 
+    def pose(self, camera_from_scanner: Rigid) -> Rigid:
+        """Return the pose of the picture at a pose of the photograph."""
+        return camera_from_scanner if self.face is None else self.face.face_from_camera @ camera_from_scanner
+
+    def picture(self, level: int) -> Picture:
+        """Return what is compared at a level."""
+        return self._picture(self.points[level], self.targets[level])
+
+    @property
+    def fine_picture(self) -> Picture | None:
+        """What is compared in the finish; None if the view has too little."""
+        return None if self.fine_points is None else self._picture(self.fine_points, self.fine_target)
+
+    def _picture(self, points: ViewPoints, target: Target) -> Picture:
+        return Picture(points, target, self.occluder, None if self.face is None else self.face.face_from_camera)
+
+    def in_photo(self, uv: FloatArray, camera: Camera) -> FloatArray:
+        """Return the photograph's own pixels (..., 2) at pixels (..., 2) of a camera of the picture."""
+        if self.face is not None:
+            return self.face.in_photo(uv, camera)
+        return uv if camera is self.photo.source else self.photo.source.project(camera.unproject(uv))
+
+    def compared_points(self, level: int) -> ViewPoints:
+        """Return the points of the agreement at a level."""
+        return self.verification_points if level == 0 else self.points[level]
+
     def agreement_at(self, pose: Rigid, level: int) -> Agreement:
         """Return the agreement at a pose."""
-        points = self.verification_points if level == 0 else self.points[level]
-        return agreement(points, self.targets[level], self.occluder, pose, level=level, radius=_RADIUS[level])
+        points, own = self.compared_points(level), self.pose(pose)
+        return agreement(points, self.targets[level], self.occluder, own, level=level, radius=_RADIUS[level])
+
+    def markers(self, fine: Agreement) -> tuple[tuple[float, float, bool], ...]:
+        """Return (u, v, agrees) of some compared regions, in the photograph's own pixels.
+
+        Args:
+            fine: agreement at level 0.
+        """
+        found = region_markers(fine, self.photo.cameras[0], self.photo.source, self.gate)
+        if self.face is None or not found:
+            return found
+        uv = self.in_photo(np.array([marker[:2] for marker in found]), self.photo.source)
+        return tuple(
+            (round(float(u), 1), round(float(v), 1), marker[2])
+            for (u, v), marker in zip(uv, found, strict=True)
+            if np.isfinite([u, v]).all()
+        )
 
     def refine(self, start: Rigid) -> Candidate | None:
         """Refine a pose at levels 2 and 1, with up to two flow steps while the agreement is not sufficient."""
@@ -179,6 +231,8 @@ class Aligner:
             pulled = flow_step(self.points[level], self.targets[level], maps, seed=self.seed)
             if pulled is None:
                 continue
+            if self.face is not None:
+                pulled = self.face.face_from_camera.inverse @ pulled
             again = self._refine_from(pulled, (2, 1) if level == 2 else (1,))
             if again is not None and again.fraction > best.fraction:
                 best = again
@@ -187,7 +241,7 @@ class Aligner:
     def _refine_from(self, start: Rigid, levels: tuple[int, ...]) -> Candidate | None:
         pose = start
         for level in levels:
-            result = refine_pose(self.points[level], self.targets[level], self.occluder, pose, REFINEMENT[level])
+            result = refine_pose([self.picture(level)], pose, REFINEMENT[level])
             if result is None:
                 return None
             pose = result.camera_from_scanner
@@ -203,11 +257,11 @@ class Aligner:
         pose, change = start, NO_CHANGE
         options = replace(REFINEMENT[1], free=free, damping=_DAMPING)
         for _ in range(_FREE_CAMERA_ROUNDS):
-            result = refine_pose(self.points[1], self.targets[1], self.occluder, pose, options, change=change)
+            result = refine_pose([self.picture(1)], pose, options, change=change)
             if result is None:
                 break
             pose, change = result.camera_from_scanner, result.change
-            if result.motion_px < STILL_PX:
+            if result.motion_px < _STILL_PX:
                 break
         return pose, change
 
@@ -222,42 +276,29 @@ class Aligner:
             change: initial change of the camera relative to the stated one.
             anchor: what is known of these before.
         """
-        pose = start
-        rounds = [(self.points[0], self.targets[0], replace(FINISH, free=free, anchor=anchor))]
-        if self.fine_points is not None:
-            rounds += [(self.fine_points, self.fine_target, replace(FINE, free=free, anchor=anchor))] * FINISH_ROUNDS
-        for number, (points, target, options) in enumerate(rounds):
-            result = refine_pose(points, target, self.occluder, pose, options, change=change)
-            if result is None:
-                if number:
-                    break
-                continue
-            before, changed = pose, change
-            pose, change = result.camera_from_scanner, result.change
-            if number and self._median_shift_px(before, changed, pose, change) < STILL_PX:
-                break
-        return pose, change
+        return finish_pose([self], start, free=free, change=change, anchor=anchor)
 
     def preview_free_camera(
         self, pose: Rigid, *, free: int, anchor: CameraAnchor | None = None
     ) -> tuple[Rigid, CameraChange]:
         """Make a few further steps from a finished pose, as `finish_with_free_camera` would."""
-        if self.fine_points is None:
+        fine = self.fine_picture
+        if fine is None:
             return pose, NO_CHANGE
         options = replace(FINE, free=free, iterations=_FREE_CAMERA_STEPS, anchor=anchor)
-        result = refine_pose(self.fine_points, self.fine_target, self.occluder, pose, options)
+        result = refine_pose([fine], pose, options)
         return (pose, NO_CHANGE) if result is None else (result.camera_from_scanner, result.change)
 
-    def _median_shift_px(self, first: Rigid, before: CameraChange, second: Rigid, after: CameraChange) -> float:
+    def median_shift_px(self, first: Rigid, before: CameraChange, second: Rigid, after: CameraChange) -> float:
         """Return the median displacement of the level-0 points between two poses and cameras, working pixels.
 
-        If it is more, that between the cameras alone: the pose compensates most of it.
+        If it is more, that between the cameras alone: the pose compensates most of it. Infinite: no point is seen.
         """
         camera, points = self.photo.cameras[0], self.points[0].points
-        there = second @ points
+        there = self.pose(second) @ points
         by_camera = after.applied_to(camera).project(there)
         most = 0.0
-        for begin in (first @ points,) if before == after else (first @ points, there):
+        for begin in (self.pose(first) @ points,) if before == after else (self.pose(first) @ points, there):
             length = np.hypot(*(before.applied_to(camera).project(begin) - by_camera).T)
             known = np.isfinite(length)
             most = max(most, float(np.median(length[known])) if known.any() else np.inf)
@@ -265,7 +306,7 @@ class Aligner:
 
     def prepare_to_verify(self, pose: Rigid) -> None:
         """Make what the agreement at both levels needs, before two threads ask for it."""
-        _ = self.verification_points, self.targets, self.occluder.depth_buffer(pose)
+        _ = self.verification_points, self.targets, self.occluder.depth_buffer(self.pose(pose))
 
     def verify(self, pose: Rigid) -> tuple[Verification, Agreement, Agreement]:
         """Return the verdict on a finished pose, and its agreement at levels 1 and 0."""
@@ -284,36 +325,86 @@ class Aligner:
             change: of the camera, at which it was finished.
             anchor: what is known of the intrinsics before, relative to the changed camera.
         """
-        seen = self._fine_blocks(pose, change)
-        if seen is None or self.fine_points is None:
-            return None
-        camera = change.applied_to(self.photo.cameras[0])
-        return region_evidence(seen, self.fine_points, camera, pose, replace(FINE, free=free, anchor=anchor))
+        compared = self.fine_blocks(pose, change)
+        return region_evidence([compared] if compared else [], pose, replace(FINE, free=free, anchor=anchor))
 
     def block_matches(self, pose: Rigid) -> BlockMatches | None:
-        """Return the sub-pixel point matches and blocks of a finished pose, or None if too few blocks are visible."""
-        seen = self._fine_blocks(pose, NO_CHANGE)
-        if seen is None or self.fine_points is None:
+        """Return the sub-pixel point matches and blocks of a finished pose, or None if too few blocks are visible.
+
+        The names of those of a face begin with its number.
+        """
+        compared = self.fine_blocks(pose)
+        if compared is None:
             return None
         working, camera = self.photo.cameras[0], self.photo.source
-        found = block_matches(seen, self.fine_points, working, camera)
+        points, seen = compared[0].points, compared[1]
+        found, of_block = block_matches(seen, points, working, camera)
+        agreeing = of_block[found.inliers]
+        own = compared_blocks(seen, points, partial(self.in_photo, camera=working), agreeing, FINE)
+        if self.face is None:
+            return replace(found, compared=own)
+        prefix, matches = f"f{self.face.number}.", found.matches
+        uv = self.in_photo(matches.uv, camera)
+        known = np.asarray(np.isfinite(uv).all(axis=-1))
+        names = tuple(prefix + name for name, kept in zip(matches.pick_ids, known.tolist(), strict=True) if kept)
+        in_photo = Matches(matches.rays[known], matches.ranges[known], uv[known], names)
+        return BlockMatches(in_photo, found.inliers[known], found.scatter_px, own.named(prefix))
 
-        def in_photo(uv: FloatArray) -> FloatArray:
-            return camera.project(working.unproject(uv))
+    def fine_blocks(self, pose: Rigid, change: CameraChange = NO_CHANGE) -> tuple[Picture, BlockComparison] | None:
+        """Return what is compared at a finished pose, and its blocks; None if too few are visible.
 
-        return replace(found, compared=compared_blocks(seen, self.fine_points, in_photo, found, FINE))
-
-    def _fine_blocks(self, pose: Rigid, change: CameraChange) -> BlockComparison | None:
+        Args:
+            pose: the pose.
+            change: of the camera.
+        """
         last = self._last_blocks  # read once: another thread may be working on another pose
         if last is not None and last[0] is pose and last[1] == change:
             return last[2]  # the finished pose is asked for twice
-        if self.fine_points is None:
+        fine = self.fine_picture
+        if fine is None:
             return None
-        buffer = self.occluder.depth_buffer(pose)
-        target = self.fine_target.seen_by(change.applied_to(self.photo.cameras[0]))
-        seen = compare_blocks(self.fine_points, target, self.occluder, buffer, pose)
-        self._last_blocks = pose, change, seen
-        return seen
+        picture = fine.seen_by(change)
+        seen = picture.compared(pose)
+        found = None if seen is None else (picture, seen)
+        self._last_blocks = pose, change, found
+        return found
+
+
+def finish_pose(
+    aligners: Sequence[Aligner],
+    start: Rigid,
+    *,
+    free: int = 0,
+    change: CameraChange = NO_CHANGE,
+    anchor: CameraAnchor | None = None,
+) -> tuple[Rigid, CameraChange]:
+    """Refine a pose at level 0, then at fine points, on all pictures together, until it stops moving.
+
+    Args:
+        aligners: those of the pictures; the camera of a face is not free.
+        start: the refined pose.
+        free: 0 to 4 of (log f, k1, centre x, centre y) estimated with it.
+        change: initial change of the camera relative to the stated one.
+        anchor: what is known of these before.
+    """
+    pose = start
+    rounds = [([aligner.picture(0) for aligner in aligners], _FINISH)]
+    fine = [picture for aligner in aligners if (picture := aligner.fine_picture) is not None]
+    if fine:
+        rounds += [(fine, FINE)] * _FINISH_ROUNDS
+    for number, (pictures, options) in enumerate(rounds):
+        result = refine_pose(pictures, pose, replace(options, free=free, anchor=anchor), change=change)
+        if result is None:
+            if number:
+                break
+            continue
+        before, changed = pose, change
+        pose, change = result.camera_from_scanner, result.change
+        if number:
+            shifts = [aligner.median_shift_px(before, changed, pose, change) for aligner in aligners]
+            if max(filter(np.isfinite, shifts), default=np.inf) < _STILL_PX:
+                break
+    return pose, change
 
 
 def flow_step(points: ViewPoints, target: Target, maps: Agreement, *, seed: int) -> Rigid | None:

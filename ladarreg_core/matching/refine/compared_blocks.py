@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ladarreg_core.foundations.arrays import FloatArray
-from ladarreg_core.matching.images.blocks import BlockComparison, BlockMatches, block_names, centre_points
+from ladarreg_core.foundations.arrays import FloatArray, IntArray
+from ladarreg_core.matching.images.blocks import BlockComparison, block_names, centre_points
 from ladarreg_core.matching.images.sampling import ViewPoints
 from ladarreg_core.matching.refine.ecc import RefineOptions, block_weights
 from ladarreg_core.results import ComparedBlocks
@@ -24,7 +24,7 @@ def compared_blocks(
     seen: BlockComparison,
     points: ViewPoints,
     in_photo: Callable[[FloatArray], FloatArray],
-    found: BlockMatches,
+    agreeing: IntArray,
     options: RefineOptions,
 ) -> ComparedBlocks:
     """Return the compared blocks of a finished pose, in the photo's own pixels.
@@ -39,7 +39,7 @@ def compared_blocks(
         points: the points that were compared.
         in_photo: the photo's own pixels (b, 2) at pixels (b, 2) of the comparison. Blocks where they are unknown, or
             jump, as at the seam of a panorama, are left out.
-        found: the matches of the same blocks.
+        agreeing: indices of the blocks that agree: those of the inliers of the matches.
         options: those of the refinement that ended at the pose.
     """
     uu, uv, vv, right_u, right_v = (np.asarray(value, np.float64) for value in seen.normal_equations)
@@ -51,7 +51,7 @@ def compared_blocks(
     information = block_weights(seen, options.tau_px).astype(np.float64)[:, None, None] * curvature
 
     agrees = np.zeros(len(step), np.bool_)
-    agrees[found.of_block[found.inliers]] = True
+    agrees[agreeing] = True
     squared = np.einsum("bi,bij,bj->b", step, information, step)
     used = squared[agrees] if agrees.any() else squared
     information = information / max(float(np.median(used)) / _MEDIAN_CHI2, _MIN_VARIANCE)

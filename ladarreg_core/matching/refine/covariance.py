@@ -9,6 +9,7 @@ Bias reduction in standard errors for linear regression with multi-stage samples
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +20,7 @@ from ladarreg_core.foundations.arrays import FloatArray, IntArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.images.blocks import BlockComparison
 from ladarreg_core.matching.images.sampling import ViewPoints
-from ladarreg_core.matching.refine.ecc import CameraAnchor, RefineOptions, block_systems
+from ladarreg_core.matching.refine.ecc import CameraAnchor, Picture, RefineOptions
 from ladarreg_core.matching.verify.agreement import Agreement
 
 _TRUSTED_PX = 3.0
@@ -115,34 +116,38 @@ class RegionEvidence:
 
 
 def region_evidence(
-    seen: BlockComparison, points: ViewPoints, camera: Camera, pose: Rigid, options: RefineOptions
+    compared: Sequence[tuple[Picture, BlockComparison]], pose: Rigid, options: RefineOptions
 ) -> RegionEvidence | None:
     """Return the jackknife covariance of a finished pose, or None if too few regions are visible.
 
     Args:
-        seen: the blocks at the pose.
-        points: the points compared.
-        camera: the ideal camera of the comparison.
+        compared: the pictures with their blocks at the pose.
         pose: `camera_from_scanner`.
         options: those of the refinement that ended there, with the number of free intrinsics.
     """
-    grid = points.blocks.grid[points.blocks.of_point[seen.index[seen.blocks.starts]]]
-    H_blocks, g_blocks = block_systems(seen, camera, options)
-    return jackknife(H_blocks, g_blocks, np.zeros(len(grid), np.intp), grid, pose, options.anchor)
+    parts = []
+    for number, (picture, seen) in enumerate(compared):
+        blocks = picture.points.blocks
+        grid = blocks.grid[blocks.of_point[seen.index[seen.blocks.starts]]]
+        parts.append((*picture.systems(seen, options), np.full(len(grid), number, np.intp), grid))
+    if not parts:
+        return None
+    H, g, picture_of_block, grid = (np.concatenate(values) for values in zip(*parts, strict=True))
+    return _jackknife(H, g, picture_of_block, grid, pose, options.anchor)
 
 
-def jackknife(
+def _jackknife(
     H_blocks: FloatArray,
     g_blocks: FloatArray,
     picture: IntArray,
     grid: IntArray,
     pose: Rigid,
-    anchor: CameraAnchor | None = None,
+    anchor: CameraAnchor | None,
 ) -> RegionEvidence | None:
     """Return the jackknife covariance of a pose from the contributions of its blocks; None if they form few regions.
 
     Args:
-        H_blocks: (b, 6 + K, 6 + K) of `block_systems`.
+        H_blocks: (b, 6 + K, 6 + K) of `Picture.systems`.
         g_blocks: (b, 6 + K) likewise.
         picture: (b,) picture of each block: regions never extend over two pictures.
         grid: (b, 2) row and column of each block in its picture.

@@ -8,6 +8,7 @@ pose; the photo is then not resampled, but projected into through the changed ca
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,12 +20,9 @@ from ladarreg_core.matching.images.blocks import BlockComparison, Target, compar
 from ladarreg_core.matching.images.sampling import ViewPoints
 from ladarreg_core.matching.images.zbuffer import Occluder
 
-MAX_MOTION_PX = 4.0
-"""Longest step, level pixels, of the median point."""
-STILL_PX = 0.02
-"""A refinement ends with a shorter step, level pixels."""
-REFRESH_VISIBILITY = 3
-"""Steps between two tests of occlusion."""
+_MAX_MOTION_PX = 4.0  # longest step, level pixels, of the median point
+_STILL_PX = 0.02  # a refinement ends with a shorter step, level pixels
+_REFRESH_VISIBILITY = 3  # steps between two tests of occlusion
 _MAX_CHANGE = np.array([math.log(1.6), 0.5, 0.5, 0.5])
 
 
@@ -120,6 +118,59 @@ class RefineOptions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """A picture at one level with the points of the scan that it is compared with.
+
+    The picture is the photograph itself, or one face of a wide one.
+    """
+
+    points: ViewPoints
+    """The scan's points of the level."""
+    target: Target
+    """The picture at that level, with its ideal camera."""
+    occluder: Occluder
+    """The scan's surface."""
+    face_from_camera: Rigid | None = None
+    """The rotation of a face; None: the photograph itself."""
+
+    def pose(self, camera_from_scanner: Rigid) -> Rigid:
+        """Return the pose of the picture at a pose of the photograph."""
+        return camera_from_scanner if self.face_from_camera is None else self.face_from_camera @ camera_from_scanner
+
+    def depth_buffer(self, camera_from_scanner: Rigid) -> FloatArray:
+        """Return the scan's nearest depths in the picture at a pose of the photograph; see `Occluder`."""
+        return self.occluder.depth_buffer(self.pose(camera_from_scanner))
+
+    def seen_by(self, change: CameraChange) -> Picture:
+        """Return the same picture attributed to a changed camera."""
+        return replace(self, target=self.target.seen_by(change.applied_to(self.target.camera)))
+
+    def compared(self, camera_from_scanner: Rigid, buffer: FloatArray | None = None) -> BlockComparison | None:
+        """Return the blocks at a pose of the photograph; None if too little of the scan is visible."""
+        pose = self.pose(camera_from_scanner)
+        buffer = self.occluder.depth_buffer(pose) if buffer is None else buffer
+        return compare_blocks(self.points, self.target, self.occluder, buffer, pose)
+
+    @property
+    def turn(self) -> FloatArray | None:
+        """(6, 6): a step (w, t) of the photograph's camera in the frame of the face; None: they are the same."""
+        return None if self.face_from_camera is None else np.kron(np.eye(2), self.face_from_camera.rotation)
+
+    def system(self, seen: BlockComparison, options: RefineOptions) -> StepSystem:
+        """Return the contribution of the picture's blocks to a step of the photograph's pose."""
+        system, turn = _step_system(seen, self.target.camera, options), self.turn
+        if turn is None:
+            return system
+        return StepSystem(turn.T @ system.H @ turn, turn.T @ system.g, system.Ju @ turn, system.Jv @ turn)
+
+    def systems(self, seen: BlockComparison, options: RefineOptions) -> tuple[FloatArray, FloatArray]:
+        """Return the contributions of its blocks, each by itself; see `_block_systems`."""
+        H, g = _block_systems(seen, self.target.camera, options)
+        turn = self.turn
+        return (H, g) if turn is None else (turn.T @ H @ turn, g @ turn)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class RefineResult:
     """Result of one refinement."""
 
@@ -127,72 +178,63 @@ class RefineResult:
     """The pose."""
     change: CameraChange
     """The change of the camera."""
-    iterations: int
-    """Number of steps."""
     correlation: float
     """Mean block correlation before the last step."""
-    blocks: int
-    """Number of blocks used."""
     motion_px: float
     """Median motion of the last step, level pixels; if it is more, that by the change of the camera alone."""
 
 
 def refine_pose(
-    points: ViewPoints,
-    target: Target,
-    occluder: Occluder,
-    start: Rigid,
-    options: RefineOptions,
-    *,
-    change: CameraChange = NO_CHANGE,
+    pictures: Sequence[Picture], start: Rigid, options: RefineOptions, *, change: CameraChange = NO_CHANGE
 ) -> RefineResult | None:
-    """Refine a pose by maximising the correlation of blocks.
+    """Refine a pose by maximising the correlation of the blocks of all pictures.
 
     Args:
-        points: the scan's points of a level.
-        target: the photo at that level, with its ideal camera.
-        occluder: the scan's surface.
+        pictures: those of one camera, at one level: a photograph, its faces, or several photographs with one pose.
         start: initial `camera_from_scanner`.
-        options: weights and number of steps.
+        options: weights and number of steps; of a photograph with faces, the camera is not free.
         change: initial change of the camera relative to the target's.
 
     Returns:
-        the refined pose, or None if too little of the scan is visible in the photo.
+        the refined pose, or None if too little of the scan is visible in the pictures.
     """
     pose = start
-    buffer = occluder.depth_buffer(pose)
+    buffers = [picture.depth_buffer(pose) for picture in pictures]
     result = None
     for iteration in range(options.iterations):
-        if iteration and iteration % REFRESH_VISIBILITY == 0:
-            buffer = occluder.depth_buffer(pose)
-        seen_by = target.seen_by(change.applied_to(target.camera)) if options.free or change != NO_CHANGE else target
-        step = _gauss_newton_step(points, seen_by, occluder, buffer, pose, change, options)
+        if iteration and iteration % _REFRESH_VISIBILITY == 0:
+            buffers = [picture.depth_buffer(pose) for picture in pictures]
+        changed = options.free or change != NO_CHANGE
+        seen_by = [picture.seen_by(change) for picture in pictures] if changed else pictures
+        step = _gauss_newton_step(seen_by, buffers, pose, change, options)
         if step is None:
             return result
-        delta, motion, correlation, blocks = step
+        delta, motion, correlation = step
         turn = rotation_from_rotvec(delta[:3])
         pose = Rigid(turn @ pose.rotation, turn @ pose.translation + delta[3:6])
         change = change.after(delta[6:])
-        result = RefineResult(pose, change, iteration + 1, correlation, blocks, motion)
-        if motion < STILL_PX:
+        result = RefineResult(pose, change, correlation, motion)
+        if motion < _STILL_PX:
             break
     return result
 
 
 def _gauss_newton_step(
-    points: ViewPoints,
-    target: Target,
-    occluder: Occluder,
-    buffer: FloatArray,
+    pictures: Sequence[Picture],
+    buffers: Sequence[FloatArray],
     pose: Rigid,
     change: CameraChange,
     options: RefineOptions,
-) -> tuple[FloatArray, float, float, int] | None:
-    seen = compare_blocks(points, target, occluder, buffer, pose)
-    if seen is None:
+) -> tuple[FloatArray, float, float] | None:
+    systems, rho = [], []
+    for picture, buffer in zip(pictures, buffers, strict=True):
+        seen = picture.compared(pose, buffer)
+        if seen is not None:
+            systems.append(picture.system(seen, options))
+            rho.append(seen.rho)
+    if not systems:
         return None
-    system = step_system(seen, target.camera, options)
-    H, g = system.H, system.g
+    H, g = np.sum([system.H for system in systems], axis=0), np.sum([system.g for system in systems], axis=0)
     H[range(6, len(H)), range(6, len(H))] += options.damping
     if options.anchor is not None:
         information = options.anchor.information
@@ -201,17 +243,19 @@ def _gauss_newton_step(
     delta = solve_step(H, g)
     if delta is None:
         return None
-    motion = _median_motion_px(system.Ju, system.Jv, delta)
-    if motion > MAX_MOTION_PX:
-        delta *= MAX_MOTION_PX / motion
+    motion = _median_motion_px(systems, delta)
+    if motion > _MAX_MOTION_PX:
+        delta *= _MAX_MOTION_PX / motion
     if options.free:  # the pose compensates most of a change of the camera, and both creep along this valley
-        motion = max(motion, _median_motion_px(system.Ju[:, 6:], system.Jv[:, 6:], delta[6:]))
-    return delta, motion, float(np.average(seen.rho)), len(seen.blocks)
+        motion = max(motion, _median_motion_px(systems, delta[6:]))
+    return delta, motion, float(np.average(np.concatenate(rho)))
 
 
-def _median_motion_px(Ju: FloatArray, Jv: FloatArray, delta: FloatArray) -> float:
-    small = delta.astype(Ju.dtype)
-    return float(np.median(np.hypot(Ju @ small, Jv @ small)))
+def _median_motion_px(systems: Sequence[StepSystem], delta: FloatArray) -> float:
+    """Return the median motion of the points by a step (P,) of the last P parameters, level pixels."""
+    small, last = delta.astype(np.float32), len(delta)
+    motions = [np.hypot(system.Ju[:, -last:] @ small, system.Jv[:, -last:] @ small) for system in systems]
+    return float(np.median(np.concatenate(motions)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -228,7 +272,7 @@ class StepSystem:
     """(n, 6 + K) dv likewise."""
 
 
-def step_system(seen: BlockComparison, camera: Camera, options: RefineOptions) -> StepSystem:
+def _step_system(seen: BlockComparison, camera: Camera, options: RefineOptions) -> StepSystem:
     """Return the normal equations of a step.
 
     Args:
@@ -278,7 +322,7 @@ def solve_step(H: FloatArray, g: FloatArray) -> FloatArray | None:
         return None
 
 
-def block_systems(seen: BlockComparison, camera: Camera, options: RefineOptions) -> tuple[FloatArray, FloatArray]:
+def _block_systems(seen: BlockComparison, camera: Camera, options: RefineOptions) -> tuple[FloatArray, FloatArray]:
     """Return the contribution of each block to a Gauss-Newton step.
 
     Args:

@@ -106,9 +106,9 @@ def second_minimum(
     gate, most = (aligner.gate, _MAX_REFINED) if sure else (unsure_gate(aligner.gate), _MAX_REFINED_UNSURE)
     if starts is None:
         starts = second_starts(aligner, pose)
-    points, target, occluder = aligner.points[_COARSEST], aligner.targets[_COARSEST], aligner.occluder
+    coarsest = [aligner.picture(_COARSEST)]
     # One after the other: steps so short wait for each other in two threads.
-    first, *ends = (refine_pose(points, target, occluder, start, _REFINEMENT) for start in (pose, *starts))
+    first, *ends = (refine_pose(coarsest, start, _REFINEMENT) for start in (pose, *starts))
     if first is None:
         return None
     others = [e for e in ends if e is not None and e.correlation >= gate.second_correlation * first.correlation]

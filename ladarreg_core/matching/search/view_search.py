@@ -259,11 +259,10 @@ class ViewSearch:
 
 def _coarse_refinements(aligner: Aligner, poses: Sequence[ScoredPose]) -> list[RefineResult]:
     """Return the results of short refinements on the coarsest level, where the correct pose is most distinct."""
-    points, target = aligner.points[_COARSEST], aligner.targets[_COARSEST]
-    occluder = aligner.occluder
+    coarsest = [aligner.picture(_COARSEST)]
 
     def refined(pose: ScoredPose) -> RefineResult | None:
-        return refine_pose(points, target, occluder, pose.camera_from_scanner, _COARSE_REFINEMENT)
+        return refine_pose(coarsest, pose.camera_from_scanner, _COARSE_REFINEMENT)
 
     return [end for end in side_by_side(refined, poses) if end is not None]
 

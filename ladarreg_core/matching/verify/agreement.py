@@ -160,6 +160,8 @@ def joined(parts: Sequence[Agreement]) -> Agreement:
     Its grid and pixels remain those of each picture.
     """
     first = parts[0]
+    if len(parts) == 1:
+        return first
     before = np.cumsum([0, *(len(part.visible) for part in parts)])
     members = tuple(index + start for part, start in zip(parts, before, strict=False) for index in part.members)
     side = 2 * first.radius + 1

@@ -40,7 +40,7 @@ def test_every_pixel_of_a_face_shows_its_own_direction(camera: CameraModel) -> N
         rays = face.camera.unproject(uv) @ face.face_from_camera.rotation
         shown = face.photo.pixels[own[:, 0], own[:, 1]]
         assert np.abs((shown - 127.5) / 120 - rays).max() < 0.03  # rounding, and the width of a pixel
-        there = faces.in_photo(face, uv, face.camera)
+        there = face.in_photo(uv, face.camera)
         again = camera.unproject(there)
         assert np.abs(again - rays).max() < 1e-9
 
