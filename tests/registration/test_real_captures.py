@@ -10,7 +10,7 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.frames import look_along, rotation_from_rotvec
-from ladarreg_core.matching.auto import AutoOptions
+from ladarreg_core.matching.auto_options import AutoOptions
 from ladarreg_core.quality.assessment import assess
 from ladarreg_core.registration.register import RegisterOptions
 from ladarreg_core.surface.visibility.render import render_scan_colors

@@ -10,7 +10,7 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.frames import Rigid, look_along, rotation_about, rotation_from_rotvec
-from ladarreg_core.matching.auto import AutoOptions
+from ladarreg_core.matching.auto_options import AutoOptions
 from ladarreg_core.matching.search.ambiguity import KnownPoses, ambiguity_sentence
 from ladarreg_core.matching.verify.verification import GateOptions
 from ladarreg_core.registration.register import RegisterOptions, register

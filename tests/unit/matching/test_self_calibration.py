@@ -14,7 +14,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.camera.uncertainty import CALIBRATED_CAMERA_PRIOR, DEFAULT_CAMERA_PRIOR
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.matching.auto import AutoOptions
+from ladarreg_core.matching.auto_options import AutoOptions
 from ladarreg_core.matching.images.pyramid import photo_levels, scan_levels, working_camera
 from ladarreg_core.matching.refine.aligner import Aligner
 from ladarreg_core.matching.refine.covariance import RegionEvidence

@@ -81,6 +81,19 @@ def test_filters_only_remove_matches(room: PaintedRoom, search: ThesisSearch) ->
     assert two_sided <= one_sided
 
 
+@pytest.mark.slow
+def test_guided_matches_may_be_culled_by_disparity_as_the_first_ones(room: PaintedRoom, search: ThesisSearch) -> None:
+    by_disparity = ThesisSearch(search.scan, search.photo, replace(OPTIONS, second_culling="disparity"))
+    first = search.unconstrained()
+    assert by_disparity.filtered(first).matches.pick_ids == search.filtered(first).matches.pick_ids
+    guided = search.constrained(room.camera_from_scanner)
+    by_prediction, literal = (one.filtered(guided) for one in (search, by_disparity))
+    assert literal.matches.pick_ids != by_prediction.matches.pick_ids
+    assert len(literal.matches) > 100
+    # the displacement from the prediction is known to be small: it culls more sharply than T2
+    assert right(by_prediction, room).mean() > right(literal, room).mean()
+
+
 def test_matches_are_in_the_photos_own_distorted_pixels(room: PaintedRoom, search: ThesisSearch) -> None:
     found = search.unconstrained()
     own = search.photo.source.project(search.photo.cameras[0].unproject(found.photo_uv))
