@@ -26,7 +26,7 @@ from threadpoolctl import threadpool_limits
 
 import ladarreg_core as lr
 from benchmarks.matching.sparse_sets import off_by, outdoor_case
-from ladarreg_core.matching.auto import AutoOptions
+from ladarreg_core.matching.auto_options import AutoOptions
 from ladarreg_core.matching.verify.verification import GateOptions
 from ladarreg_core.registration.register import RegisterOptions
 from ladarreg_core.simulate.outdoor_case import simulate_outdoors

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from ladarreg_core.matches import Matches as Matches
     from ladarreg_core.matches import Pick as Pick
     from ladarreg_core.matches import picks_of_arrays as picks_of_arrays
-    from ladarreg_core.matching.auto import AutoOptions as AutoOptions
+    from ladarreg_core.matching.auto_options import AutoOptions as AutoOptions
     from ladarreg_core.matching.image_check import ImageCheck as ImageCheck
     from ladarreg_core.matching.image_check import with_image_check as with_image_check
     from ladarreg_core.matching.images.kept_channels import Channels as Channels
@@ -123,7 +123,7 @@ _HOMES = {
     "AdjustedTie": "survey.adjustment",
     "Adjustment": "survey.adjustment",
     "Audit": "survey.audit",
-    "AutoOptions": "matching.auto",
+    "AutoOptions": "matching.auto_options",
     "BatchProgress": "jobs.run",
     "BatchResult": "jobs.run_folder",
     "Camera": "camera",

@@ -16,7 +16,7 @@ from benchmarks.matching.sparse_peers import PEERS_SET, peer_rows
 from benchmarks.matching.sparse_sets import SPARSE_SETS
 from benchmarks.register import Row, by_default, by_peers, timed
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.matching.auto import AutoOptions
+from ladarreg_core.matching.auto_options import AutoOptions
 from ladarreg_core.registration.register import RegisterOptions
 from ladarreg_core.simulate import SCENES, simulate_case
 

@@ -18,7 +18,7 @@ import ladarreg_core as lr
 from benchmarks.matching.sparse_sets import off_by, outdoor_case
 from benchmarks.register import timed
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
-from ladarreg_core.matching.auto import AutoOptions
+from ladarreg_core.matching.auto_options import AutoOptions
 from ladarreg_core.registration.register import RegisterOptions
 from ladarreg_core.simulate.robot_lidar import LidarName
 from ladarreg_core.simulate.worlds.outdoors import OUTDOORS

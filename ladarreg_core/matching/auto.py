@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.camera.uncertainty import CALIBRATED_CAMERA_PRIOR, DEFAULT_CAMERA_PRIOR, CameraPrior
+from ladarreg_core.camera.uncertainty import DEFAULT_CAMERA_PRIOR, CameraPrior
 from ladarreg_core.foundations.parallel import Begun, OtherCore
-from ladarreg_core.foundations.validation import require_choice
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.auto_result import AutoResult
+from ladarreg_core.matching.auto_options import AutoOptions
+from ladarreg_core.matching.auto_result import ADVICE, AutoResult, Unverified
+from ladarreg_core.matching.face_registration import FaceViews, search_faces
 from ladarreg_core.matching.images.kept_channels import Channels
-from ladarreg_core.matching.images.pyramid import ChannelSet, PairLevels
+from ladarreg_core.matching.images.pyramid import PairLevels
 from ladarreg_core.matching.images.support import is_coarse
 from ladarreg_core.matching.images.views import rolled_view, scan_density, viewing_directions
 from ladarreg_core.matching.placements import best_of_placements, cameras_beside, may_be_beside
@@ -24,7 +25,6 @@ from ladarreg_core.matching.refine.aligner import Aligner, Candidate
 from ladarreg_core.matching.refine.covariance import window_evidence
 from ladarreg_core.matching.refine.self_calibration import (
     FreeCamera,
-    check_free_camera,
     estimate_camera,
     may_estimate_camera,
     verify_finished,
@@ -32,55 +32,37 @@ from ladarreg_core.matching.refine.self_calibration import (
 from ladarreg_core.matching.search.ambiguity import KnownPoses, ambiguity_sentence, second_minimum, second_starts
 from ladarreg_core.matching.search.roll import Roll
 from ladarreg_core.matching.search.view_search import ViewSearch
-from ladarreg_core.matching.verify.verification import GateOptions, Verification, check_precision, region_markers
+from ladarreg_core.matching.verify.verification import Verification, check_precision, region_markers
 from ladarreg_core.matching.wrong_poses import WrongPoses, verdict_beside_wrong_poses, wrong_poses_decide
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import StepLog
 from ladarreg_core.scan import Scan
 
-Reach = Literal["everywhere", "near_start"]
 _MAX_ROLLED_VIEWS, _MAX_GRID_VIEWS = 2, 3
 _MEDIAN_CELLS = 100_000
 _RANGE_M = (1e-6, 1e7)  # generous, to allow for wrong units; the limits of the estimator of matches
-ADVICE = "Draw a few matches by hand, or give an initial pose."
-"""What to do about a photograph that is not accepted."""
 
 
-@dataclass(frozen=True, slots=True)
-class AutoOptions:
-    """Options of the automatic method."""
+def compared_pair(scan: Scan, photo: Photo, channels: Channels | None = None) -> PairLevels | FaceViews:
+    """Return the images of a pair, computed once for several registrations: the photograph's, or those of its faces.
 
-    seed: int = 0
-    """Random seed; equal seeds give equal results."""
-    good_fraction: float = 0.6
-    """A candidate with at least this fraction of agreeing regions ends the search, if it is verified."""
-    least_fraction: float = 0.35
-    """A candidate with a smaller fraction of agreeing regions is not finished."""
-    gate: GateOptions = field(default_factory=GateOptions)
-    """Thresholds of image verification."""
-    intrinsics: FreeCamera = "auto"
-    """Intrinsics that may be estimated with the pose."""
-    calibrated_prior: CameraPrior = CALIBRATED_CAMERA_PRIOR
-    """Standard deviations of a calibrated camera whose file states none; those of an assumed one are
-    `PoseOptions.camera_prior`."""
-    channel_set: ChannelSet = "both"
-    """Channels of the scan that the photo is compared with."""
-    reach: Reach = "everywhere"
-    """Extent of the search; `near_start` needs an initial pose and takes a fraction of the time."""
-
-    def __post_init__(self) -> None:
-        check_free_camera(self.intrinsics)
-        require_choice(self.reach, get_args(Reach), "the reach")
+    Args:
+        scan: the scan.
+        photo: the photograph.
+        channels: those that are kept for further registrations.
+    """
+    if photo.camera.as_pinhole is None:
+        return FaceViews(scan, photo)
+    return PairLevels(scan, photo) if channels is None else PairLevels(scan, photo, levels_of=channels.photo_levels)
 
 
 def register_auto(
-    scan: Scan,
+    pair: PairLevels | FaceViews,
     photo: Photo,
     steps: StepLog,
     *,
     initial: Rigid | None = None,
     options: AutoOptions | None = None,
-    pair: PairLevels | None = None,
     prior: CameraPrior = DEFAULT_CAMERA_PRIOR,
     channels: Channels | None = None,
 ) -> AutoResult:
@@ -90,31 +72,29 @@ def register_auto(
     the search. Without one, a roll of the camera is detected from corners and the search repeated in a rolled view;
     after that, the photo is compared as a whole with the scan as seen from a grid of camera positions. The view of the
     scan is rolled, never the photo, so that all pixels remain those of the photo. If the scan is much wider than the
-    photo, all views are searched: a photo that is verified at two poses is not accepted.
+    photo, all views are searched: a photo that is verified at two poses is not accepted. A photograph of a wide camera
+    is searched face by face, see `search_faces`; its intrinsics are not estimated.
 
     Args:
-        scan: the scan.
+        pair: the images of the pair.
         photo: the photograph.
         steps: receives every step.
         initial: an initial pose, tried first.
         options: thresholds and seed.
-        pair: the levels of the pair, if they have been computed already.
         prior: what is known of an assumed camera.
         channels: those that are kept for further registrations; None: only those of the last view are.
     """
     o = options or AutoOptions()
-    pair = pair or PairLevels(scan, photo)
-    working = pair.working
     with steps.step("photo") as note:
-        photo_side = pair.photo
-        contrast = max(float(plane.max() - plane.min()) for plane in photo_side.planes[0])
+        contrast, working = pair.contrast, pair.working
         note.update(width=working.width, height=working.height, focal_px=round(working.fx, 3))
     if contrast < 1:
         return AutoResult(initial, None, None, ("The photo is uniform and has no structure to match.",))
-
-    reason = reason_against_scan(scan)
+    reason = reason_against_scan(pair.scan)
     if reason:
         return AutoResult(initial, None, None, (reason,))
+    if isinstance(pair, FaceViews):
+        return search_faces(pair, photo, steps, initial, o)
 
     prior = o.calibrated_prior if photo.calibrated else prior
     prior = prior.covering(photo.pinhole, filter(None, (other.as_pinhole for other in photo.alternatives)))
@@ -127,8 +107,8 @@ def register_auto(
             if not may_be_beside(found[-1]):
                 break
         result = best_of_placements(found, photo.pinhole)
-    directions = viewing_directions(scan, working, initial=initial)
-    return _explain_if_sparse(result, scan, photo, [*directions, *([initial] if initial else [])])
+    directions = viewing_directions(pair.scan, working, initial=initial)
+    return _explain_if_sparse(result, pair.scan, photo, [*directions, *([initial] if initial else [])])
 
 
 def _searched(
@@ -205,8 +185,7 @@ class CandidateSet:
         self._accepted: AutoResult | None = None
         self._accepted_by: Aligner | None = None
         self._ambiguous_poses: tuple[Rigid, Rigid] | None = None
-        self._refused: AutoResult | None = None
-        self._unfinished: Candidate | None = None
+        self._unverified = Unverified(initial)
 
     @property
     def is_ambiguous(self) -> bool:
@@ -218,22 +197,21 @@ class CandidateSet:
         if candidate is None:
             return
         if candidate.fraction < self._options.least_fraction:
-            if self._unfinished is None or candidate.fraction > self._unfinished.fraction:
-                self._unfinished = candidate
+            self._unverified.add_unfinished(candidate.camera_from_scanner, candidate.coarse_verdict)
             return
         aligner, candidate = self._search.with_full_overlap(aligner, candidate)
         settled = self._search.settled(aligner, candidate)
         result, finished_by = self._finished(*settled)
-        if not _is_accepted(result) and settled[0] is not aligner:
+        if not result.accepted and settled[0] is not aligner:
             result, finished_by = self._finished(aligner, candidate)
         pose = result.camera_from_scanner
-        if pose is None or not _is_accepted(result):
+        if pose is None or not result.accepted:
             return
         other = self.known.different_from(pose)
         if other is not None:
             self._ambiguous_poses = (other, pose)
         self.known.add(pose)
-        if self._accepted is None or _fraction(result) > _fraction(self._accepted):
+        if self._accepted is None or result.fraction > self._accepted.fraction:
             self._accepted, self._accepted_by = result, finished_by
 
     def _finished(self, aligner: Aligner, candidate: Candidate) -> tuple[AutoResult, Aligner]:
@@ -243,8 +221,8 @@ class CandidateSet:
             aligner, candidate, self._photo, self._camera, self._steps, self._options.intrinsics, self._prior,
             self._wrong,
         )  # fmt: skip
-        if not _is_accepted(result) and (self._refused is None or _fraction(result) > _fraction(self._refused)):
-            self._refused = result
+        if not result.accepted:
+            self._unverified.add_refused(result)
         return result, aligner
 
     def _begin_second_minimum(self, aligner: Aligner, candidate: Candidate) -> None:
@@ -268,21 +246,13 @@ class CandidateSet:
 
     def result(self) -> AutoResult:
         """Return the accepted result, else the best refused one."""
-        initial = self._initial
-        if self._accepted is not None:
-            if self._ambiguous_poses is None and not self._is_sure(self._accepted.verification):
-                self._ambiguous_poses = self._second_minimum()
-            if self._ambiguous_poses is not None:
-                return _refused_as_ambiguous(self._accepted, *self._ambiguous_poses)
-            return self._accepted
-        if self._refused is not None:
-            return self._refused
-        if self._unfinished is None:
-            reason = "No initial pose was found: too few features of the scan match features of the photo."
-            return AutoResult(initial, None, None, (reason, ADVICE))
-        best = self._unfinished
-        reason = f"At the best candidate pose only {best.fraction:.0%} of the image regions agree."
-        return AutoResult(best.camera_from_scanner, best.coarse_verdict, None, (reason, ADVICE))
+        if self._accepted is None:
+            return self._unverified.result
+        if self._ambiguous_poses is None and not self._is_sure(self._accepted.verification):
+            self._ambiguous_poses = self._second_minimum()
+        if self._ambiguous_poses is not None:
+            return self._accepted.refused(ambiguity_sentence(*self._ambiguous_poses))
+        return self._accepted
 
     def _second_minimum(self) -> tuple[Rigid, Rigid] | None:
         """Return the accepted pose and a second one that explains the image as well; None if there is none."""
@@ -305,7 +275,7 @@ def _explain_if_sparse(result: AutoResult, scan: Scan, photo: Photo, poses: Sequ
 
     Of a scan that is coarse only, what to do about it is added.
     """
-    if result.verification is not None and result.verification.accepted:
+    if result.accepted:
         return result
     density = scan_density(scan, photo.pinhole, poses)
     if density is None:
@@ -388,21 +358,6 @@ def _search_views(
         aligner = search.view(direction, name=f"{name} {number}", for_corners=for_corners)
         if aligner is not None:
             found.add_candidate(aligner, find(aligner, found.known))
-
-
-def _refused_as_ambiguous(result: AutoResult, first: Rigid, second: Rigid) -> AutoResult:
-    """Return a verified result as refused, since a second pose explains the image as well."""
-    assert result.verification is not None, "only verified poses are compared"
-    reasons = (ambiguity_sentence(first, second), ADVICE)
-    return replace(result, verification=replace(result.verification, accepted=False, reasons=reasons), reasons=reasons)
-
-
-def _is_accepted(result: AutoResult) -> bool:
-    return result.verification is not None and result.verification.accepted
-
-
-def _fraction(result: AutoResult) -> float:
-    return result.verification.fraction if result.verification is not None else -1.0
 
 
 def _finish(

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.auto import ADVICE, AutoOptions, reason_against_scan
-from ladarreg_core.matching.auto_result import AutoResult
+from ladarreg_core.matching.auto_options import AutoOptions
+from ladarreg_core.matching.auto_result import ADVICE, AutoResult, Unverified
 from ladarreg_core.matching.images.faces import Face, FaceSet
 from ladarreg_core.matching.images.laser_images import CleanedScan
 from ladarreg_core.matching.images.pyramid import ScanLevels, scan_levels, working_camera
@@ -23,7 +24,7 @@ from ladarreg_core.matching.refine.aligner import Aligner
 from ladarreg_core.matching.refine.joint_aligner import JointAligner, aligners_of_faces
 from ladarreg_core.matching.search.ambiguity import KnownPoses, ambiguity_sentence, competes
 from ladarreg_core.matching.search.face_search import FaceHypothesis, FaceSearch
-from ladarreg_core.matching.verify.verification import GateOptions, Verification, check_precision
+from ladarreg_core.matching.verify.verification import Verification, check_precision
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import StepLog
 from ladarreg_core.scan import Scan
@@ -38,124 +39,120 @@ _FINE_POINTS = 8000  # of a face: only its own part of the picture counts, and t
 _MIN_FRACTION = 0.57
 
 
-def is_wide(photo: Photo) -> bool:
-    """Return whether a photograph is registered through faces: its camera is not a pinhole."""
-    return photo.camera.as_pinhole is None
-
-
-def register_faces(
-    scan: Scan, photo: Photo, steps: StepLog, *, initial: Rigid | None = None, options: AutoOptions | None = None
-) -> AutoResult:
-    """Find the pose of a photograph of a wide camera from the images alone.
-
-    Args:
-        scan: the scan.
-        photo: the photograph; its intrinsics are not estimated.
-        steps: receives every step.
-        initial: an initial pose, tried first.
-        options: thresholds and seed.
-    """
-    o = options or AutoOptions()
-    registration = _FaceRegistration(scan, photo, steps, o)
-    return registration.run(initial)
-
-
-def verify_faces(
-    scan: Scan, photo: Photo, camera_from_scanner: Rigid, *, gate: GateOptions | None = None, seed: int = 0
-) -> Verification | None:
-    """Verify a given pose of a wide photograph; return None if there is too little structure to compare.
+class FaceViews:
+    """The faces of a wide photograph, and views of what they see of the scan at a pose.
 
     Args:
         scan: the scan.
         photo: the photograph.
-        camera_from_scanner: the pose.
-        gate: thresholds of verification.
-        seed: random seed of the points drawn.
     """
-    options = AutoOptions(seed=seed, gate=gate or GateOptions())
-    joint = _FaceViews(scan, photo, options).joint_aligner(camera_from_scanner)
-    return None if joint is None else joint.verify(camera_from_scanner)
 
+    coarse = False
+    """Whether the scan is compared as a coarse one: never with faces."""
 
-class _FaceViews:
-    """The faces of a photograph, and views of what they see of the scan at a pose."""
-
-    def __init__(self, scan: Scan, photo: Photo, options: AutoOptions) -> None:
+    def __init__(self, scan: Scan, photo: Photo) -> None:
+        self.scan = scan
         self.faces = FaceSet(photo)
         self.working = working_camera(scan, self.faces.camera)
-        self.cleaned = CleanedScan.of(scan, for_many_views=True)
-        self._scan = scan
-        self._options = options
+        """The ideal camera of the comparison, of every face."""
 
-    def of_face(self, face: Face, camera: Camera, pose: Rigid) -> ScanLevels | None:
-        """Return the levels of what a face sees of the scan at a pose of the photograph; None if it sees too little."""
-        direction = direction_towards_overlap(self._scan, camera, face.face_from_camera @ pose)
-        if direction is None:
-            return None
-        view = perspective_view(self._scan, camera, view_from_scanner=direction)
-        levels = scan_levels(self._scan, view, channel_set=self._options.channel_set, cleaned=self.cleaned)
-        return levels if np.isfinite(levels.ranges).any() else None
+    @cached_property
+    def cleaned(self) -> CleanedScan:
+        """The scan's images."""
+        return CleanedScan.of(self.scan, for_many_views=True)
 
-    def aligner(self, face: Face, camera: Camera, pose: Rigid) -> Aligner | None:
-        """Return the aligner of a face alone, with all that it shows; None if it sees too little at a pose."""
-        levels = self.of_face(face, camera, pose)
+    @property
+    def contrast(self) -> float:
+        """Difference between the brightest and the darkest pixel of the photograph, of its channels the largest."""
+        pixels = self.faces.photo.pixels
+        return max(float(np.ptp(pixels[..., k])) for k in range(pixels.shape[-1]))
+
+    def aligner(self, face: Face, camera: Camera, pose: Rigid, options: AutoOptions) -> Aligner | None:
+        """Return the aligner of a face alone, with all that it shows; None if it sees too little at a pose.
+
+        Args:
+            face: the face.
+            camera: the ideal camera of the comparison.
+            pose: `camera_from_scanner` of the photograph.
+            options: channels, thresholds and seed.
+        """
+        levels = self._seen(face, camera, pose, options)
         if levels is None:
             return None
-        photo, o = self.faces.levels(face, camera, own=False), self._options
+        photo, o = self.faces.levels(face, camera, own=False), options
         aligner = Aligner(levels, photo, gate=o.gate, seed=o.seed, face=face)
         return aligner if aligner.usable else None
 
-    def joint_aligner(self, pose: Rigid) -> JointAligner | None:
-        """Return the aligner of all faces that see some of the scan at a pose; None if none does."""
-        o = self._options
+    def joint_aligner(self, pose: Rigid, options: AutoOptions) -> JointAligner | None:
+        """Return the aligner of all faces that see some of the scan at a pose; None if none does.
+
+        Args:
+            pose: `camera_from_scanner` of the photograph, near the one sought.
+            options: channels, thresholds and seed.
+        """
+        o = options
         views = [
             (face, levels, self.faces.levels(face, self.working, own=True))
             for face in self.faces.faces
-            if (levels := self.of_face(face, self.working, pose)) is not None
+            if (levels := self._seen(face, self.working, pose, o)) is not None
         ]
         gate = replace(o.gate, fraction=max(o.gate.fraction, _MIN_FRACTION))
         aligners = aligners_of_faces(views, gate=gate, seed=o.seed, fine_points=_FINE_POINTS)
         return JointAligner(aligners, gate=gate) if aligners else None
 
+    def _seen(self, face: Face, camera: Camera, pose: Rigid, options: AutoOptions) -> ScanLevels | None:
+        """Return the levels of what a face sees of the scan at a pose of the photograph; None if it sees too little."""
+        direction = direction_towards_overlap(self.scan, camera, face.face_from_camera @ pose)
+        if direction is None:
+            return None
+        view = perspective_view(self.scan, camera, view_from_scanner=direction)
+        levels = scan_levels(self.scan, view, channel_set=options.channel_set, cleaned=self.cleaned)
+        return levels if np.isfinite(levels.ranges).any() else None
 
-class _FaceRegistration:
-    def __init__(self, scan: Scan, photo: Photo, steps: StepLog, options: AutoOptions) -> None:
-        self._scan = scan
+
+def search_faces(
+    views: FaceViews, photo: Photo, steps: StepLog, initial: Rigid | None, options: AutoOptions
+) -> AutoResult:
+    """Find the pose of a photograph of a wide camera from the images alone.
+
+    Args:
+        views: the photograph's faces and the scan.
+        photo: the photograph; its intrinsics are not estimated.
+        steps: receives every step.
+        initial: an initial pose, tried first.
+        options: thresholds and seed.
+    """
+    return _FaceSearch(views, photo, steps, initial, options).result()
+
+
+class _FaceSearch:
+    def __init__(
+        self, views: FaceViews, photo: Photo, steps: StepLog, initial: Rigid | None, options: AutoOptions
+    ) -> None:
+        self._views = views
         self._photo = photo
         self._steps = steps
+        self._initial = initial
         self._options = options
-        self._known = KnownPoses(scan, photo.camera, options.gate)
-        self._best_refused: AutoResult | None = None
-        self._best_unfinished: tuple[Rigid, Verification] | None = None
+        self._known = KnownPoses(views.scan, photo.camera, options.gate)
+        self._unverified = Unverified(initial)
 
-    def run(self, initial: Rigid | None) -> AutoResult:
+    def result(self) -> AutoResult:
         """Return the accepted result, else the best refused one."""
-        with self._steps.step("photo") as note:
-            contrast = max(float(np.ptp(self._photo.pixels[..., k])) for k in range(3))
-            self._views = _FaceViews(self._scan, self._photo, self._options)
-            working = self._views.working
-            note.update(width=working.width, height=working.height, focal_px=round(working.fx, 3))
-        if contrast < 1:
-            return AutoResult(initial, None, None, ("The photo is uniform and has no structure to match.",))
-        reason = reason_against_scan(self._scan)
-        if reason:
-            return AutoResult(initial, None, None, (reason,))
         with self._steps.step("faces") as note:
             note.update(faces=len(self._views.faces.faces), size=self._views.faces.camera.width)
-
-        if initial is not None:
-            found = self._jointly([initial])
-            if found is not None:
-                return found
-        if initial is not None and self._options.reach == "near_start":
-            found = self._jointly(self._near(initial))
-            return found or self._refused(initial)
-        return self._everywhere() or self._refused(initial)
+            _ = self._views.cleaned
+        found = None if self._initial is None else self._jointly([self._initial])
+        if found is None and self._initial is not None and self._options.reach == "near_start":
+            found = self._jointly(self._near(self._initial))
+        elif found is None:
+            found = self._everywhere()
+        return found or self._unverified.result
 
     def _everywhere(self) -> AutoResult | None:
         with self._steps.step("channels") as note:
             search = FaceSearch(
-                self._scan,
+                self._views.scan,
                 self._views.cleaned,
                 self._views.faces,
                 self._search_camera,
@@ -187,7 +184,7 @@ class _FaceRegistration:
         found = []
         for item in hypotheses:
             with self._steps.step("climb") as note:
-                aligner = self._views.aligner(item.face, self._search_camera, item.camera_from_scanner)
+                aligner = self._views.aligner(item.face, self._search_camera, item.camera_from_scanner, self._options)
                 if aligner is None:
                     note["none"] = "the face sees too little of the scan"
                     continue
@@ -208,7 +205,7 @@ class _FaceRegistration:
         found = []
         for face in self._views.faces.faces:
             with self._steps.step("climb") as note:
-                aligner = self._views.aligner(face, self._search_camera, initial)
+                aligner = self._views.aligner(face, self._search_camera, initial, self._options)
                 candidate = None if aligner is None else aligner.refine(initial)
                 note.update(face=face.number)
                 if candidate is None:
@@ -226,19 +223,17 @@ class _FaceRegistration:
                 continue
             pose, coarse = found
             if coarse.fraction < self._options.least_fraction:
-                if self._best_unfinished is None or coarse.fraction > self._best_unfinished[1].fraction:
-                    self._best_unfinished = found
+                self._unverified.add_unfinished(pose, coarse)
                 continue
             result = self._finished(joint, pose)
-            if result.verification is not None and result.verification.accepted:
+            if result.accepted:
                 return self._unless_ambiguous(joint, result, rivals)
-            if self._best_refused is None or _fraction(result) > _fraction(self._best_refused):
-                self._best_refused = result
+            self._unverified.add_refused(result)
         return None
 
     def _refined(self, start: Rigid) -> tuple[JointAligner | None, tuple[Rigid, Verification] | None]:
         with self._steps.step("all faces") as note:
-            joint = self._views.joint_aligner(start)
+            joint = self._views.joint_aligner(start, self._options)
             refined = None if joint is None else joint.refine(start)
             if joint is None or refined is None:
                 note["none"] = "the faces see too little of the scan"
@@ -282,27 +277,10 @@ class _FaceRegistration:
                     break
             note.update(found=second is not None)
             self._steps.pose = pose
-        if second is None:
-            return result
-        reasons = (ambiguity_sentence(pose, second), ADVICE)
-        return replace(result, verification=replace(own, accepted=False, reasons=reasons), reasons=reasons)
+        return result if second is None else result.refused(ambiguity_sentence(pose, second))
 
     def _differs(self, first: Rigid, second: Rigid) -> bool:
         return self._known.differ(first, second) or first.angle_to(second) > self._options.gate.same_angle_rad
-
-    def _refused(self, initial: Rigid | None) -> AutoResult:
-        if self._best_refused is not None:
-            return self._best_refused
-        if self._best_unfinished is None:
-            reason = "No initial pose was found: too few features of the scan match features of the photo."
-            return AutoResult(initial, None, None, (reason, ADVICE))
-        pose, verdict = self._best_unfinished
-        reason = f"At the best candidate pose only {verdict.fraction:.0%} of the image regions agree."
-        return AutoResult(pose, verdict, None, (reason, ADVICE))
-
-
-def _fraction(result: AutoResult) -> float:
-    return result.verification.fraction if result.verification is not None else -1.0
 
 
 def _square(camera: Camera) -> Camera:

@@ -11,7 +11,7 @@ from ladarreg_core.camera import CameraModel
 from ladarreg_core.camera.uncertainty import DEFAULT_CAMERA_PRIOR, CameraPrior
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matches import Matches
-from ladarreg_core.matching.auto import AutoOptions
+from ladarreg_core.matching.auto_options import AutoOptions
 from ladarreg_core.matching.auto_result import AutoResult
 from ladarreg_core.matching.images.kept_channels import Channels
 from ladarreg_core.matching.images.support import carries_intensity
@@ -77,7 +77,7 @@ def _register_cameras(
         found = register_by_modality(
             scan, seen, steps, initial=initial, options=options, prior=prior, channels=channels
         )  # fmt: skip
-        if found.verification is not None and found.verification.accepted:
+        if found.accepted:
             return _with_camera_named(found, cameras), seen
         tried.append((found, seen))
     return tried[0]
@@ -119,7 +119,6 @@ def _described(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:
         covariance=evidence.covariance if evidence else _UNKNOWN,
     )
     verdict = found.verification
-    accepted = verdict is not None and verdict.accepted
     diagnostics = dict(described.diagnostics)
     if verdict:
         diagnostics["verification"] = {**verdict.as_dict(), "regions": [list(region) for region in verdict.regions]}
@@ -128,8 +127,8 @@ def _described(found: AutoResult, scan: Scan, photo: Photo) -> PoseResult:
         camera_sigmas=found.camera_sigmas,
         camera_uncertainty=found.camera_uncertainty,
         blocks=blocks.compared if blocks else None,
-        accepted=accepted,
-        evidence="image" if accepted else "none",
+        accepted=found.accepted,
+        evidence="image" if found.accepted else "none",
         reasons=found.reasons,
         diagnostics=diagnostics,
     )

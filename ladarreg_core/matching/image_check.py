@@ -19,12 +19,13 @@ from ladarreg_core.foundations.arrays import BoolArray
 from ladarreg_core.foundations.formatting import format_length, format_number
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matches import across_lines, count_picks
-from ladarreg_core.matching.auto import AutoOptions
-from ladarreg_core.matching.face_registration import is_wide, verify_faces
+from ladarreg_core.matching.auto import compared_pair
+from ladarreg_core.matching.auto_options import AutoOptions
+from ladarreg_core.matching.face_registration import FaceViews
 from ladarreg_core.matching.from_images import pose_from_images
 from ladarreg_core.matching.images.kept_channels import Channels
-from ladarreg_core.matching.images.pyramid import ChannelSet, harmonics_of, pair_levels, photo_levels, working_camera
-from ladarreg_core.matching.images.support import carries_intensity, is_coarse, is_interpolated
+from ladarreg_core.matching.images.pyramid import ChannelSet
+from ladarreg_core.matching.images.support import carries_intensity, is_interpolated
 from ladarreg_core.matching.images.views import viewing_directions
 from ladarreg_core.matching.refine.aligner import Aligner
 from ladarreg_core.matching.verify.verification import (
@@ -39,7 +40,6 @@ from ladarreg_core.pose.result import describe_pose, inliers_at
 from ladarreg_core.progress import StepLog
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.perspective import perspective_view
 
 Outcome = Literal["verified", "contradicted", "undecidable"]
 Proposal = Literal["refined", "drawn", "images"]
@@ -102,8 +102,7 @@ def check_against_images(
     pose, seen = result.camera_from_scanner, replace(photo, camera=result.camera)
     with threadpool_limits(limits=1, user_api="blas"):  # the same answer on any machine
         with steps.step("image check") as note:
-            verify = verify_faces if is_wide(seen) else _verified_in_view
-            found = verify(scan, seen, pose, seed=seed)
+            found = _verified(scan, seen, pose, seed=seed)
             note.update(verified=found is not None and found.accepted)
         if found is None:
             return ImageCheck(
@@ -122,18 +121,17 @@ def check_against_images(
     return _judged(scan, result, found, placement)
 
 
-def _verified_in_view(scan: Scan, photo: Photo, pose: Rigid, *, seed: int) -> Verification | None:
+def _verified(scan: Scan, photo: Photo, pose: Rigid, *, seed: int) -> Verification | None:
     """Return the verdict of the images on a given pose; None if there is too little structure to compare."""
-    working = working_camera(scan, photo.pinhole)
-    direction = viewing_directions(scan, working, initial=pose)[0]
-    view = perspective_view(scan, working, view_from_scanner=direction)
+    pair = compared_pair(scan, photo)
     channel_set: ChannelSet = "both" if carries_intensity(scan) else "geometry"
-    coarse = is_coarse(scan, photo.pinhole)
-    harmonics = harmonics_of(scan, photo.pinhole)
-    levels = pair_levels(scan, view, channel_set=channel_set, coarse=coarse, harmonics=harmonics)
+    if isinstance(pair, FaceViews):
+        joint = pair.joint_aligner(pose, AutoOptions(seed=seed, channel_set=channel_set))
+        return None if joint is None else joint.verify(pose)
+    view = pair.view(viewing_directions(scan, pair.working, initial=pose)[0], channel_set)
     interpolated = is_interpolated(scan, photo.pinhole)
-    gate = gate_for(GateOptions(), coarse=coarse, shape_alone=channel_set == "geometry", interpolated=interpolated)
-    aligner = Aligner(levels, photo_levels(photo, working, harmonics=harmonics), gate=gate, seed=seed)
+    gate = gate_for(GateOptions(), coarse=pair.coarse, shape_alone=channel_set == "geometry", interpolated=interpolated)
+    aligner = Aligner(view, pair.photo, gate=gate, seed=seed)
     if not aligner.usable:
         return None
     verdict, _, fine = aligner.verify(pose)

@@ -14,12 +14,12 @@ import numpy as np
 
 from ladarreg_core.camera.uncertainty import DEFAULT_CAMERA_PRIOR, CameraPrior
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
-from ladarreg_core.matching.auto import AutoOptions, Reach, register_auto
+from ladarreg_core.matching.auto import compared_pair, register_auto
+from ladarreg_core.matching.auto_options import AutoOptions, Reach
 from ladarreg_core.matching.auto_result import AutoResult
-from ladarreg_core.matching.face_registration import is_wide, register_faces
 from ladarreg_core.matching.images.kept_channels import Channels
 from ladarreg_core.matching.images.pyramid import ChannelSet, PairLevels
-from ladarreg_core.matching.images.support import carries_intensity, is_coarse, is_interpolated
+from ladarreg_core.matching.images.support import carries_intensity, is_interpolated
 from ladarreg_core.matching.verify.verification import (
     COARSE_GATE,
     Verification,
@@ -94,36 +94,24 @@ def register_by_modality(
     """
     o = options or AutoOptions()
     shape_alone = not carries_intensity(scan)
-    coarse = not is_wide(photo) and is_coarse(scan, photo.pinhole)
+    pair = compared_pair(scan, photo, channels)
+    coarse = pair.coarse
     interpolated = coarse and is_interpolated(scan, photo.pinhole)
     if shape_alone:
         o = replace(o, channel_set="geometry")
     if shape_alone and o.intrinsics == "auto" and (coarse or photo.calibrated):
         o = replace(o, intrinsics="fixed")  # outlines do not determine the lens
     if not is_gray(photo):
-        if is_wide(photo):
-            return register_faces(scan, photo, steps, initial=initial, options=o)
-        if not coarse:
-            levels = _pair(scan, photo, channels)
-            return register_auto(
-                scan, photo, steps, initial=initial, options=o, pair=levels, prior=prior, channels=channels
-            )  # fmt: skip
-        levels = _pair(scan, photo, channels)
-        tried = _gated(o, coarse=True, interpolated=interpolated)
-        result = register_auto(
-            scan, photo, steps, initial=initial, options=tried, pair=levels, prior=prior, channels=channels
-        )  # fmt: skip
-        return (
-            result
-            if shape_alone or interpolated
-            else _more_precise(result, levels.as_dense(), scan, photo, steps, o, prior, channels)
-        )
+        tried = _gated(o, coarse=coarse, interpolated=interpolated)
+        result = register_auto(pair, photo, steps, initial=initial, options=tried, prior=prior, channels=channels)
+        if shape_alone or interpolated or not (isinstance(pair, PairLevels) and coarse):
+            return result
+        return _more_precise(result, pair.as_dense(), photo, steps, o, prior, channels)
     thermal = photo.temperature_k is not None
     if thermal:
         # A few blurred regions determine a pose, but not the lens as well.
         o = replace(o, gate=COARSE_GATE, intrinsics="fixed" if o.intrinsics == "auto" else o.intrinsics)
     found: dict[ChannelSet, AutoResult] = {}
-    pair = None if is_wide(photo) else _pair(scan, photo, channels)
     start = initial
     for channel_set in ("geometry",) if shape_alone else get_args(ChannelSet):
         if len(found) == 2 and not any(map(_is_promising, found.values())):
@@ -132,36 +120,26 @@ def register_by_modality(
         reach: Reach = o.reach if start is initial else "near_start"
         tried = replace(o, channel_set=channel_set, reach=reach)
         tried = _gated(tried, coarse=coarse and not thermal, interpolated=interpolated)
-        found[channel_set] = (
-            register_faces(scan, photo, steps, initial=start, options=tried)
-            if pair is None
-            else register_auto(
-                scan, photo, steps, initial=start, options=tried, pair=pair, prior=prior, channels=channels
-            )
-        )
-        if _accepted(found[channel_set]) and not thermal:
+        result = register_auto(pair, photo, steps, initial=start, options=tried, prior=prior, channels=channels)
+        if result.accepted and not thermal:
+            found[channel_set] = result
             break
-        if _is_promising(found[channel_set]) and not any(
-            _accepted(r) for name, r in found.items() if name != channel_set
-        ):
-            start = found[channel_set].camera_from_scanner
+        if _is_promising(result) and not any(other.accepted for other in found.values()):
+            start = result.camera_from_scanner
+        found[channel_set] = result
     best = max(found, key=lambda name: _score(found[name]))
     with steps.step("modality") as note:
         note.update(
             channels=best,
-            accepted=[name for name, result in found.items() if _accepted(result)],
+            accepted=[name for name, result in found.items() if result.accepted],
             scores={name: result.verification.as_dict() for name, result in found.items() if result.verification},
         )
         steps.pose = found[best].camera_from_scanner
-    others = [result for name, result in found.items() if name != best and _accepted(result)]
+    others = [result for name, result in found.items() if name != best and result.accepted]
     answer = _with_disagreement(found[best], others)
     if thermal:
         answer = _scaled_covariance(answer, _COARSE_VARIANCE)
     return _labelled(answer, best, thermal=thermal)
-
-
-def _pair(scan: Scan, photo: Photo, channels: Channels | None) -> PairLevels:
-    return PairLevels(scan, photo) if channels is None else PairLevels(scan, photo, levels_of=channels.photo_levels)
 
 
 def _gated(options: AutoOptions, *, coarse: bool, interpolated: bool) -> AutoOptions:
@@ -174,7 +152,6 @@ def _gated(options: AutoOptions, *, coarse: bool, interpolated: bool) -> AutoOpt
 def _more_precise(
     result: AutoResult,
     as_dense: PairLevels,
-    scan: Scan,
     photo: Photo,
     steps: StepLog,
     options: AutoOptions,
@@ -188,20 +165,13 @@ def _more_precise(
     if not _is_promising(result):
         return result
     usual = replace(options, reach="near_start")
-    other = register_auto(
-        scan, photo, steps,
-        initial=result.camera_from_scanner, options=usual, pair=as_dense, prior=prior, channels=channels,
-    )  # fmt: skip
-    shares_print = other.verification is not None and other.verification.fraction >= _SHARED_PRINT
-    return other if _accepted(other) and shares_print else result
-
-
-def _accepted(result: AutoResult) -> bool:
-    return result.verification is not None and result.verification.accepted
+    start = result.camera_from_scanner
+    other = register_auto(as_dense, photo, steps, initial=start, options=usual, prior=prior, channels=channels)
+    return other if other.accepted and other.fraction >= _SHARED_PRINT else result
 
 
 def _is_promising(result: AutoResult) -> bool:
-    return result.verification is not None and result.verification.fraction >= _PROMISING_FRACTION
+    return result.fraction >= _PROMISING_FRACTION
 
 
 def _with_disagreement(result: AutoResult, others: list[AutoResult]) -> AutoResult:

@@ -27,7 +27,7 @@ def may_be_beside(result: AutoResult) -> bool:
     """Return whether an accepted pose may be beside the true one: its camera was estimated, and many regions do not
     agree at full resolution."""
     verdict = result.verification
-    if verdict is None or not verdict.accepted or result.camera is None:
+    if verdict is None or not result.accepted or result.camera is None:
         return False
     return (verdict.fine_fraction or 0.0) < _SURE_FINE_FRACTION
 

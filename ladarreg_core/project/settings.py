@@ -133,7 +133,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
             OptionError: if a value is invalid.
         """
         # Imported late: opening a project needs none of these.
-        from ladarreg_core.matching.auto import AutoOptions
+        from ladarreg_core.matching.auto_options import AutoOptions
         from ladarreg_core.registration.register import RegisterOptions
         from ladarreg_core.thesis.matching.chain import ThesisOptions
 

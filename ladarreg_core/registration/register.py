@@ -23,7 +23,7 @@ from ladarreg_core.foundations.validation import (
 )
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, Pick, count_picks, picks_of_arrays
-from ladarreg_core.matching.auto import AutoOptions
+from ladarreg_core.matching.auto_options import AutoOptions
 from ladarreg_core.matching.from_images import no_pose, pose_from_images, with_shape_alone_said
 from ladarreg_core.matching.image_check import Proposal, check_against_images, refined_pose, with_image_check
 from ladarreg_core.matching.images.kept_channels import Channels

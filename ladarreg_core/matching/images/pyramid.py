@@ -508,6 +508,11 @@ class PairLevels:
             self._photo_levels = self._levels_of(self._photo, self.working, harmonics=self.harmonics)
         return self._photo_levels
 
+    @property
+    def contrast(self) -> float:
+        """Difference between the brightest and the darkest pixel of the photograph, of its planes the largest."""
+        return max(float(plane.max() - plane.min()) for plane in self.photo.planes[0])
+
     def view(self, direction: Rigid, channel_set: ChannelSet) -> ScanLevels:
         """Return the scan's levels in one view.
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.auto import AutoOptions
+from ladarreg_core.matching.auto_options import AutoOptions
 from ladarreg_core.matching.modality import register_by_modality
 from ladarreg_core.matching.search.ambiguity import KnownPoses
 from ladarreg_core.matching.verify.verification import GateOptions

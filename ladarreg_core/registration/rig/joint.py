@@ -15,7 +15,6 @@ import numpy as np
 from ladarreg_core.camera import Camera
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.face_registration import is_wide
 from ladarreg_core.matching.images.blocks import Target
 from ladarreg_core.matching.images.faces import Face, FaceSet
 from ladarreg_core.matching.images.pyramid import ChannelSet, PairLevels, PhotoLevels, photo_levels
@@ -50,7 +49,7 @@ class PairViews:
     def __post_init__(self) -> None:
         scan, photo = self.pair.scan, self.pair.photo
         self.channel_set = "both" if carries_intensity(scan) else "geometry"
-        self._faces = FaceSet(photo) if is_wide(photo) else None
+        self._faces = FaceSet(photo) if photo.camera.as_pinhole is None else None
         self._levels = (
             [PairLevels(scan, photo)]
             if self._faces is None

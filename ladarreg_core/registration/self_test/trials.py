@@ -13,7 +13,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.foundations.validation import LARGEST_INT, require_int
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.matching.auto import AutoOptions
+from ladarreg_core.matching.auto_options import AutoOptions
 from ladarreg_core.matching.images.support import is_coarse
 from ladarreg_core.photo import Photo
 from ladarreg_core.progress import Progress, Report
