@@ -16,7 +16,8 @@ import numpy as np
 
 import ladarreg_core as lr
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.matching.images.pyramid import photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.images.photo_levels import photo_levels, working_camera
+from ladarreg_core.matching.images.scan_levels import scan_levels
 from ladarreg_core.simulate import SCENES, SimulatedCase, simulate_case
 from ladarreg_core.thesis.matching.matcher import FoundMatches, ThesisMatchOptions, ThesisSearch
 from ladarreg_core.thesis.matching.search import FilterSide

@@ -17,7 +17,7 @@ from ladarreg_core.matching.auto_options import AutoOptions
 from ladarreg_core.matching.auto_result import ADVICE, AutoResult, Unverified
 from ladarreg_core.matching.face_registration import FaceViews, search_faces
 from ladarreg_core.matching.images.kept_channels import Channels
-from ladarreg_core.matching.images.pyramid import PairLevels
+from ladarreg_core.matching.images.pair import PairLevels
 from ladarreg_core.matching.images.support import is_coarse
 from ladarreg_core.matching.images.views import rolled_view, scan_density, viewing_directions
 from ladarreg_core.matching.placements import best_of_placements, cameras_beside, may_be_beside

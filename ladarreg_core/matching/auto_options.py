@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 from ladarreg_core.camera.uncertainty import CALIBRATED_CAMERA_PRIOR, CameraPrior
 from ladarreg_core.foundations.validation import require_choice
-from ladarreg_core.matching.images.pyramid import ChannelSet
+from ladarreg_core.matching.images.scan_levels import ChannelSet
 from ladarreg_core.matching.refine.self_calibration import FreeCamera, check_free_camera
 from ladarreg_core.matching.verify.verification import GateOptions
 

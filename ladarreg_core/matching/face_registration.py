@@ -18,7 +18,8 @@ from ladarreg_core.matching.auto_options import AutoOptions
 from ladarreg_core.matching.auto_result import ADVICE, AutoResult, Unverified
 from ladarreg_core.matching.images.faces import Face, FaceSet
 from ladarreg_core.matching.images.laser_images import CleanedScan
-from ladarreg_core.matching.images.pyramid import ScanLevels, scan_levels, working_camera
+from ladarreg_core.matching.images.photo_levels import working_camera
+from ladarreg_core.matching.images.scan_levels import ScanLevels, scan_levels
 from ladarreg_core.matching.images.views import direction_towards_overlap
 from ladarreg_core.matching.refine.aligner import Aligner
 from ladarreg_core.matching.refine.joint_aligner import JointAligner, aligners_of_faces

@@ -24,7 +24,7 @@ from ladarreg_core.matching.auto_options import AutoOptions
 from ladarreg_core.matching.face_registration import FaceViews
 from ladarreg_core.matching.from_images import pose_from_images
 from ladarreg_core.matching.images.kept_channels import Channels
-from ladarreg_core.matching.images.pyramid import ChannelSet
+from ladarreg_core.matching.images.scan_levels import ChannelSet
 from ladarreg_core.matching.images.support import carries_intensity, is_interpolated
 from ladarreg_core.matching.images.views import viewing_directions
 from ladarreg_core.matching.refine.aligner import Aligner

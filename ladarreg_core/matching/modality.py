@@ -18,7 +18,8 @@ from ladarreg_core.matching.auto import compared_pair, register_auto
 from ladarreg_core.matching.auto_options import AutoOptions, Reach
 from ladarreg_core.matching.auto_result import AutoResult
 from ladarreg_core.matching.images.kept_channels import Channels
-from ladarreg_core.matching.images.pyramid import ChannelSet, PairLevels
+from ladarreg_core.matching.images.pair import PairLevels
+from ladarreg_core.matching.images.scan_levels import ChannelSet
 from ladarreg_core.matching.images.support import carries_intensity, is_interpolated
 from ladarreg_core.matching.verify.verification import (
     COARSE_GATE,

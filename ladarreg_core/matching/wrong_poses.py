@@ -17,7 +17,7 @@ import numpy as np
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.foundations.parallel import side_by_side
 from ladarreg_core.frames import Rigid, rotation_about
-from ladarreg_core.matching.images.pyramid import PhotoLevels
+from ladarreg_core.matching.images.photo_levels import PhotoLevels
 from ladarreg_core.matching.refine.aligner import Aligner
 from ladarreg_core.matching.verify.agreement import Agreement
 from ladarreg_core.matching.verify.verification import Verification, beside_wrong_poses, rests_on_number

@@ -13,7 +13,7 @@ import pytest
 import ladarreg_core as lr
 from ladarreg_core.errors import CameraError, ExportError, FormatError, LadarregError, OptionError, ShapeError
 from ladarreg_core.export.targets.folder import check_folder
-from ladarreg_core.matching.images.pyramid import photo_levels, working_camera
+from ladarreg_core.matching.images.photo_levels import photo_levels, working_camera
 from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.scanner.grids import AzimuthElevation, TabulatedGrid
 from testing.scenes.painted_room import PaintedRoom, painted_room

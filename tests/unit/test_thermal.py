@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 import ladarreg_core as lr
 from ladarreg_core.errors import ShapeError
-from ladarreg_core.matching.images.pyramid import photo_levels
+from ladarreg_core.matching.images.photo_levels import photo_levels
 from ladarreg_core.thermal import centikelvin, kelvin_of, thermal_gray, thermal_photo
 
 CAMERA = lr.Camera.from_focal(40, 30, 50.0)

@@ -19,7 +19,7 @@ from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import Rigid, rotation_about
 from ladarreg_core.matching.features.channels import FEW_HARMONICS
-from ladarreg_core.matching.images.pyramid import PhotoLevels, photo_levels
+from ladarreg_core.matching.images.photo_levels import PhotoLevels, photo_levels
 from ladarreg_core.photo import Photo
 from ladarreg_core.surface.remap import look_up
 

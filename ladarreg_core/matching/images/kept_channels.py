@@ -20,7 +20,8 @@ from ladarreg_core.errors import ShapeError
 from ladarreg_core.foundations.validation import require_int
 from ladarreg_core.foundations.version import VERSION
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.images.pyramid import LEVELS, ChannelSet, PhotoLevels, ScanLevels, photo_levels
+from ladarreg_core.matching.images.photo_levels import LEVELS, PhotoLevels, photo_levels
+from ladarreg_core.matching.images.scan_levels import ChannelSet, ScanLevels
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grid_window import grid_rays

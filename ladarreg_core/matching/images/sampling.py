@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.matching.features.channels import channel_products
-from ladarreg_core.matching.images.pyramid import ScanLevels
+from ladarreg_core.matching.images.scan_levels import ScanLevels
 
 _COUNT = (7000, 7000, 3500)
 _STRATUM_PX = (32, 16, 8)

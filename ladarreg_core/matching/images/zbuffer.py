@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ladarreg_core.camera import Camera
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.images.pyramid import ScanLevels
+from ladarreg_core.matching.images.scan_levels import ScanLevels
 
 _CLOUD_STEP = 2
 _BUFFER_SCALE = 0.25

@@ -18,13 +18,9 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.matching.images.blocks import BlockComparison, BlockMatches, Target, block_matches
 from ladarreg_core.matching.images.faces import Face
-from ladarreg_core.matching.images.pyramid import (
-    BLOCK_PX,
-    LEVELS,
-    PhotoLevels,
-    ScanLevels,
-)
+from ladarreg_core.matching.images.photo_levels import LEVELS, PhotoLevels
 from ladarreg_core.matching.images.sampling import ViewPoints, draw_points, edge_strength
+from ladarreg_core.matching.images.scan_levels import BLOCK_PX, ScanLevels
 from ladarreg_core.matching.images.support import common_variance
 from ladarreg_core.matching.images.zbuffer import Occluder
 from ladarreg_core.matching.refine.compared_blocks import compared_blocks

@@ -16,7 +16,8 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.matching.images.blocks import BlockMatches
 from ladarreg_core.matching.images.faces import Face
-from ladarreg_core.matching.images.pyramid import ChannelFloors, PhotoLevels, ScanLevels
+from ladarreg_core.matching.images.photo_levels import PhotoLevels
+from ladarreg_core.matching.images.scan_levels import ChannelFloors, ScanLevels
 from ladarreg_core.matching.refine.aligner import FINE, FINE_POINTS, REFINEMENT, Aligner, finish_pose
 from ladarreg_core.matching.refine.covariance import RegionEvidence, WindowEvidence, region_evidence, window_evidence
 from ladarreg_core.matching.refine.ecc import RefineResult, refine_pose

@@ -21,7 +21,8 @@ from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.foundations.parallel import side_by_side
 from ladarreg_core.foundations.validation import require_choice
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
-from ladarreg_core.matching.images.pyramid import pair_levels, photo_levels, working_camera
+from ladarreg_core.matching.images.photo_levels import photo_levels, working_camera
+from ladarreg_core.matching.images.scan_levels import pair_levels
 from ladarreg_core.matching.refine.aligner import Aligner
 from ladarreg_core.matching.refine.covariance import RegionEvidence
 from ladarreg_core.matching.refine.ecc import NO_CHANGE, CameraAnchor, CameraChange

@@ -14,7 +14,7 @@ from ladarreg_core.camera import CameraModel
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid, rotation_about
 from ladarreg_core.matching.images.blocks import project_visible
-from ladarreg_core.matching.images.pyramid import LEVELS
+from ladarreg_core.matching.images.photo_levels import LEVELS
 from ladarreg_core.matching.refine.aligner import Aligner
 from ladarreg_core.matching.refine.ecc import RefineOptions, refine_pose
 from ladarreg_core.matching.verify.verification import GateOptions, Verification, unsure_gate

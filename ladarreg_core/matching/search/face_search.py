@@ -18,7 +18,8 @@ from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.matching.features.correlation import unique_matches
 from ladarreg_core.matching.images.faces import Face, FaceSet, icosahedron
 from ladarreg_core.matching.images.laser_images import CleanedScan
-from ladarreg_core.matching.images.pyramid import ChannelSet, PhotoLevels, ScanLevels, scan_levels
+from ladarreg_core.matching.images.photo_levels import PhotoLevels
+from ladarreg_core.matching.images.scan_levels import ChannelSet, ScanLevels, scan_levels
 from ladarreg_core.matching.images.views import viewing_directions
 from ladarreg_core.matching.search.hypotheses import photo_corners, points_at, view_corners
 from ladarreg_core.matching.search.roll import describe_rotated, rotate_pixels

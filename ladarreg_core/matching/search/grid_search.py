@@ -16,7 +16,8 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.foundations.parallel import side_by_side
 from ladarreg_core.frames import Rigid, rotation_about
-from ladarreg_core.matching.images.pyramid import PhotoLevels, ScanLevels
+from ladarreg_core.matching.images.photo_levels import PhotoLevels
+from ladarreg_core.matching.images.scan_levels import ScanLevels
 
 MAX_STARTS = 5
 """Maximum number of poses returned."""

@@ -13,7 +13,8 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.features.corners import CornerOptions, find_corners
 from ladarreg_core.matching.features.correlation import correlation_product, unique_matches
 from ladarreg_core.matching.features.descriptors import describe
-from ladarreg_core.matching.images.pyramid import PhotoLevels, ScanLevels
+from ladarreg_core.matching.images.photo_levels import PhotoLevels
+from ladarreg_core.matching.images.scan_levels import ScanLevels
 from ladarreg_core.pose.estimators.ransac import ransac_pose
 
 _RANSAC_PX = 5.0

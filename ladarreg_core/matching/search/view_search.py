@@ -13,7 +13,9 @@ from ladarreg_core.foundations.parallel import Begun, OtherCore, side_by_side
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.matching.images.kept_channels import Channels, keep_view, recall_view
-from ladarreg_core.matching.images.pyramid import LEVELS, ChannelSet, PairLevels, ScanLevels
+from ladarreg_core.matching.images.pair import PairLevels
+from ladarreg_core.matching.images.photo_levels import LEVELS
+from ladarreg_core.matching.images.scan_levels import ChannelSet, ScanLevels
 from ladarreg_core.matching.images.views import direction_towards_overlap, settled_view
 from ladarreg_core.matching.refine.aligner import Aligner, Candidate
 from ladarreg_core.matching.refine.ecc import RefineOptions, RefineResult, refine_pose

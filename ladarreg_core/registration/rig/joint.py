@@ -17,7 +17,9 @@ from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.images.blocks import Target
 from ladarreg_core.matching.images.faces import Face, FaceSet
-from ladarreg_core.matching.images.pyramid import ChannelSet, PairLevels, PhotoLevels, photo_levels
+from ladarreg_core.matching.images.pair import PairLevels
+from ladarreg_core.matching.images.photo_levels import PhotoLevels, photo_levels
+from ladarreg_core.matching.images.scan_levels import ChannelSet
 from ladarreg_core.matching.images.support import carries_intensity
 from ladarreg_core.matching.images.views import direction_towards_overlap, viewing_directions
 from ladarreg_core.matching.refine.aligner import Aligner

@@ -18,7 +18,8 @@ from ladarreg_core.errors import DegenerateGeometryError, OptionError, ShapeErro
 from ladarreg_core.foundations.validation import require_choice
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, Pick
-from ladarreg_core.matching.images.pyramid import photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.images.photo_levels import photo_levels, working_camera
+from ladarreg_core.matching.images.scan_levels import scan_levels
 from ladarreg_core.matching.images.views import viewing_directions
 from ladarreg_core.matching.refine.aligner import Aligner
 from ladarreg_core.matching.verify.verification import GateOptions

@@ -13,7 +13,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray, read_only
 from ladarreg_core.foundations.validation import require_choice, require_int, require_number
 from ladarreg_core.frames import Rigid
-from ladarreg_core.matching.images.pyramid import ScanLevels
+from ladarreg_core.matching.images.scan_levels import ScanLevels
 from ladarreg_core.picks.lines import fraction_in_photo, kappa_of
 from ladarreg_core.surface.remap import look_up
 

@@ -15,7 +15,8 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.matching.features.corners import CornerOptions, find_corners
 from ladarreg_core.matching.features.correlation import check_window, correlation_product, unique_matches
-from ladarreg_core.matching.images.pyramid import PhotoLevels, ScanLevels
+from ladarreg_core.matching.images.photo_levels import PhotoLevels
+from ladarreg_core.matching.images.scan_levels import ScanLevels
 from ladarreg_core.matching.search.roll import Roll, detect_roll
 from ladarreg_core.thesis.matching.densify import DensifyOptions, lines_between
 from ladarreg_core.thesis.matching.search import (

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.matching.images.pyramid import photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.images.photo_levels import photo_levels, working_camera
+from ladarreg_core.matching.images.scan_levels import scan_levels
 from ladarreg_core.matching.refine.aligner import Aligner, flow_step
 from ladarreg_core.matching.refine.covariance import window_evidence
 from ladarreg_core.matching.verify.agreement import agreement

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.matching.images.pyramid import PhotoLevels, ScanLevels, photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.images.photo_levels import PhotoLevels, photo_levels, working_camera
+from ladarreg_core.matching.images.scan_levels import ScanLevels, scan_levels
 from ladarreg_core.matching.search.grid_search import MAX_STARTS, likely_poses
 from ladarreg_core.surface.perspective import perspective_view
 from testing.scenes.painted_room import PaintedRoom, painted_room

@@ -12,9 +12,9 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.errors import OptionError, ShapeError
-from ladarreg_core.matching.images import kept_channels, pyramid
+from ladarreg_core.matching.images import kept_channels, photo_levels, scan_levels
 from ladarreg_core.matching.images.kept_channels import forget_last_view, photo_key, view_key
-from ladarreg_core.matching.images.pyramid import PairLevels
+from ladarreg_core.matching.images.pair import PairLevels
 from ladarreg_core.matching.images.views import viewing_directions
 from testing.scenes.painted_room import PaintedRoom, painted_room
 
@@ -58,7 +58,7 @@ def make_none(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object, **__: object) -> None:
         pytest.fail("channels were made again")
 
-    monkeypatch.setattr(pyramid, "normalised_channels", fail)
+    monkeypatch.setattr(photo_levels, "normalised_channels", fail)
     monkeypatch.setattr(kept_channels, "photo_levels", fail)
 
 
@@ -97,7 +97,7 @@ def test_they_go_through_plain_arrays_without_loss(
         with np.load(tmp_path / f"{key}.npz", allow_pickle=False) as file:
             loaded.add(key, dict(file))
     monkeypatch.setattr(kept_channels, "photo_levels", lambda *_, **__: pytest.fail("made again"))
-    monkeypatch.setattr(pyramid, "add_channels", lambda *_: pytest.fail("made again"))
+    monkeypatch.setattr(scan_levels, "add_channels", lambda *_: pytest.fail("made again"))
     assert_same(lr.register(*again(room), channels=loaded), alone)
     assert set(loaded.keys) == set(channels.keys)
     for key in channels.keys:

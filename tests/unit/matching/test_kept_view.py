@@ -9,7 +9,7 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.matching.images.kept_channels import forget_last_view, recall_view
-from ladarreg_core.matching.images.pyramid import PairLevels
+from ladarreg_core.matching.images.pair import PairLevels
 from ladarreg_core.matching.images.views import viewing_directions
 from testing.scenes.painted_room import PaintedRoom, painted_room
 

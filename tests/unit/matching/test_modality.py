@@ -9,7 +9,7 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.frames import rotvec_from_rotation
-from ladarreg_core.matching.images.pyramid import ChannelSet
+from ladarreg_core.matching.images.scan_levels import ChannelSet
 from ladarreg_core.matching.modality import is_gray
 from ladarreg_core.matching.verify.verification import COARSE_GATE
 from ladarreg_core.thermal import thermal_photo

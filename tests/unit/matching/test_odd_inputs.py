@@ -11,7 +11,7 @@ from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.frames import rotation_from_rotvec
 from ladarreg_core.matching.features.correlation import windows_at
 from ladarreg_core.matching.features.descriptors import describe
-from ladarreg_core.matching.images.pyramid import photo_levels, working_camera
+from ladarreg_core.matching.images.photo_levels import photo_levels, working_camera
 from ladarreg_core.registration.register import register
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.perspective import perspective_view

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from ladarreg_core.frames import Rigid, look_along
-from ladarreg_core.matching.images.pyramid import ChannelSet, PairLevels, scan_levels
+from ladarreg_core.matching.images.pair import PairLevels
+from ladarreg_core.matching.images.scan_levels import ChannelSet, scan_levels
 from ladarreg_core.surface.perspective import perspective_view
 from testing.scenes.painted_room import PaintedRoom, painted_room
 
@@ -50,7 +51,7 @@ def test_a_large_scan_is_compared_in_the_window_of_the_view(room: PaintedRoom, m
     pair = PairLevels(room.scan, room.photo)
     pair.working = pair.working.scaled(0.5)
     small = perspective_view(room.scan, pair.working, view_from_scanner=direction)
-    monkeypatch.setattr("ladarreg_core.matching.images.pyramid._LARGEST_WHOLE_SCAN", 1000)
+    monkeypatch.setattr("ladarreg_core.matching.images.pair._LARGEST_WHOLE_SCAN", 1000)
     windowed = PairLevels(room.scan, room.photo).view(direction, "both")
     np.testing.assert_array_equal(np.isnan(windowed.ranges), np.isnan(whole.ranges))
     np.testing.assert_allclose(windowed.ranges, whole.ranges, atol=1e-4)

@@ -16,7 +16,8 @@ from ladarreg_core.frames import Rigid, ThesisParameters, look_along
 from ladarreg_core.matching.features.channels import normalised_channels, raw_channels
 from ladarreg_core.matching.features.corners import CornerOptions, find_corners
 from ladarreg_core.matching.features.descriptors import describe
-from ladarreg_core.matching.images.pyramid import photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.images.photo_levels import photo_levels, working_camera
+from ladarreg_core.matching.images.scan_levels import scan_levels
 from ladarreg_core.matching.images.views import rolled_view
 from ladarreg_core.matching.search.roll import Roll, describe_rotated, detect_roll, rotate_pixels
 from ladarreg_core.photo import Photo

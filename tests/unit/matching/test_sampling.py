@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ladarreg_core.matching.images.pyramid import ScanLevels, scan_levels, working_camera
+from ladarreg_core.matching.images.photo_levels import working_camera
 from ladarreg_core.matching.images.sampling import _strongest_in_strata, draw_points, edge_strength
+from ladarreg_core.matching.images.scan_levels import ScanLevels, scan_levels
 from ladarreg_core.surface.perspective import perspective_view
 from testing.scenes.painted_room import painted_room
 

@@ -15,7 +15,8 @@ from ladarreg_core.camera.uncertainty import CALIBRATED_CAMERA_PRIOR, DEFAULT_CA
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.auto_options import AutoOptions
-from ladarreg_core.matching.images.pyramid import photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.images.photo_levels import photo_levels, working_camera
+from ladarreg_core.matching.images.scan_levels import scan_levels
 from ladarreg_core.matching.refine.aligner import Aligner
 from ladarreg_core.matching.refine.covariance import RegionEvidence
 from ladarreg_core.matching.refine.ecc import NO_CHANGE, CameraChange, _jacobian

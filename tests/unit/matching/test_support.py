@@ -10,7 +10,8 @@ import pytest
 import ladarreg_core as lr
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, look_along
-from ladarreg_core.matching.images.pyramid import pair_levels, photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.images.photo_levels import photo_levels, working_camera
+from ladarreg_core.matching.images.scan_levels import pair_levels, scan_levels
 from ladarreg_core.matching.images.structure import painted_cells, shaped_pixels, structured_cells
 from ladarreg_core.matching.images.support import (
     carries_intensity,

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 import ladarreg_core as lr
 from ladarreg_core.frames import rotation_from_rotvec
-from ladarreg_core.matching.images.pyramid import photo_levels, scan_levels, working_camera
+from ladarreg_core.matching.images.photo_levels import photo_levels, working_camera
+from ladarreg_core.matching.images.scan_levels import scan_levels
 from ladarreg_core.matching.refine.aligner import Aligner
 from ladarreg_core.matching.verify.agreement import Agreement
 from ladarreg_core.matching.verify.verification import GateOptions, check_precision, region_markers, verify

@@ -10,7 +10,8 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.matching.images.pyramid import PairLevels, PhotoLevels, photo_levels, working_camera
+from ladarreg_core.matching.images.pair import PairLevels
+from ladarreg_core.matching.images.photo_levels import PhotoLevels, photo_levels, working_camera
 from ladarreg_core.matching.images.views import viewing_directions
 from ladarreg_core.matching.refine.aligner import Aligner
 from ladarreg_core.matching.verify.verification import (

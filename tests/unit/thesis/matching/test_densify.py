@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, look_along, rotation_from_rotvec
-from ladarreg_core.matching.images.pyramid import ScanLevels, scan_levels
+from ladarreg_core.matching.images.scan_levels import ScanLevels, scan_levels
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.perspective import perspective_view

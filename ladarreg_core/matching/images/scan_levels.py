@@ -1,11 +1,7 @@
-"""Image pyramids of photo and scan: channels at three resolutions, computed once.
-
-The photo is undistorted once and not resampled again; the scan is rendered in perspective at the photo's focal length.
-"""
+"""Image pyramid of a scan in a perspective view: channels at three resolutions, computed once."""
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,162 +13,40 @@ from numpy.typing import NDArray
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray
-from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.features.channels import (
-    ALL_HARMONICS,
     FEW_HARMONICS,
     add_channels,
     channel_floor,
     channel_scale,
-    normalised_channels,
     raw_channels,
 )
 from ladarreg_core.matching.images.laser_images import CleanedScan, geometry_planes
+from ladarreg_core.matching.images.photo_levels import (
+    FINE_BLUR_PX,
+    LEVELS,
+    blur_px,
+    halved,
+    normalised_fine,
+    normalised_level,
+)
 from ladarreg_core.matching.images.structure import painted_cells, shaped_pixels
-from ladarreg_core.matching.images.support import carries_intensity, comparison_focal_px, is_coarse, open_cells
-from ladarreg_core.photo import Photo
+from ladarreg_core.matching.images.support import carries_intensity, open_cells
 from ladarreg_core.scan import Scan
-from ladarreg_core.surface.perspective import View, perspective_view
+from ladarreg_core.surface.perspective import View
 from ladarreg_core.surface.ranges import EDGE_FRACTION
 from ladarreg_core.surface.remap import look_up
 from ladarreg_core.surface.spikes import fill_from_nearest
-from ladarreg_core.thermal import thermal_gray
 
 ChannelSet = Literal["both", "geometry", "intensity"]
 """Scan channels compared with the photo: laser intensity, geometry (normals and log range), or the sum of both."""
+BLOCK_PX = 48
+"""Side of a block of points that are compared together, level-0 pixels of the scan's view."""
 _Made = TypeVar("_Made")
-LEVELS = (0, 1, 2)
-"""Pyramid levels; level L has 1 / 2^L of the working resolution."""
-_MAX_PIXELS = 1_000_000
-_FEW_PIXELS = 160_000
-_MAX_ENLARGED = 2.0
+_SMALL_BLOCK_PX, _FEW_RETURNS = 32, 120_000
 _BEYOND = 2.0  # times as far as the surface beside it: what returned nothing, for the edge between them
 _HOLE_REACH_PX = 2.0
 _OUTLINE_PX, _HOLE_PX, _BORDER_PX = 7, 5, 5
-_FINE_BLUR_PX, _FINE_FACTOR = 1.2, 2.0
-BLOCK_PX = 48
-"""Side of a block of points that are compared together, level-0 pixels of the scan's view."""
-_SMALL_BLOCK_PX, _FEW_RETURNS = 32, 120_000
 _SHARED_BY_SETS = ("_raw_intensity", "_near_returns", "geometry_planes", "intensity_channels", "geometry_channels")
-_LARGEST_WHOLE_SCAN = 4_000_000  # cells; of larger scans only the part in the view is compared
-_WINDOW_MARGIN = 32
-_LARGEST_WINDOW = 8_000_000
-_KEPT_VIEWS, _KEPT_VIEWS_OF_LARGE = 2, 1  # up to 240 MB each; one view needs two, upright and rolled
-
-
-def _blur_px(level: int) -> float:
-    return 1.2 if level >= 2 else 1.5
-
-
-def _normalised(raw: FloatArray, level: int, least_floor: float = 0.0, *, overwrite: bool = False) -> FloatArray:
-    local_px = 6.0 if level >= 2 else 8.0
-    return normalised_channels(
-        raw, blur_px=_blur_px(level), local_px=local_px, least_floor=least_floor, overwrite=overwrite
-    )
-
-
-def _fine(raw: FloatArray, least_floor: float = 0.0, *, overwrite: bool = False) -> FloatArray:
-    return normalised_channels(
-        raw, blur_px=_FINE_BLUR_PX, local_factor=_FINE_FACTOR, least_floor=least_floor, overwrite=overwrite
-    )
-
-
-def _raw_near(planes: list[FloatArray], near: FloatArray, harmonics: int) -> FloatArray:
-    """Return the raw channels of planes, 0 where `near` is."""
-    raw = raw_channels(planes, harmonics=harmonics)
-    raw *= near
-    return raw
-
-
-def _halved(planes: list[FloatArray], camera: Camera) -> list[FloatArray]:
-    return [np.asarray(cv2.resize(p, camera.size, interpolation=cv2.INTER_AREA), dtype=np.float32) for p in planes]
-
-
-def working_camera(scan: Scan, camera: Camera) -> Camera:
-    """Return the ideal camera used for matching: the photo's, with at most 1 Mpixel and no finer than the scan.
-
-    A small photo is enlarged, at most twice, if the scan is finer: regions have a fixed size in pixels, and a verdict
-    needs enough of them. A coarse scan is not interpolated for this purpose: unmeasured detail must not count as
-    agreement. (With more enlargement the regions of a blurred image hold no detail: of a thermal image 320 pixels wide,
-    enlarged 1.44 times, twice as large a fraction agrees as when it is enlarged to the scan's resolution.)
-    """
-    pixels = camera.width * camera.height
-    enlarged = min(max(1.0, float(np.sqrt(_FEW_PIXELS / pixels))), _MAX_ENLARGED)
-    factor = min(enlarged, comparison_focal_px(scan, camera) / camera.focal_px, float(np.sqrt(_MAX_PIXELS / pixels)))
-    scaled = camera.scaled(factor)
-    return Camera(scaled.width, scaled.height, scaled.focal_px, scaled.focal_px, scaled.cx, scaled.cy)
-
-
-@dataclass(frozen=True, eq=False)
-class PhotoLevels:
-    """The undistorted photo at three resolutions."""
-
-    source: Camera
-    """The photo's own camera."""
-    cameras: tuple[Camera, ...]
-    """The ideal camera of each level."""
-    planes: tuple[list[FloatArray], ...]
-    """R, G and B of each level, float32, 0 to 255; a thermal image has one plane, gray levels around 0."""
-    usable: tuple[BoolArray, ...]
-    """Mask of pixels with data, by level: the corners of an undistorted image may be empty."""
-    harmonics: int = FEW_HARMONICS
-    """Harmonics of the channels, those of the scan."""
-
-    @cached_property
-    def gray(self) -> FloatArray:
-        """(h, w) float32, level 0."""
-        if len(self.planes[0]) == 1:
-            return self.planes[0][0]
-        red, green, blue = self.planes[0]
-        return np.asarray(0.299 * red + 0.587 * green + 0.114 * blue, dtype=np.float32)
-
-    @cached_property
-    def _raw_fine(self) -> FloatArray:
-        return raw_channels(self.planes[0], harmonics=self.harmonics)
-
-    @cached_property
-    def channels(self) -> tuple[FloatArray, ...]:
-        """(h, w, C) of each level."""
-        raws = ((level, raw_channels(self.planes[level], harmonics=self.harmonics)) for level in LEVELS[1:])
-        return (_normalised(self._raw_fine, 0), *(_normalised(raw, level, overwrite=True) for level, raw in raws))
-
-    @cached_property
-    def fine_channels(self) -> FloatArray:
-        """(h, w, C), level 0, sharper and more strongly normalised, for the final sub-pixel refinement."""
-        return _fine(self._raw_fine)
-
-
-def photo_levels(photo: Photo, working: Camera, *, harmonics: int = FEW_HARMONICS) -> PhotoLevels:
-    """Return the levels of a photo.
-
-    Args:
-        photo: the photograph.
-        working: the ideal camera of level 0, with the photo's aspect ratio.
-        harmonics: of the channels.
-    """
-    scaled = photo.pinhole.resized(*working.size)
-    kelvin = photo.temperature_k
-    pixels: NDArray[Any] = photo.pixels if kelvin is None else thermal_gray(kelvin)[..., None]
-    if scaled.size != photo.pinhole.size:
-        smaller = scaled.width <= photo.pinhole.width
-        how = cv2.INTER_AREA if smaller else cv2.INTER_CUBIC
-        pixels = np.atleast_3d(np.asarray(cv2.resize(pixels, scaled.size, interpolation=how)))
-    usable = np.ones((working.height, working.width), np.bool_)
-    if scaled.distortion or abs(scaled.fx - scaled.fy) > 1e-3 * scaled.fx:
-        v, u = np.mgrid[: working.height, : working.width].astype(np.float32)
-        x, y = (u - working.cx) / working.fx, (v - working.cy) / working.fy
-        source = scaled.project(np.stack([x, y, np.ones_like(x)], axis=-1).astype(np.float32))
-        usable = scaled.contains(source)
-        source = np.nan_to_num(source, nan=-1e4)
-        pixels = np.atleast_3d(look_up(pixels, source[..., 0], source[..., 1]))
-    planes = [np.ascontiguousarray(pixels[..., k], dtype=np.float32) for k in range(pixels.shape[-1])]
-    cameras, all_planes, masks = [working], [planes], [usable]
-    for level in LEVELS[1:]:
-        cameras.append(working.scaled(0.5**level))
-        all_planes.append(_halved(all_planes[-1], cameras[-1]))
-        small = cv2.resize(usable.astype(np.float32), cameras[-1].size, interpolation=cv2.INTER_AREA)
-        masks.append(small > 0.99)
-    return PhotoLevels(photo.pinhole, tuple(cameras), tuple(all_planes), tuple(masks), harmonics)
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,10 +70,10 @@ class ChannelFloors:
             largest, median = zip(*(channel_scale(raw, blur_px=blur_px) for raw in raws), strict=True)
             return channel_floor(max(largest), float(np.median(median)))
 
-        fine = _FINE_BLUR_PX
+        fine = FINE_BLUR_PX
         return ChannelFloors(
-            tuple(floor((v.raw_intensity[L] for v in views), _blur_px(L)) for L in LEVELS),
-            tuple(floor((v.raw_geometry[L] for v in views), _blur_px(L)) for L in LEVELS),
+            tuple(floor((v.raw_intensity[L] for v in views), blur_px(L)) for L in LEVELS),
+            tuple(floor((v.raw_geometry[L] for v in views), blur_px(L)) for L in LEVELS),
             floor((v.raw_intensity[0] for v in views), fine),
             floor((v.raw_geometry[0] for v in views), fine),
         )
@@ -268,7 +142,7 @@ class ScanLevels:
         """Normals and log range of each level, about 0 to 255."""
         planes = [geometry_planes(self.view, self.smooth_ranges)]
         for camera in self.cameras[1:]:
-            planes.append(_halved(planes[-1], camera))
+            planes.append(halved(planes[-1], camera))
         return tuple(planes)
 
     @cached_property
@@ -315,20 +189,20 @@ class ScanLevels:
     def intensity_channels(self) -> tuple[FloatArray, ...]:
         """(h, w, C) of each level, from intensity."""
         if self.floors is not None:
-            return tuple(map(_normalised, self.raw_intensity, LEVELS, self.floors.intensity))
+            return tuple(map(normalised_level, self.raw_intensity, LEVELS, self.floors.intensity))
         coarser = zip(self.gray_planes[1:], self._near_returns[1:], LEVELS[1:], strict=True)
         raws = ((level, _raw_near([plane], near, self.harmonics)) for plane, near, level in coarser)
-        made = (_normalised(raw, level, overwrite=True) for level, raw in raws)
-        return (_normalised(self._raw_intensity, 0), *made)
+        made = (normalised_level(raw, level, overwrite=True) for level, raw in raws)
+        return (normalised_level(self._raw_intensity, 0), *made)
 
     @cached_property
     def geometry_channels(self) -> tuple[FloatArray, ...]:
         """(h, w, C) of each level, from normals and log range."""
         if self.floors is not None:
-            return tuple(map(_normalised, self.raw_geometry, LEVELS, self.floors.geometry))
+            return tuple(map(normalised_level, self.raw_geometry, LEVELS, self.floors.geometry))
         pairs = zip(self.geometry_planes, self._near_returns, strict=True)
         raws = (_raw_near(planes, near, self.harmonics) for planes, near in pairs)
-        return tuple(_normalised(raw, level, overwrite=True) for level, raw in enumerate(raws))
+        return tuple(normalised_level(raw, level, overwrite=True) for level, raw in enumerate(raws))
 
     @cached_property
     def channels(self) -> tuple[FloatArray, ...]:
@@ -353,13 +227,13 @@ class ScanLevels:
     @property
     def _fine_intensity(self) -> FloatArray:
         least = 0.0 if self.floors is None else self.floors.fine_intensity
-        return _fine(self._raw_intensity, least)
+        return normalised_fine(self._raw_intensity, least)
 
     @property
     def _fine_geometry(self) -> FloatArray:
         least = 0.0 if self.floors is None else self.floors.fine_geometry
         raw = _raw_near(self.geometry_planes[0], self._near_returns[0], self.harmonics)
-        return _fine(raw, least, overwrite=True)
+        return normalised_fine(raw, least, overwrite=True)
 
 
 def scan_levels(
@@ -405,7 +279,7 @@ def scan_levels(
     cameras, grays = [view.camera], [gray]
     for level in LEVELS[1:]:
         cameras.append(view.camera.scaled(0.5**level))
-        grays.append(_halved([grays[-1]], cameras[-1])[0])
+        grays.append(halved([grays[-1]], cameras[-1])[0])
     return ScanLevels(
         view,
         tuple(cameras),
@@ -457,89 +331,8 @@ def pair_levels(scan: Scan, view: View, *, channel_set: ChannelSet, coarse: bool
     return replace(levels, block_px=_SMALL_BLOCK_PX) if few else levels
 
 
-def harmonics_of(scan: Scan, camera: Camera) -> int:
-    """Return the number of harmonics: a coarse scan shows few edges, whose directions must be well distinguished.
-
-    Args:
-        scan: the scan.
-        camera: the photo's camera.
-    """
-    return ALL_HARMONICS if is_coarse(scan, camera) else FEW_HARMONICS
-
-
-class PairLevels:
-    """Levels of a pair, computed once and shared by all channel sets: the photo's, and the scan's in each view.
-
-    Args:
-        scan: the scan.
-        photo: the photograph.
-        levels_of: gives the photo's levels, with the arguments of `photo_levels`.
-    """
-
-    def __init__(self, scan: Scan, photo: Photo, *, levels_of: Callable[..., PhotoLevels] = photo_levels) -> None:
-        self.scan = scan
-        self.working = working_camera(scan, photo.pinhole)
-        self.coarse = is_coarse(scan, photo.pinhole)
-        """Whether the scan is compared as a coarse one."""
-        self.harmonics = harmonics_of(scan, photo.pinhole)
-        """Harmonics of the channels."""
-        self._photo = photo
-        self._levels_of = levels_of
-        self._photo_levels: PhotoLevels | None = None
-        self.kept_views = _KEPT_VIEWS_OF_LARGE if scan.ranges.size > _LARGEST_WHOLE_SCAN else _KEPT_VIEWS
-        self._views: deque[tuple[Rigid, ScanLevels]] = deque()
-
-    def as_dense(self) -> PairLevels:
-        """Return the pair with its scan compared as if it was not coarse; the photo's levels are shared."""
-        other = PairLevels(self.scan, self._photo, levels_of=self._levels_of)
-        other.coarse, other._photo_levels = False, self._photo_levels
-        return other
-
-    def with_camera(self, camera: Camera) -> PairLevels:
-        """Return the pair with another camera of the photo; nothing is shared."""
-        other = PairLevels(self.scan, replace(self._photo, camera=camera), levels_of=self._levels_of)
-        other.coarse = self.coarse
-        return other
-
-    @property
-    def photo(self) -> PhotoLevels:
-        """The photo's levels."""
-        if self._photo_levels is None:
-            self._photo_levels = self._levels_of(self._photo, self.working, harmonics=self.harmonics)
-        return self._photo_levels
-
-    @property
-    def contrast(self) -> float:
-        """Difference between the brightest and the darkest pixel of the photograph, of its planes the largest."""
-        return max(float(plane.max() - plane.min()) for plane in self.photo.planes[0])
-
-    def view(self, direction: Rigid, channel_set: ChannelSet) -> ScanLevels:
-        """Return the scan's levels in one view.
-
-        Args:
-            direction: the rotation (view from scanner).
-            channel_set: the channels to compare.
-        """
-        for known, levels in self._views:
-            if (known.rotation == direction.rotation).all():
-                return levels.with_channels(channel_set)
-        self._make_room()  # before the next one takes as much memory
-        view = perspective_view(self.scan, self.working, view_from_scanner=direction)
-        if self.scan.ranges.size > _LARGEST_WHOLE_SCAN:
-            view = view.of_window(margin=_WINDOW_MARGIN, most_cells=_LARGEST_WINDOW)
-        levels = pair_levels(view.scan, view, channel_set=channel_set, coarse=self.coarse, harmonics=self.harmonics)
-        self._views.append((direction, levels))
-        return levels
-
-    def has_view(self, direction: Rigid) -> bool:
-        """Return whether the levels of a view have been computed."""
-        return any((known.rotation == direction.rotation).all() for known, _ in self._views)
-
-    def add_view(self, direction: Rigid, levels: ScanLevels) -> None:
-        """Add the levels of a view that were computed for another photo."""
-        self._make_room()
-        self._views.append((direction, levels))
-
-    def _make_room(self) -> None:
-        while len(self._views) >= self.kept_views:
-            self._views.popleft()
+def _raw_near(planes: list[FloatArray], near: FloatArray, harmonics: int) -> FloatArray:
+    """Return the raw channels of planes, 0 where `near` is."""
+    raw = raw_channels(planes, harmonics=harmonics)
+    raw *= near
+    return raw
