@@ -17,7 +17,6 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, AcceptanceOptions
 from ladarreg_core.pose.estimators.bundle import (
     Descent,
-    Measurements,
     States,
     adjust_ranges,
     information_matrix,
@@ -27,6 +26,7 @@ from ladarreg_core.pose.estimators.bundle import (
     rotations_from_rotvecs,
 )
 from ladarreg_core.pose.estimators.gnc import graduate, narrow_scales, truncated_score
+from ladarreg_core.pose.estimators.measurements import Measurements
 from ladarreg_core.pose.estimators.ransac import sample_pose
 from ladarreg_core.pose.estimators.ray_ransac import sample_pose_of_rays
 

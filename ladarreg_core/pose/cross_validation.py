@@ -18,7 +18,7 @@ from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimators import bundle
-from ladarreg_core.pose.estimators.bundle import Evaluation, Measurements, States, adjust_ranges
+from ladarreg_core.pose.estimators.bundle import Evaluation, States, adjust_ranges
 from ladarreg_core.pose.estimators.intrinsics import (
     PARAMETERS,
     Descent,
@@ -29,6 +29,7 @@ from ladarreg_core.pose.estimators.intrinsics import (
     intrinsic,
     predicted_gains,
 )
+from ladarreg_core.pose.estimators.measurements import Measurements
 from ladarreg_core.pose.preconditions import MIN_MATCHES
 
 FOLDS = 5

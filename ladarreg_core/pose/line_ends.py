@@ -13,7 +13,8 @@ import numpy as np
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.estimators.bundle import Measurements, States, adjust_ranges
+from ladarreg_core.pose.estimators.bundle import States, adjust_ranges
+from ladarreg_core.pose.estimators.measurements import Measurements
 
 
 @dataclass(frozen=True, slots=True, eq=False)

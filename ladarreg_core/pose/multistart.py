@@ -34,7 +34,6 @@ from ladarreg_core.pose.ambiguity import (
     refine_generalised,
 )
 from ladarreg_core.pose.estimators.bundle import (
-    Measurements,
     States,
     adjust_ranges,
     information_matrix,
@@ -49,6 +48,7 @@ from ladarreg_core.pose.estimators.gnc import (
     narrow_scales,
     near_pairs,
 )
+from ladarreg_core.pose.estimators.measurements import Measurements
 from ladarreg_core.pose.options import PoseOptions
 from ladarreg_core.pose.preconditions import MIN_MATCHES
 from ladarreg_core.results import PoseResult

@@ -21,7 +21,8 @@ from ladarreg_core.pose.acceptance import (
 )
 from ladarreg_core.pose.ambiguity import find_second_pose, is_planar, second_pose_of_outliers
 from ladarreg_core.pose.diagnostics import diagnose, stereo_depth_error, stereo_disparities
-from ladarreg_core.pose.estimators.bundle import UNSEEN, Evaluation, Measurements, States, adjust_ranges
+from ladarreg_core.pose.estimators.bundle import UNSEEN, Evaluation, States, adjust_ranges
+from ladarreg_core.pose.estimators.measurements import Measurements
 from ladarreg_core.pose.noise import estimate_noise
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M, PoseOptions
 from ladarreg_core.results import PoseResult

@@ -29,7 +29,6 @@ from ladarreg_core.pose.drawn_scatter import scatter_between_lines
 from ladarreg_core.pose.estimators.bundle import (
     UNSEEN,
     Evaluation,
-    Measurements,
     States,
     adjust_ranges,
     least_squares,
@@ -39,6 +38,7 @@ from ladarreg_core.pose.estimators.bundle import (
 from ladarreg_core.pose.estimators.covariance import pose_covariance
 from ladarreg_core.pose.estimators.gnc import DIVIDE_BY, graduate, narrow_scales, truncated_score, wide_scales
 from ladarreg_core.pose.estimators.intrinsics import IntrinsicsFit, Noise, estimate_intrinsics
+from ladarreg_core.pose.estimators.measurements import Measurements
 from ladarreg_core.pose.estimators.ransac import sample_pose
 from ladarreg_core.pose.estimators.ray_ransac import sample_pose_of_rays
 from ladarreg_core.pose.line_ends import repair_ends

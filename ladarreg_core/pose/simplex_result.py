@@ -8,8 +8,9 @@ import numpy as np
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.estimators.bundle import UNSEEN, Evaluation, Measurements, States, adjust_ranges
+from ladarreg_core.pose.estimators.bundle import UNSEEN, Evaluation, States, adjust_ranges
 from ladarreg_core.pose.estimators.covariance import simplex_covariance
+from ladarreg_core.pose.estimators.measurements import Measurements
 from ladarreg_core.pose.options import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions
 from ladarreg_core.pose.result import Fit, build_result, noise_of_inliers
 from ladarreg_core.results import PoseResult

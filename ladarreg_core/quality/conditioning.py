@@ -16,7 +16,8 @@ from ladarreg_core.camera.uncertainty import pose_jacobian
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.estimators.bundle import UNSEEN, Measurements, States, information_matrix, residuals
+from ladarreg_core.pose.estimators.bundle import UNSEEN, States, information_matrix, residuals
+from ladarreg_core.pose.estimators.measurements import Measurements
 from ladarreg_core.pose.preconditions import MIN_MATCHES
 from ladarreg_core.results import PoseResult
 

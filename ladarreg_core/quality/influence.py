@@ -20,15 +20,8 @@ from ladarreg_core.camera.uncertainty import pose_jacobian
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.foundations.arrays import FloatArray, IntArray, read_only
 from ladarreg_core.foundations.formatting import format_length
-from ladarreg_core.pose.estimators.bundle import (
-    UNSEEN,
-    Measurements,
-    States,
-    adjust_ranges,
-    least_squares,
-    linearise,
-    residuals,
-)
+from ladarreg_core.pose.estimators.bundle import UNSEEN, States, adjust_ranges, least_squares, linearise, residuals
+from ladarreg_core.pose.estimators.measurements import Measurements
 from ladarreg_core.pose.preconditions import MIN_MATCHES
 from ladarreg_core.results import PoseResult
 

@@ -16,7 +16,8 @@ from typing import Literal
 import numpy as np
 
 from ladarreg_core.foundations.arrays import FloatArray
-from ladarreg_core.pose.estimators.bundle import UNSEEN, Measurements, States, adjust_ranges, linearise
+from ladarreg_core.pose.estimators.bundle import UNSEEN, States, adjust_ranges, linearise
+from ladarreg_core.pose.estimators.measurements import Measurements
 from ladarreg_core.results import PoseResult
 
 MIN_MATCHES_OF_LENS = 12

@@ -30,7 +30,8 @@ from ladarreg_core.foundations.validation import require_positive
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.pose.diagnostics import diagnose
-from ladarreg_core.pose.estimators.bundle import UNSEEN, Measurements, States, linearise, residuals
+from ladarreg_core.pose.estimators.bundle import UNSEEN, States, linearise, residuals
+from ladarreg_core.pose.estimators.measurements import Measurements
 from ladarreg_core.quality.limits import MAX_SIGMA_Z_OVER_Z
 from ladarreg_core.results import PoseResult
 from ladarreg_core.scan import Scan

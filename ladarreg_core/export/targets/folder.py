@@ -42,7 +42,7 @@ from ladarreg_core.storage.replacement import (
 from ladarreg_core.storage.staging import clear_leftovers, put_in_place, staging_folder
 from ladarreg_core.surface.texture.photo_model import ModelPhoto, photo_model
 from ladarreg_core.surface.texture.registered_texture import RegisteredTexture, intensity_picture, texture_scan
-from ladarreg_core.surface.visibility.visible_points import occluding_surface
+from ladarreg_core.surface.visibility.occluding_surface import occluding_surface
 
 if TYPE_CHECKING:
     from ladarreg_core.quality.smoothing import SmoothedScan

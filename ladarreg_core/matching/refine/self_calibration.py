@@ -9,13 +9,13 @@ the camera that would fit is named. Any other camera is kept unless the image re
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.camera.uncertainty import INTRINSICS, CameraPrior, CameraUncertainty
+from ladarreg_core.camera.uncertainty import INTRINSICS, CameraPrior
 from ladarreg_core.errors import CameraError
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.foundations.parallel import side_by_side
@@ -24,10 +24,9 @@ from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.images.photo_levels import photo_levels, working_camera
 from ladarreg_core.matching.images.scan_levels import pair_levels
 from ladarreg_core.matching.refine.aligner import Aligner
-from ladarreg_core.matching.refine.covariance import RegionEvidence
 from ladarreg_core.matching.refine.ecc import NO_CHANGE, CameraAnchor, CameraChange
-from ladarreg_core.matching.verify.agreement import Agreement
-from ladarreg_core.matching.verify.verification import Verification, verify
+from ladarreg_core.matching.refine.finished_pose import FinishedPose, k1_of, share_of_images
+from ladarreg_core.matching.verify.verification import verify
 from ladarreg_core.photo import Photo
 from ladarreg_core.surface.perspective import perspective_view
 
@@ -61,7 +60,6 @@ _MAX_CENTRE_SIGMA = 2.0  # of a principal point without prior, relative to the p
 _SAME_CHANNELS_PX = (
     0.05  # largest shift of a pixel by a change of the camera after which the photo is not undistorted anew
 )
-_DETERMINED_SHARE = 0.5  # most standard deviation, relative to the prior, of what the images determine
 _EXACT = 1e-6  # standard deviation of what is exact, to keep the information finite
 _CENTRAL_FRACTION = 0.3
 _PROMISING_FRACTION, _MIN_GAIN = 0.5, 0.05  # fractions of the windows at level 1
@@ -74,92 +72,6 @@ def check_free_camera(value: object) -> None:
         OptionError: if it is not a `FreeCamera`.
     """
     require_choice(value, get_args(FreeCamera), "the option intrinsics")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FinishedPose:
-    """A finished pose with its camera, verified on the photo undistorted with that camera."""
-
-    aligner: Aligner
-    """The aligner of that camera."""
-    camera: Camera
-    """The photo's own camera, as stated or estimated."""
-    camera_from_scanner: Rigid
-    """The pose."""
-    verification: Verification
-    """The verdict."""
-    fine: Agreement
-    """Agreement at level 0."""
-    regions: RegionEvidence | None
-    """Covariance of pose and intrinsics."""
-    free: int = 0
-    """Number of (log f, k1, centre x, centre y) estimated."""
-    camera_fits: bool | None = None
-    """Whether a few further steps with a free camera confirm the stated one; None: not tried."""
-    prior: Mapping[str, float] | None = None
-    """Standard deviations of an assumed camera before, by name, of those that were not freed; None: no prior."""
-    contradiction: str = ""
-    """What the regions say against a calibrated camera; empty: nothing."""
-
-    def covariance(self) -> FloatArray | None:
-        """Return (6 + K, 6 + K) of (w, c) and the estimated intrinsics (log f, 1, px, px); None: too few regions."""
-        if self.regions is None:
-            return None
-        to_px = np.ones(6 + self.free)
-        to_px[8:] = [self.camera.fx, self.camera.fy][: max(0, self.free - 2)]
-        return self.regions.joint_covariance(self.aligner.common_variance) * np.outer(to_px, to_px)
-
-    @property
-    def camera_sigmas(self) -> dict[str, float]:
-        """Standard deviations of the estimated intrinsics, by name."""
-        covariance = self.covariance()
-        if not self.free or covariance is None:
-            return {}
-        sigma = np.sqrt(np.diag(covariance)[6:]) * ([self.camera.focal_px, 1.0, 1.0, 1.0][: self.free])
-        return dict(zip(INTRINSICS, sigma.tolist(), strict=False))
-
-    def camera_uncertainty(self, stated: Camera) -> CameraUncertainty | None:
-        """Return the joint uncertainty of pose and estimated camera; None if the camera was not estimated."""
-        covariance = self.covariance()
-        if not self.free or covariance is None:
-            return None
-        covariance[6] *= self.camera.focal_px
-        covariance[:, 6] *= self.camera.focal_px
-        names = INTRINSICS[: self.free]
-        prior = dict(self.prior or {})
-        values = dict(zip(INTRINSICS, (stated.focal_px, _k1(stated), stated.cx, stated.cy), strict=True))
-        found = dict(
-            zip(INTRINSICS, (self.camera.focal_px, _k1(self.camera), self.camera.cx, self.camera.cy), strict=True)
-        )
-        sigmas = dict(zip(names, np.sqrt(np.diag(covariance)[6:]).tolist(), strict=True))
-        off: dict[str, float] = {}
-        off_sigma: dict[str, float] = {}
-        for name in ("cx", "cy"):
-            if name in names:
-                share, off_sigma_px = _by_images(sigmas[name], prior.get(name, np.inf))
-                off[name], off_sigma[name] = (found[name] - values[name]) / share, off_sigma_px
-        freed = () if self.prior is None else tuple(name for name in names if name not in prior)
-        stated_values = {name: values[name] for name in names}
-        return CameraUncertainty(names, covariance, stated_values, prior, freed, off, off_sigma)
-
-    def summary(self, given: Camera) -> tuple[str, ...]:
-        """Return a sentence for each intrinsic that the images determine, with its stated value."""
-        sentences = []
-        for name, sigma in self.camera_sigmas.items():
-            known = (self.prior or {}).get(name, np.inf)
-            if name in ("cx", "cy") or sigma > _DETERMINED_SHARE * known:
-                continue
-            if name == "k1":
-                sentences.append(
-                    f"Lens distortion k1 was estimated: {_k1(self.camera):.3f} +- {sigma:.3f} instead of "
-                    f"{_k1(given):.3f}."
-                )
-            else:
-                sentences.append(
-                    f"The focal length was estimated: {self.camera.focal_px:.1f} +- {sigma:.1f} px instead of "
-                    f"{given.focal_px:.1f} px."
-                )
-        return tuple(sentences)
 
 
 def verify_finished(
@@ -279,9 +191,9 @@ def _beside_calibration(
     sentence = (
         f"The images contradict the calibrated camera ({deviate:.0f} standard deviations): "
         f"{free.verification.fraction:.0%} of the regions agree with a focal length of {free.camera.focal_px:.1f} +- "
-        f"{sigma_px:.1f} px instead of {fixed.camera.focal_px:.1f} and k1 {_k1(free.camera):.3f} +- {sigma_k1:.3f} "
-        f"instead of {_k1(fixed.camera):.3f}, {1000 * apart_m:.0f} mm from here. Check that the calibration belongs to "
-        "this photo (zoom, focus, crop, turn), or have focal length and k1 estimated with the pose."
+        f"{sigma_px:.1f} px instead of {fixed.camera.focal_px:.1f} and k1 {k1_of(free.camera):.3f} +- {sigma_k1:.3f} "
+        f"instead of {k1_of(fixed.camera):.3f}, {1000 * apart_m:.0f} mm from here. Check that the calibration belongs "
+        "to this photo (zoom, focus, crop, turn), or have focal length and k1 estimated with the pose."
     )
     return _inflated(_refused(fixed, sentence), pose)
 
@@ -357,15 +269,9 @@ def _conflicts(found: FinishedPose, stated: Camera, sigma: FloatArray) -> BoolAr
     moved = CameraChange.between(stated, found.camera).values
     conflicts = []
     for off, own, known in zip(moved, after, sigma, strict=True):
-        share, alone = _by_images(float(own), float(known))
+        share, alone = share_of_images(float(own), float(known))
         conflicts.append(np.isfinite(known) and abs(off / share) > _CONFLICT_SIGMA * np.hypot(known, alone))
     return np.array(conflicts, np.bool_)
-
-
-def _by_images(after: float, before: float) -> tuple[float, float]:
-    """Return the share of an estimate that comes from the images, and its standard deviation from these alone."""
-    share = 1.0 if np.isinf(before) else max(1 - (after / before) ** 2, 1e-3)
-    return share, after / float(np.sqrt(share))
 
 
 def _is_determined(found: FinishedPose, freed: BoolArray, sigma: FloatArray) -> bool:
@@ -443,7 +349,7 @@ def _is_better(found: FinishedPose, stated: FinishedPose) -> bool:
     if not stated.verification.accepted and (found.verification.fine_fraction or 0.0) < _MIN_FINE_FRACTION:
         return False  # with more free parameters more regions agree by chance
     before, after = stated.camera, found.camera
-    moved = np.array([np.log(after.focal_px / before.focal_px), _k1(after) - _k1(before)])[: found.free]
+    moved = np.array([np.log(after.focal_px / before.focal_px), k1_of(after) - k1_of(before)])[: found.free]
     if found.regions.normal_deviate(moved, variance_factor=found.aligner.common_variance) < _KEEP_SIGMA:
         return False
     return (found.verification.fine_fraction or 0.0) >= (stated.verification.fine_fraction or 0.0)
@@ -458,10 +364,6 @@ def _largest_shift(before: Camera, after: Camera) -> float:
     ratio = shift / np.maximum(away, 1.0)
     known = np.isfinite(ratio) & (away > _CENTRAL_FRACTION * away.max())
     return float(ratio[known].max()) if known.any() else np.inf
-
-
-def _k1(camera: Camera) -> float:
-    return camera.distortion[0] if camera.distortion else 0.0
 
 
 def _estimate(

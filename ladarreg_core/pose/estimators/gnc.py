@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
-from ladarreg_core.pose.estimators.bundle import CostFunction, Descent, Measurements, States, adjust_ranges
+from ladarreg_core.pose.estimators.bundle import CostFunction, Descent, States, adjust_ranges
+from ladarreg_core.pose.estimators.measurements import Measurements
 
 DIVIDE_BY = 3.0
 """Factor by which the scale shrinks from one step to the next."""

@@ -27,7 +27,6 @@ from ladarreg_core.pose.estimators.bundle import (
     CostFunction,
     Evaluation,
     Linearised,
-    Measurements,
     Residuals,
     States,
     apply_step,
@@ -36,6 +35,7 @@ from ladarreg_core.pose.estimators.bundle import (
 )
 from ladarreg_core.pose.estimators.covariance import guarded_inverse
 from ladarreg_core.pose.estimators.gnc import geman_mcclure
+from ladarreg_core.pose.estimators.measurements import Measurements
 
 Intrinsics = Literal["fixed", "focal", "focal_k1", "focal_k1_centre"]
 """Intrinsics estimated with the pose: none; a common scale of fx and fy; also k1; also the principal point."""

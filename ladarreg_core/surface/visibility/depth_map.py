@@ -14,8 +14,9 @@ from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh.grid_mesh import grid_edges, scan_mesh
+from ladarreg_core.surface.visibility.occluding_surface import occluding_surface
 from ladarreg_core.surface.visibility.rasterise import covering_pinhole, rasterise_depth
-from ladarreg_core.surface.visibility.visible_points import LARGEST_WHOLE_SCAN, occluding_surface, places_in_picture
+from ladarreg_core.surface.visibility.visible_points import LARGEST_WHOLE_SCAN, places_in_picture
 
 _MAX_PIXELS = 16_000_000  # of a band that is rasterised at once
 _ROWS_AT_ONCE = 256

@@ -15,8 +15,9 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh.grid_mesh import grid_edges, scan_mesh
 from ladarreg_core.surface.remap import look_up
+from ladarreg_core.surface.visibility.occluding_surface import coarse_mesh
 from ladarreg_core.surface.visibility.rasterise import covering_pinhole, rasterise_values
-from ladarreg_core.surface.visibility.visible_points import coarse_mesh, without_cracks
+from ladarreg_core.surface.visibility.visible_points import without_cracks
 
 _MAP_BLOCK_PX = 4
 _BACKGROUND = (128, 128, 128)
