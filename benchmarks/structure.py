@@ -7,7 +7,7 @@ Packages are folders with an `__init__.py`; the top level of the core counts as 
 - option fields that no keyword of a call and no key of a dictionary sets anywhere, tests and benchmarks included;
 - what a scan enters on its way from a file to a GLB, and a photograph on its way from a file to a pose: modules in the
   order in which they are first called, on all threads (`sys.setprofile`). Packages are those entered; returns are
-  entries of a package that was left before.
+  entries of a package that was left before. Both are counted again with the packages at the top alone.
 """
 
 from __future__ import annotations
@@ -139,11 +139,15 @@ class Calls:
         sys.setprofile(None)
         threading.setprofile(None)  # type: ignore[arg-type]
 
-    def packages(self) -> list[str]:
-        """Return the packages in the order in which their modules are first called; each may come again."""
+    def packages(self, *, at_top: bool = False) -> list[str]:
+        """Return the packages in the order in which their modules are first called; each may come again.
+
+        Args:
+            at_top: the packages at the top alone, with all within them.
+        """
         found: list[str] = []
         for module in self.modules:
-            package = str(Path(module).parent)
+            package = Path(module).parts[0] if at_top and "/" in module else str(Path(module).parent)
             if not found or found[-1] != package:
                 found.append(package)
         return found
@@ -218,9 +222,13 @@ def main() -> None:
         for name, fields in sorted(unset.items()):
             print(f"  {name}: {', '.join(fields)}")
     for name, work in WAYS.items():
-        packages = way_of(work).packages()
-        entered = list(dict.fromkeys(packages))
-        print(f"{name}: {len(entered)} packages, {len(packages) - len(entered)} returns")
+        calls = way_of(work)
+        packages, rooms = calls.packages(), calls.packages(at_top=True)
+        entered, of_top = set(packages), set(rooms)
+        print(
+            f"{name}: {len(entered)} packages, {len(packages) - len(entered)} returns; "
+            f"at the top {len(of_top)}, {len(rooms) - len(of_top)}"
+        )
         if chosen.calls:
             print("  " + " > ".join(packages))
 

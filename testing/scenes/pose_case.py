@@ -9,7 +9,8 @@ import numpy as np
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, rotation_from_rotvec, rotvec_from_rotation
 from ladarreg_core.matches import Matches
-from ladarreg_core.pose.estimators.bundle import Measurements, States, information_matrix
+from ladarreg_core.pose.estimators.bundle import States, information_matrix
+from ladarreg_core.pose.estimators.measurements import Measurements
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from ladarreg_core.errors import CameraError, DegenerateGeometryError, LadarregE
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import estimate_pose
-from ladarreg_core.pose.estimators.bundle import Measurements, States, least_squares, linearise, normal_equations
+from ladarreg_core.pose.estimators.bundle import States, least_squares, linearise, normal_equations
+from ladarreg_core.pose.estimators.measurements import Measurements
 from ladarreg_core.results import PoseResult
 from testing.scenes.pose_case import difference
 from testing.scenes.room import ROOM_CAMERA, room_case

@@ -20,7 +20,8 @@ from ladarreg_core.matching.images.scan_levels import scan_levels
 from ladarreg_core.matching.refine.aligner import Aligner
 from ladarreg_core.matching.refine.covariance import RegionEvidence
 from ladarreg_core.matching.refine.ecc import NO_CHANGE, CameraChange, _jacobian
-from ladarreg_core.matching.refine.self_calibration import FinishedPose, estimate_camera, verify_finished
+from ladarreg_core.matching.refine.finished_pose import FinishedPose
+from ladarreg_core.matching.refine.self_calibration import estimate_camera, verify_finished
 from ladarreg_core.matching.verify.verification import GateOptions
 from ladarreg_core.photo import Photo
 from ladarreg_core.surface.perspective import perspective_view

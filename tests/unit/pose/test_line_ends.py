@@ -13,7 +13,8 @@ from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.pose.estimators.bundle import Measurements, States, adjust_ranges
+from ladarreg_core.pose.estimators.bundle import States, adjust_ranges
+from ladarreg_core.pose.estimators.measurements import Measurements
 from ladarreg_core.pose.line_ends import RepairedEnds, repair_ends
 from testing.scenes.pose_case import difference
 

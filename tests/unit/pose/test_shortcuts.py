@@ -16,13 +16,13 @@ from ladarreg_core.pose.estimators import intrinsics
 from ladarreg_core.pose.estimators.bundle import (
     Descent,
     Evaluation,
-    Measurements,
     States,
     adjust_ranges,
     information_matrix,
     rotations_from_rotvecs,
 )
 from ladarreg_core.pose.estimators.gnc import geman_mcclure
+from ladarreg_core.pose.estimators.measurements import Measurements
 from testing.scenes.pose_case import start_near
 from testing.scenes.room import ROOM_CAMERA, room_case
 

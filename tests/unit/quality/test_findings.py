@@ -11,7 +11,8 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.pose.estimators.bundle import Measurements, States, information_matrix
+from ladarreg_core.pose.estimators.bundle import States, information_matrix
+from ladarreg_core.pose.estimators.measurements import Measurements
 from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.quality.conditioning import assess_conditioning
 from ladarreg_core.quality.findings import COST, LEVELS, findings

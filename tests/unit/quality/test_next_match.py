@@ -9,7 +9,8 @@ from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.pose.estimators.bundle import Measurements, States, information_matrix
+from ladarreg_core.pose.estimators.bundle import States, information_matrix
+from ladarreg_core.pose.estimators.measurements import Measurements
 from ladarreg_core.quality.next_match import part_of_photo, suggest_matches
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation

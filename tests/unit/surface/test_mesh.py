@@ -8,7 +8,7 @@ from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid, TabulatedGrid
 from ladarreg_core.surface.mesh.grid_mesh import grid_edges, scan_mesh, whole_blocks
 from ladarreg_core.surface.mesh.normals import cell_normals
-from ladarreg_core.surface.visibility.visible_points import occluding_surface
+from ladarreg_core.surface.visibility.occluding_surface import occluding_surface
 
 
 def plane_ranges(rays, normal, distance):
