@@ -24,7 +24,7 @@ from starlette.responses import HTMLResponse, PlainTextResponse, Response
 
 from ladarreg_core.errors import OptionError
 
-from .pages import static_text
+from .page.folder import static_text
 from .request_source import RequestSource
 
 MIN_TOKEN_LENGTH = 22

@@ -17,8 +17,8 @@ from .document_socket import ClientRegistry, DocumentSocket
 from .downloads import Exports, Pictures
 from .login import Credentials
 from .options import GatewayOptions
-from .page_files import PageFiles
-from .pages import Pages, static_folder
+from .page.files import PageFiles
+from .page.folder import Pages, static_folder
 from .protocol import Workbench
 from .security import Guard
 from .uploads import Uploads

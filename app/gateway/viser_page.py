@@ -12,7 +12,7 @@ import hashlib
 import json
 from dataclasses import dataclass
 
-from .pages import static_text
+from .page.folder import static_text
 
 PAGE_NAME = "page"
 _HEAD = b"<head>"

@@ -65,7 +65,7 @@ def run(command: list[str], *, cwd: Path | None = None) -> str:
 @pytest.mark.long
 def test_the_wheel_holds_its_page_and_its_sample(installed: Path, checkout: Path, tmp_path: Path) -> None:
     code = (
-        "from ladarreg.gateway.pages import static_folder; from ladarreg_core.simulate import sample_folder\n"
+        "from ladarreg.gateway.page.folder import static_folder; from ladarreg_core.simulate import sample_folder\n"
         "print(static_folder()); print(sample_folder())"
     )
     static, sample = map(Path, run([str(installed / "python"), "-c", code], cwd=tmp_path).split("\n")[:2])

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import gzip
+import json
 import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from ladarreg.gateway.page_files import PageFiles
+from ladarreg.gateway.page.files import PageFiles
 from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.responses import Response
@@ -60,21 +61,34 @@ def test_the_page_itself_is_compressed_and_revalidated(run: Running, front: str)
     assert run.ask("GET", "/", PACKED | {"If-None-Match": headers["etag"]})[0] == 304
 
 
-def test_every_module_is_preloaded(run: Running, front: str, checkout: Path) -> None:
-    preloaded = linked(front, 'link rel="modulepreload"')
-    version = preloaded[0].split("/")[1]
-    modules = {path.relative_to(checkout / "static").as_posix() for path in (checkout / "static/js").rglob("*.js")}
-    classic = {path.removeprefix(f"v/{version}/") for path in re.findall(r'<script src="([^"]+)"', front)}
-    assert {path.removeprefix(f"v/{version}/") for path in preloaded} == modules - classic
-    assert len(set(preloaded)) == len(preloaded)
-    for path in preloaded:
-        assert run.ask("GET", f"/{path}")[1]["content-type"].startswith("text/javascript")
+def test_every_module_and_every_style_is_in_a_bundle(run: Running, front: str, checkout: Path) -> None:
+    static = checkout / "static"
+    classic = {path.split("/", 2)[2] for path in re.findall(r'<script src="([^"]+)"', front)}
+    texts = []
+    for path in linked(front, 'script type="module"'):
+        _, headers, body = run.ask("GET", f"/{path}")
+        assert headers["content-type"].startswith("text/javascript")
+        texts.append(body.decode())
+        _, headers, told = run.ask("GET", f"/{path}.map")
+        assert headers["content-type"] == "application/json"
+        assert json.loads(told)["version"] == 3
+    kept = [path for text in texts for path in re.findall(r'^\$modules\["([^"]+)"\] = ', text, re.M)]
+    modules = {path.relative_to(static).as_posix() for path in (static / "js").rglob("*.js")}
+    assert sorted(kept) == sorted(modules - classic), "each once"
+    assert len(texts) == 2
+    (sheet,) = linked(front, 'link rel="stylesheet"')
+    _, headers, body = run.ask("GET", f"/{sheet}")
+    assert headers["content-type"].startswith("text/css")
+    # viser.css is that of the 3-D view; the order is that of the page
+    named = re.findall(r'stylesheet" href="([^"]+)"', (static / "index.html").read_text())
+    assert set(named) == {path.relative_to(static).as_posix() for path in static.rglob("*.css")} - {"viser.css"}
+    assert body == b"".join((static / path).read_bytes() for path in named)
 
 
 def test_the_first_pictures_come_before_all_scripts(front: str) -> None:
     pictures = linked(front, 'link rel="preload" as="image" fetchpriority="high"')
     assert pictures == linked(front, "img") == ["picture/scan?rev=1&amp;form=quick"]
-    assert front.index(pictures[0]) < front.index("modulepreload")
+    assert front.index(pictures[0]) < front.index("<script")
     assert "<!--" not in front, "everything is filled in"
 
 
@@ -87,7 +101,10 @@ def test_the_version_in_a_path_must_exist_as_a_file(run: Running, front: str) ->
 def test_a_script_by_its_plain_name_is_the_pages_own(run: Running, front: str) -> None:
     version = linked(front, "script")[0].split("/")[1]
     status, headers, body = run.ask("GET", "/js/net/store.js")
-    assert (status, body.decode()) == (200, f'export * from "../../v/{version}/js/net/store.js";\n')
+    assert status == 200
+    first, second = body.decode().splitlines()
+    assert first == f'import {{ $modules }} from "../../v/{version}/bundle/js/early.js";'
+    assert re.fullmatch(r'export const \{ .*\bstore\b.* \} = \$modules\["js/net/store.js"\];', second)
     assert headers["cache-control"] == "no-cache"
     assert run.ask("GET", "/js/none.js")[0] == 404
 
@@ -114,7 +131,7 @@ def test_an_edited_script_arrives_with_the_next_reload(tmp_path: Path, checkout:
     assert after != before
     new = fetched(after)
     assert "immutable" in new.headers["cache-control"]
-    assert bytes(new.body).endswith(b"// edited\n")
+    assert b"\n// edited\n" in bytes(new.body)
     old = fetched(before)
     assert old.status_code == 200, "a page that is being loaded still gets its scripts"
     assert old.body == new.body

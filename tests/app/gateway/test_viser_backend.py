@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 
-from ladarreg.gateway.pages import static_folder, static_text
+from ladarreg.gateway.page.folder import static_folder, static_text
 from ladarreg.gateway.viser_backend import HOST, close_server, open_locked_server
 
 from ladarreg_core.foundations.palette import MATCHES

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import viser
-from ladarreg.gateway.pages import static_text
+from ladarreg.gateway.page.folder import static_text
 from ladarreg.gateway.viser_backend import close_server
 from ladarreg.scene import CameraShown, Person, Picks, ScanShown, Scene3D, Shown, SimplexFrame, SmoothingShown, Subject
 from ladarreg.scene.draw_queue import DrawQueue

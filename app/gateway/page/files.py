@@ -1,8 +1,8 @@
 """The page as a browser loads it: scripts and styles under a path with a hash of their content, compressed.
 
-There is no build step. Scripts are plain modules that import each other by relative paths, so that one hash in the path
-of the first one versions all of them, and browsers may keep them indefinitely. A file that is edited while the program
-runs changes the hash, and thus arrives with the next reload.
+There is no build step. Scripts are plain modules and styles plain files, which are served in few requests: the scripts
+in a bundle for each entry, the styles in one. One hash in the path versions all of them, so that browsers may keep them
+indefinitely. A file that is edited while the program runs changes the hash, and thus arrives with the next reload.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ import gzip
 import hashlib
 import html
 import mimetypes
-import posixpath
 import re
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path, PurePosixPath
 
 from starlette.datastructures import Headers
@@ -23,28 +23,37 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response
 
+from .bundles import Bundle, bundled, re_exported
+
 _FOLDER = "v"
 """First part of the versioned paths: `v/HASH/js/main.js`."""
 _SUFFIXES = (".js", ".css", ".svg")
+_PAGE = Path("index.html")
 _FOR_EVER = {"cache-control": "private, max-age=31536000, immutable"}
 _REVALIDATE = {"cache-control": "no-cache"}
 _HASH_DIGITS = 16
 _LINKED = re.compile(r'\b(href|src)="([\w/.-]+\.(?:js|css|svg))"')
-_IMPORTED = re.compile(r"""^(?:import|export)\s(?:[^;]*?\sfrom\s)?["'](\.[^"']+)["']""", re.M)
-_ENTRY = re.compile(r'<script type="module" src="([\w/.-]+)">')
-_PRELOADS, _PICTURE = "<!-- preloads: {what} -->", "<!-- picture of the {side} -->"
+_ENTRY = re.compile(r'(<script type="module" src=")([\w/.-]+)(">)')
+_STYLES = re.compile(r'(?:<link rel="stylesheet" href="[\w/.-]+">\s*)+')
+_STYLE = re.compile(r'<link rel="stylesheet" href="([\w/.-]+)">')
+_BUNDLES, _SHEET, _MAP = "bundle", "bundle/page.css", ".map"
+_PRELOADS, _PICTURE = "<!-- preloads: pictures -->", "<!-- picture of the {side} -->"
 
 _VIEWER = "<!-- viewer -->"
 _FIRST = '<img class="first-picture" alt="" draggable="false" fetchpriority="high" src="{}">'
 
 
-@dataclass(frozen=True, slots=True)
 class _File:
     """A script or a style."""
 
-    plain: bytes
-    packed: bytes
-    media_type: str
+    def __init__(self, plain: bytes, path: str) -> None:
+        self.plain = plain
+        self.media_type = mimetypes.guess_type(path)[0] or "text/plain"
+
+    @cached_property
+    def packed(self) -> bytes:
+        """The file compressed; of what nobody asks for it is never made."""
+        return gzip.compress(self.plain, 9, mtime=0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +64,12 @@ class _Edition:
     """Path, time of modification and size of each file."""
     name: str
     """Hash of their content."""
+    page: str
+    """`index.html`, whose links are those of the bundles."""
     files: Mapping[str, _File]
-    """By path."""
+    """By path, the bundles among them."""
+    bundles: Mapping[str, Bundle]
+    """The bundles by the paths of their entries."""
 
 
 class PageFiles:
@@ -69,7 +82,7 @@ class PageFiles:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._lock = threading.Lock()
-        self._edition = _Edition((), "", {})
+        self._edition = _Edition((), "", "", {}, {})
 
     def front_page(self, pictures: Mapping[str, str], headers: Headers, *, viewer: str | None = None) -> Response:
         """Return `index.html`, with links to the present version of its scripts and styles.
@@ -80,20 +93,13 @@ class PageFiles:
             headers: of the request.
             viewer: URL of viser's page, which scripts request after the pictures; None: it is not known yet.
         """
-        try:
-            text = (self._folder / "index.html").read_text(encoding="utf-8")
-        except OSError:
-            raise HTTPException(404) from None
         edition = self._present_edition()
-        entries = _ENTRY.findall(text)
+        if not edition.page:
+            raise HTTPException(404)
         # In this order and with this priority, browsers request the pictures, and then what the first paint needs.
         urgent = '<link rel="preload" as="image" fetchpriority="high" href="{}">'
-        preloads = {
-            "pictures": [urgent.format(html.escape(url)) for url in pictures.values()],
-            "modules": [f'<link rel="modulepreload" href="{path}">' for path in _imported_by(entries, edition.files)],
-        }
-        for what, links in preloads.items():
-            text = text.replace(_PRELOADS.format(what=what), "\n    ".join(links))
+        links = [urgent.format(html.escape(url)) for url in pictures.values()]
+        text = edition.page.replace(_PRELOADS, "\n    ".join(links))
         text = text.replace(_VIEWER, f'<meta name="viewer" content="{html.escape(viewer)}">' if viewer else "")
         for side in ("scan", "photo"):
             url = pictures.get(side)
@@ -104,7 +110,7 @@ class PageFiles:
             path = found[2]
             return f'{found[1]}="{_FOLDER}/{edition.name}/{path}"' if path in edition.files else found[0]
 
-        return _answer(_packed_file(_LINKED.sub(versioned, text).encode(), "text/html"), headers, _REVALIDATE)
+        return _answer(_File(_LINKED.sub(versioned, text).encode(), "index.html"), headers, _REVALIDATE)
 
     def versioned(self, request: Request) -> Response:
         """Return a script or a style of the version in the path; of another version, the present one for this time."""
@@ -122,10 +128,10 @@ class PageFiles:
         found = edition.files.get(path)
         if found is None:
             raise HTTPException(404)
-        if b"\nexport " in found.plain:
-            up = "../" * (len(PurePosixPath(path).parts) - 1)
-            text = f'export * from "{up}{_FOLDER}/{edition.name}/{path}";\n'
-            found = _packed_file(text.encode(), found.media_type)
+        up = "../" * (len(PurePosixPath(path).parts) - 1) + f"{_FOLDER}/{edition.name}/{_BUNDLES}/"
+        for entry, bundle in edition.bundles.items():
+            if names := bundle.exports.get(path):
+                found = _File(re_exported(names, path, up + entry).encode(), path)
         return _answer(found, request.headers, _REVALIDATE)
 
     def _present_edition(self) -> _Edition:
@@ -139,36 +145,27 @@ class PageFiles:
         found = []
         for path in self._folder.rglob("*"):
             inner = path.relative_to(self._folder)
-            if path.suffix in _SUFFIXES and not any(part.startswith(".") for part in inner.parts):
+            if (path.suffix in _SUFFIXES or inner == _PAGE) and not any(part.startswith(".") for part in inner.parts):
                 stat = path.stat()
                 found.append((inner.as_posix(), stat.st_mtime_ns, stat.st_size))
         return tuple(sorted(found))
 
     def _read(self, stamps: tuple[tuple[str, int, int], ...]) -> _Edition:
         digest = hashlib.sha256()
-        files = {}
-        for path, _, _ in stamps:
-            plain = (self._folder / path).read_bytes()
-            digest.update(f"{path}\0{len(plain)}\0".encode() + plain)
-            files[path] = _packed_file(plain, mimetypes.guess_type(path)[0] or "text/plain")
-        return _Edition(stamps, digest.hexdigest()[:_HASH_DIGITS], files)
-
-
-def _packed_file(plain: bytes, media_type: str) -> _File:
-    return _File(plain, gzip.compress(plain, 9, mtime=0), media_type)
-
-
-def _imported_by(entries: list[str], files: Mapping[str, _File]) -> list[str]:
-    """Return modules and everything that they import: what the first needs, then what else the next needs."""
-    found: list[str] = []
-    for entry in entries:
-        waiting = [entry]
-        for path in waiting:
-            if path in files and path not in found:
-                found.append(path)
-                names = _IMPORTED.findall(files[path].plain.decode())
-                waiting += [posixpath.normpath(posixpath.join(posixpath.dirname(path), name)) for name in names]
-    return found
+        plain = {path: (self._folder / path).read_bytes() for path, _, _ in stamps}
+        for path, data in plain.items():
+            digest.update(f"{path}\0{len(data)}\0".encode() + data)
+        page = plain.pop("index.html", b"").decode()
+        scripts = {path: data.decode() for path, data in plain.items() if path.endswith(".js")}
+        bundles = bundled([path for _, path, _ in _ENTRY.findall(page)], scripts, folder=_BUNDLES)
+        made = {_SHEET: b"".join(plain.get(path, b"") for path in _STYLE.findall(page))}
+        for entry, bundle in bundles.items():
+            path = f"{_BUNDLES}/{entry}"
+            made |= {path: bundle.text.encode(), path + _MAP: bundle.source_map.encode()}
+        page = _ENTRY.sub(rf"\1{_BUNDLES}/\2\3", page)
+        page = _STYLES.sub(f'<link rel="stylesheet" href="{_SHEET}">\n    ', page, count=1)
+        files = {path: _File(data, path) for path, data in {**plain, **made}.items()}
+        return _Edition(stamps, digest.hexdigest()[:_HASH_DIGITS], page, files, bundles)
 
 
 def _answer(file: _File, headers: Headers, caching: Mapping[str, str]) -> Response:

@@ -14,7 +14,12 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 # The system's own table may have been changed by any installer; with `nosniff` a wrong type breaks the page.
-for _suffix, _media_type in ((".js", "text/javascript"), (".css", "text/css"), (".svg", "image/svg+xml")):
+for _suffix, _media_type in (
+    (".js", "text/javascript"),
+    (".css", "text/css"),
+    (".svg", "image/svg+xml"),
+    (".map", "application/json"),
+):
     mimetypes.add_type(_media_type, _suffix)
 _REVALIDATE = {"cache-control": "no-cache"}
 _MARKER_FILE = "tokens.css"
@@ -27,7 +32,7 @@ def static_folder() -> Path:
     Raises:
         FileNotFoundError: if the installation is incomplete.
     """
-    package = Path(__file__).resolve().parents[1]
+    package = Path(__file__).resolve().parents[2]
     for folder in (package / "static", package.parent / "static"):
         if (folder / _MARKER_FILE).is_file():
             return folder
