@@ -322,6 +322,7 @@ def measure(project: Path, *, photos: int, stations: int) -> dict[str, float]:
                 figures["list"] = seconds
             else:
                 figures[name] = max(figures[name], time.time() - tab._begun)
+                figures["its requests"], figures["its kB"] = len(tab.received), sum(tab.received.values()) / 1e3
             tab.close()
         watch.stage = "edits"
         taken = edits_ms(found, ids)
