@@ -27,7 +27,8 @@ class Arguments:
     """Arguments of `devices`."""
 
     port: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="[PORT ...]")] = ()
-    """Ask what stands at these ports: a unit is halted and a laser switched off by it, nothing moves."""
+    """Ask what stands at these ports, or at the URL of a head with ONVIF: a unit is halted and a laser switched off by
+    it, nothing moves."""
     json: bool = False
     """Print one JSON object, and nothing else, on stdout; errors, too."""
     debug: bool = False
@@ -70,9 +71,8 @@ def _fields(port: str, device: FoundDevice) -> dict[str, Any]:
 
 
 def _lines(port: str, device: FoundDevice) -> list[str]:
-    kind = "pan/tilt unit" if device.kind == "flir-ptu" else "line scanner"
-    part = "unit" if device.kind == "flir-ptu" else "scanner"
-    plan = json.dumps({"kind": device.kind, "port": port, "baud": device.baud})
+    part, kind = ("scanner", "line scanner") if device.kind == "scip2" else ("unit", "pan/tilt unit")
+    plan = json.dumps({"kind": device.kind, "port": port} | ({} if device.baud is None else {"baud": device.baud}))
     facts = [f"  {name}: {one_line(value)}" for name, value in _facts(device)]
     return [f"{port}: a {kind}", *facts, f'  in a plan: "{part}": {plan}']
 

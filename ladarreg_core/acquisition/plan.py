@@ -22,7 +22,8 @@ from ladarreg_core.storage.atomic_write import replaced_file, write_bytes
 
 Mode = Literal["sweep", "mosaic"]
 """`sweep`: a line scanner, every pan step is a column; `mosaic`: a scanner with a field of view, pieces overlap."""
-UnitKind = Literal["flir-ptu"]
+UnitKind = Literal["flir-ptu", "pelco-d", "onvif"]
+"""Protocol of a pan/tilt unit."""
 ScannerKind = Literal["scip2", "folder", "packets"]
 
 VERSION = 1
@@ -36,13 +37,19 @@ class UnitPlan:
     """How the pan/tilt unit is reached."""
 
     port: str
-    """Serial port, pyserial URL, or `twin:NAME?seed=N`."""
+    """Serial port, pyserial URL, or `twin:NAME?seed=N`; of `onvif`, the URL of the device service."""
     kind: UnitKind = "flir-ptu"
     baud: int = 9600
     signs: tuple[int, int] = (1, 1)
     """Sign of pan and tilt, -1 for an axis that turns the other way."""
     speed_deg_s: float | None = None
     """Speed of both axes; None: as the unit is set."""
+    address: int = 1
+    """Of a `pelco-d` head on its line."""
+    user: str = ""
+    """Name at an `onvif` head, whose password is in the environment; empty: it asks for none."""
+    range_deg: tuple[tuple[float, float], tuple[float, float]] | None = None
+    """Lowest and highest pan and tilt as the unit counts them, left and up positive, where it does not state them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +145,13 @@ class Plan:
         unit: dict[str, Any] = {
             "kind": self.unit.kind, "port": self.unit.port, "baud": self.unit.baud, "signs": list(self.unit.signs),
         }  # fmt: skip
+        if self.unit.kind == "pelco-d":
+            unit["address"] = self.unit.address
+        elif self.unit.kind == "onvif":
+            del unit["baud"]
+            unit |= {"user": self.unit.user} if self.unit.user else {}
+        if self.unit.range_deg is not None:
+            unit["range_deg"] = [list(axis) for axis in self.unit.range_deg]
         if self.unit.speed_deg_s is not None:
             unit["speed_deg_s"] = self.unit.speed_deg_s
         camera: dict[str, Any] | None = None

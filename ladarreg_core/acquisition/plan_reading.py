@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, cast, get_args
+from urllib.parse import urlsplit
 
 import numpy as np
 
@@ -21,16 +20,16 @@ from ladarreg_core.acquisition.plan import (
     Mode,
     Plan,
     PlanError,
-    PlanFault,
     ScannerKind,
     ScannerPlan,
     UnitKind,
     UnitPlan,
     overlap_faults,
 )
+from ladarreg_core.acquisition.plan_fields import FieldReader, are_numbers, shown
 from ladarreg_core.acquisition.trigger import TriggerPlan
-from ladarreg_core.acquisition.twin_address import check_twin, is_twin
-from ladarreg_core.errors import DeviceError, FormatError, LadarregError, OptionError
+from ladarreg_core.acquisition.twin_address import is_twin
+from ladarreg_core.errors import FormatError, LadarregError, OptionError
 from ladarreg_core.formats.parsing.json_file import read_json_object
 from ladarreg_core.formats.parsing.untrusted import shown_name
 from ladarreg_core.frames import Rigid
@@ -40,6 +39,13 @@ _LONGEST_SETTLE_S = 60.0
 _LARGEST_LEVER_M = 5.0
 _BAUDS = (300, 4_000_000)
 _SAME_DEG = 1e-9
+_OF_UNIT = {
+    "flir-ptu": ("baud",), "pelco-d": ("baud", "address", "range_deg"), "onvif": ("user", "range_deg"),
+}  # fmt: skip
+_PORTS = {
+    "flir-ptu": "a serial port such as /dev/ttyUSB0 or COM3", "pelco-d": "a serial port such as /dev/ttyUSB0 or COM3",
+    "onvif": "the URL of its device service, such as http://192.168.1.64/onvif/device_service",
+}  # fmt: skip
 
 
 def read_plan(path: str | Path) -> Plan:
@@ -74,19 +80,15 @@ def plan_from_fields(fields: Mapping[str, Any], *, folders_exist: bool = True) -
     return plan
 
 
-class _Reader:
+class _Reader(FieldReader):
     """Reads a plan and collects its faults."""
-
-    def __init__(self, *, folders_exist: bool) -> None:
-        self.faults: list[PlanFault] = []
-        self._folders_exist = folders_exist
 
     def plan(self, fields: Mapping[str, Any]) -> Plan | None:
         known = ("version", "unit", "scanner", "camera", "mode", "pan_deg", "tilt_deg", "settle_s", "continuous",
                  "passes", "mount")  # fmt: skip
         self._refuse_unknown(fields, known, "the plan")
         if fields.get("version") != VERSION:
-            self._fault("version", f"'version' is {_shown(fields.get('version'))}; it must be {VERSION}")
+            self._fault("version", f"'version' is {shown(fields.get('version'))}; it must be {VERSION}")
         mode = self._choice(fields, "mode", get_args(Mode), None, "the plan")
         continuous = self._flag(fields, "continuous")
         unit, scanner = self._unit(fields.get("unit")), self._scanner(fields.get("scanner"))
@@ -106,9 +108,6 @@ class _Reader:
         self._check_whole(plan)
         return plan
 
-    def _fault(self, field: str, text: str) -> None:
-        self.faults.append(PlanFault(field, text))
-
     def _check_whole(self, plan: Plan) -> None:
         """Note what is wrong with parts that are right by themselves."""
         if plan.mode == "sweep" and plan.scanner.kind != "scip2":
@@ -126,6 +125,12 @@ class _Reader:
             self._fault("camera", "'camera' takes photographs at stops, and a continuous sweep has none; leave it out")
         if plan.continuous and plan.pan.step_deg == 0:
             self._fault("pan_deg", "'continuous' needs a range of pan angles; 'pan_deg' has one")
+        if plan.continuous and plan.unit.kind != "flir-ptu":
+            self._fault(
+                "continuous",
+                f"'continuous' reads positions while the unit turns, for which one of kind {plan.unit.kind!r} is too "
+                "slow; leave it out, and the unit stops at each column",
+            )
         if plan.scanner.kind == "scip2" and plan.scanner.port == plan.unit.port:
             self._fault("scanner.port", f"unit and scanner have the same port {plan.unit.port!r}; each needs its own")
         if plan.camera is not None and plan.camera.folder and plan.camera.folder == plan.scanner.folder:
@@ -140,20 +145,53 @@ class _Reader:
         fields = self._object(value, "unit")
         if fields is None:
             return None
-        self._refuse_unknown(fields, ("kind", "port", "baud", "signs", "speed_deg_s"), "'unit'")
-        kind = self._choice(fields, "kind", get_args(UnitKind), "flir-ptu", "'unit'")
-        port = self._text(fields, "port", "'unit'", "a serial port such as /dev/ttyUSB0 or COM3")
+        kind = cast(UnitKind | None, self._choice(fields, "kind", get_args(UnitKind), "flir-ptu", "'unit'"))
+        if kind is None:
+            return None
+        known = ("kind", "port", "signs", "speed_deg_s", *_OF_UNIT[kind])
+        self._refuse_unknown(fields, known, "'unit'" if kind == "flir-ptu" else f"'unit' of kind {kind!r}")
+        port = self._text(fields, "port", "'unit'", _PORTS[kind])
+        if port is not None and is_twin(port):
+            self._check_twin(fields, "port", "'unit'")
+        elif port is not None and kind == "onvif" and urlsplit(port).scheme not in ("http", "https"):
+            self._fault("unit.port", f"'port' of 'unit' is {shown(port)}; it must be {_PORTS[kind]}")
         baud = self._whole(fields, "baud", 9600, *_BAUDS, "'unit'")
         signs = fields.get("signs", [1, 1])
         if not (isinstance(signs, list) and len(signs) == 2 and all(type(s) is int and s in (-1, 1) for s in signs)):
             self._fault(
-                "unit.signs", f"'signs' of 'unit' is {_shown(signs)}; it must be two of 1 and -1, for pan and tilt"
+                "unit.signs", f"'signs' of 'unit' is {shown(signs)}; it must be two of 1 and -1, for pan and tilt"
             )
             signs = None
         speed = self._number(fields, "speed_deg_s", math.nan, 1e-3, 1000.0, "'unit'")
-        if kind is None or port is None or baud is None or signs is None or speed is None:
+        if kind == "pelco-d" and fields.get("speed_deg_s") is not None:
+            self._fault("unit.speed_deg_s", "'speed_deg_s' cannot be set at a head with Pelco-D; leave it out")
+        address = self._whole(fields, "address", 1, 0, 255, "'unit'")
+        user = self._text(fields, "user", "'unit'", "a name, or leave it out") if fields.get("user") else ""
+        ranges = self._range(fields)
+        if None in (port, baud, signs, speed, address, user):
             return None
-        return UnitPlan(port, cast(UnitKind, kind), baud, (signs[0], signs[1]), None if math.isnan(speed) else speed)
+        return UnitPlan(
+            cast(str, port), kind, cast(int, baud), (signs[0], signs[1]),
+            None if math.isnan(cast(float, speed)) else speed, cast(int, address), cast(str, user), ranges,
+        )  # fmt: skip
+
+    def _range(self, fields: Mapping[str, Any]) -> tuple[tuple[float, float], tuple[float, float]] | None:
+        value = fields.get("range_deg")
+        if value is None:
+            return None
+        if (
+            isinstance(value, list | tuple)
+            and len(value) == 2
+            and all(are_numbers(axis, 2, -360.0, 360.0) and axis[0] < axis[1] for axis in value)
+        ):
+            pan, tilt = ((float(low), float(high)) for low, high in value)
+            return pan, tilt
+        self._fault(
+            "unit.range_deg",
+            f"'range_deg' of 'unit' is {shown(value)}; it must be the lowest and highest pan, and the lowest and "
+            "highest tilt, such as [[-180, 180], [-30, 90]]",
+        )
+        return None
 
     def _scanner(self, value: Any) -> ScannerPlan | None:
         fields = self._object(value, "scanner")
@@ -198,7 +236,7 @@ class _Reader:
         file = self._text(fields, "sensor_file", "'scanner'", example) if fields.get("sensor_file") else ""
         if file and self._folders_exist and not Path(file).expanduser().is_file():
             self._fault(
-                "scanner.sensor_file", f"'sensor_file' of 'scanner' is {_shown(file)}, which does not exist; correct it"
+                "scanner.sensor_file", f"'sensor_file' of 'scanner' is {shown(file)}, which does not exist; correct it"
             )
         if port is None or timeout is None or host is None or file is None:
             return None
@@ -208,9 +246,9 @@ class _Reader:
         fov = fields.get("fov_deg")
         if fov is None:
             return None
-        if not _numbers(fov, 2, 0.1, 360.0):
+        if not are_numbers(fov, 2, 0.1, 360.0):
             self._fault(
-                "scanner.fov_deg", f"'fov_deg' of 'scanner' is {_shown(fov)}; it must be two angles, across and down"
+                "scanner.fov_deg", f"'fov_deg' of 'scanner' is {shown(fov)}; it must be two angles, across and down"
             )
             return None
         return float(fov[0]), float(fov[1])
@@ -243,13 +281,13 @@ class _Reader:
         try:
             return TriggerPlan.from_fields(fields["trigger"])
         except OptionError as error:
-            self._fault(f"{part}.trigger", f"'trigger' of {part!r} is {_shown(fields['trigger'])}: {error}")
+            self._fault(f"{part}.trigger", f"'trigger' of {part!r} is {shown(fields['trigger'])}: {error}")
             return None
 
     def _axis(self, fields: Mapping[str, Any], name: str, most: float) -> Axis | None:
         value = fields.get(name, [0.0, 0.0, 0.0] if name == "tilt_deg" else None)
-        if not _numbers(value, 3, -3 * most, 3 * most):
-            self._fault(name, f"{name!r} is {_shown(value)}; it must be three angles: from, to and step")
+        if not are_numbers(value, 3, -3 * most, 3 * most):
+            self._fault(name, f"{name!r} is {shown(value)}; it must be three angles: from, to and step")
             return None
         first, last, step = (float(v) for v in value)
         if abs(first) > most or abs(last) > most:
@@ -278,12 +316,12 @@ class _Reader:
         self._refuse_unknown(fields, ("xyz_m", "rpy_deg", "base", "base_sigma_deg"), "'mount'")
         xyz, rpy = fields.get("xyz_m"), fields.get("rpy_deg")
         good = True
-        if not _numbers(xyz, 3, -_LARGEST_LEVER_M, _LARGEST_LEVER_M):
-            self._fault("mount.xyz_m", f"'xyz_m' of 'mount' is {_shown(xyz)}; it must be three lengths within 5 m")
+        if not are_numbers(xyz, 3, -_LARGEST_LEVER_M, _LARGEST_LEVER_M):
+            self._fault("mount.xyz_m", f"'xyz_m' of 'mount' is {shown(xyz)}; it must be three lengths within 5 m")
             good = False
-        if not _numbers(rpy, 3, -360.0, 360.0):
+        if not are_numbers(rpy, 3, -360.0, 360.0):
             self._fault(
-                "mount.rpy_deg", f"'rpy_deg' of 'mount' is {_shown(rpy)}; it must be roll, pitch and yaw in degrees"
+                "mount.rpy_deg", f"'rpy_deg' of 'mount' is {shown(rpy)}; it must be roll, pitch and yaw in degrees"
             )
             good = False
         if not good:
@@ -314,108 +352,3 @@ class _Reader:
                 "camera.mount", f"'mount' of 'camera' is no pose ({str(error)[:120]}); it must be 4 x 4, or null"
             )
             return None
-
-    def _object(self, value: Any, name: str) -> Mapping[str, Any] | None:
-        if isinstance(value, Mapping):
-            return value
-        self._fault(name, f"{name!r} is {'missing' if value is None else _shown(value)}; it must be an object")
-        return None
-
-    def _refuse_unknown(self, fields: Mapping[str, Any], known: tuple[str, ...], where: str) -> None:
-        for key in fields:
-            if key not in known:
-                near = get_close_matches(str(key), known, n=1)
-                wanted = f"did you mean {near[0]!r}?" if near else f"use {', '.join(known)}"
-                self._fault(_field(where), f"{where} has an unknown key {_shown(key)}; {wanted}")
-
-    def _choice(
-        self, fields: Mapping[str, Any], name: str, choices: tuple[str, ...], default: str | None, where: str
-    ) -> str | None:
-        value = fields.get(name, default)
-        if isinstance(value, str) and value in choices:
-            return value
-        found = "missing" if value is None else _shown(value)
-        self._fault(
-            _field(where, name), f"{name!r} of {where} is {found}; it must be {' or '.join(map(repr, choices))}"
-        )
-        return None
-
-    def _text(self, fields: Mapping[str, Any], name: str, where: str, example: str) -> str | None:
-        value = fields.get(name)
-        if isinstance(value, str) and value.strip():
-            return value.strip()
-        self._fault(
-            _field(where, name),
-            f"{name!r} of {where} is {'missing' if value is None else _shown(value)}; give {example}",
-        )
-        return None
-
-    def _folder(self, fields: Mapping[str, Any], where: str) -> str | None:
-        folder = self._text(fields, "folder", where, "the folder that its software writes to")
-        if folder is not None and is_twin(folder):
-            self._check_twin(fields, "folder", where)
-        elif folder is not None and self._folders_exist and not Path(folder).expanduser().is_dir():
-            self._fault(
-                _field(where, "folder"),
-                f"'folder' of {where} is {_shown(folder)}, which does not exist; create or correct it",
-            )
-        return folder
-
-    def _check_twin(self, fields: Mapping[str, Any], name: str, where: str) -> None:
-        try:
-            check_twin(fields[name].strip())
-        except DeviceError as error:
-            self._fault(_field(where, name), f"{name!r} of {where}: {error}")
-
-    def _flag(self, fields: Mapping[str, Any], name: str) -> bool:
-        value = fields.get(name, False)
-        if not isinstance(value, bool):
-            self._fault(name, f"{name!r} is {_shown(value)}; it must be true or false")
-            return False
-        return value
-
-    def _whole(
-        self, fields: Mapping[str, Any], name: str, default: int, least: int, most: int, where: str
-    ) -> int | None:
-        value = fields.get(name, default)
-        if type(value) is int and least <= value <= most:
-            return value
-        self._fault(
-            _field(where, name),
-            f"{name!r} of {where} is {_shown(value)}; it must be a whole number from {least} to {most}",
-        )
-        return None
-
-    def _number(
-        self, fields: Mapping[str, Any], name: str, default: float, least: float, most: float, where: str
-    ) -> float | None:
-        if fields.get(name) is None:
-            return default
-        value = fields[name]
-        if type(value) in (int, float) and least <= value <= most:  # NaN is neither
-            return float(value)
-        self._fault(
-            _field(where, name),
-            f"{name!r} of {where} is {_shown(value)}; it must be a number from {least:g} to {most:g}",
-        )
-        return None
-
-
-def _field(where: str, name: str = "") -> str:
-    """Return the field that `where` means in messages: `the plan`, `'unit'` or `'scanner' of kind ...`, and its key."""
-    part = where.split("'")[1] if "'" in where else ""
-    return ".".join(filter(None, (part, name)))
-
-
-def _numbers(value: Any, count: int, least: float, most: float) -> bool:
-    """Return whether a value is a list of finite numbers within limits."""
-    return (
-        isinstance(value, list | tuple)
-        and len(value) == count
-        and all(type(v) in (int, float) and least <= v <= most for v in value)
-    )
-
-
-def _shown(value: Any) -> str:
-    text = repr(value) if isinstance(value, str) else json.dumps(value, default=repr)
-    return text if len(text) <= 60 else text[:57] + "..."

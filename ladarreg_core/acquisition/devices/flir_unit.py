@@ -21,21 +21,18 @@ from ladarreg_core.acquisition.devices.flir_protocol import (
     supply_of,
 )
 from ladarreg_core.acquisition.devices.link import QUIET_FIRST_S, TRIES, Link, NoAnswerError, RoundTrip, twice_alike
+from ladarreg_core.acquisition.devices.move_wait import Approach, await_arrival, refuse_beyond
 from ladarreg_core.acquisition.devices.ports import PortSource
 from ladarreg_core.acquisition.interfaces import Check, PanTilt, UnitIdentity
 from ladarreg_core.acquisition.plan import UnitPlan
-from ladarreg_core.errors import Cancelled, DeviceError, OptionError
+from ladarreg_core.errors import DeviceError, OptionError
 
 HOMING_S = 35.0
 """How long a unit that was switched on may take to find its zeros, during which it answers nothing: up to 30 s."""
 _ANSWER_S = 1.0
 _CONNECT_S = 2.0
-_POLL_S = 0.03
-_STUCK_S, _STUCK_TRIPS = 1.5, 4  # without a change of position, and round trips on top of it
-_SPARE_S = 10.0  # on top of thrice the time that a move should take
 _ARC_SECONDS = math.radians(1 / 3600)
 _REACHED_COUNTS = 1
-_STILL_READINGS = 2  # alike, in a row
 _QUIET_S, _QUIET_IN_DOUBT_S, _LONGEST_TALK_S = 0.1, 0.3, 1.0
 _RESTARTED = (
     "the pan/tilt unit was reset or lost its power for a moment; it has found its zeros again and is set up as before: "
@@ -269,56 +266,26 @@ class FlirUnit:
         Raises:
             OptionError: if it is not finite or beyond the limits.
         """
-        found = []
-        for k, (_, axis) in enumerate(_AXES):
-            angle = (target.pan_rad, target.tilt_rad)[k]
-            low, high = self._counts_at_limits[k]
-            counts = self._signs[k] * angle / self._step_rad[k] if math.isfinite(angle) else math.inf
-            # A limit that is stated in degrees may be a fraction of a count beyond that in counts.
-            if not low - 0.51 <= counts <= high + 0.51:
-                least, most = (
-                    math.degrees(getattr(end, f"{axis}_rad")) for end in (self.identity.lowest, self.identity.highest)
-                )
-                raise OptionError(
-                    f"a {axis} of {math.degrees(angle):.2f} deg is beyond the unit's limits, {least:.2f} to {most:.2f} "
-                    "deg; choose a position within them"
-                )
-            found.append(min(max(round(counts), low), high))
-        return found
+        refuse_beyond(target, self.identity.lowest, self.identity.highest, spare_rad=PanTilt(*self._step_rad))
+        wanted = zip(self._signs, _pair(target), self._step_rad, self._counts_at_limits, strict=True)
+        return [min(max(round(sign * angle / step), low), high) for sign, angle, step, (low, high) in wanted]
 
     def _await(self, wanted: list[int], halts: int, check: Check) -> list[int]:
         """Return the counts once the unit stands at the target."""
-        begun = moved = self._clock.now()
-        last = self._positions()
         travel_s = max(
             abs(a - b) * step / max(speed, 1e-4)
-            for a, b, step, speed in zip(last, wanted, self._step_rad, _pair(self.identity.speed_rad_s), strict=True)
+            for a, b, step, speed in zip(
+                self._positions(), wanted, self._step_rad, _pair(self.identity.speed_rad_s), strict=True
+            )
         )
-        still, there = 0, False
-        while True:
-            check()
-            if self._halts != halts:
-                raise Cancelled
-            now = self._positions()
-            if now != last:
-                last, moved, still = now, self._clock.now(), 0
-            elif there := all(abs(a - b) <= _REACHED_COUNTS for a, b in zip(now, wanted, strict=True)):
-                still += 1
-                if still >= _STILL_READINGS:
-                    return now
-            self._refuse_limits()
-            now_s = self._clock.now()
-            if not there and now_s - moved > _STUCK_S + _STUCK_TRIPS * self._round_trip.longest_s:
-                raise DeviceError(
-                    f"the pan/tilt unit stands still at {self._said(now)} on its way to {self._said(wanted)}; it is "
-                    "halted: remove what blocks it, check its power, and resume"
-                )
-            if now_s - begun > 3 * travel_s + _SPARE_S:
-                raise DeviceError(
-                    f"the pan/tilt unit has not reached {self._said(wanted)} after {now_s - begun:.0f} s, it "
-                    f"is at {self._said(now)} and halted; check its load and speed, and resume"
-                )
-            self._clock.sleep(_POLL_S)
+        approach = Approach(
+            self._positions, lambda now: max(abs(a - b) for a, b in zip(now, wanted, strict=True)), self._angles,
+            _REACHED_COUNTS, _REACHED_COUNTS, travel_s,
+        )  # fmt: skip
+        return await_arrival(
+            approach, self._angles(wanted), clock=self._clock, round_trip=self._round_trip, check=check,
+            halted=lambda: self._halts != halts, watch=self._refuse_limits,
+        )  # fmt: skip
 
     def _refuse_limits(self) -> None:
         if hit := self._limits_hit:
@@ -376,10 +343,6 @@ class FlirUnit:
     def _angles(self, counts: list[int]) -> PanTilt:
         pan, tilt = (sign * n * step for sign, n, step in zip(self._signs, counts, self._step_rad, strict=True))
         return PanTilt(pan, tilt)
-
-    def _said(self, counts: list[int]) -> str:
-        at = self._angles(counts)
-        return f"pan {math.degrees(at.pan_rad):.2f}, tilt {math.degrees(at.tilt_rad):.2f} deg"
 
     def _ask(self, sent: bytes, *, deadline_s: float = _ANSWER_S) -> FlirReply:
         with self._asking:

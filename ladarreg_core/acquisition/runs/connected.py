@@ -11,7 +11,9 @@ from pathlib import Path
 from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
 from ladarreg_core.acquisition.devices.flir_unit import FlirUnit
 from ladarreg_core.acquisition.devices.folder_source import FolderSource
+from ladarreg_core.acquisition.devices.onvif_unit import OnvifUnit
 from ladarreg_core.acquisition.devices.packet_stream import PacketStream
+from ladarreg_core.acquisition.devices.pelco_unit import PelcoUnit
 from ladarreg_core.acquisition.devices.ports import GuardEndedError, Ports, PortSource
 from ladarreg_core.acquisition.devices.scip_scanner import ScipScanner
 from ladarreg_core.acquisition.devices.video_camera import VideoCamera
@@ -19,7 +21,7 @@ from ladarreg_core.acquisition.interfaces import FrameSource, Read, read_here
 from ladarreg_core.acquisition.plan import CameraPlan, Plan, ScannerPlan, UnitPlan
 from ladarreg_core.acquisition.runs.run_folder import RunWriter
 from ladarreg_core.acquisition.runs.runner import EventReport, Run
-from ladarreg_core.acquisition.twin_address import packet_source, watched_folder
+from ladarreg_core.acquisition.twin_address import is_twin, packet_source, resolved_twin, watched_folder
 from ladarreg_core.errors import DeviceError
 from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.photos.image_file import require_image
@@ -28,16 +30,22 @@ from ladarreg_core.formats.scans.scan_files import scan_files
 _PHOTO_S = 60.0
 _UNIT_BAUDS = (9600, 115_200, 19_200, 38_400)
 _SCANNER_BAUDS = (115_200, 19_200)
+_HEAD_BAUDS = (2400, 9600, 4800)
+_TO_TRY = (("flir-ptu", _UNIT_BAUDS), ("scip2", _SCANNER_BAUDS), ("pelco-d", _HEAD_BAUDS))
 
 OpenPorts = Callable[[], AbstractContextManager[PortSource]]
 """Gives the ports of a run, and closes them at its end."""
+
+
+Unit = FlirUnit | PelcoUnit | OnvifUnit
+"""A pan/tilt unit, by the protocol that the plan names."""
 
 
 @dataclass(frozen=True, slots=True)
 class Connected:
     """The devices of a plan."""
 
-    unit: FlirUnit
+    unit: Unit
     line_scanner: ScipScanner | None
     frames: FrameSource | None
     camera: FrameSource | None
@@ -93,7 +101,7 @@ def _connect(plan: Plan, stack: ExitStack, *, ports: OpenPorts, read: Read) -> C
 
 def _connect_once(plan: Plan, stack: ExitStack, *, ports: OpenPorts, read: Read) -> Connected:
     opened = stack.enter_context(ports())
-    unit = FlirUnit.connect(opened, plan.unit)
+    unit = _unit(opened, plan.unit)
     stack.callback(unit.close)
     line_scanner: ScipScanner | None = None
     frames: FrameSource | None = None
@@ -109,13 +117,24 @@ def _connect_once(plan: Plan, stack: ExitStack, *, ports: OpenPorts, read: Read)
     return Connected(unit, line_scanner, frames, camera, opened.clock, read)
 
 
+def _unit(ports: PortSource, plan: UnitPlan) -> Unit:
+    match plan.kind:
+        case "flir-ptu":
+            return FlirUnit.connect(ports, plan)
+        case "pelco-d":
+            return PelcoUnit.connect(ports, plan)
+        case "onvif":
+            return OnvifUnit.connect(plan, clock=ports.clock)
+
+
 @dataclass(frozen=True, slots=True)
 class FoundDevice:
     """What stands at a port."""
 
     kind: str
-    """As in a plan: `flir-ptu` or `scip2`."""
-    baud: int
+    """As in a plan: of a unit `flir-ptu`, `pelco-d` or `onvif`, of a line scanner `scip2`."""
+    baud: int | None
+    """Of its port; None: it is reached by the network."""
     identity: object
     """`UnitIdentity` or `LineScannerIdentity`."""
 
@@ -123,17 +142,27 @@ class FoundDevice:
 def identified(address: str) -> FoundDevice:
     """Return what stands at a port; the unit is halted and the laser switched off by asking, nothing else is done.
 
+    Args:
+        address: a port, or the URL of the device service of a head with ONVIF.
+
     Raises:
         DeviceError: if the port cannot be opened, or nothing known answers.
     """
+    found_at = resolved_twin(address) if is_twin(address) else address
+    if found_at.startswith(("http://", "https://")):
+        head = OnvifUnit.connect(UnitPlan(found_at, "onvif"))
+        head.close()
+        return FoundDevice("onvif", None, head.identity)
     tried = []
     with Ports() as ports:  # one guard for all attempts
-        for kind, bauds in (("flir-ptu", _UNIT_BAUDS), ("scip2", _SCANNER_BAUDS)):
+        for kind, bauds in _TO_TRY:
             for baud in bauds if "://" not in address and ":" not in address else bauds[:1]:
                 try:
-                    device: FlirUnit | ScipScanner
+                    device: FlirUnit | PelcoUnit | ScipScanner
                     if kind == "flir-ptu":
                         device = FlirUnit.connect(ports, UnitPlan(address, baud=baud), patience_s=0.0)
+                    elif kind == "pelco-d":
+                        device = PelcoUnit.connect(ports, UnitPlan(address, "pelco-d", baud))
                     else:
                         device = ScipScanner.connect(ports, ScannerPlan("scip2", address, baud=baud))
                 except DeviceError as error:

@@ -22,6 +22,8 @@ from ladarreg_core.acquisition.interfaces import PanTilt
 from ladarreg_core.acquisition.simulated.flir_twin import COUNTS_PER_RAD, FlirTwin
 from ladarreg_core.acquisition.simulated.folder_twin import FRAME, FolderTwin, ScanFormat, camera_twin, scanner_twin
 from ladarreg_core.acquisition.simulated.lidar_twin import LidarTwin, VelodyneOnBench
+from ladarreg_core.acquisition.simulated.onvif_twin import OnvifServer, OnvifTwin
+from ladarreg_core.acquisition.simulated.pelco_twin import PelcoTwin
 from ladarreg_core.acquisition.simulated.scip_twin import UTM_30LX, ScipFailure, ScipModel, ScipTwin
 from ladarreg_core.acquisition.simulated.server import DeviceServer, TwinServer
 from ladarreg_core.acquisition.simulated.twin import Twin
@@ -61,6 +63,7 @@ class TwinDevices:
     Attributes:
         bench: the room, with the true mounts.
         unit: the pan/tilt unit.
+        pelco, onvif: controllers of the same unit by other protocols; one at a time is used.
         scanner: the line scanner.
         server: their ports.
         lidar: the spinning lidar.
@@ -74,7 +77,10 @@ class TwinDevices:
         self.bench = Bench(scene, seed) if bench is None else bench
         self.unit = FlirTwin(baud=unit_baud, seed=seed, moved=self._moved)
         self.scanner = ScipTwin(self._measure, model=model, seed=seed)
-        self.server = serve([self.unit, self.scanner])
+        self.pelco = PelcoTwin(self.unit, baud=unit_baud)
+        self.onvif = OnvifTwin(self.unit)
+        self.server = serve([self.unit, self.scanner, self.pelco])
+        self._onvif_server = OnvifServer(self.onvif, self.server.now_s)
         self.bench.clock = self.server.now_s
         self._geometry, self._scan_format, self._given_folders = geometry, scan_format, dict(folders or {})
         self._folders: dict[str, FolderTwin] = {}
@@ -104,6 +110,7 @@ class TwinDevices:
                 twin.on = False  # a sweep would be slowed down by photographs that nobody asked for
                 self._folders[name] = entered.enter_context(twin)
             entered.enter_context(self.server)
+            entered.enter_context(self._onvif_server)
             entered.enter_context(self.lidar)
             self._inside = entered.pop_all()
         return self
@@ -117,9 +124,11 @@ class TwinDevices:
 
     @property
     def addresses(self) -> dict[str, str]:
-        """Port or folder of each device, by its name; of the lidar, the host and the UDP port that it sends to."""
+        """Port or folder of each device, by its name; of the head with ONVIF, its URL; of the lidar, the host and the
+        UDP port that it sends to."""
         folders = {name: str(twin.folder) for name, twin in self._folders.items()}
-        return {**self.server.addresses, **folders, LIDAR: f"127.0.0.1:{self.lidar.port}"}
+        by_network = {self.onvif.name: self._onvif_server.url, LIDAR: f"127.0.0.1:{self.lidar.port}"}
+        return {**self.server.addresses, **folders, **by_network}
 
     def switch_on(self, device: str) -> None:
         """Switch on a device that writes into a folder, or the lidar.
@@ -147,8 +156,9 @@ class TwinDevices:
 
         Args:
             device: its name.
-            kind: `none` ends all failures; of devices with ports: unplugged, plugged, silent, rubbish; of the unit:
-                stuck, limit; of the line scanner: `ScipFailure`; of the next file in a folder: `FileFailure`.
+            kind: `none` ends all failures; of devices with ports: unplugged, plugged; of the unit, by whatever
+                protocol: silent, rubbish, stuck; of the unit: limit; of the line scanner: `ScipFailure`; of the next
+                file in a folder: `FileFailure`.
 
         Raises:
             OptionError: if there is no such device or failure.
@@ -162,8 +172,11 @@ class TwinDevices:
             self._folders[device].mend()
         elif device in self._folders:
             self._folders[device].fail(kind)  # type: ignore[arg-type]
-        elif kind in ("unplugged", "plugged"):
+        elif kind in ("unplugged", "plugged") and device in self.server.addresses:
             (self.server.unplug if kind == "unplugged" else self.server.plug)(device)
+        elif device in (self.pelco.name, self.onvif.name) and kind in ("silent", "rubbish", "stuck", "none"):
+            head = self.pelco if device == self.pelco.name else self.onvif
+            head.silent, head.rubbish, self.unit.stuck = (kind == k for k in ("silent", "rubbish", "stuck"))
         elif device == self.unit.name and kind in ("silent", "rubbish", "stuck", "limit", "none"):
             self.unit.silent, self.unit.rubbish, self.unit.stuck = (kind == k for k in ("silent", "rubbish", "stuck"))
             if kind == "limit":

@@ -147,7 +147,7 @@ class FlirTwin:
 
     def hit_limit(self, axis: str, now_s: float) -> None:
         """Report a limit that nobody asked for, and stop."""
-        self._stop(now_s)
+        self.stop(now_s)
         self._outbox.send(f"!{axis}\r\n".encode(), now_s)
 
     def slip(self, pan_rad: float, tilt_rad: float, now_s: float) -> None:
@@ -164,6 +164,31 @@ class FlirTwin:
         begun, found = _BANNER.split(b"Initializing...\r\n")
         self._outbox.send(begun + b"Initializing...\r\n", now_s)
         self._outbox.send(found, now_s + homing_s)
+
+    @property
+    def range_deg(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Lowest pan and tilt and highest pan and tilt, deg: what it cannot move beyond."""
+        low, high = (
+            tuple(math.degrees(getattr(self._axes[name], end) / COUNTS_PER_RAD) for name in "PT")
+            for end in ("low", "high")
+        )
+        return (low[0], low[1]), (high[0], high[1])
+
+    @property
+    def speeds_deg_s(self) -> tuple[float, float]:
+        """Slowest and fastest speed of an axis, deg/s."""
+        return math.degrees(_MIN_SPEED / COUNTS_PER_RAD), math.degrees(_MAX_SPEED / COUNTS_PER_RAD)
+
+    def set_speed(self, deg_s: float) -> None:
+        """Set the speed of the next movements of both axes, deg/s."""
+        for axis in self._axes.values():
+            axis.speed = min(max(math.radians(deg_s) * COUNTS_PER_RAD, _MIN_SPEED), _MAX_SPEED)
+
+    def go_to(self, letter: str, angle_rad: float, now_s: float) -> None:
+        """Move the axis `P` or `T`, as another controller of the same axes has it; not beyond its limits."""
+        axis = self._axes[letter]
+        axis.target = min(max(round(angle_rad * COUNTS_PER_RAD), axis.low), axis.high)
+        self._begin(now_s)
 
     def feed(self, data: bytes, now_s: float) -> None:
         """Receive bytes from the host."""
@@ -214,7 +239,7 @@ class FlirTwin:
         if name == "CI":  # the axes are controlled by position, which says nothing about when a movement begins
             return "*", now_s
         if name == "H":
-            self._stop(now_s)
+            self.stop(now_s)
             return "*", now_s
         if name == "A":
             self._begin(now_s)
@@ -278,7 +303,8 @@ class FlirTwin:
         if self._moved:
             self._moved(now_s, not self.stuck)
 
-    def _stop(self, now_s: float) -> None:
+    def stop(self, now_s: float) -> None:
+        """Stop both axes."""
         halted = self.moving(now_s)
         for axis in self._axes.values():
             if axis.moving(now_s):

@@ -22,9 +22,20 @@ def read_xml(path: Path, longest_bytes: int, what: str) -> ElementTree.Element:
     size = path.stat().st_size
     if size > longest_bytes:
         raise FormatError(f"it has {size:,} bytes; {what} has at most {longest_bytes:,}: give the right file")
-    data = path.read_bytes()
+    return parsed_xml(path.read_bytes(), what)
+
+
+def parsed_xml(data: bytes, what: str) -> ElementTree.Element:
+    """Return the root of XML from anywhere.
+
+    Raises:
+        FormatError: if it is damaged, nested too deeply, or declares a document type.
+    """
     _check(data, what)
-    return ElementTree.fromstring(data)
+    try:
+        return ElementTree.fromstring(data)
+    except ElementTree.ParseError as error:  # a prefix without a namespace
+        raise FormatError(f"its XML is damaged ({one_line(error, 80)}); export it again") from error
 
 
 def _check(data: bytes, what: str) -> None:
