@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,17 @@ from ladarreg_core.acquisition.simulated.velodyne_packets import STRONGEST, velo
 from ladarreg_core.errors import FormatError, OptionError
 from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.packets.capture import Datagram, write_datagrams
-from ladarreg_core.formats.packets.velodyne_packet import DUAL, HDL_32, HI_RES, MODE_AT, MODELS, PRODUCT_AT, VLP_16
+from ladarreg_core.formats.packets.velodyne_packet import (
+    BLOCK,
+    BLOCKS,
+    DUAL,
+    HDL_32,
+    HI_RES,
+    MODE_AT,
+    MODELS,
+    PRODUCT_AT,
+    VLP_16,
+)
 from ladarreg_core.scan import Scan
 
 _LAST = 0x38
@@ -108,6 +120,50 @@ def _place_of(part: np.ndarray, whole: np.ndarray) -> int:
         if np.array_equal(whole[at : at + len(part)], part):
             return at
     raise AssertionError("the firings of the revolution are not among those of the other decoder")
+
+
+PUBLISHED = zlib.decompress(base64.b85decode(
+    "c-lRa-A~(f6vlu3e9OjebZ#+W#Kkej*3N*uwbB<_NTI;kstm9iFE!ryH~263514r8g~`;LG0n0uVdbs11zK84Su0~B4ovEeUYMBtJl{j&&B@8H"
+    "&(r5T=Q&@u`MJ+=a50W!&YNlJ?-7#z5krpSdCd4C&N}Ju=v<-yDVO)SC79RES*fp?q~mz+F)a8Dqw?jUWtmlC3tX=dTBWT-zuWxEYB<hk@>`p^"
+    "E&cbzl=HsyON>6l$&vn<u3eJ<&{1JbzPFpG)VCCWs*&XrscXy$euGbcqVqZP#&lJfahnf(iXK<yoYWuG$FkKB&g{D7q!+kWVzSi?)Up5jwvnk#"
+    "yZXM*pw4th`c<a3aDL_EN8G5AxL_i`G3GWKR-?mmL}^Cq1D$J~xb#mME#Pc2wnX<9;Y+5cZnwb=BN(n&y!XD&w1GJDED<kY@=UBUP$b@Addm#C"
+    "%`<*MUo{D-J~JtGL3g!`%;;HWO4hi-RECj#lI<o|Qtd9C=@kD^XIiwrJsDEl_}7>ge394{6Wb-?HhZkbJIcAH-k&fcoL}sJdBn#yH?u@DB=Q8>"
+    "Or%agFz>35>oyPXA`#75zI#@PZquD3nkBJG-+6PPMz7oa&}#H4r&lw4tQuJcR3p4??F;jEgTN7I_URK$x3O*p&FNiOe8DPtWMgHb1wvb-4j4M7"
+    "Rc3OVUs{a;)fm(~R+N)NuE0}bcpu+3<D1MLkT}Bo!fu9;-c^szv|*8gPYb?Cs=>u7b0ub9GXF0vub6h5-&&2Zu}KD1<CIfCdQYB@>U8cgUnN!N"
+    "u4Hp!tKh>@qv~VLCTDguzfER-<Wh}vjp;*@=ghf7tC92nKi8P%vB89Jih3vFqsj+GBEmT${)TC7*qsnljWP9+)pwUye3{|r#CMsjF!h3<Jk=v&"
+    "Zu4)yqJ?8dlvAKree?^bO5m924xv5#2L#R<@9zW!Gp@T$>RsjN7JS8KerJc^3Gyc5W!^lL7f#C`_I5AdRJ7gIE%lMNX`33szwk+bFNrjW))_q^"
+    ";4v-7dRICVDb*<G?bZlo@IND1##d+J2|a%@<TauZ{`!lPZ{EB5AEjOoX8"
+))  # fmt: skip
+"""A packet of a VLP-16, as the project einride/vlp16-go publishes it (`exampleData` of its packet tests)."""
+FARTHEST_M = 2.2
+"""All of its returns are nearer, and what `_box` simulates is farther away."""
+
+
+def test_a_published_packet_is_decoded_as_an_independent_decoder_does(tmp_path: Path) -> None:
+    """Real returns, with firings that met nothing: the packet within a revolution of simulated ones."""
+    vd = pytest.importorskip("velodyne_decoder", reason="velodyne-decoder is not installed")
+    blocks = np.frombuffer(PUBLISHED, BLOCK, BLOCKS)
+    assert blocks["azimuth"][[0, -1]].tolist() == [0x2866, 0x2A1D]
+    assert blocks["returns"]["distance"][0, :4].tolist() == [0, 0x2FF, 0, 0x310], "as they are listed there, too"
+    assert blocks["returns"]["reflectivity"][-1, -4:].tolist() == [0x2E, 0x38, 5, 0x3A]
+    place, packet_deg = 120, 12 * 2 * MODELS[VLP_16].firing_us * 3600e-6
+    begin_deg = (blocks["azimuth"][0] / 100 - place * packet_deg) % 360
+    packets = velodyne_packets(VLP_16, _box, begin_deg=begin_deg, turns=2.5)
+    packets[place] = PUBLISHED
+    scan = read_scan(write_packets(tmp_path / "published.pcap", packets))
+    stamped = [vd.VelodynePacket(k * 1e-3, each) for k, each in enumerate(packets)]
+    theirs = vd.ScanDecoder(vd.Config()).decode(stamped, True)[1]
+    places = np.stack([theirs[axis] for axis in "xyz"], -1)
+    published = np.linalg.norm(places, axis=-1) < FARTHEST_M
+    compared = 0
+    for row, ring in enumerate(range(15, -1, -1)):
+        of_ring = published & (theirs["ring"] == ring)
+        ours = np.linalg.norm(scan.points[row], axis=-1) < FARTHEST_M
+        assert np.array_equal(scan.intensity[row][ours], theirs["intensity"][of_ring])
+        assert places[of_ring] == pytest.approx(scan.points[row][ours], abs=5e-4), "azimuths there are to .01 deg"
+        compared += int(ours.sum())
+    assert compared == int((blocks["returns"]["distance"] > 0).sum())
+    assert compared > 250
 
 
 def test_lost_packets_leave_empty_cells(tmp_path: Path) -> None:
