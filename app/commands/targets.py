@@ -26,6 +26,8 @@ EXAMPLES = (
     "# several scans, joined by the spheres that they share:",
     "ladarreg targets hall.e57 attic.e57 --radius .0725 -o stations",
     "ladarreg targets hall.e57 attic.e57 xyz.csv --radius .0725 -o stations",
+    "# scanners that were levelled to .02 deg:",
+    "ladarreg targets hall.e57 attic.e57 --radius .0725 --level-sigma .02 -o stations",
 )
 _Paths: TypeAlias = list[Path]
 
@@ -46,6 +48,9 @@ class Arguments:
     """Side of flat black-and-white targets, all four quadrants together, where the file has no column side_m."""
     sigma: Annotated[float, tyro.conf.arg(metavar="M")] = 0.001
     """Standard deviation of the surveyed coordinates."""
+    level_sigma: Annotated[float | None, tyro.conf.arg(metavar="DEG")] = None
+    """Standard deviation of the level, in degrees: several scans are upright by an inclinometer, Z up but for that.
+    Default: nothing is known of it."""
     force: bool = False
     """Replace OUT if it contains an earlier statement and nothing else; any other folder is never touched."""
     json: bool = False
@@ -80,7 +85,10 @@ def run(arguments: Arguments) -> ExitCode:
         raise OptionError(
             f"the size of {', '.join(unknown[:5])} is not known; give it with --radius, or --side for flat targets"
         )
-    place = _place_one if _is_single(scans, entries) else _place_several
+    is_single = _is_single(scans, entries)
+    if is_single and arguments.level_sigma is not None:
+        raise OptionError("--level-sigma is for several scans; of one, give the coordinates of its targets alone")
+    place = _place_one if is_single else _place_several
     document = place(arguments, scans, entries, sizes)
     if arguments.json:
         from ..json_output import print_json
@@ -165,8 +173,10 @@ def _place_several(
         targets = locate_in_scans(
             by_name, picks, sizes, coordinates, looked_for=looked_for, sigma_m=arguments.sigma, report=bar.progress
         )
-        found = register_targets(targets, coordinates, sigma_m=arguments.sigma)
+        levels = {} if arguments.level_sigma is None else dict.fromkeys(targets, arguments.level_sigma)
+        found = register_targets(targets, coordinates, sigma_m=arguments.sigma, levels=levels)
         details = {"coordinates_sigma_m": arguments.sigma} if coordinates else {}
+        details |= {} if arguments.level_sigma is None else {"level_sigma_deg": arguments.level_sigma}
         document = write_network_statement(
             arguments.out, found, targets, stations, details=details, force=arguments.force, report=bar.progress
         )

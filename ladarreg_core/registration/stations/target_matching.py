@@ -1,4 +1,4 @@
-"""Which points of two sets are the same, by the distances between them; and the rigid motion between these."""
+"""Which points of two sets are the same, by the distances between them; the rigid motion between these; and tests."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ LEAST_APART_M = 0.2
 _MIN_BREADTH = 0.02  # of points across their longest extent, as a share of it
 _MOST_TRIED = 200
 _ROUNDS = 5
+_LEAST_REDUNDANCY = 1e-6  # share of an observation that the others see of it, below which nothing does
+_LEVEL = 1e-3  # chance at which one of all observations that fit is taken for one that does not
 
 
 def ranked_assignments(
@@ -125,3 +127,29 @@ def fits_by_chance(found: int, names: int, matched: int, own: Array, tolerance_m
     for k in range(LEAST, matched):
         expected *= (found - k) * (names - k) * (tolerance_m / extent) ** 3
     return expected
+
+
+def removal_statistics(jacobians: Array, offs: Array, inverse: Array) -> Array:
+    """Return by how much the sum of squares falls without each observation, given derivatives (n, D, P) and residuals
+    (n, D)."""
+    tests = np.zeros(len(offs))
+    for n, (jacobian, off) in enumerate(zip(jacobians, offs, strict=True)):
+        values, vectors = np.linalg.eigh(np.eye(len(off)) - jacobian @ inverse @ jacobian.T)
+        along = vectors.T @ off
+        known = values > _LEAST_REDUNDANCY
+        tests[n] = float((along[known] ** 2 / values[known]).sum())
+    return tests
+
+
+def largest_by_chance(count: int, degrees: int = 3) -> float:
+    """Return what the largest of so many statistics, each of some degrees of freedom, exceeds once in 1000 times."""
+    from scipy.special import chdtri
+
+    return float(chdtri(degrees, _LEVEL / max(1, count)))
+
+
+def chance(chi2: float, dof: int) -> float:
+    """Return the probability of a sum of squares as large as this or larger."""
+    from scipy.special import chdtrc
+
+    return float(chdtrc(dof, chi2)) if dof > 0 else 1.0

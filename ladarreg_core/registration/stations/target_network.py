@@ -19,23 +19,25 @@ from threadpoolctl import threadpool_limits
 
 from ladarreg_core.errors import DegenerateGeometryError
 from ladarreg_core.frames import Rigid, rotation_from_rotvec, skew
+from ladarreg_core.registration.stations.target_levels import NO_LEVELS, Levels, tangents
 from ladarreg_core.registration.stations.target_matching import (
     FLOOR_M,
     LEAST,
     SIGMAS,
     Array,
+    chance,
     is_line,
+    largest_by_chance,
     ranked_assignments,
+    removal_statistics,
     rigid_motion,
 )
 
-_LEVEL = 1e-3  # chance at which one of all observations that fit is taken for one that does not
 _LEVEL_OF_ALL = 1e-4  # and all of them together for ones that contradict each other
 _POSSIBLE = 16.3  # squared standard deviations with 3 degrees of freedom, exceeded once in 1000
 _LIKELIER = 2 * np.log(1000.0)  # difference of two sums of squares from which one is taken and the other is not
 _ROUNDS = 20
 _CLOSE = 5.0  # tolerances within which two placements are one
-_LEAST_REDUNDANCY = 1e-6  # share of an observation that the others see of it, below which nothing does
 _LEAST_SHARE = 1e-13  # of the smallest eigenvalue of the normal matrix, its diagonal one
 
 
@@ -67,6 +69,8 @@ class NetworkFit:
     """Sum of the squared residuals of what is used, by their covariances."""
     dof: int
     """Its degrees of freedom."""
+    levels_left_out: tuple[int, ...] = ()
+    """Bodies whose level contradicts the targets and the others."""
 
 
 class NotConnectedError(DegenerateGeometryError):
@@ -82,8 +86,10 @@ def _shared_names(bodies: Sequence[Body]) -> list[str]:
     return [name for name, count in counts.items() if count > 1]
 
 
-def fit_network(bodies: Sequence[Body], root: int = 0) -> NetworkFit:
+def fit_network(bodies: Sequence[Body], root: int = 0, levels: Levels | None = None) -> NetworkFit:
     """Return the poses of bodies in the frame of one of them.
+
+    Which observations are used, the targets decide; the levels are added to these.
 
     Raises:
         NotConnectedError: if not all of them are joined by three targets, not on a line.
@@ -91,7 +97,7 @@ def fit_network(bodies: Sequence[Body], root: int = 0) -> NetworkFit:
     """
     with threadpool_limits(limits=1, user_api="blas"):
         poses = _assembled(bodies, root)
-        return _settled(_Observations.of(bodies, _shared_names(bodies)), poses, root)
+        return _settled(_Observations.of(bodies, _shared_names(bodies)), poses, root, levels)
 
 
 def _cannot_be_decided(count: int, of: str = "") -> DegenerateGeometryError:
@@ -271,28 +277,35 @@ class _Solution:
     column: dict[int, int]
     """Where the unknowns of each free body begin."""
     column_of_place: dict[int, int]
+    of_levels: tuple[Array, Array]
+    """Derivatives (L, 2, P) and residuals (L, 2) of the levels."""
 
     @property
     def chi2(self) -> float:
-        return float((self.off**2).sum())
+        return float((self.off**2).sum() + (self.of_levels[1] ** 2).sum())
 
     @property
     def dof(self) -> int:
-        return int(self.off.size - self.inverse.shape[0])
+        return int(self.off.size + self.of_levels[1].size - self.inverse.shape[0])
 
 
-def _solve(seen: _Observations, start: Sequence[Rigid], used: NDArray[np.bool_], root: int) -> _Solution:
+def _solve(
+    seen: _Observations, start: Sequence[Rigid], used: NDArray[np.bool_], root: int, levels: Levels = NO_LEVELS
+) -> _Solution:
     """Return the least squares of the observations used; places that only one of them sees are none."""
     counts = np.bincount(seen.target[used], minlength=len(seen.names))
     rows = np.flatnonzero(used & (counts[seen.target] > 1))
     free = [k for k in range(len(seen.bodies)) if k != root]
     column = {k: 6 * n for n, k in enumerate(free)}
     column_of_place = {int(t): 6 * len(free) + 3 * n for n, t in enumerate(np.unique(seen.target[rows]))}
-    size = 6 * len(free) + 3 * len(column_of_place)
+    of_up = 6 * len(free) + 3 * len(column_of_place)
+    size = of_up + (0 if levels.is_known or not levels.roots else 2)
     poses = list(start)
+    up = levels.first_up(poses)
     at, _ = seen.placed(poses)
     places = {t: at[rows[seen.target[rows] == t]].mean(axis=0) for t in column_of_place}
     jacobian, off, inverse = np.zeros((len(rows), 3, size)), np.zeros((len(rows), 3)), np.eye(size)
+    of_levels = levels.rows(poses, up, column, size, of_up)
     for _ in range(_ROUNDS):
         at, spread = seen.placed(poses)
         root_of = np.linalg.cholesky(np.linalg.inv(spread[rows])).transpose(0, 2, 1)
@@ -304,17 +317,21 @@ def _solve(seen: _Observations, start: Sequence[Rigid], used: NDArray[np.bool_],
                 arm = at[row] - poses[k].translation
                 jacobian[n, :, column[k] : column[k] + 6] = root_of[n] @ np.hstack([skew(arm), -np.eye(3)])
             off[n] = root_of[n] @ (places[t] - at[row])
-        flat = jacobian.reshape(-1, size)
+        of_levels = levels.rows(poses, up, column, size, of_up)
+        flat = np.vstack([jacobian.reshape(-1, size), of_levels[0].reshape(-1, size)])
         inverse = _inverse(flat.T @ flat, len(seen.names))
-        step = -inverse @ (flat.T @ off.ravel())
+        step = -inverse @ (flat.T @ np.concatenate([off.ravel(), of_levels[1].ravel()]))
         for k, c in column.items():
             turn = rotation_from_rotvec(step[c : c + 3])
             u, _, vt = np.linalg.svd(turn @ poses[k].rotation)
             poses[k] = Rigid(u @ vt, poses[k].translation + step[c + 3 : c + 6])
         places = {t: place + step[column_of_place[t] :][:3] for t, place in places.items()}
+        if size > of_up:
+            up = up + tangents(up) @ step[of_up:]
+            up /= np.linalg.norm(up)
         if np.abs(step).max(initial=0.0) < 1e-10:
             break
-    return _Solution(poses, places, rows, off, jacobian, inverse, column, column_of_place)
+    return _Solution(poses, places, rows, off, jacobian, inverse, column, column_of_place, of_levels)
 
 
 def _inverse(normal: Array, count: int) -> Array:
@@ -326,9 +343,9 @@ def _inverse(normal: Array, count: int) -> Array:
     return np.asarray(np.outer(scale, scale) * ((vectors / values) @ vectors.T))
 
 
-def _settled(seen: _Observations, poses: Sequence[Rigid], root: int) -> NetworkFit:
+def _settled(seen: _Observations, poses: Sequence[Rigid], root: int, levels: Levels | None) -> NetworkFit:
     used = _in_place(seen, poses)
-    threshold = _threshold(len(used))
+    threshold = largest_by_chance(len(used))
     found = _solve(seen, poses, used, root)
     for _ in range(_ROUNDS):
         back = ~used & (_misfits(seen, found, used) < threshold)
@@ -337,8 +354,8 @@ def _settled(seen: _Observations, poses: Sequence[Rigid], root: int) -> NetworkF
         used |= back
         found = _solve(seen, found.poses, used, root)
     for _ in range(_ROUNDS):
-        tests = _tests(found)
-        if tests.max(initial=0.0) < threshold and _chance(found.chi2, found.dof) >= _LEVEL_OF_ALL:
+        tests = removal_statistics(found.jacobian, found.off, found.inverse)
+        if tests.max(initial=0.0) < threshold and chance(found.chi2, found.dof) >= _LEVEL_OF_ALL:
             break
         if tests.max(initial=0.0) < _POSSIBLE:
             raise DegenerateGeometryError(
@@ -355,6 +372,9 @@ def _settled(seen: _Observations, poses: Sequence[Rigid], root: int) -> NetworkF
     else:
         raise _cannot_be_decided(len(seen.names))
     _check_enough(seen, used, np.flatnonzero(~used))
+    askew: tuple[int, ...] = ()
+    if levels is not None:
+        found, askew = _levelled(seen, found, used, root, levels)
     size = len(seen.bodies)
     covariance = np.zeros((6 * size, 6 * size))
     own = np.concatenate([6 * k + np.arange(6) for k in found.column]).astype(np.intp)
@@ -363,7 +383,22 @@ def _settled(seen: _Observations, poses: Sequence[Rigid], root: int) -> NetworkF
     places = {name: found.places[t] if t in found.places else at[seen.target == t].mean(axis=0)
               for t, name in enumerate(seen.names)}  # fmt: skip
     out = tuple((int(seen.body[row]), seen.names[seen.target[row]]) for row in np.flatnonzero(~used))
-    return NetworkFit(tuple(found.poses), covariance, places, out, found.chi2, found.dof)
+    return NetworkFit(tuple(found.poses), covariance, places, out, found.chi2, found.dof, askew)
+
+
+def _levelled(
+    seen: _Observations, found: _Solution, used: NDArray[np.bool_], root: int, levels: Levels
+) -> tuple[_Solution, tuple[int, ...]]:
+    """Return the solution with the levels that fit it, and the bodies of those that do not."""
+    wrong: list[int] = []
+    while levels.roots:
+        found = _solve(seen, found.poses, used, root, levels)
+        tests = removal_statistics(*found.of_levels, found.inverse)
+        if tests.max() < largest_by_chance(len(tests), 2):
+            return found, tuple(wrong)
+        wrong.append(list(levels.roots)[int(np.argmax(tests))])
+        levels = levels.without(wrong[-1])
+    return _solve(seen, found.poses, used, root), tuple(wrong)
 
 
 def _in_place(seen: _Observations, poses: Sequence[Rigid]) -> NDArray[np.bool_]:
@@ -408,17 +443,6 @@ def _add_pose(derivative: Array, found: _Solution, body: int, at: Array, sign: f
         derivative[:, found.column[body] :][:, :6] += sign * np.hstack([-skew(arm), np.eye(3)])
 
 
-def _tests(found: _Solution) -> Array:
-    """Return by how much the sum of squares falls if each of the observations used is left out, (n,)."""
-    tests = np.zeros(len(found.rows))
-    for n, (jacobian, off) in enumerate(zip(found.jacobian, found.off, strict=True)):
-        values, vectors = np.linalg.eigh(np.eye(3) - jacobian @ found.inverse @ jacobian.T)
-        along = vectors.T @ off
-        known = values > _LEAST_REDUNDANCY
-        tests[n] = float((along[known] ** 2 / values[known]).sum())
-    return tests
-
-
 def _check_enough(seen: _Observations, used: NDArray[np.bool_], wrong: NDArray[np.intp]) -> None:
     """Raise an error where so much is left out of a body that what remains may agree by chance."""
     for k, body in enumerate(seen.bodies):
@@ -428,15 +452,3 @@ def _check_enough(seen: _Observations, used: NDArray[np.bool_], wrong: NDArray[n
         if out and (len(kept) < LEAST + out - 1 or is_line(kept)):
             named = ", ".join(dict.fromkeys(seen.names[seen.target[row]] for row in wrong[:6]))
             raise _cannot_be_decided(len(own), f" (in {body.name}: {named})")
-
-
-def _threshold(count: int) -> float:
-    from scipy.special import chdtri
-
-    return float(chdtri(3, _LEVEL / max(1, count)))
-
-
-def _chance(chi2: float, dof: int) -> float:
-    from scipy.special import chdtrc
-
-    return float(chdtrc(dof, chi2)) if dof > 0 else 1.0

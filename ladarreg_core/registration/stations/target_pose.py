@@ -15,6 +15,7 @@ from ladarreg_core.foundations.arrays import read_only
 from ladarreg_core.foundations.validation import require_number
 from ladarreg_core.frames import Rigid, skew
 from ladarreg_core.registration.stations.survey_target import SurveyTarget
+from ladarreg_core.registration.stations.target_levels import Levels, information_root
 from ladarreg_core.registration.stations.target_matching import LEAST
 from ladarreg_core.registration.stations.target_network import Body, NotConnectedError, fit_network
 
@@ -136,13 +137,14 @@ def register_targets(
 @overload
 def register_targets(
     targets: Mapping[str, Mapping[str, SurveyTarget]], coordinates: Mapping[str, ArrayLike] = ..., *,
-    sigma_m: float = ...,
+    sigma_m: float = ..., levels: Mapping[str, float | ArrayLike] = ...,
 ) -> TargetNetwork: ...  # fmt: skip
 def register_targets(
     targets: Mapping[str, SurveyTarget] | Mapping[str, Mapping[str, SurveyTarget]],
     coordinates: Mapping[str, Any] = _NO_COORDINATES,
     *,
     sigma_m: float = 0.001,
+    levels: Mapping[str, float | ArrayLike] = _NO_COORDINATES,
 ) -> TargetRegistration | TargetNetwork:
     """Find where scanners stood from targets in their scans that are known elsewhere, or that several scans share.
 
@@ -155,12 +157,15 @@ def register_targets(
             scan, whose scanner's frame is then the world. Several scans need none; if three or more, not on a line, are
             given of targets in any of the scans, the world is theirs.
         sigma_m: standard deviation of each surveyed coordinate, m.
+        levels: how level scans are, of several: by the name of one whose Z axis an inclinometer has made up, standard
+            deviation of that about each horizontal axis, deg, or its covariance (3, 3), as `level_covariance` of
+            `panorama.json`. Up is the Z axis of the coordinates if the world is theirs; else it is estimated.
 
     Returns:
         the pose with its covariance, and the residual of each target; the same of all scans for several.
 
     Raises:
-        OptionError: if coordinates are not three finite numbers, or `sigma_m` is negative.
+        OptionError: if coordinates are not three finite numbers, `sigma_m` is negative, or a level is of no scan.
         DegenerateGeometryError: if fewer than three targets are common to scans, or to a scan and the coordinates, they
             lie on a line, or they contradict each other and it cannot be decided which is wrong.
     """
@@ -168,8 +173,14 @@ def register_targets(
     scans = {name: value for name, value in targets.items() if not isinstance(value, SurveyTarget)}
     if scans and len(scans) < len(targets):
         raise OptionError("some targets are given by scan, and others are not; give one or the other for all")
+    unknown = [name for name in levels if name not in scans]
+    if unknown:
+        raise OptionError(
+            f"the level of {unknown[0]!r} is given, which is none of several scans; give the targets by scan, and "
+            "levels by their names"
+        )
     if scans:
-        return _register_scans(scans, coordinates, sigma_m)
+        return _register_scans(scans, coordinates, sigma_m, levels)
     single = {name: value for name, value in targets.items() if isinstance(value, SurveyTarget)}
     names = [name for name in single if name in coordinates]
     if len(names) < LEAST:
@@ -189,8 +200,9 @@ def register_targets(
 
 
 def _register_scans(
-    scans: Mapping[str, Mapping[str, SurveyTarget]], coordinates: Mapping[str, ArrayLike], sigma_m: float
-) -> TargetNetwork:
+    scans: Mapping[str, Mapping[str, SurveyTarget]], coordinates: Mapping[str, ArrayLike], sigma_m: float,
+    levels: Mapping[str, float | ArrayLike],
+) -> TargetNetwork:  # fmt: skip
     if any(isinstance(value, SurveyTarget) for value in coordinates.values()):
         raise OptionError("the coordinates of targets in several scans are three numbers; give other scans as scans")
     bodies = [
@@ -201,19 +213,29 @@ def _register_scans(
     seen = {name for own in scans.values() for name in own}
     surveyed = _body("the coordinates", {name: place for name, place in everything.items() if name in seen})
     reasons: tuple[str, ...] = ()
+    names, index = list(scans), {scan: k for k, scan in enumerate(scans)}
+    roots = {index[scan]: information_root(scan, value) for scan, value in levels.items()}
+    own_levels = Levels(roots, is_known=False) if roots else None
     in_coordinates = bool(surveyed.centers)
     try:
-        found = fit_network([*bodies, surveyed] if in_coordinates else bodies, len(bodies) if in_coordinates else 0)
+        if in_coordinates:
+            found = fit_network([*bodies, surveyed], len(bodies), Levels(roots, is_known=True) if roots else None)
+        else:
+            found = fit_network(bodies, levels=own_levels)
     except NotConnectedError:
         if not in_coordinates or len(bodies) == 1:
             raise
-        found, in_coordinates = fit_network(bodies), False
+        found, in_coordinates = fit_network(bodies, levels=own_levels), False
         count = len(surveyed.centers)
         reasons = (
             f"The world is the frame of the first scan: of {count} target{'' if count == 1 else 's'} in the scans "
             "surveyed coordinates are known, and at least three, not on a line, are needed.",
         )
-    names, index = list(scans), {scan: k for k, scan in enumerate(scans)}
+    reasons += tuple(
+        f"The level of scan {names[k]} contradicts the targets and is not used: its inclinometer is wrong, or the scan "
+        "is not level."
+        for k in found.levels_left_out
+    )
     residuals = {
         scan: {name: found.places[name] - found.poses[index[scan]] @ one.center
                for name, one in own.items() if name in found.places}
