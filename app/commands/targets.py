@@ -27,7 +27,7 @@ EXAMPLES = (
     "ladarreg targets hall.e57 attic.e57 --radius .0725 -o stations",
     "ladarreg targets hall.e57 attic.e57 xyz.csv --radius .0725 -o stations",
     "# scanners that were levelled to .02 deg:",
-    "ladarreg targets hall.e57 attic.e57 --radius .0725 --level-sigma .02 -o stations",
+    "ladarreg targets hall.e57 attic.e57 --radius .0725 --level-sigma .02 -o out",
 )
 _Paths: TypeAlias = list[Path]
 

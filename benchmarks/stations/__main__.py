@@ -24,6 +24,7 @@ from benchmarks.stations.shared import FIRST_SEED, SCENES, Show, pose_error, ran
 from benchmarks.stations.targets import (
     found_plates_rows,
     found_rows,
+    levels_rows,
     names_rows,
     network_rows,
     plates_rows,
@@ -293,6 +294,7 @@ ROWS: dict[str, Callable[[bool, Show], list[Row]]] = {
     "covariance": covariance_rows,
     "targets": targets_rows,
     "network": network_rows,
+    "levels": levels_rows,
     "names": names_rows,
     "plates": plates_rows,
     "found": found_rows,

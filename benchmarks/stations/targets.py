@@ -13,7 +13,7 @@ from benchmarks.shared.bars import Row
 from benchmarks.stations.shared import FIRST_SEED, SCENES, Show, pose_error, random_pose, rms
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.foundations.arrays import FloatArray
-from ladarreg_core.frames import Rigid, rotvec_from_rotation
+from ladarreg_core.frames import Rigid, rotation_from_rotvec, rotvec_from_rotation
 from ladarreg_core.registration.stations.survey_target import SurveyTarget
 from ladarreg_core.registration.stations.target_names import name_targets
 from ladarreg_core.registration.stations.target_pose import TargetNetwork, register_targets
@@ -73,6 +73,7 @@ def network_rows(quick: bool, show: Show) -> list[Row]:
     count, radius, sigma_m = 3 if quick else 25, 0.0725, 0.001
     azimuth, elevation = np.radians(np.arange(180, -180, -0.15)), np.radians(np.arange(16, -16, -0.15))
     ratios: list[float] = []
+    bounds: list[FloatArray] = []
     found: list[dict[str, Any]] = []
     blunders, elsewhere = 0, 0
     for k in range(count):
@@ -98,6 +99,7 @@ def network_rows(quick: bool, show: Show) -> list[Row]:
                     continue  # another sphere is in front of it
                 scans[f"scan {n}"][f"S{which}"] = target
                 ratios.append(float(np.linalg.norm(target.center - center)) / noise_m)
+                bounds.append(_bound(scan, center, radius))
         known = rng.choice(len(places), 5, replace=False) if k % 2 else ()
         coordinates = {f"S{n}": places[n] + rng.normal(0, sigma_m, 3) for n in known}
         world = Rigid.identity() if k % 2 else poses[0].inverse
@@ -111,9 +113,13 @@ def network_rows(quick: bool, show: Show) -> list[Row]:
         blunders += (which, name) in again.left_out
         elsewhere += any(one != name for _, one in again.left_out)
     middle, most, stations = np.median(ratios), np.percentile(ratios, 95), 4 * count
+    drawn = np.random.default_rng(FIRST_SEED).normal(size=(len(bounds), 3))
+    least = np.linalg.norm(np.einsum("nij,nj->ni", bounds, drawn), axis=-1)
     return [
         Row(f"networks: error of the centers in {stations} stations, 2 to 9 m at .15 deg, / range noise, median (95 %)",
             "median <= .3", f"{middle:.2f} ({most:.2f})", bool(middle <= 0.3)),
+        Row("networks: the least that ranges of whole cells allow (Cramer-Rao bound), median (95 %)", "reported",
+            f"{np.median(least):.2f} ({np.percentile(least, 95):.2f})", True),
         Row("networks by targets: Mahalanobis distance of all poses / sqrt dof, RMS", ".9 to 1.1", f"{rms(found):.2f}",
             0.9 <= rms(found) <= 1.1),
         Row("networks: left out though right", "reported", f"{sum(bool(one['left_out']) for one in found)} of {count}",
@@ -121,6 +127,49 @@ def network_rows(quick: bool, show: Show) -> list[Row]:
         Row("networks: one sighting moved by 20 mm: found", "all", f"{blunders} of {count}", blunders == count),
         Row("networks: another target left out for it", "reported", f"{elsewhere} of {count}", True),
     ]  # fmt: skip
+
+
+def levels_rows(quick: bool, show: Show) -> list[Row]:
+    """Four scanners that an inclinometer has made level to .02 deg, joined by few targets and by many, with and without
+    that."""
+    count, level_deg = 10 if quick else 100, 0.02
+    rows = []
+    for targets, sigma_m in ((9, 0.001), (4, 0.001), (4, 0.003)):
+        found: dict[bool, list[dict[str, Any]]] = {False: [], True: []}
+        tilts: dict[bool, list[float]] = {False: [], True: []}
+        for k in range(count):
+            rng = np.random.default_rng([FIRST_SEED, 15, targets, round(1e4 * sigma_m), k])
+            places = np.column_stack([rng.uniform(-5, 5, (targets, 2)), rng.uniform(-0.5, 0.5, targets)])
+            poses, scans = [], {}
+            for n in range(4):
+                lean = rotation_from_rotvec(np.append(rng.normal(0, np.radians(level_deg), 2), 0.0))
+                turn = rotation_from_rotvec(np.array([0, 0, rng.uniform(-np.pi, np.pi)])) @ lean.T
+                poses.append(Rigid(turn, np.append(rng.uniform(-1.5, 1.5, 2), rng.uniform(-0.2, 0.2))))
+                seen = poses[n].inverse @ places + rng.normal(0, sigma_m, places.shape)
+                scans[f"scan {n}"] = {
+                    f"S{m}": SurveyTarget(center, sigma_m**2 * np.eye(3), 0.0725, sigma_m, 50, 0)
+                    for m, center in enumerate(seen)
+                }
+            world = poses[0].inverse
+            for is_used in found:
+                placed = register_targets(scans, levels=dict.fromkeys(scans, level_deg) if is_used else {})
+                found[is_used].append({"levels": k, "distances": _of_network(poses, placed, world)})
+                turns = [
+                    rotvec_from_rotation((world @ pose).rotation @ placed.world_from_scanner[name].rotation.T)
+                    for pose, name in zip(poses[1:], list(scans)[1:], strict=True)
+                ]
+                up = world.rotation[:, 2]
+                tilts[is_used] += [float(np.degrees(np.linalg.norm(turn - up * (up @ turn)))) for turn in turns]
+        off = {is_used: float(np.sqrt(np.mean(np.square(tilts[is_used])))) for is_used in tilts}
+        show(json.dumps({"levels": [targets, sigma_m], "tilt_deg": off[True], "without": off[False]}))
+        ratios = rms(found[False]), rms(found[True])
+        rows += [
+            Row(f"levels of .02 deg, {targets} targets good to {1000 * sigma_m:.0f} mm: error of tilt without, with, R",
+                "smaller", f"{off[False]:.3f}, {off[True]:.3f} deg", off[True] < off[False]),
+            Row("the same: Mahalanobis distance / sqrt dof, RMS, without, with", ".9 to 1.1",
+                f"{ratios[0]:.2f}, {ratios[1]:.2f}", all(0.9 <= ratio <= 1.1 for ratio in ratios)),
+        ]  # fmt: skip
+    return rows
 
 
 def names_rows(quick: bool, show: Show) -> list[Row]:
@@ -193,6 +242,18 @@ def _scattered(rng: np.random.Generator, count: int) -> FloatArray:
         if all(np.linalg.norm(place - other) > 0.6 for other in places):
             places.append(place)
     return np.array(places).reshape(-1, 3)
+
+
+def _bound(scan: Scan, center: FloatArray, radius_m: float) -> FloatArray:
+    """Return a root (3, 3) of the least covariance of a sphere's center by ranges of unit noise, from cells that lie on
+    the sphere as a whole: those that its rim crosses range to what is behind, too."""
+    rays = scan.rays[scan.rays @ center > np.linalg.norm(center) * np.cos(2 * radius_m / np.linalg.norm(center))]
+    along = rays.astype(np.float64) @ center
+    apart = np.linalg.norm(rays * along[:, None] - center, axis=-1)
+    whole = radius_m - apart >= float(max(scan.geometry.step_rad)) * along
+    root = np.sqrt(radius_m**2 - apart[whole] ** 2)
+    derivatives = rays[whole] - (along[whole, None] * rays[whole] - center) / root[:, None]
+    return np.asarray(np.linalg.cholesky(np.linalg.inv(derivatives.T @ derivatives)))
 
 
 def _sighting(rng: np.random.Generator, center: FloatArray) -> SurveyTarget:

@@ -272,12 +272,12 @@ class FlirUnit:
 
     def _await(self, wanted: list[int], halts: int, check: Check) -> list[int]:
         """Return the counts once the unit stands at the target."""
-        travel_s = max(
-            abs(a - b) * step / max(speed, 1e-4)
-            for a, b, step, speed in zip(
-                self._positions(), wanted, self._step_rad, _pair(self.identity.speed_rad_s), strict=True
-            )
-        )
+
+        def travel_s(now: list[int]) -> float:
+            speeds = _pair(self.identity.speed_rad_s)
+            ways = zip(now, wanted, self._step_rad, speeds, strict=True)
+            return max(abs(a - b) * step / max(speed, 1e-4) for a, b, step, speed in ways)
+
         approach = Approach(
             self._positions, lambda now: max(abs(a - b) for a, b in zip(now, wanted, strict=True)), self._angles,
             _REACHED_COUNTS, _REACHED_COUNTS, travel_s,

@@ -33,8 +33,8 @@ class Approach(Generic[_Reading]):
     """Distance at which it has arrived once it stands still."""
     near: float
     """Distance at which it has arrived if it comes no closer: a unit may be coarser than what it is told."""
-    travel_s: float
-    """How long the movement should take."""
+    travel_s: Callable[[_Reading], float]
+    """How long the movement from a reading should take."""
 
 
 def await_arrival(
@@ -58,6 +58,7 @@ def await_arrival(
     """
     begun = moved = clock.now()
     last, still = approach.read(), 0
+    travel_s = approach.travel_s(last)
     while True:
         check()
         if halted():
@@ -79,7 +80,7 @@ def await_arrival(
                 f"the pan/tilt unit stands still at {in_words(approach.position(now))} on its way to "
                 f"{in_words(target)}; it is halted: remove what blocks it, check its power, and resume"
             )
-        if now_s - begun > 3 * approach.travel_s + _SPARE_S:
+        if now_s - begun > 3 * travel_s + _SPARE_S:
             raise DeviceError(
                 f"the pan/tilt unit has not reached {in_words(target)} after {now_s - begun:.0f} s, it is at "
                 f"{in_words(approach.position(now))} and halted; check its load and speed, and resume"

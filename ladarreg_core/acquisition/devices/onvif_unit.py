@@ -136,13 +136,14 @@ class OnvifUnit:
         pan, tilt = self._target_deg(target)
         halts = self._halts
         try:
-            before = self._place()
             self._start(pan, tilt)
 
             def distance(now: _Place) -> float:
                 return math.inf if now.moves else _apart(now, pan, tilt)
 
-            travel_s = _apart(before, pan, tilt) / (self._speed_deg_s or _SPEED_DEG_S)
+            def travel_s(now: _Place) -> float:
+                return _apart(now, pan, tilt) / (self._speed_deg_s or _SPEED_DEG_S)
+
             approach = Approach(self._place, distance, self._angles, RESOLUTION_DEG, _NEAR_DEG, travel_s)
             found = await_arrival(
                 approach, target, clock=self._link.clock, round_trip=self._link.round_trip, check=check,

@@ -124,11 +124,10 @@ class PelcoUnit:
         """
         wanted, halts = self._target_steps(target), self._halts
         try:
-            before = self._steps()
             self._start(wanted)
             approach = Approach(
                 self._steps, lambda now: max(map(steps_apart, now, wanted)), self._angles, _REACHED, _NEAR,
-                max(map(steps_apart, before, wanted)) * _STEP_RAD / _SPEED_RAD_S,
+                lambda now: max(map(steps_apart, now, wanted)) * _STEP_RAD / _SPEED_RAD_S,
             )  # fmt: skip
             found = await_arrival(
                 approach, self._angles(wanted), clock=self._clock, round_trip=self._round_trip, check=check,
