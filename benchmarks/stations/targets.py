@@ -164,7 +164,7 @@ def levels_rows(quick: bool, show: Show) -> list[Row]:
         show(json.dumps({"levels": [targets, sigma_m], "tilt_deg": off[True], "without": off[False]}))
         ratios = rms(found[False]), rms(found[True])
         rows += [
-            Row(f"levels of .02 deg, {targets} targets good to {1000 * sigma_m:.0f} mm: error of tilt without, with, R",
+            Row(f"levels of .02 deg, {targets} targets good to {1000 * sigma_m:.0f} mm: tilt error without, with (RMS)",
                 "smaller", f"{off[False]:.3f}, {off[True]:.3f} deg", off[True] < off[False]),
             Row("the same: Mahalanobis distance / sqrt dof, RMS, without, with", ".9 to 1.1",
                 f"{ratios[0]:.2f}, {ratios[1]:.2f}", all(0.9 <= ratio <= 1.1 for ratio in ratios)),

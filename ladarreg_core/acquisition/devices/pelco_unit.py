@@ -124,6 +124,7 @@ class PelcoUnit:
         """
         wanted, halts = self._target_steps(target), self._halts
         try:
+            self._steps()  # opens the port again if it was lost, which sending alone does not
             self._start(wanted)
             approach = Approach(
                 self._steps, lambda now: max(map(steps_apart, now, wanted)), self._angles, _REACHED, _NEAR,
