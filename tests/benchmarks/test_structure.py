@@ -54,6 +54,7 @@ def test_returns_are_entries_of_a_package_that_was_left() -> None:
     assert calls.packages() == [".", "camera", ".", "pose"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", ["core", "app"])
 def test_every_package_can_be_surveyed(side: str) -> None:
     count, name = largest_package(side)

@@ -50,6 +50,7 @@ def _errors(found: lr.TargetNetwork, poses: list[lr.Rigid], world: lr.Rigid) -> 
     return float(distance), float(np.sqrt(np.mean(np.square(tilts))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_coordinates", [False, True])
 def test_levels_hold_the_tilt_as_their_covariance_says(has_coordinates: bool) -> None:
     found: dict[bool, list[tuple[float, float]]] = {False: [], True: []}

@@ -312,6 +312,7 @@ def test_flat_targets_are_found_among_pictures_on_the_wall():
     assert len(lr.name_targets(found, dict(zip(_NAMES, _WORLD * 0.6, strict=True)))) == len(_NAMES)
 
 
+@pytest.mark.slow
 def test_flat_targets_come_before_corners_of_prints() -> None:
     """Blocks of grey meet in corners that look like quadrants on one ring, and do not go on as such."""
     scan = _empty_scan()

@@ -121,6 +121,7 @@ def test_results_of_several_photographs_go_out_together(
     assert recorded[1]["read_with"] == {"camera": "camera.json"}
 
 
+@pytest.mark.slow
 def test_photographs_that_are_left_out_are_listed(
     bench: WorkbenchDriver,
 ) -> None:

@@ -35,6 +35,7 @@ def said(capsys: pytest.CaptureFixture[str], *words: str, code: ExitCode = ExitC
     return captured.err if code == ExitCode.BAD_INPUT else captured.out
 
 
+@pytest.mark.slow
 def test_a_distance_in_the_photo_is_that_of_python(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
     fields = json.loads(said(capsys, str(results), "--kind", "distance", *ON_SCREEN, "--json"))
     (found,) = fields["measurements"]
@@ -101,6 +102,7 @@ def test_a_refused_result_is_not_measured_in(results: Path, tmp_path: Path, caps
     assert "refused" in said(capsys, *words, code=ExitCode.BAD_INPUT)
 
 
+@pytest.mark.slow
 def test_a_wall_and_a_plan_are_rectified(results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [
         "rectify",

@@ -62,6 +62,7 @@ def test_a_report_of_results_is_the_one_that_was_exported(results: Path, moved: 
     assert sorted(path.name for path in moved.iterdir()) == ["again.html", "registration.json", "report.html"]
 
 
+@pytest.mark.slow
 def test_the_page_writes_the_same_report(bench: WorkbenchDriver, results: Path) -> None:
     job = bench.job("report")
     assert (job.state, job.message[:16]) == ("done", "Wrote a report o")

@@ -182,6 +182,7 @@ def test_the_poses_of_an_adjustment_are_right_against_its_own_files(
     assert code == 4
 
 
+@pytest.mark.slow
 def test_an_audit_says_what_it_needs(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scan = str(job / "station1.npz")
     assert main(["audit", scan, "--quiet"]) == 2

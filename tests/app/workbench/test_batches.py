@@ -135,6 +135,7 @@ def test_the_missing_image_completes_what_waits(bench: WorkbenchDriver) -> None:
     assert len(bench.slice("photos")) == 1
 
 
+@pytest.mark.slow
 def test_a_second_scan_is_a_question(bench: WorkbenchDriver) -> None:
     scan = (sample_folder() / "scan.npz").read_bytes()
     assert kinds(drop(bench, {"first.npz": scan})) == ["scan"]

@@ -256,6 +256,7 @@ def batch(tmp_path: Path) -> Path:
     return site / "out"
 
 
+@pytest.mark.slow
 def test_a_batch_is_listed_and_its_jobs_are_projects(bench: DeskDriver, batch: Path) -> None:
     assert "No batch is open" in bench.ask("list_jobs")["error"]
     bench.desk._batch = BatchJobs(batch, data_folder() / "projects")

@@ -72,6 +72,7 @@ def no_return(bench: WorkbenchDriver) -> list[dict[str, Any]]:
     return surface_rays(bench, (int(rows[::97][chosen]), int(columns[::97][chosen])))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "count"), [("point", 1), ("distance", 2), ("polyline", 4), ("angle", 3), ("area", 3), ("height", 4)]
 )
@@ -194,6 +195,7 @@ def test_each_is_a_step_that_is_undone_and_redone(bench: WorkbenchDriver) -> Non
     assert measured_of(bench, made)["value"]
 
 
+@pytest.mark.slow
 def test_measurements_follow_the_pose(bench: WorkbenchDriver) -> None:
     entry = bench.workbench.session.document.photos[0]
     width, height = bench.slice("photos")[0]["width"], bench.slice("photos")[0]["height"]

@@ -61,6 +61,7 @@ def test_a_pose_predicts_matches_in_both_directions(registered: WorkbenchDriver)
     assert registered.do("where", photo="p1", scan=[-1, 0, 0])["photo_uv"] is None
 
 
+@pytest.mark.slow
 def test_a_threshold_disables_matches_above_and_enables_those_below(registered: WorkbenchDriver) -> None:
     registered.eventually(lambda: (registered.slice("judged:p1") or {}).get("by_pick"))
     judged = registered.slice("judged:p1")["by_pick"]

@@ -298,6 +298,7 @@ def test_the_jobs_of_a_batch_that_was_stopped_are_listed(jobs: list[lr.Job], tmp
     assert [one.found is not None for one in recorded_jobs(tmp_path / "out")] == [True, True, False, False]
 
 
+@pytest.mark.slow
 def test_accepted_photographs_of_a_job_have_their_poses(tmp_path: Path) -> None:
     photos = write_photo_set(tmp_path, small_photo_set("office", seed=3, photos=2))
     jobs = [

@@ -95,6 +95,7 @@ def dots_found(gray: np.ndarray, known: np.ndarray) -> np.ndarray:
     return np.array(centres)
 
 
+@pytest.mark.slow
 def test_a_wall_is_straight_and_to_scale_as_read_back_by_others(tmp_path: Path) -> None:
     lr.write_view(tmp_path / "view", wall_view())
     picture = np.asarray(Image.open(tmp_path / "view" / "view.png"))
@@ -172,6 +173,7 @@ def test_the_error_map_is_the_spread_of_what_errors_of_the_pose_do() -> None:
     assert stated == pytest.approx(spread, rel=0.35)  # of 30 draws
 
 
+@pytest.mark.slow
 def test_holes_stay_open_and_what_stands_before_the_surface_is_left_out() -> None:
     scan = scanned(WALL)
     ranges = scan.ranges.copy()

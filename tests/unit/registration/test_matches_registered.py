@@ -54,6 +54,7 @@ def test_a_hand_with_one_line_along_the_wrong_edge_ends_at_the_pose_of_the_image
     assert found.drawn.diagnostics["verification"]["outcome"] != "contradicted"
 
 
+@pytest.mark.slow
 def test_lines_that_agree_on_another_placement_are_contradicted() -> None:
     """All lines are off alike, so they agree with each other, and the matches alone would be accepted."""
     drawn = scene()

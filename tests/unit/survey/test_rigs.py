@@ -81,6 +81,7 @@ def true_poses(frames: int, seed: int) -> list[Rigid]:
     return [pose for one in left for pose in (one, RIGHT_FROM_LEFT @ one)]
 
 
+@pytest.mark.slow
 def test_the_relative_pose_of_sensors_has_the_error_that_it_states() -> None:
     scores = []
     for seed in range(40):

@@ -25,6 +25,7 @@ def case() -> lr.simulate.SimulatedCase:
     return lr.simulate_case("office", seed=2)
 
 
+@pytest.mark.slow
 def test_as_many_surveys_of_right_poses_are_called_wrong_as_stated(case: lr.simulate.SimulatedCase) -> None:
     found = lr.register(case.scan, case.photo)
     at, rng = case.camera_from_scanner, np.random.default_rng(3)

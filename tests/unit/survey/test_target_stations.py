@@ -83,6 +83,7 @@ def _given(scans: list[Scan], *held: ScanTargets | None) -> list[SurveyScan]:
     ]
 
 
+@pytest.mark.slow
 def test_targets_hold_stations_in_their_world(hall, targets) -> None:
     scans, _ = hall
     found = place_stations(_given(scans, targets(0), targets(1)), scans)
@@ -99,6 +100,7 @@ def test_targets_hold_stations_in_their_world(hall, targets) -> None:
     assert any("surfaces" in one.name for one in known)
 
 
+@pytest.mark.slow
 def test_a_station_without_targets_is_registered_into_their_world(hall, targets) -> None:
     scans, _ = hall
     foreign = replace(scans[0], world_from_scanner=Rigid.from_rotvec([0, 0, 1.0], [5.0, 0.0, 0.0]))
@@ -116,6 +118,7 @@ def test_a_single_scan_stands_where_its_targets_say(hall, targets) -> None:
     assert _apart(station.world_from_scanner, WORLD @ POSES[0]) < 0.004
 
 
+@pytest.mark.slow
 def test_targets_that_contradict_the_surfaces_are_refused(hall, targets) -> None:
     scans, _ = hall
     other = Rigid(np.eye(3), np.array([0.06, 0.0, 0.0])) @ WORLD

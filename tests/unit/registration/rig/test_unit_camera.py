@@ -85,6 +85,7 @@ def test_photographs_of_another_room_give_no_mount() -> None:
         replace(found, unit_from_camera=None).camera_from_world(Rigid.identity())
 
 
+@pytest.mark.slow
 def test_each_photograph_needs_a_position(case: UnitCameraCase) -> None:
     with pytest.raises(ShapeError, match="4 photographs and 1 positions"):
         register_unit_camera(case.panorama, case.photos, case.units[:1])
