@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
@@ -15,6 +14,7 @@ from ladarreg_core.errors import CameraError, FormatError, LadarregError
 from ..process_resources import keep_heap_small
 from .cache import GroupedCache, ListCache
 from .isolated_readers import READERS
+from .photo_header import PhotoHeader, header_fields, header_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -71,44 +71,6 @@ _LARGE_SCAN_CELLS = 4_000_000
 
 _DERIVED_FROM_SCAN = ("views", "view", "assessment", "partners", "measured", "picture", "model", "line")
 """Kinds whose values would keep a scan in memory that is dropped."""
-
-
-@dataclass(frozen=True, slots=True)
-class PhotoHeader:
-    """What is known of a photograph without its pixels, which need not be in memory."""
-
-    width: int
-    """Of its pixels."""
-    height: int
-    """Of its pixels."""
-    is_thermal: bool
-    """Whether its pixels are temperatures."""
-    notes: tuple[str, ...]
-    """Remarks on the file."""
-    camera: CameraModel | None
-    """Its camera; None: its focal length is unknown, or the camera does not fit."""
-    calibrated: bool = False
-    """Whether the camera comes from a calibration."""
-    camera_error: str = ""
-    """Why there is no camera."""
-
-
-def _header_fields(header: PhotoHeader) -> dict[str, Any]:
-    camera = None if header.camera is None else json.dumps(header.camera.as_fields())
-    return {**asdict(replace(header, camera=None)), "notes": list(header.notes), "camera": camera}
-
-
-def _header_of(fields: Any) -> PhotoHeader | None:
-    """Return a header that was kept; None: it is of another version."""
-    from ladarreg_core.formats.cameras.camera_file import camera_from_fields
-
-    if not isinstance(fields, dict):
-        return None
-    try:
-        camera = None if fields["camera"] is None else camera_from_fields(json.loads(fields["camera"]))
-        return PhotoHeader(**{**fields, "camera": camera, "notes": tuple(fields["notes"])})
-    except (LadarregError, TypeError, KeyError, ValueError):
-        return None
 
 
 class Loader:
@@ -251,9 +213,9 @@ class Loader:
 
         def made() -> PhotoHeader:
             fields = self._kept_on_disk(
-                "photo header", *self._made_of(entry), lambda: _header_fields(measured()), is_sound=_header_of
+                "photo header", *self._made_of(entry), lambda: header_fields(measured()), is_sound=header_of
             )
-            found = _header_of(fields)
+            found = header_of(fields)
             assert found is not None, "it was made, or found to be sound"
             return found
 

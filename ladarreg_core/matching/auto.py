@@ -15,7 +15,7 @@ from ladarreg_core.foundations.parallel import Begun, OtherCore
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matching.auto_options import AutoOptions
 from ladarreg_core.matching.auto_result import ADVICE, AutoResult, Unverified
-from ladarreg_core.matching.face_registration import FaceViews, search_faces
+from ladarreg_core.matching.face_registration import FaceViews, register_faces
 from ladarreg_core.matching.images.kept_channels import Channels
 from ladarreg_core.matching.images.pair import PairLevels
 from ladarreg_core.matching.images.support import is_coarse
@@ -73,7 +73,7 @@ def register_auto(
     after that, the photo is compared as a whole with the scan as seen from a grid of camera positions. The view of the
     scan is rolled, never the photo, so that all pixels remain those of the photo. If the scan is much wider than the
     photo, all views are searched: a photo that is verified at two poses is not accepted. A photograph of a wide camera
-    is searched face by face, see `search_faces`; its intrinsics are not estimated.
+    is searched face by face, see `register_faces`; its intrinsics are not estimated.
 
     Args:
         pair: the images of the pair.
@@ -94,7 +94,7 @@ def register_auto(
     if reason:
         return AutoResult(initial, None, None, (reason,))
     if isinstance(pair, FaceViews):
-        return search_faces(pair, photo, steps, initial, o)
+        return register_faces(pair, photo, steps, initial, o)
 
     prior = o.calibrated_prior if photo.calibrated else prior
     prior = prior.covering(photo.pinhole, filter(None, (other.as_pinhole for other in photo.alternatives)))

@@ -111,7 +111,7 @@ class FaceViews:
         return levels if np.isfinite(levels.ranges).any() else None
 
 
-def search_faces(
+def register_faces(
     views: FaceViews, photo: Photo, steps: StepLog, initial: Rigid | None, options: AutoOptions
 ) -> AutoResult:
     """Find the pose of a photograph of a wide camera from the images alone.
@@ -123,10 +123,10 @@ def search_faces(
         initial: an initial pose, tried first.
         options: thresholds and seed.
     """
-    return _FaceSearch(views, photo, steps, initial, options).result()
+    return _FaceRegistration(views, photo, steps, initial, options).result()
 
 
-class _FaceSearch:
+class _FaceRegistration:
     def __init__(
         self, views: FaceViews, photo: Photo, steps: StepLog, initial: Rigid | None, options: AutoOptions
     ) -> None:

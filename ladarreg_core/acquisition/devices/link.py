@@ -151,13 +151,17 @@ class Link:
                 return self._exchange(request, complete, deadline_s, check, fresh=True)
 
     def retried(
-        self, ask: Callable[[], _T], *, unless: type[DeviceGlitchError], settle: Callable[[], object] | None = None
+        self,
+        ask: Callable[[], _T],
+        *,
+        unless: type[DeviceGlitchError] | tuple[()] = (),
+        settle: Callable[[], object] | None = None,
     ) -> _T:
         """Return what `ask` returns, which is called again if no answer comes or a damaged one, `TRIES` times in all.
 
         Args:
             ask: exchanges that may be repeated.
-            unless: what asking again does not mend; it is raised at once.
+            unless: what asking again does not mend; it is raised at once. By default, nothing.
             settle: called before each repetition.
         """
         for _ in range(TRIES - 1):

@@ -32,7 +32,7 @@ class Approach(Generic[_Reading]):
     there: float
     """Distance at which it has arrived once it stands still."""
     near: float
-    """Distance at which it has arrived if it comes no closer: a unit may be coarser than what it is told."""
+    """Distance at which it has arrived if it comes no closer: a unit may be coarser than its target."""
     travel_s: Callable[[_Reading], float]
     """How long the movement from a reading should take."""
 
@@ -86,6 +86,19 @@ def await_arrival(
                 f"{in_words(approach.position(now))} and halted; check its load and speed, and resume"
             )
         clock.sleep(_POLL_S)
+
+
+def limits_of(
+    ranges_deg: tuple[tuple[float, float], tuple[float, float]], signs: tuple[int, int]
+) -> tuple[PanTilt, PanTilt]:
+    """Return the lowest and the highest position of a unit.
+
+    Args:
+        ranges_deg: ends of pan and tilt, degrees as the unit counts them.
+        signs: 1 or -1 for each axis: -1 where the unit counts the other way.
+    """
+    pan, tilt = (sorted(sign * math.radians(end) for end in axis) for sign, axis in zip(signs, ranges_deg, strict=True))
+    return PanTilt(pan[0], tilt[0]), PanTilt(pan[1], tilt[1])
 
 
 def in_words(at: PanTilt) -> str:

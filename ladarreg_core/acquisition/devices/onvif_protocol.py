@@ -6,7 +6,7 @@ node behind it lists: degrees, in which X grows to the right and Y upward, or pa
 which say nothing about degrees. The position that it states is always in the default space of the configuration.
 
 Requests are signed by a digest of a nonce, the time and the password. A device refuses a time too far from its own,
-which is why it tells that to everybody.
+so it states its time without authentication.
 
 Source: ONVIF PTZ Service Specification 25.12 (5.2 nodes, 5.3 configurations, 5.4 moves and status, 5.8 predefined
 spaces) with `ptz.wsdl`, `common.xsd`, `onvif.xsd`, `devicemgmt.wsdl` and `media.wsdl`; ONVIF Core Specification; OASIS

@@ -8,7 +8,7 @@ import threading
 from dataclasses import dataclass, replace
 
 from ladarreg_core.acquisition.clock import REAL_CLOCK, Clock
-from ladarreg_core.acquisition.devices.move_wait import Approach, await_arrival, refuse_beyond
+from ladarreg_core.acquisition.devices.move_wait import Approach, await_arrival, limits_of, refuse_beyond
 from ladarreg_core.acquisition.devices.onvif_link import OnvifLink, Post, post
 from ladarreg_core.acquisition.devices.onvif_protocol import (
     DEGREES,
@@ -41,8 +41,8 @@ _STEP_DEG = 0.001  # positions closer than this are one
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where a head is, degrees as it counts them but left and up positive, to `_STEP_DEG`; `number` tells readings
-    apart while it moves."""
+    """Where a head is, degrees as it counts them but left and up positive, to `_STEP_DEG`; `number`
+    distinguishes readings while it moves."""
 
     pan_deg: float
     tilt_deg: float
@@ -68,13 +68,11 @@ class OnvifUnit:
         self._full = _full_range(self._node, plan)
         self._place()  # it must say where it is
         ranges = _limits(self._full, plan)
-        ends = [
-            sorted(sign * math.radians(end) for end in axis) for sign, axis in zip(self._signs, ranges, strict=True)
-        ]
+        lowest, highest = limits_of(ranges, self._signs)
         step, speed = (PanTilt(math.radians(deg), math.radians(deg)) for deg in (RESOLUTION_DEG, _SPEED_DEG_S))
         self.identity = UnitIdentity(
             device_model(link.ask("device", "GetDeviceInformation")), step,
-            PanTilt(ends[0][0], ends[1][0]), PanTilt(ends[0][1], ends[1][1]), speed,
+            lowest, highest, speed,
         )  # fmt: skip
         if plan.speed_deg_s is not None:
             radians = math.radians(plan.speed_deg_s)

@@ -8,7 +8,7 @@ import threading
 from functools import partial
 
 from ladarreg_core.acquisition.devices.link import Link, NoAnswerError, RoundTrip
-from ladarreg_core.acquisition.devices.move_wait import Approach, await_arrival, refuse_beyond
+from ladarreg_core.acquisition.devices.move_wait import Approach, await_arrival, limits_of, refuse_beyond
 from ladarreg_core.acquisition.devices.pelco_protocol import (
     STEPS_PER_DEG,
     Axis,
@@ -22,7 +22,7 @@ from ladarreg_core.acquisition.devices.pelco_protocol import (
 from ladarreg_core.acquisition.devices.ports import PortSource
 from ladarreg_core.acquisition.interfaces import Check, PanTilt, UnitIdentity
 from ladarreg_core.acquisition.plan import UnitPlan
-from ladarreg_core.errors import DeviceError, DeviceGlitchError, OptionError
+from ladarreg_core.errors import DeviceError, OptionError
 
 WHOLE_RANGE_DEG = ((-180.0, 180.0), (-90.0, 90.0))
 """Range of a head whose plan states none: the protocol has no query for it."""
@@ -32,10 +32,6 @@ _REACHED, _NEAR = 2, 30  # steps; heads are built for cameras, and many stop som
 _SPEED_RAD_S = math.radians(10.0)  # for forecasts alone: the protocol neither states nor sets it
 _AXES: tuple[Axis, Axis] = ("pan", "tilt")
 Steps = tuple[int, int]
-
-
-class _NeverError(DeviceGlitchError):
-    """Not raised: all that goes wrong may be asked again."""
 
 
 class PelcoUnit:
@@ -51,12 +47,10 @@ class PelcoUnit:
         self.halt()
         at = self._steps()
         ranges = WHOLE_RANGE_DEG if plan.range_deg is None else plan.range_deg
-        ends = [
-            sorted(sign * math.radians(end) for end in axis) for sign, axis in zip(self._signs, ranges, strict=True)
-        ]
+        lowest, highest = limits_of(ranges, self._signs)
         self.identity = UnitIdentity(
             f"Pelco-D head at address {self._address}", PanTilt(_STEP_RAD, _STEP_RAD),
-            PanTilt(ends[0][0], ends[1][0]), PanTilt(ends[0][1], ends[1][1]), PanTilt(_SPEED_RAD_S, _SPEED_RAD_S),
+            lowest, highest, PanTilt(_SPEED_RAD_S, _SPEED_RAD_S),
         )  # fmt: skip
         link.remark(f"the head is at {self._angles(at)}")
 
@@ -178,7 +172,7 @@ class PelcoUnit:
         return pan, tilt
 
     def _steps(self) -> Steps:
-        pan, tilt = (self._link.retried(partial(self._ask, axis), unless=_NeverError) for axis in _AXES)
+        pan, tilt = (self._link.retried(partial(self._ask, axis)) for axis in _AXES)
         return pan, tilt
 
     def _ask(self, axis: Axis) -> int:

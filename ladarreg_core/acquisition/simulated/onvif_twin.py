@@ -172,7 +172,7 @@ class OnvifServer:
 
     Args:
         twin: the head.
-        now_s: tells the time that it lives in, s.
+        now_s: returns the simulated time, s.
     """
 
     def __init__(self, twin: OnvifTwin, now_s: Callable[[], float]) -> None:

@@ -129,7 +129,7 @@ def region_evidence(
     for number, (picture, seen) in enumerate(compared):
         blocks = picture.points.blocks
         grid = blocks.grid[blocks.of_point[seen.index[seen.blocks.starts]]]
-        parts.append((*picture.systems(seen, options), np.full(len(grid), number, np.intp), grid))
+        parts.append((*picture.block_systems(seen, options), np.full(len(grid), number, np.intp), grid))
     if not parts:
         return None
     H, g, picture_of_block, grid = (np.concatenate(values) for values in zip(*parts, strict=True))
@@ -147,7 +147,7 @@ def _jackknife(
     """Return the jackknife covariance of a pose from the contributions of its blocks; None if they form few regions.
 
     Args:
-        H_blocks: (b, 6 + K, 6 + K) of `Picture.systems`.
+        H_blocks: (b, 6 + K, 6 + K) of `Picture.block_systems`.
         g_blocks: (b, 6 + K) likewise.
         picture: (b,) picture of each block: regions never extend over two pictures.
         grid: (b, 2) row and column of each block in its picture.

@@ -163,7 +163,7 @@ class Picture:
             return system
         return StepSystem(turn.T @ system.H @ turn, turn.T @ system.g, system.Ju @ turn, system.Jv @ turn)
 
-    def systems(self, seen: BlockComparison, options: RefineOptions) -> tuple[FloatArray, FloatArray]:
+    def block_systems(self, seen: BlockComparison, options: RefineOptions) -> tuple[FloatArray, FloatArray]:
         """Return the contributions of its blocks, each by itself; see `_block_systems`."""
         H, g = _block_systems(seen, self.target.camera, options)
         turn = self.turn
