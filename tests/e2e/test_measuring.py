@@ -177,11 +177,11 @@ def test_a_measurement_is_of_the_scan_in_which_it_is_picked_and_drawn_where_that
     bar = page.locator("#scan-pane .pane-measure")
     click(measurer, "scan", ends[0])
     bar.get_by_text("second point").wait_for()
-    # A point in another scan is none of this measurement.
+    # A point in another scan is not part of this measurement.
     beside.select_option(index=0)
     measurer.wait(lambda: measurer.slice("beside") is None, "the project's scan")
     click(measurer, "scan", pixels_on_surfaces(measurer, "scan")[0])
-    bar.get_by_text("Begun in window.npz: go on there").wait_for()
+    bar.get_by_text("Started in window.npz: continue there").wait_for()
     beside.select_option(label="window.npz")
     measurer.wait(lambda: (measurer.slice("beside") or {}).get("name") == "window.npz", "the station's scan again")
     click(measurer, "scan", ends[1])

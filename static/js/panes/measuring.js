@@ -162,7 +162,7 @@ export class Measuring {
     if (side === "photo" && !store.photo()) return;
     const elsewhere = side === "scan" && this.places.find((one) => one.side === "scan" && one.station !== station);
     if (elsewhere) {
-      this.say(`Begun in ${scanOfStation(elsewhere.station)}: go on there, or take its points back (Esc)`);
+      this.say(`Started in ${scanOfStation(elsewhere.station)}: continue there, or discard its points (Esc)`);
       return;
     }
     const place = { side, of: side === "photo" ? store.shown() : null, station, world: position.world, sigma };
