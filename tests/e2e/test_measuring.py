@@ -299,8 +299,8 @@ def test_the_list_and_the_bar_fit(measurer: Operator, theme: str) -> None:
         measurer.shot(f"{width}-{theme}")
         found += [f"{width}: {fault}" for fault in layout_faults(page)]
     assert not found
-    slices = {name: measurer.slice(name) for name in ("measurements", "measured")}
-    assert page_measurements(facts_of(page), slices["measurements"], slices["measured"]) == []
+    slices = [measurer.slice(name) for name in ("measurements", "measured", "stations")]
+    assert page_measurements(facts_of(page), *slices) == []
 
 
 @pytest.mark.slow
