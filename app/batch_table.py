@@ -12,7 +12,7 @@ from .messages import one_line
 if TYPE_CHECKING:
     from types import TracebackType
 
-    from ladarreg_core.jobs.run import BatchProgress
+    from ladarreg_core.batches.jobs.run import BatchProgress
 
 _MAX_LINES = 8
 _STYLES = {"accepted": "green", "refused": "yellow", "failed": "red"}

@@ -15,10 +15,10 @@ from .process_resources import keep_freed_memory, keep_heap_small, return_memory
 from .progress_bar import ProgressBar
 
 if TYPE_CHECKING:
+    from ladarreg_core.export.outputs.saved_results import SavedResult
     from ladarreg_core.export.registered_scan import RegisteredScan
     from ladarreg_core.frames import Rigid
     from ladarreg_core.matches import Pick
-    from ladarreg_core.outputs.saved_results import SavedResult
     from ladarreg_core.photo import Photo
     from ladarreg_core.scan import Scan
 
@@ -64,7 +64,7 @@ def _missing_scans(arguments: PhotoArguments, *results: Path) -> list[str]:
     """Return notes on the clouds that results were registered on and that are not there."""
     if not results:
         return []
-    from ladarreg_core.outputs.saved_results import missing_scans
+    from ladarreg_core.export.outputs.saved_results import missing_scans
 
     return [said for path in results if (said := missing_scans(path, arguments.scan, arguments.more or ()))]
 
@@ -88,7 +88,7 @@ def with_recorded_options(arguments: A, *results: Path | None) -> A:
     given = list(filter(None, results))
     if not given:
         return arguments
-    from ladarreg_core.outputs.saved_results import recorded_options, recorded_scans
+    from ladarreg_core.export.outputs.saved_results import recorded_options, recorded_scans
 
     found: dict[str, Any] = {}
     for path in given:
@@ -162,7 +162,7 @@ def read_results(paths: Sequence[Path], *, trust_edited: bool = False) -> list[S
         FormatError: if one is damaged.
     """
     from ladarreg_core.errors import OptionError
-    from ladarreg_core.outputs.saved_results import is_saved_result, read_saved_result
+    from ladarreg_core.export.outputs.saved_results import is_saved_result, read_saved_result
 
     for path in paths:
         if not is_saved_result(path):
@@ -219,8 +219,8 @@ def read_on_one_scan(arguments: ResultArguments, bar: ProgressBar) -> Registered
         LadarregError: if one is damaged, or a file is not found.
     """
     from ladarreg_core.errors import OptionError
+    from ladarreg_core.export.outputs.saved_results import registered_results
     from ladarreg_core.export.registered_scan import RegisteredScan
-    from ladarreg_core.outputs.saved_results import registered_results
 
     for path in [arguments.scan] if arguments.scan else []:
         if not path.is_file():
@@ -240,7 +240,7 @@ def read_on_one_scan(arguments: ResultArguments, bar: ProgressBar) -> Registered
 
 def timed(name: str, bar: ProgressBar, work: Callable[[], T]) -> T:
     """Do work, and report it as a step."""
-    from ladarreg_core.progress import Step
+    from ladarreg_core.results.steps import Step
 
     started = time.perf_counter()
     result = work()

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ladarreg_core.quality.findings import Finding
     from ladarreg_core.registration.comparison import Comparison
     from ladarreg_core.registration.self_test.report import SelfTest
-    from ladarreg_core.results import PoseResult, Registration
+    from ladarreg_core.results.registration import PoseResult, Registration
     from ladarreg_core.scan import Scan
 
 _HEAD_WIDTH = 16
@@ -56,7 +56,7 @@ def internal_error(error: BaseException, *, go_on: str) -> str:
 
 def verdict(result: PoseResult) -> str:
     """Return whether a pose is accepted, and on what evidence."""
-    from ladarreg_core.results import verdict_words
+    from ladarreg_core.results.verdict_words import verdict_words
 
     return verdict_words(result.accepted, result.evidence, result.diagnostics, coarse=result.is_coarse)
 

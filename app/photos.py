@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from typing import Any
 
-    from ladarreg_core.many.photo_summary import PhotosResult
+    from ladarreg_core.batches.photos.photo_summary import PhotosResult
 
 EXAMPLES = (
     "ladarreg register room.e57 1.jpg 2.jpg 3.jpg -o results",
@@ -96,8 +96,8 @@ def flags_of(kind: type) -> list[str]:
 
 def run_photos(arguments: PhotosArguments) -> ExitCode:
     """Register the photos, write their results and the summary, and print the verdicts."""
-    from ladarreg_core.many.cache import ContentCache
-    from ladarreg_core.many.photo_run import register_photos
+    from ladarreg_core.batches.photos.cache import ContentCache
+    from ladarreg_core.batches.photos.photo_run import register_photos
     from ladarreg_core.storage.manifest import visible_files
 
     started = time.perf_counter()
@@ -149,9 +149,9 @@ def _scans_and_photos(files: Sequence[Path]) -> tuple[list[Path], list[Path]]:
     Raises:
         OptionError: if there is no scan or no photo, or a folder with several scans.
     """
+    from ladarreg_core.batches.photos.photo_list import folder_contents
     from ladarreg_core.errors import OptionError
     from ladarreg_core.formats.registry import recognise
-    from ladarreg_core.many.photo_list import folder_contents
 
     scans: list[Path] = []
     photos: list[Path] = []

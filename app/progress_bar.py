@@ -11,7 +11,8 @@ from ladarreg_core.matching.step_labels import step_label
 if TYPE_CHECKING:
     from types import TracebackType
 
-    from ladarreg_core.progress import Progress, Step
+    from ladarreg_core.foundations.progress import Progress
+    from ladarreg_core.results.steps import Step
 
 _MILESTONES = {
     "Read scan": 0.08,

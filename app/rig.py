@@ -64,10 +64,10 @@ class RigArguments(CameraArguments):
 
 def run_rig(arguments: RigArguments) -> ExitCode:
     """Read the pairs, register them together, write the results, and print the verdict."""
+    from ladarreg_core.export.outputs.rig_folder import is_recording, read_rig, rig_files_of, write_rig
     from ladarreg_core.export.targets.folder import check_folder
     from ladarreg_core.formats.documents.own_results import edited_note
     from ladarreg_core.formats.documents.pose_file import read_initial_of_rig
-    from ladarreg_core.outputs.rig_folder import is_recording, read_rig, rig_files_of, write_rig
     from ladarreg_core.registration.rig.options import RigOptions
     from ladarreg_core.registration.rig.registration import register_rig
     from ladarreg_core.storage.manifest import visible_files

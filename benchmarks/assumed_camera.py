@@ -20,7 +20,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.photo import Photo
 from ladarreg_core.quality.assessment import assess
 from ladarreg_core.registration.register import register
-from ladarreg_core.results import Registration
+from ladarreg_core.results.registration import Registration
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate import SCENES, simulate_case
 from testing.scenes.pose_case import difference

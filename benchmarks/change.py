@@ -20,8 +20,8 @@ import numpy as np
 
 from benchmarks.shared.bars import Row, table
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.measuring.change import change
-from ladarreg_core.measuring.change_files import write_change
+from ladarreg_core.inspection.measuring.change import change
+from ladarreg_core.inspection.measuring.change_files import write_change
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.simulate.stations import station_room, upright_pose

@@ -22,7 +22,7 @@ from ladarreg_core.errors import LadarregError
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Pick
-from ladarreg_core.results import Registration
+from ladarreg_core.results.registration import Registration
 from testing.scenes.pose_case import difference
 
 SCENES = ("boxes", "desk", "office", "people")

@@ -59,7 +59,7 @@ def ours(folder: Path, targets: list[str], cancel_at: float | None) -> dict[str,
     """Export in this process."""
     from ladarreg_core.errors import Cancelled
     from ladarreg_core.export.targets.pipeline import export_to
-    from ladarreg_core.progress import Progress
+    from ladarreg_core.foundations.progress import Progress
 
     handed = handed_over(folder)
     before = _peak_bytes()

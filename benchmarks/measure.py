@@ -29,9 +29,9 @@ import ladarreg_core as lr
 from benchmarks.shared.bars import Row, table
 from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.measuring.measurement import KINDS, Measurement, measure
-from ladarreg_core.measuring.points import AT_EDGE, MeasuredPoints
-from ladarreg_core.results import PoseResult
+from ladarreg_core.inspection.measuring.measurement import KINDS, Measurement, measure
+from ladarreg_core.inspection.measuring.points import AT_EDGE, MeasuredPoints
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.simulate.case import SimulatedCase, case_world, simulate_case

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 
-from ladarreg_core.progress import Progress
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.simulate import SCENES, simulate_case
 
 

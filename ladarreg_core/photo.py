@@ -11,6 +11,7 @@ from ladarreg_core.camera import Camera, CameraModel, describe_in_short, require
 from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.foundations.arrays import ByteArray, FloatArray, read_only
 from ladarreg_core.foundations.source import Source
+from ladarreg_core.foundations.temperatures import thermal_gray
 from ladarreg_core.foundations.validation import require_number, require_positive
 
 
@@ -156,8 +157,32 @@ class TimedPhoto:
     """The photograph."""
 
 
+def thermal_photo(
+    temperature_k: ArrayLike, camera: CameraModel, *, name: str = "photo", notes: tuple[str, ...] = ()
+) -> Photo:
+    """Return a thermal image as a photograph, with gray pixels for display.
+
+    Args:
+        temperature_k: (H, W) apparent temperature, K.
+        camera: its intrinsics.
+        name: its name for people.
+        notes: remarks for the operator.
+
+    Raises:
+        ShapeError: if it is not an image of positive temperatures, or not of the camera's size.
+    """
+    kelvin = np.asarray(temperature_k, dtype=np.float32)
+    if kelvin.ndim != 2 or not kelvin.size or not (np.isfinite(kelvin).all() and (kelvin > 0).all()):
+        raise ShapeError(
+            "the thermal image is not (H, W) of finite temperatures above 0 K; give temperatures in kelvin"
+        )
+    shown = np.clip(np.rint(_CENTRE_GRAY + _SHOWN * thermal_gray(kelvin)), 0, 255).astype(np.uint8)
+    return Photo(np.repeat(shown[..., None], 3, axis=-1), camera, name=name, notes=notes, temperature_k=kelvin)
+
+
 _USUAL_WHITE = {"u1": 255.0, "u2": 65535.0, "f": 1.0}
 _MAX_BEYOND = 0.5
+_CENTRE_GRAY, _SHOWN = 128.0, 0.5  # of `thermal_gray`, as displayed
 
 
 def _eight_bit(pixels: ArrayLike, white: float | None, black: float) -> tuple[ByteArray, str | None]:

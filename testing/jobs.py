@@ -7,7 +7,7 @@ from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
 
-from ladarreg_core.jobs.work import JobTask
+from ladarreg_core.batches.jobs.work import JobTask
 
 NOT_COMPARED = {"manifest.jsonl", "timing.json", ".ladarreg-manifest.json"}
 """Of the folder of a batch itself: the order in which jobs ended, and their times."""

@@ -138,7 +138,7 @@ class _Watch:
             Resumed,
             StraysKept,
         )
-        from ladarreg_core.progress import Progress
+        from ladarreg_core.foundations.progress import Progress
 
         if isinstance(event, PieceKept):
             self.done = event.done

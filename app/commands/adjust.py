@@ -51,8 +51,8 @@ class Arguments:
 
 def run(arguments: Arguments) -> ExitCode:
     """Solve the survey and write the results."""
+    from ladarreg_core.batches.photos.cache import ContentCache
     from ladarreg_core.foundations.formatting import format_angle, format_length
-    from ladarreg_core.many.cache import ContentCache
     from ladarreg_core.registration.register import RegisterOptions
     from ladarreg_core.storage.manifest import visible_files
     from ladarreg_core.survey.outputs import write_adjustment
@@ -102,7 +102,7 @@ def _survey(path: Path) -> Survey:
     Raises:
         LadarregError: if it has faults; all are listed.
     """
-    from ladarreg_core.outputs.project_survey import survey_of_project
+    from ladarreg_core.export.outputs.project_survey import survey_of_project
     from ladarreg_core.project.storage.folder import ProjectFolder, is_project
     from ladarreg_core.survey.survey import Survey
 

@@ -18,7 +18,7 @@ from ..exit_codes import ExitCode
 from ..messages import one_line
 
 if TYPE_CHECKING:
-    from ladarreg_core.jobs.run_folder import BatchResult
+    from ladarreg_core.batches.jobs.run_folder import BatchResult
 
 EXAMPLES = (
     "ladarreg batch jobs.csv -o results",
@@ -63,9 +63,9 @@ class Arguments:
 
 def run(arguments: Arguments) -> ExitCode:
     """Do the jobs, write their results and the summary, and print the outcomes."""
+    from ladarreg_core.batches.jobs.job_list import JobListError, read_jobs
+    from ladarreg_core.batches.jobs.run import batch
     from ladarreg_core.errors import FormatError, OptionError
-    from ladarreg_core.jobs.job_list import JobListError, read_jobs
-    from ladarreg_core.jobs.run import batch
     from ladarreg_core.storage.manifest import visible_files
 
     started = time.perf_counter()
@@ -82,7 +82,7 @@ def run(arguments: Arguments) -> ExitCode:
     with ExitStack() as stack:
         executor = None
         if arguments.scheduler is not None:
-            from ladarreg_core.jobs.cluster import cluster
+            from ladarreg_core.batches.jobs.cluster import cluster
 
             executor = stack.enter_context(
                 cluster(arguments.scheduler, tls=arguments.tls, insecure=arguments.insecure_cluster)

@@ -54,8 +54,8 @@ def run(arguments: Arguments) -> ExitCode:
     """Register the second scan to the first, compare, and write the result."""
     from ladarreg_core.export.targets.folder import check_folder
     from ladarreg_core.formats import read_scan
-    from ladarreg_core.measuring.change import change, stated_pose
-    from ladarreg_core.measuring.change_files import write_change
+    from ladarreg_core.inspection.measuring.change import change, stated_pose
+    from ladarreg_core.inspection.measuring.change_files import write_change
     from ladarreg_core.registration.stations.registration import register_scans
 
     started = time.perf_counter()

@@ -33,7 +33,7 @@ class Arguments:
 
 def run(arguments: Arguments) -> ExitCode:
     """Compare everything with its checksums, and print what is damaged, one line each."""
-    from ladarreg_core.outputs.integrity import check_integrity
+    from ladarreg_core.export.outputs.integrity import check_integrity
 
     found = check_integrity(arguments.path)
     if arguments.json:

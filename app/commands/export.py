@@ -82,13 +82,13 @@ class Arguments(ScanArguments):
 def run(arguments: Arguments) -> ExitCode:
     """Open the results with their inputs, and write the targets."""
     from ladarreg_core.errors import OptionError
+    from ladarreg_core.export.outputs.saved_results import is_saved_result
+    from ladarreg_core.export.outputs.station_folder import is_station_folder
     from ladarreg_core.export.targets.folder import check_folder
     from ladarreg_core.export.targets.pipeline import export_to, photographed
     from ladarreg_core.export.targets.registry import targets_of
     from ladarreg_core.export.targets.stations import StationScans
     from ladarreg_core.export.targets.target import ExportOptions
-    from ladarreg_core.outputs.saved_results import is_saved_result
-    from ladarreg_core.outputs.station_folder import is_station_folder
     from ladarreg_core.project.storage.folder import ProjectFolder, is_project
 
     if arguments.list or arguments.to == _LIST:
@@ -150,8 +150,8 @@ def run(arguments: Arguments) -> ExitCode:
 
 def _with_accepted_photos(arguments: Arguments) -> Arguments:
     """Return arguments with the accepted photos of a folder with many in place of that folder."""
-    from ladarreg_core.many.folder import is_batch_folder
-    from ladarreg_core.many.photo_summary import accepted_folders
+    from ladarreg_core.batches.photos.folder import is_batch_folder
+    from ladarreg_core.batches.photos.photo_summary import accepted_folders
 
     results = [
         found
@@ -164,7 +164,7 @@ def _with_accepted_photos(arguments: Arguments) -> Arguments:
 def _of_stations(arguments: Arguments, folder: Path) -> StationScans:
     """Return the stations of a folder."""
     from ladarreg_core.errors import OptionError
-    from ladarreg_core.outputs.station_folder import read_station_folder
+    from ladarreg_core.export.outputs.station_folder import read_station_folder
 
     if len(arguments.results) > 1:
         raise OptionError("a folder of stations is exported by itself; for photos, give their results")
@@ -189,9 +189,9 @@ def _of_results(arguments: Arguments, given: Sequence[Path], targets: Sequence[T
         bar: receives the progress.
     """
     from ladarreg_core.errors import OptionError
+    from ladarreg_core.export.outputs.placed_scans import placed_scans
+    from ladarreg_core.export.outputs.saved_results import registered_results
     from ladarreg_core.export.targets.pipeline import require_shown
-    from ladarreg_core.outputs.placed_scans import placed_scans
-    from ladarreg_core.outputs.saved_results import registered_results
 
     saved = read_results(arguments.results, trust_edited=arguments.trust_edited)
     if arguments.last_solved:

@@ -76,11 +76,11 @@ def run(arguments: Arguments) -> ExitCode:
 
 def _of_folder(folder: Path) -> Mapping[str, Any]:
     """Return what a folder contains: the results of many photos, or scans and photos."""
+    from ladarreg_core.batches.jobs.run_folder import JOBS_RUN, describe_batch
+    from ladarreg_core.batches.photos.folder import is_batch_folder
+    from ladarreg_core.batches.photos.folder_info import describe_folder
+    from ladarreg_core.batches.photos.photo_summary import describe_photos
     from ladarreg_core.formats.isolated.forked import confined_reads
-    from ladarreg_core.jobs.run_folder import JOBS_RUN, describe_batch
-    from ladarreg_core.many.folder import is_batch_folder
-    from ladarreg_core.many.folder_info import describe_folder
-    from ladarreg_core.many.photo_summary import describe_photos
 
     if is_batch_folder(folder, JOBS_RUN):
         return describe_batch(folder)

@@ -65,7 +65,7 @@ def run(arguments: Arguments) -> ExitCode:
     """Measure, print the list, and write it where asked."""
     from ladarreg_core.errors import OptionError
     from ladarreg_core.export.output_frame import OutputFrame
-    from ladarreg_core.measuring.measurement_list import check_target, measure_places, write_measurements
+    from ladarreg_core.inspection.measuring.measurement_list import check_target, measure_places, write_measurements
 
     places = _places(arguments)
     if arguments.out is not None:

@@ -17,8 +17,8 @@ from ..inputs import suit_heap, timed
 from ..progress_bar import progress_bar
 
 if TYPE_CHECKING:
-    from ladarreg_core.outputs.model_folder import PhotoValues
-    from ladarreg_core.outputs.model_sources import ModelSources
+    from ladarreg_core.export.outputs.model_folder import PhotoValues
+    from ladarreg_core.export.outputs.model_sources import ModelSources
 
 EXAMPLES = (
     "# of many photos on one scan, or of an adjusted survey:",
@@ -69,9 +69,9 @@ class Arguments(ScanArguments):
 
 def run(arguments: Arguments) -> ExitCode:
     """Fuse the accepted photos and write the model."""
+    from ladarreg_core.export.outputs.model_folder import check_formats, write_model
+    from ladarreg_core.export.outputs.model_sources import read_model_sources
     from ladarreg_core.export.targets.folder import check_folder
-    from ladarreg_core.outputs.model_folder import check_formats, write_model
-    from ladarreg_core.outputs.model_sources import read_model_sources
 
     started = time.perf_counter()
     formats = [name.strip() for name in arguments.to.split(",") if name.strip()]
@@ -125,9 +125,9 @@ def _values(given: Sequence[str], sources: ModelSources) -> list[PhotoValues]:
         OptionError: if one is not of the form NAME:UNIT:PHOTO or NAME:UNIT:PHOTO:FILE, or its file is not found.
     """
     from ladarreg_core.errors import OptionError
+    from ladarreg_core.export.outputs.model_folder import PhotoValues
     from ladarreg_core.formats.photos.values_file import read_values
     from ladarreg_core.fusion.layers import Quantity
-    from ladarreg_core.outputs.model_folder import PhotoValues
 
     found = []
     for text in given:

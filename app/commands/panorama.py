@@ -67,9 +67,9 @@ class Arguments(PhotoCameraArguments):
 def run(arguments: Arguments) -> ExitCode:
     """Compose the pieces and write `scan.npz`, `panorama.json` and `provenance.png`."""
     from ladarreg_core.acquisition.composition.panorama import compose, write_panorama
+    from ladarreg_core.export.outputs.run_camera import calibrate_run_camera, photo_poses
     from ladarreg_core.export.targets.folder import check_folder
     from ladarreg_core.formats.documents.panorama_info import panorama_lines
-    from ladarreg_core.outputs.run_camera import calibrate_run_camera, photo_poses
     from ladarreg_core.storage.manifest import visible_files
 
     started, base = time.perf_counter(), _base(arguments.base)

@@ -15,7 +15,7 @@ from ..progress_bar import progress_bar
 
 if TYPE_CHECKING:
     from ladarreg_core.export.registered_scan import RegisteredScan
-    from ladarreg_core.measuring.developable import Cylinder, Plane
+    from ladarreg_core.inspection.measuring.developable import Cylinder, Plane
 
 EXAMPLES = (
     "# the wall around a pixel of the photo:",
@@ -77,9 +77,9 @@ def run(arguments: Arguments) -> ExitCode:
     from ladarreg_core.errors import OptionError
     from ladarreg_core.export.output_frame import OutputFrame
     from ladarreg_core.export.targets.folder import check_folder
-    from ladarreg_core.measuring.rectified import rectify
-    from ladarreg_core.measuring.section import section
-    from ladarreg_core.measuring.view_files import write_view
+    from ladarreg_core.inspection.measuring.rectified import rectify
+    from ladarreg_core.inspection.measuring.section import section
+    from ladarreg_core.inspection.measuring.view_files import write_view
 
     started = time.perf_counter()
     if (arguments.height is None) == (not arguments.at):
@@ -91,7 +91,7 @@ def run(arguments: Arguments) -> ExitCode:
     with progress_bar(quiet=arguments.quiet) as bar:
         opened = read_on_one_scan(arguments, bar)
         world = None if arguments.frame == "scanner" else OutputFrame.of(opened.scan, "world").world_from_scanner
-        from ladarreg_core.measuring.developable import Plane
+        from ladarreg_core.inspection.measuring.developable import Plane
 
         plan = None if arguments.height is None else Plane.level(arguments.height, world_from_scanner=world)
         surface = plan or _surface(arguments, opened)
@@ -127,8 +127,8 @@ def _given(value: float | None, default: float) -> float:
 def _surface(arguments: Arguments, opened: RegisteredScan) -> Plane | Cylinder:
     """Return the surface of the pixels that were given."""
     from ladarreg_core.errors import DegenerateGeometryError, OptionError
-    from ladarreg_core.measuring.developable import Cylinder, Plane
-    from ladarreg_core.measuring.points import MeasuredPoints
+    from ladarreg_core.inspection.measuring.developable import Cylinder, Plane
+    from ladarreg_core.inspection.measuring.points import MeasuredPoints
 
     if not opened.photos:
         raise OptionError("the pose of the photo was refused, so its pixels have no place; use --height")

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ladarreg_core.photo import Photo
     from ladarreg_core.quality.assessment import Assessment
     from ladarreg_core.quality.smoothing import SmoothedScan
-    from ladarreg_core.results import Registration
+    from ladarreg_core.results.registration import Registration
     from ladarreg_core.scan import Scan
 
     from ..photos import PhotosArguments

@@ -52,9 +52,9 @@ class Arguments:
 
 def run(arguments: Arguments) -> ExitCode:
     """Register the scans and write `stations.json` and the scans with their poses."""
+    from ladarreg_core.export.outputs.station_folder import read_stations, write_stations
     from ladarreg_core.export.targets.folder import check_folder
     from ladarreg_core.formats.documents.stations_info import station_lines
-    from ladarreg_core.outputs.station_folder import read_stations, write_stations
     from ladarreg_core.registration.stations.registration import register_scans
     from ladarreg_core.storage.manifest import visible_files
 

@@ -71,8 +71,8 @@ def run(arguments: Arguments) -> ExitCode:
 def _of_results(arguments: Arguments, bar: ProgressBar) -> Path:
     """Write the report of a folder of results, whose inputs are found by their names and hashes."""
     from ladarreg_core.errors import FormatError, OptionError
+    from ladarreg_core.export.outputs.saved_results import read_saved_result
     from ladarreg_core.export.report.page import write_report
-    from ladarreg_core.outputs.saved_results import read_saved_result
     from ladarreg_core.storage.atomic_write import replaced_file
     from ladarreg_core.storage.manifest import update_manifest
     from ladarreg_core.storage.replacement import REPORT_FILE

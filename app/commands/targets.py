@@ -101,7 +101,7 @@ def run(arguments: Arguments) -> ExitCode:
 
 def _is_single(scans: Sequence[Path], entries: Sequence[TargetEntry]) -> bool:
     """Return whether one scan is meant: without a column that names scans, picks are in the first of a file."""
-    from ladarreg_core.outputs.station_folder import count_scans
+    from ladarreg_core.export.outputs.station_folder import count_scans
 
     if len(scans) > 1 or not entries or entries[0].scan is not None:
         return False
@@ -111,10 +111,10 @@ def _is_single(scans: Sequence[Path], entries: Sequence[TargetEntry]) -> bool:
 def _place_one(
     arguments: Arguments, scans: Sequence[Path], entries: Sequence[TargetEntry], sizes: dict[str, dict[str, float]]
 ) -> dict[str, Any]:
+    from ladarreg_core.export.outputs.target_statement import write_target_statement
     from ladarreg_core.formats import read_scan
     from ladarreg_core.formats.documents.targets_file import surveyed_coordinates
     from ladarreg_core.foundations.formatting import format_angle, format_length
-    from ladarreg_core.outputs.target_statement import write_target_statement
     from ladarreg_core.registration.stations.target_names import locate_targets
     from ladarreg_core.registration.stations.target_pose import register_targets
 
@@ -145,10 +145,10 @@ def _place_several(
     arguments: Arguments, scans: Sequence[Path], entries: Sequence[TargetEntry], sizes: dict[str, dict[str, float]]
 ) -> dict[str, Any]:
     from ladarreg_core.errors import OptionError
+    from ladarreg_core.export.outputs.station_folder import read_stations
+    from ladarreg_core.export.outputs.target_statement import write_network_statement
     from ladarreg_core.formats.documents.targets_file import surveyed_coordinates
     from ladarreg_core.foundations.formatting import format_angle, format_length
-    from ladarreg_core.outputs.station_folder import read_stations
-    from ladarreg_core.outputs.target_statement import write_network_statement
     from ladarreg_core.registration.stations.target_names import locate_in_scans
     from ladarreg_core.registration.stations.target_pose import register_targets
     from ladarreg_core.storage.manifest import visible_files

@@ -22,8 +22,8 @@ from .solve import SolveJobs
 
 if TYPE_CHECKING:
     from ladarreg_core.matching.image_check import Proposal
-    from ladarreg_core.progress import Step
     from ladarreg_core.project.document import Document, PhotoEntry
+    from ladarreg_core.results.steps import Step
 
     from ..session.session import Change
 

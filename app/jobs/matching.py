@@ -180,7 +180,7 @@ def _picks_of(found: FoundMatches, origin: str) -> list[Pick]:
 @contextmanager
 def _timed_step(context: JobContext, name: str) -> Iterator[dict[str, object]]:
     """Time a step and report it with the figures that are put into the yielded dict."""
-    from ladarreg_core.progress import Step
+    from ladarreg_core.results.steps import Step
 
     begun = time.perf_counter()
     detail: dict[str, object] = {}

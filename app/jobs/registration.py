@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project.edits import with_picks, with_pose, without_origin
 from ladarreg_core.project.results import pose_entry, pose_of
-from ladarreg_core.results import STAGE_LABELS
+from ladarreg_core.results.registration import STAGE_LABELS
 
 from .inputs import Inputs, Workspace
 from .runner import JobContext
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ladarreg_core.frames import Rigid
     from ladarreg_core.matches import Pick
     from ladarreg_core.project.document import PhotoEntry
-    from ladarreg_core.results import PoseResult, Registration, StageId
+    from ladarreg_core.results.registration import PoseResult, Registration, StageId
 
 FOUND = "auto"
 """Origin of the picks of a whole registration."""

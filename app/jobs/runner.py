@@ -11,8 +11,9 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from ladarreg_core.errors import Cancelled, LadarregError, OptionError
-from ladarreg_core.progress import Progress, Step
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.project.history import Author
+from ladarreg_core.results.steps import Step
 
 from ..messages import internal_error, sentence
 

@@ -17,7 +17,7 @@ from .solve import SolveJobs
 if TYPE_CHECKING:
     from ladarreg_core.frames import Rigid
     from ladarreg_core.matches import Matches
-    from ladarreg_core.results import PoseResult
+    from ladarreg_core.results.registration import PoseResult
     from ladarreg_core.thesis.estimators.stereo_simplex import DescentStep, SimplexFit
 
 _SHOW_EVERY_S = 1 / 20

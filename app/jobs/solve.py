@@ -8,10 +8,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import OptionError
-from ladarreg_core.progress import StepLog
 from ladarreg_core.project.edits import with_pose, without_stage
 from ladarreg_core.project.results import pose_entry, pose_of
-from ladarreg_core.results import STAGE_LABELS
+from ladarreg_core.results.registration import STAGE_LABELS
+from ladarreg_core.results.steps import StepLog
 
 from ..messages import matches, verdict
 from .inputs import Inputs, Workspace
@@ -19,10 +19,10 @@ from .runner import JobContext
 
 if TYPE_CHECKING:
     from ladarreg_core.matching.image_check import Proposal
-    from ladarreg_core.progress import StepReport
     from ladarreg_core.project.document import PhotoEntry
     from ladarreg_core.registration.register import MatchesRegistered
-    from ladarreg_core.results import PoseResult, StageId
+    from ladarreg_core.results.registration import PoseResult, StageId
+    from ladarreg_core.results.steps import StepReport
 
 FROM_IMAGES = ("refined", "auto", "survey", "carried")
 """Stages whose pose does not come from the matches."""

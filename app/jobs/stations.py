@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from ladarreg_core.errors import LadarregError, OptionError
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.frames import Rigid
-from ladarreg_core.progress import Progress
 from ladarreg_core.project.document import Document, PhotoCheck, PhotoEntry, Survey
 from ladarreg_core.project.source import Source
 from ladarreg_core.project.station_edits import scans_of, surveyed_pose

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from ladarreg_core.errors import LadarregError, OptionError
-from ladarreg_core.progress import Progress
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.project.document import Document, PhotoEntry
 from ladarreg_core.project.edits import edited_photo, with_pose
 from ladarreg_core.project.results import pose_entry
@@ -20,7 +20,7 @@ from .registration import RegistrationJobs
 from .runner import JobContext
 
 if TYPE_CHECKING:
-    from ladarreg_core.results import Registration
+    from ladarreg_core.results.registration import Registration
     from ladarreg_core.survey.adjust import Solved
     from ladarreg_core.survey.survey import Survey
 
@@ -107,8 +107,8 @@ class SurveyJobs:
             chosen: ids of the photographs that take part; None: all.
             context: the job.
         """
-        from ladarreg_core.many.cache import ContentCache
-        from ladarreg_core.outputs.project_survey import survey_of_project
+        from ladarreg_core.batches.photos.cache import ContentCache
+        from ladarreg_core.export.outputs.project_survey import survey_of_project
         from ladarreg_core.survey.adjust import solve_survey
         from ladarreg_core.survey.registrations import photo_registration
 
@@ -164,7 +164,7 @@ class SurveyJobs:
         lost: Collection[str],
     ) -> None:
         """Commit the result; photographs beside a scan that is lost, with no place, return to the first one."""
-        from ladarreg_core.outputs.project_survey import adjusted_entry
+        from ladarreg_core.export.outputs.project_survey import adjusted_entry
 
         poses = {}
         for name, one in found.items():

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from ladarreg_core.foundations.arrays import ByteArray, FloatArray
-    from ladarreg_core.results import PoseResult
+    from ladarreg_core.results.registration import PoseResult
 
     from .model_view import ModelChoice
     from .place import Place

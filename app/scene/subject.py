@@ -17,7 +17,7 @@ from ladarreg_core.inspection.viewpoints import (
     typical_range,
 )
 from ladarreg_core.photo import Photo
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import View, perspective_view
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import OptionError
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.project.station_edits import is_stale, known_place, partner_of, surveyed_pose
 
 from .loader import Loader
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from ladarreg_core.project.storage.folder import ProjectFolder
     from ladarreg_core.quality.assessment import Assessment
     from ladarreg_core.quality.smoothing import SmoothedScan
-    from ladarreg_core.results import Registration
+    from ladarreg_core.results.registration import Registration
     from ladarreg_core.scan import Scan
 
 
@@ -239,7 +239,7 @@ def project_sources(
 def _measurements(loader: Loader, folder: ProjectFolder, document: Document, frame: FrameName) -> MeasurementList:
     from ladarreg_core.export.output_frame import OutputFrame
     from ladarreg_core.export.targets.measurements import MeasurementList
-    from ladarreg_core.measuring.measurement_list import in_frame, write_measurements
+    from ladarreg_core.inspection.measuring.measurement_list import in_frame, write_measurements
 
     scan = loader.scan(document)
     if document.scan is None or scan is None:
@@ -345,8 +345,8 @@ def _photo(
 
 
 def _station_scans(loader: Loader, folder: ProjectFolder, document: Document) -> StationScans:
+    from ladarreg_core.export.outputs.station_folder import stations_document
     from ladarreg_core.export.targets.stations import StationScans
-    from ladarreg_core.outputs.station_folder import stations_document
 
     survey = document.survey
     assert survey is not None, "the stations were registered"

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from ladarreg_core.project.source import Source
     from ladarreg_core.project.storage.folder import ProjectFolder
     from ladarreg_core.quality.assessment import Assessment
-    from ladarreg_core.results import Registration
+    from ladarreg_core.results.registration import Registration
     from ladarreg_core.scan import Scan
     from ladarreg_core.surface.perspective import View
 
@@ -257,8 +257,8 @@ class Loader:
         is_sound: Callable[[Any], Any] = lambda value: value is not None,
     ) -> T:
         """Return a value that is kept on disk by its files as they are now; make it where it is not, or not sound."""
+        from ladarreg_core.batches.photos.cache import ContentCache
         from ladarreg_core.export.json import plain
-        from ladarreg_core.many.cache import ContentCache
 
         try:
             stats = [path.stat() for file in files for path in self._folder.source_files(file)]

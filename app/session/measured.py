@@ -13,9 +13,9 @@ from .loader import Loader
 
 if TYPE_CHECKING:
     from ladarreg_core.formats.documents.places_file import Place
-    from ladarreg_core.measuring.measurement_list import NamedMeasurement
+    from ladarreg_core.inspection.measuring.measurement_list import NamedMeasurement
     from ladarreg_core.project.document import Document, MeasuredPlace, MeasurementEntry, MeasurementKind
-    from ladarreg_core.results import PoseResult
+    from ladarreg_core.results.registration import PoseResult
     from ladarreg_core.scan import Scan
 
 
@@ -40,7 +40,7 @@ def measured_places(loader: Loader, document: Document, wanted: Sequence[Picked]
 
     What cannot be measured is refused, each with its reason.
     """
-    from ladarreg_core.measuring.measurement_list import NamedMeasurement
+    from ladarreg_core.inspection.measuring.measurement_list import NamedMeasurement
 
     found: dict[int, NamedMeasurement] = {}
     for station in dict.fromkeys(one.station for one in wanted):
@@ -64,7 +64,7 @@ def in_common_frame(document: Document, station: str, found: NamedMeasurement) -
 
     Where the station's place is not known it stays in the frame of its own scanner.
     """
-    from ladarreg_core.measuring.measurement_list import in_frame
+    from ladarreg_core.inspection.measuring.measurement_list import in_frame
 
     source, place = partner_of(document, station), known_place(document, station)
     if document.stations and source is not None:
@@ -94,7 +94,7 @@ def photos_of(places: Sequence[MeasuredPlace]) -> list[str]:
 def _on_scan(loader: Loader, seen: Document, scan: Scan, wanted: Sequence[Picked]) -> list[NamedMeasurement]:
     """Measure on one scan, with all photographs as seen from it."""
     from ladarreg_core.formats.documents.places_file import Place
-    from ladarreg_core.measuring.measurement_list import NamedMeasurement, measure_places
+    from ladarreg_core.inspection.measuring.measurement_list import NamedMeasurement, measure_places
 
     refusals: dict[int, str] = {}
     photos: Mapping[str, PoseResult] = {}

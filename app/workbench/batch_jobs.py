@@ -13,12 +13,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ladarreg_core.batches.jobs.job import Job
+from ladarreg_core.batches.jobs.recorded_jobs import RecordedJob, recorded_jobs
+from ladarreg_core.batches.jobs.run_folder import JOBS_RUN, OUTCOMES
+from ladarreg_core.batches.photos.summary_page import sigma_words
 from ladarreg_core.errors import FormatError, OptionError
 from ladarreg_core.formats.scans.scan_request import ScanOptions
-from ladarreg_core.jobs.job import Job
-from ladarreg_core.jobs.recorded_jobs import RecordedJob, recorded_jobs
-from ladarreg_core.jobs.run_folder import JOBS_RUN, OUTCOMES
-from ladarreg_core.many.summary_page import sigma_words
 from ladarreg_core.project.history import NOBODY
 from ladarreg_core.project.storage.folder import is_project
 

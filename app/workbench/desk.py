@@ -15,9 +15,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from ladarreg_core.batches.jobs.run_folder import JOBS_RUN
+from ladarreg_core.batches.photos.folder import is_batch_folder
 from ladarreg_core.errors import LadarregError, OptionError
-from ladarreg_core.jobs.run_folder import JOBS_RUN
-from ladarreg_core.many.folder import is_batch_folder
 from ladarreg_core.project.storage.duplicate import duplicate_project
 from ladarreg_core.project.storage.folder import ProjectFolder, is_project
 from ladarreg_core.storage.atomic_write import files_below

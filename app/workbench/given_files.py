@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from ladarreg_core.errors import LadarregError
+from ladarreg_core.export.outputs.saved_results import missing_scans, recorded_scans
 from ladarreg_core.formats.documents.own_results import edited_note
-from ladarreg_core.outputs.saved_results import missing_scans, recorded_scans
 from ladarreg_core.project import edits, tie_edits
 from ladarreg_core.project.document import CameraGiven
 from ladarreg_core.project.history import NOBODY
@@ -110,7 +110,7 @@ def survey_given(path: Path) -> Survey | None:
     Raises:
         FormatError: if it is a survey, and has faults.
     """
-    from ladarreg_core.many.photo_list import folder_contents
+    from ladarreg_core.batches.photos.photo_list import folder_contents
     from ladarreg_core.survey.survey import Survey
     from ladarreg_core.survey.survey_file import is_survey_file
 

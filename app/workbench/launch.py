@@ -177,8 +177,8 @@ def batch_given(inputs: Sequence[Path]) -> BatchJobs | None:
     Raises:
         FormatError: if it does not record its list.
     """
-    from ladarreg_core.jobs.run_folder import JOBS_RUN
-    from ladarreg_core.many.folder import is_batch_folder
+    from ladarreg_core.batches.jobs.run_folder import JOBS_RUN
+    from ladarreg_core.batches.photos.folder import is_batch_folder
 
     from .batch_jobs import BatchJobs
 

@@ -27,7 +27,7 @@ from ladarreg_core.project.history import NOBODY
 from ladarreg_core.project.results import pose_entry
 from ladarreg_core.project.source import Source
 from ladarreg_core.project.station_edits import with_stations
-from ladarreg_core.results import PoseResult, Registration
+from ladarreg_core.results.registration import PoseResult, Registration
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import SphericalGrid
 from ladarreg_core.simulate.photograph import Lighting, take_photograph

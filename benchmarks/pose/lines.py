@@ -14,7 +14,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from testing.scenes.pose_case import difference
 from testing.scenes.room_lines import LineCase, line_case
 

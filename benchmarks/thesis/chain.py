@@ -12,7 +12,7 @@ import numpy as np
 
 import ladarreg_core as lr
 from ladarreg_core.pose.estimate import solve_pose
-from ladarreg_core.progress import StepLog
+from ladarreg_core.results.steps import StepLog
 from ladarreg_core.simulate import SCENES, SimulatedCase, simulate_case
 from ladarreg_core.thesis.matching.chain import ThesisOptions, solve_thesis
 

@@ -19,7 +19,7 @@ from ladarreg_core.errors import ExportError
 from ladarreg_core.foundations.version import VERSION
 from ladarreg_core.frames import ThesisParameters
 from ladarreg_core.picks.lengths import lengths_by_end
-from ladarreg_core.results import PoseResult, Registration
+from ladarreg_core.results.registration import PoseResult, Registration
 from ladarreg_core.storage.atomic_write import write_bytes
 from ladarreg_core.storage.checksums import sealed
 from ladarreg_core.surface.texture.registered_texture import Label

@@ -15,8 +15,8 @@ from ladarreg_core.export.pictures.texture_image import texture_image
 from ladarreg_core.export.registered_scan import Registered, RegisteredPhoto
 from ladarreg_core.foundations.arrays import ByteArray
 from ladarreg_core.foundations.opened_image import opened_image
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import Progress, Report
 from ladarreg_core.storage.atomic_write import write_bytes, write_chunks
 from ladarreg_core.surface.remap import look_up
 

@@ -13,12 +13,12 @@ from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.output_frame import OutputFrame
 from ladarreg_core.foundations.arrays import ByteArray
+from ladarreg_core.foundations.progress import Report
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Pick
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import Report
 from ladarreg_core.quality.assessment import Assessment, assess
-from ladarreg_core.results import Registration
+from ladarreg_core.results.registration import Registration
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.best_photo import CellColors, PointColorer, PosedPhoto, best_photo, photo_labels
 from ladarreg_core.surface.texture.registered_texture import RegisteredTexture, texture_scan

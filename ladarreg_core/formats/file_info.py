@@ -37,9 +37,9 @@ from ladarreg_core.formats.scans.las import las_facts, read_las
 from ladarreg_core.formats.scans.las_header import read_las_header
 from ladarreg_core.formats.scans.ptx import PtxBlock, ptx_blocks, read_ptx
 from ladarreg_core.formats.scans.scan_request import ScanRequest
+from ladarreg_core.foundations.temperatures import kelvin_of, needs_unit, shown_values
 from ladarreg_core.frames import ThesisParameters, describe_direction, describe_position, describe_world
 from ladarreg_core.scan import Scan
-from ladarreg_core.thermal import kelvin_of, needs_unit, shown_values
 
 FileKind = Literal["scan", "photo", "camera", "pose", "matches", "results"]
 _MAX_LISTED = 50

@@ -26,8 +26,8 @@ from ladarreg_core.formats.photos.image_file import ImageData, as_rgb, read_imag
 from ladarreg_core.formats.photos.radiometric import radiometric_kelvin, radiometric_maker
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.foundations.source import with_source
-from ladarreg_core.photo import Photo
-from ladarreg_core.thermal import TemperatureUnit, kelvin_of, needs_unit, shown_values, thermal_photo
+from ladarreg_core.foundations.temperatures import TemperatureUnit, kelvin_of, needs_unit, shown_values
+from ladarreg_core.photo import Photo, thermal_photo
 
 _FREEZING_K = 273.15
 _POSSIBLE = (0.05, 100.0)

@@ -36,9 +36,9 @@ from ladarreg_core.formats.recordings.recording import (
 )
 from ladarreg_core.formats.scans.bag import AccumulatedClouds
 from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.foundations.validation import require_int, require_positive
 from ladarreg_core.photo import Photo, TimedPhoto
-from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
 
 MAX_FRAMES = 40

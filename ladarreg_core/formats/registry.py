@@ -57,8 +57,8 @@ from ladarreg_core.formats.scans.ply import read_ply, sniff_ply
 from ladarreg_core.formats.scans.ptx import read_ptx, sniff_ptx
 from ladarreg_core.formats.scans.scan_request import IntensitySource, ScanRequest
 from ladarreg_core.formats.scans.text_cloud import read_text_cloud, sniff_pts, sniff_text_cloud
+from ladarreg_core.foundations.progress import Report
 from ladarreg_core.foundations.source import with_source
-from ladarreg_core.progress import Report
 from ladarreg_core.scan import Scan
 
 _HEAD_BYTES = 4096

@@ -21,7 +21,7 @@ from ladarreg_core.formats.file_info import FileInfo
 from ladarreg_core.formats.parsing.json_file import begins_with_brace, parsed_once, read_json_object
 from ladarreg_core.formats.parsing.untrusted import one_line, reading, shown_name
 from ladarreg_core.frames import Rigid, ThesisParameters, describe_direction, describe_position
-from ladarreg_core.results import verdict_words
+from ladarreg_core.results.verdict_words import verdict_words
 from ladarreg_core.storage.checksums import CHECKSUM_FIELD
 from ladarreg_core.storage.manifest import DOCUMENTS
 

@@ -12,13 +12,13 @@ from ladarreg_core.errors import OptionError, ShapeError
 from ladarreg_core.export.registered_scan import RegisteredScan
 from ladarreg_core.foundations.arrays import ByteArray, FloatArray
 from ladarreg_core.foundations.palette import UNSEEN
+from ladarreg_core.foundations.progress import Progress, Report, part_of
 from ladarreg_core.fusion.exposure import Gains, solve_gains
 from ladarreg_core.fusion.moved import find_moved
 from ladarreg_core.fusion.samples import OtherSurface, PhotoSample, sample_photos
 from ladarreg_core.fusion.seams import blended, chosen_photos
 from ladarreg_core.fusion.vignetting import solve_vignetting, without_vignetting
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import Progress, Report, part_of
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.best_photo import NO_PHOTO, CellColors, PosedPhoto
 from ladarreg_core.surface.texture.registered_texture import Label

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.foundations.arrays import BoolArray, ByteArray, FloatArray
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.frames import Rigid
-from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.best_photo import PosedPhoto, cell_sigma, pixel_density
 from ladarreg_core.surface.texture.registered_texture import (

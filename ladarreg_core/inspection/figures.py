@@ -9,7 +9,7 @@ import numpy as np
 
 from ladarreg_core.frames import Rigid, RoundedParameter, look_along
 from ladarreg_core.matches import count_picks
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.scan import Scan
 
 

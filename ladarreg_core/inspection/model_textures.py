@@ -29,7 +29,7 @@ from ladarreg_core.inspection.surface_fields import (
     without_pepper,
 )
 from ladarreg_core.photo import Photo
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import View
 from ladarreg_core.surface.remap import look_up

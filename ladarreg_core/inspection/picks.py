@@ -20,7 +20,7 @@ from ladarreg_core.picks.lines import along_line, line_on_scan
 from ladarreg_core.picks.measure import SAMPLES_PER_LINE, matches_from_picks
 from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.quality.influence import influence
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.ranges import EDGE_FRACTION, measured_ranges
 from ladarreg_core.surface.visibility.visible_points import (

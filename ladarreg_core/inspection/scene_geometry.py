@@ -13,7 +13,7 @@ from ladarreg_core.camera import CameraModel
 from ladarreg_core.foundations.arrays import BoolArray, ByteArray, FloatArray, IntArray, read_only
 from ladarreg_core.frames import Rigid
 from ladarreg_core.inspection.viewpoints import field_of_view
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.scan import Scan
 
 _NEAR_OF_DISTANCE = 0.01

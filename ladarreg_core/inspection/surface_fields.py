@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.remap import look_up
 

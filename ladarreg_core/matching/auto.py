@@ -35,7 +35,7 @@ from ladarreg_core.matching.search.view_search import ViewSearch
 from ladarreg_core.matching.verify.verification import Verification, check_precision, region_markers
 from ladarreg_core.matching.wrong_poses import WrongPoses, verdict_beside_wrong_poses, wrong_poses_decide
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import StepLog
+from ladarreg_core.results.steps import StepLog
 from ladarreg_core.scan import Scan
 
 _MAX_ROLLED_VIEWS, _MAX_GRID_VIEWS = 2, 3

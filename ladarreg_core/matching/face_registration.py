@@ -27,7 +27,7 @@ from ladarreg_core.matching.search.ambiguity import KnownPoses, ambiguity_senten
 from ladarreg_core.matching.search.face_search import FaceHypothesis, FaceSearch
 from ladarreg_core.matching.verify.verification import Verification, check_precision
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import StepLog
+from ladarreg_core.results.steps import StepLog
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import perspective_view
 

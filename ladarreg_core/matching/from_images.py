@@ -20,8 +20,8 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.pose.assumed_camera import with_assumed_camera
 from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M
 from ladarreg_core.pose.result import describe_pose
-from ladarreg_core.progress import StepLog
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
+from ladarreg_core.results.steps import StepLog
 from ladarreg_core.scan import Scan
 
 _DISTINCT_SIGMA = 3.0  # standard deviations between focal lengths that the images distinguish

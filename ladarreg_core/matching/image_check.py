@@ -37,8 +37,8 @@ from ladarreg_core.matching.wrong_poses import verdict_beside_wrong_poses, wrong
 from ladarreg_core.photo import Photo
 from ladarreg_core.picks.lengths import refused_by_lengths
 from ladarreg_core.pose.result import describe_pose, inliers_at
-from ladarreg_core.progress import StepLog
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
+from ladarreg_core.results.steps import StepLog
 from ladarreg_core.scan import Scan
 
 Outcome = Literal["verified", "contradicted", "undecidable"]

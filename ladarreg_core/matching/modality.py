@@ -27,7 +27,7 @@ from ladarreg_core.matching.verify.verification import (
     gate_for,
 )
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import StepLog
+from ladarreg_core.results.steps import StepLog
 from ladarreg_core.scan import Scan
 
 _CHANNEL_LABELS: dict[ChannelSet, str] = {

@@ -17,7 +17,7 @@ from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.foundations.formatting import format_length
 from ladarreg_core.matches import Pick
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.ranges import EDGE_FRACTION, measured_ranges, range_quality, usual_noise_m
 

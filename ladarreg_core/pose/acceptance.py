@@ -21,7 +21,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches, count_picks
 from ladarreg_core.pose.estimators.bundle import UNSEEN, Evaluation
 from ladarreg_core.pose.estimators.covariance import MIN_EIGENVALUE, guarded_inverse
-from ladarreg_core.results import is_determined
+from ladarreg_core.results.verdict_words import is_determined
 
 _PLANE_SAMPLES = 80  # of three points each: the chance (1 - .7^3)^80 of missing a plane of 70 % is negligible
 _HASH_WEIGHTS = np.sqrt([2.0, 3.0, 5.0])

@@ -33,7 +33,7 @@ from ladarreg_core.pose.estimators.intrinsics import (
     estimate_intrinsics,
     intrinsic,
 )
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 
 MAX_PRIOR_SIGMAS = 3.0
 """Offset of the principal point beyond which the photograph was probably cropped, in standard deviations."""

@@ -26,7 +26,7 @@ from ladarreg_core.pose.preconditions import check_matches
 from ladarreg_core.pose.result import Fit, build_result
 from ladarreg_core.pose.robust import solve_robust
 from ladarreg_core.pose.simplex_result import build_simplex_result
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.thesis.estimators.linear import linear_covariance, linear_pose
 from ladarreg_core.thesis.estimators.stereo_simplex import Residual, fit_simplex
 

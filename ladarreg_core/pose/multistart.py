@@ -51,7 +51,7 @@ from ladarreg_core.pose.estimators.gnc import (
 from ladarreg_core.pose.estimators.measurements import Measurements
 from ladarreg_core.pose.options import PoseOptions
 from ladarreg_core.pose.preconditions import MIN_MATCHES
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 
 BasinVerdict = Literal["unique", "ambiguous", "failed"]
 

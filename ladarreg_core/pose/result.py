@@ -25,7 +25,7 @@ from ladarreg_core.pose.estimators.bundle import UNSEEN, Evaluation, States, adj
 from ladarreg_core.pose.estimators.measurements import Measurements
 from ladarreg_core.pose.noise import estimate_noise
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M, PoseOptions
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 
 _MAX_NOISE, _MAX_NOISE_DRAWN = 0.005, 0.02  # of the photo's longer side: of detected points, of lines by hand
 

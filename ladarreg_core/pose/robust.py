@@ -45,7 +45,7 @@ from ladarreg_core.pose.line_ends import repair_ends
 from ladarreg_core.pose.options import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions
 from ladarreg_core.pose.preconditions import MIN_MATCHES
 from ladarreg_core.pose.result import Fit, build_result, noise_of_inliers
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 
 _GATE_ROUNDS = 5
 _CLEAR_SHARE = 0.5

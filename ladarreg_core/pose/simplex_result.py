@@ -13,7 +13,7 @@ from ladarreg_core.pose.estimators.covariance import simplex_covariance
 from ladarreg_core.pose.estimators.measurements import Measurements
 from ladarreg_core.pose.options import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M, PoseOptions
 from ladarreg_core.pose.result import Fit, build_result, noise_of_inliers
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.thesis.estimators.stereo_simplex import SimplexFit
 
 

@@ -14,7 +14,8 @@ from ladarreg_core.matches import Pick
 from ladarreg_core.project.settings import Settings
 from ladarreg_core.project.source import Source
 from ladarreg_core.project.stored_arrays import StoredArrays
-from ladarreg_core.results import Evidence, StageId
+from ladarreg_core.results.registration import StageId
+from ladarreg_core.results.verdict_words import Evidence
 
 VERSION = 1
 STAGES: tuple[StageId, ...] = get_args(StageId)
@@ -25,7 +26,7 @@ was taken out."""
 Numbers = tuple[float, ...]
 Rows = tuple[Numbers, ...]
 MeasurementKind = Literal["point", "distance", "polyline", "angle", "area", "height"]
-"""As `ladarreg_core.measuring.measurement.MeasurementKind`, which is above this package."""
+"""As `ladarreg_core.inspection.measuring.measurement.MeasurementKind`, which is above this package."""
 
 
 class CameraGiven(msgspec.Struct, frozen=True, kw_only=True):

@@ -14,7 +14,7 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Pick, unit_rays
 from ladarreg_core.project.document import STAGES, CameraGiven, Document, Part, PhotoEntry, PickEntry, PoseEntry, Rows
 from ladarreg_core.project.source import Source, file_name
-from ladarreg_core.results import StageId
+from ladarreg_core.results.registration import StageId
 
 MAX_PHOTOS = 200
 MAX_PICKS = 5000

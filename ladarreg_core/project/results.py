@@ -15,10 +15,11 @@ from ladarreg_core.export.json import plain
 from ladarreg_core.formats.cameras.camera_file import camera_from_fields
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
-from ladarreg_core.progress import Step
 from ladarreg_core.project.document import PickEntry, PoseEntry, StepEntry
 from ladarreg_core.project.stored_arrays import StoredArrays
-from ladarreg_core.results import ComparedBlocks, PoseResult, Registration, StageId
+from ladarreg_core.results.compared_blocks import ComparedBlocks
+from ladarreg_core.results.registration import PoseResult, Registration, StageId
+from ladarreg_core.results.steps import Step
 
 _MATCH_ARRAYS = ("rays", "ranges", "uv", "fractions", "weights", "range_weights", "directions", "across")
 _RESULT_ARRAYS = ("inliers", "residuals_px", "residuals_m", "stereo_depth_error_m")

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from ladarreg_core.project.document import Document, PhotoEntry, PickEntry
-from ladarreg_core.results import STAGE_LABELS, verdict_words
+from ladarreg_core.results.registration import STAGE_LABELS
+from ladarreg_core.results.verdict_words import verdict_words
 
 StepName = Literal["match", "solve", "judge", "export"]
 MIN_POINTS = 4

@@ -20,7 +20,7 @@ from ladarreg_core.foundations.parallel import side_by_side
 from ladarreg_core.quality.findings import Finding, findings
 from ladarreg_core.quality.influence import INFLUENTIAL_COOK, Influence, influence
 from ladarreg_core.quality.next_match import SuggestedMatch, part_of_photo, suggest_matches
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.spikes import SPIKE_FRACTION, median_range
 from ladarreg_core.surface.uncertainty import picture_sigma, pixel_sigma

@@ -17,7 +17,7 @@ from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.foundations.formatting import format_length, format_number
 from ladarreg_core.pose.assumed_camera import is_beyond_prior
 from ladarreg_core.pose.estimators.covariance import guarded_inverse
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 
 _ADVICE = "Give a calibrated camera file for the photo."
 _UNCROPPED = (

@@ -19,7 +19,7 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimators.bundle import UNSEEN, States, information_matrix, residuals
 from ladarreg_core.pose.estimators.measurements import Measurements
 from ladarreg_core.pose.preconditions import MIN_MATCHES
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 
 FAR_OVER_NEAR = 2.8
 """Range ratio of the ideal layout; nine tenths of the matches then span a factor of 2.5, as in a room 2 to 6 m deep."""

@@ -32,7 +32,7 @@ from ladarreg_core.quality.limits import (
     is_forward_baseline,
 )
 from ladarreg_core.quality.suspects import suspect_matches
-from ladarreg_core.results import PoseResult, Registration
+from ladarreg_core.results.registration import PoseResult, Registration
 from ladarreg_core.thesis.estimators.linear import MIN_PLANARITY
 
 Level = Literal["good", "fair", "poor"]

@@ -23,7 +23,7 @@ from ladarreg_core.foundations.formatting import format_length
 from ladarreg_core.pose.estimators.bundle import UNSEEN, States, adjust_ranges, least_squares, linearise, residuals
 from ladarreg_core.pose.estimators.measurements import Measurements
 from ladarreg_core.pose.preconditions import MIN_MATCHES
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 
 INFLUENTIAL_COOK = 0.5
 """Cook's distance from which a match should be checked."""

@@ -18,7 +18,7 @@ import numpy as np
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.pose.estimators.bundle import UNSEEN, States, adjust_ranges, linearise
 from ladarreg_core.pose.estimators.measurements import Measurements
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 
 MIN_MATCHES_OF_LENS = 12
 """With fewer matches, noise can be mistaken for a lens error."""

@@ -19,7 +19,7 @@ from ladarreg_core.camera import CameraModel
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray, read_only
 from ladarreg_core.foundations.formatting import format_number
 from ladarreg_core.foundations.validation import require_int, require_number
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.ranges import surface_range
 from ladarreg_core.surface.uncertainty import covariance_factor

@@ -33,7 +33,7 @@ from ladarreg_core.pose.diagnostics import diagnose
 from ladarreg_core.pose.estimators.bundle import UNSEEN, States, linearise, residuals
 from ladarreg_core.pose.estimators.measurements import Measurements
 from ladarreg_core.quality.limits import MAX_SIGMA_Z_OVER_Z
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.spikes import SPIKE_FRACTION, median_range
 

@@ -13,7 +13,7 @@ import numpy as np
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.foundations.arrays import BoolArray
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 
 _NOT_ROBUST = ("linear", "stereo_simplex", "epipolar_simplex")
 _MIN_SHARE = 0.5  # below it the robust pose may itself rest on the wrong matches

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 from ladarreg_core.foundations.formatting import format_length, format_number
 from ladarreg_core.matches import count_picks
 from ladarreg_core.quality.assessment import Assessment
-from ladarreg_core.results import PoseResult, StageId, verdict_words
+from ladarreg_core.results.registration import PoseResult, StageId
+from ladarreg_core.results.verdict_words import verdict_words
 
 Light = Literal["verified", "matches_only", "given", "not_accepted", "out_of_date"]
 Action = Literal["", "solve", "verify", "register", "use_stage", "frames", "export"]

@@ -14,8 +14,9 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.photo import Photo
 from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M
 from ladarreg_core.pose.result import describe_pose
-from ladarreg_core.progress import Step
-from ladarreg_core.results import Offset, PoseResult, Registration
+from ladarreg_core.results.offset import Offset
+from ladarreg_core.results.registration import PoseResult, Registration
+from ladarreg_core.results.steps import Step
 
 
 def carry_over(registration: Registration, offset: Offset | Rigid, photo_b: Photo) -> Registration:

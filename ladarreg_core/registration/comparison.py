@@ -11,9 +11,9 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Pick
 from ladarreg_core.photo import Photo
 from ladarreg_core.picks.lengths import with_lengths_checked
-from ladarreg_core.progress import StepLog, StepReport
 from ladarreg_core.registration.register import RegisterOptions, register
-from ladarreg_core.results import Stage
+from ladarreg_core.results.registration import Stage
+from ladarreg_core.results.steps import StepLog, StepReport
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.registered_texture import RegisteredTexture, texture_scan
 from ladarreg_core.thesis.matching.chain import thesis_stages

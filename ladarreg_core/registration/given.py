@@ -15,9 +15,9 @@ from ladarreg_core.matching.image_check import ImageCheck, check_against_images
 from ladarreg_core.photo import Photo
 from ladarreg_core.pose.estimate import STATED_SIGMA_PX, STATED_SIGMA_RANGE_M
 from ladarreg_core.pose.result import describe_pose
-from ladarreg_core.progress import StepLog, StepReport
 from ladarreg_core.quality.pose_conventions import other_convention
-from ladarreg_core.results import PoseResult, Registration
+from ladarreg_core.results.registration import PoseResult, Registration
+from ladarreg_core.results.steps import StepLog, StepReport
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.registered_texture import Label, texture_scan
 

@@ -39,9 +39,9 @@ from ladarreg_core.picks.measure import (
 from ladarreg_core.pose.assumed_camera import with_assumed_camera
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.multistart import confirm
-from ladarreg_core.progress import StepLog, StepReport
 from ladarreg_core.quality.pose_conventions import other_convention
-from ladarreg_core.results import PoseResult, Registration
+from ladarreg_core.results.registration import PoseResult, Registration
+from ladarreg_core.results.steps import StepLog, StepReport
 from ladarreg_core.scan import Scan
 from ladarreg_core.thesis.matching.chain import ThesisOptions, ThesisResult, thesis_stages
 

@@ -19,10 +19,11 @@ from ladarreg_core.formats.cameras.camera_file import write_camera
 from ladarreg_core.formats.documents.pose_file import POSE_FIELD
 from ladarreg_core.formats.parsing.json_file import write_json
 from ladarreg_core.formats.scans.npz import write_npz_counts
+from ladarreg_core.foundations.progress import Progress, Report
+from ladarreg_core.foundations.temperatures import CENTIKELVIN_K, centikelvin
 from ladarreg_core.foundations.validation import require_int
 from ladarreg_core.frames import Rigid, ThesisParameters
-from ladarreg_core.photo import Photo
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.photo import Photo, thermal_photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import range_from_counts
 from ladarreg_core.simulate.gamma import GAMMA_CAMERA, take_gamma_image
@@ -32,7 +33,6 @@ from ladarreg_core.simulate.ray_cast import RayCaster
 from ladarreg_core.simulate.thermal import THERMAL_CAMERA, take_thermal_image
 from ladarreg_core.simulate.worlds.scenes import SCENES, build_scene
 from ladarreg_core.simulate.worlds.world import World
-from ladarreg_core.thermal import CENTIKELVIN_K, centikelvin, thermal_photo
 
 CAMERA = Camera.from_focal(768, 512, 974.0)
 """A 35 mm lens before a small frame."""

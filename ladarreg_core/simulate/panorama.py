@@ -16,10 +16,10 @@ from ladarreg_core.errors import OptionError
 from ladarreg_core.formats.documents.pose_file import POSE_FIELD
 from ladarreg_core.formats.parsing.json_file import write_json
 from ladarreg_core.formats.scans.npz import write_npz_xyz
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.foundations.validation import require_choice, require_int
 from ladarreg_core.frames import Rigid, look_along, rotation_about
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.case import png_of
 from ladarreg_core.simulate.photograph import Lighting, take_photograph

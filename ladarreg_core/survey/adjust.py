@@ -20,18 +20,18 @@ from typing import Any
 
 import numpy as np
 
+from ladarreg_core.batches.photos.cache import ContentCache
+from ladarreg_core.batches.photos.executor import WorkerProcesses, usable_cores
+from ladarreg_core.batches.photos.photo_task import ScanFiles
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.export.json import plain
 from ladarreg_core.foundations.arrays import IntArray
+from ladarreg_core.foundations.progress import Progress, Report, part_of
 from ladarreg_core.foundations.validation import require_type
 from ladarreg_core.frames import Rigid
-from ladarreg_core.many.cache import ContentCache
-from ladarreg_core.many.executor import WorkerProcesses, usable_cores
-from ladarreg_core.many.photo_task import ScanFiles
-from ladarreg_core.progress import Progress, Report, part_of
 from ladarreg_core.registration.register import RegisterOptions
-from ladarreg_core.results import Registration
+from ladarreg_core.results.registration import Registration
 from ladarreg_core.survey.adjustment import Adjustment
 from ladarreg_core.survey.assembly import adjustment_of
 from ladarreg_core.survey.build import (

@@ -13,7 +13,7 @@ from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import OptionError
 from ladarreg_core.export.json import software_document
 from ladarreg_core.frames import Rigid
-from ladarreg_core.results import COARSE_SIGMA_PX
+from ladarreg_core.results.registration import COARSE_SIGMA_PX
 from ladarreg_core.survey.least_squares.problem import Matrix
 from ladarreg_core.survey.least_squares.solver import Adjusted
 

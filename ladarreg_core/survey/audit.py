@@ -24,9 +24,9 @@ from ladarreg_core.foundations.formatting import format_angle, format_length
 from ladarreg_core.foundations.validation import require_type
 from ladarreg_core.frames import Rigid
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import StepReport
 from ladarreg_core.registration.register import RegisterOptions, register
-from ladarreg_core.results import Registration
+from ladarreg_core.results.registration import Registration
+from ladarreg_core.results.steps import StepReport
 from ladarreg_core.scan import Scan
 from ladarreg_core.survey.least_squares.problem import pose_difference
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ladarreg_core.batches.photos.pooled_camera import CameraEstimate, camera_estimate, pool, pose_by_camera, turn_of
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.camera.uncertainty import CALIBRATED_CAMERA_PRIOR, DEFAULT_CAMERA_PRIOR, INTRINSICS
 from ladarreg_core.frames import Rigid
-from ladarreg_core.many.pooled_camera import CameraEstimate, camera_estimate, pool, pose_by_camera, turn_of
-from ladarreg_core.results import Registration
+from ladarreg_core.results.registration import Registration
 from ladarreg_core.survey.least_squares.problem import (
     WORLD,
     CameraUnknowns,

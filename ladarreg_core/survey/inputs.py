@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from ladarreg_core.batches.photos.cache import ContentCache
+from ladarreg_core.batches.photos.photo_task import ScanFiles
+from ladarreg_core.batches.photos.pooled_camera import may_be_turned
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import FormatError, LadarregError, OptionError
 from ladarreg_core.export.json import input_document, input_documents, plain
 from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.photos.photo_facts import photo_facts
-from ladarreg_core.many.cache import ContentCache
-from ladarreg_core.many.photo_task import ScanFiles
-from ladarreg_core.many.pooled_camera import may_be_turned
 from ladarreg_core.scan import Scan
 from ladarreg_core.survey.parts import SurveyCamera, SurveyPhoto, listed_faults
 from ladarreg_core.survey.survey import Survey

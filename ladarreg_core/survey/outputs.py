@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 
+from ladarreg_core.batches.photos.cache import ContentCache
+from ladarreg_core.batches.photos.executor import WorkerProcesses, usable_cores
+from ladarreg_core.batches.photos.folder import SUMMARY_FILE, BatchFolder
+from ladarreg_core.batches.photos.photo_task import ScanFiles, held_scan, thumbnail
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.export.json import plain, write_result
 from ladarreg_core.export.targets.folder import export_registration
 from ladarreg_core.formats.isolated.messages import MessageError
-from ladarreg_core.many.cache import ContentCache
-from ladarreg_core.many.executor import WorkerProcesses, usable_cores
-from ladarreg_core.many.folder import SUMMARY_FILE, BatchFolder
-from ladarreg_core.many.photo_task import ScanFiles, held_scan, thumbnail
-from ladarreg_core.progress import Progress, Report, part_of
+from ladarreg_core.foundations.progress import Progress, Report, part_of
 from ladarreg_core.quality.assessment import assess
 from ladarreg_core.registration.register import RegisterOptions
-from ladarreg_core.results import Registration
+from ladarreg_core.results.registration import Registration
 from ladarreg_core.storage.atomic_write import write_bytes
 from ladarreg_core.storage.replacement import REPORT_FILE
 from ladarreg_core.survey.adjust import Solved, solve_survey

@@ -15,13 +15,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ladarreg_core.batches.photos.photo_task import ScanFiles
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.foundations.arrays import IntArray
 from ladarreg_core.frames import Rigid
-from ladarreg_core.many.photo_task import ScanFiles
 from ladarreg_core.registration.register import RegisterOptions
-from ladarreg_core.results import Registration
+from ladarreg_core.results.registration import Registration
 from ladarreg_core.survey.parts import SurveyPhoto
 from ladarreg_core.survey.stations import Stations
 from ladarreg_core.survey.ties.features import Features

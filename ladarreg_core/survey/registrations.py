@@ -11,7 +11,7 @@ from ladarreg_core.frames import skew
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.registration.register import RegisterOptions
-from ladarreg_core.results import PoseResult, Registration
+from ladarreg_core.results.registration import PoseResult, Registration
 from ladarreg_core.survey.adjust import Solved
 from ladarreg_core.survey.adjustment import Adjustment
 from ladarreg_core.survey.least_squares.problem import Matrix

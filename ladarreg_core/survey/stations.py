@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ladarreg_core.errors import DegenerateGeometryError, LadarregError, OptionError
+from ladarreg_core.foundations.progress import Report
 from ladarreg_core.frames import Rigid, skew
-from ladarreg_core.progress import Report
 from ladarreg_core.registration.stations.registration import register_scans
 from ladarreg_core.registration.stations.results import StationPair
 from ladarreg_core.registration.stations.survey_target import SurveyTarget

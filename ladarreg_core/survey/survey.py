@@ -8,9 +8,9 @@ from pathlib import Path
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.export.registered_scan import photo_id
+from ladarreg_core.foundations.progress import Report
 from ladarreg_core.frames import Rigid
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.survey.parts import (
     SurveyCamera,

@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
+from ladarreg_core.batches.photos.cache import ContentCache
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import OptionError
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.foundations.validation import require_type
 from ladarreg_core.frames import Rigid
-from ladarreg_core.many.cache import ContentCache
-from ladarreg_core.progress import Progress, Report
 from ladarreg_core.registration.register import RegisterOptions
 from ladarreg_core.scan import Scan
 from ladarreg_core.survey.audit import FALSE_ALARM, Audit, Outcome, audit
@@ -58,8 +58,8 @@ class StatedPoses:
         Raises:
             FormatError: if the folder has none, or they are damaged.
         """
+        from ladarreg_core.batches.photos.photo_summary import read_photos_result
         from ladarreg_core.formats import read_registration
-        from ladarreg_core.many.photo_summary import read_photos_result
 
         result = read_photos_result(folder)
         photos, cameras = {}, {}

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from ladarreg_core.batches.photos.photo_list import camera_groups, folder_contents, photo_entries
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import ExportError, FormatError, LadarregError, OptionError
 from ladarreg_core.export.registered_scan import photo_id
@@ -17,10 +18,9 @@ from ladarreg_core.formats.cameras.camera_file import camera_from_fields
 from ladarreg_core.formats.parsing.json_file import read_json_object, write_json
 from ladarreg_core.formats.parsing.untrusted import reading, shown_name
 from ladarreg_core.formats.scans.scan_request import stated_options
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.foundations.validation import is_number
 from ladarreg_core.frames import Rigid
-from ladarreg_core.many.photo_list import camera_groups, folder_contents, photo_entries
-from ladarreg_core.progress import Progress, Report
 from ladarreg_core.survey.parts import (
     DRAWN_SIGMA_PX,
     Estimate,

@@ -14,16 +14,16 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from ladarreg_core.batches.photos.cache import ContentCache
+from ladarreg_core.batches.photos.photo_task import ScanFiles, held_scan, kept_channels
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.export.json import input_document, plain
 from ladarreg_core.formats import read_matches, read_photo
 from ladarreg_core.foundations.arrays import FloatArray, IntArray
 from ladarreg_core.frames import Rigid
-from ladarreg_core.many.cache import ContentCache
-from ladarreg_core.many.photo_task import ScanFiles, held_scan, kept_channels
 from ladarreg_core.photo import Photo
 from ladarreg_core.registration.register import RegisterOptions, register
-from ladarreg_core.results import Registration
+from ladarreg_core.results.registration import Registration
 from ladarreg_core.survey.colored_view import ColorSource, colored_view
 from ladarreg_core.survey.ties.features import MAX_FEATURES, Features, detect, matches_between
 from ladarreg_core.survey.ties.ties import LaserPoints, laser_points

@@ -23,10 +23,10 @@ from ladarreg_core.acquisition.runs.runner import PieceKept, Run, RunEvent
 from ladarreg_core.acquisition.simulated.world import FRAME_MOUNT
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.export.json import registration_document, write_result
+from ladarreg_core.export.outputs.integrity import check_integrity
 from ladarreg_core.export.targets.folder import check_folder, export_registration, write_folder
 from ladarreg_core.export.targets.zip_file import write_zip
 from ladarreg_core.formats.scans.npz import write_npz_xyz
-from ladarreg_core.outputs.integrity import check_integrity
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.history import NOBODY, History

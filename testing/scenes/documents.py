@@ -12,7 +12,7 @@ from ladarreg_core.project import edits
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.results import pose_entry
 from ladarreg_core.project.source import Source
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 
 SOURCE = Source(path="photo.png", name="photo.png", size=3)
 

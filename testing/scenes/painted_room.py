@@ -14,7 +14,7 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec, rotvec_from_rotation
 from ladarreg_core.photo import Photo
 from ladarreg_core.registration.register import register
-from ladarreg_core.results import Registration
+from ladarreg_core.results.registration import Registration
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.remap import look_up

@@ -8,8 +8,8 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import Step
-from ladarreg_core.results import Registration
+from ladarreg_core.results.registration import Registration
+from ladarreg_core.results.steps import Step
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 

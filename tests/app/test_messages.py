@@ -14,10 +14,12 @@ from ladarreg.exit_codes import ExitCode
 from ladarreg.messages import assessment_lines, one_line
 from ladarreg.progress_bar import progress_bar
 
-from ladarreg_core.progress import Progress, Step
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.quality.assessment import Assessment
 from ladarreg_core.quality.findings import LEVELS, Finding
-from ladarreg_core.results import STAGE_LABELS, VERDICTS, Evidence, StageId, StageName
+from ladarreg_core.results.registration import STAGE_LABELS, StageId, StageName
+from ladarreg_core.results.steps import Step
+from ladarreg_core.results.verdict_words import VERDICTS, Evidence
 from testing.scenes.small_registration import sample_registration
 
 

@@ -12,9 +12,11 @@ from pathlib import Path
 
 import pytest
 
+import ladarreg_core
+
 CHECKOUT = Path(__file__).resolve().parents[2]
 
-GROUND_FLOOR = {"errors", "foundations", "progress", "frames", "camera", "scanner", "scan", "photo", "matches"}
+GROUND_FLOOR = {"errors", "foundations", "frames", "camera", "scanner", "scan", "photo", "matches"}
 DATA = GROUND_FLOOR | {"results"}
 NEVER_IN_CORE = {"app", "ladarreg", "viser", "starlette", "uvicorn", "rich", "tyro", "websockets"}
 ALGORITHMS = {"matching", "pose", "thesis", "registration", "simulate", "surface"}
@@ -35,8 +37,8 @@ FORBIDDEN = {
     "export/targets": {"registration"},
     "simulate": {"matching", "pose", "registration", "export"},
     "registration": {"formats", "export", "simulate", "inspection", "project"},
-    "many": {"simulate", "inspection", "project", "acquisition", "thesis", "survey", "jobs"},
-    "jobs": {"simulate", "inspection", "project", "acquisition", "thesis"},
+    "batches": {"simulate", "inspection", "project", "acquisition", "thesis"},
+    "batches/photos": {"survey", "batches/jobs"},
     "fusion": {
         "registration",
         "matching",
@@ -46,12 +48,19 @@ FORBIDDEN = {
         "project",
         "acquisition",
         "survey",
-        "many",
-        "jobs",
+        "batches",
     },
-    "survey": {"jobs", "simulate", "inspection", "project", "acquisition", "thesis"},
-    "measuring": {"simulate", "inspection", "project", "acquisition", "thesis", "registration", "matching"},
-    "inspection": {"formats", "simulate", "project", "registration"},
+    "survey": {"batches/jobs", "simulate", "inspection", "project", "acquisition", "thesis"},
+    "inspection": {
+        "formats/cameras",
+        "formats/photos",
+        "formats/recordings",
+        "formats/scans",
+        "simulate",
+        "project",
+        "registration",
+    },
+    "inspection/measuring": {"acquisition", "thesis", "matching"},
     "project": {"inspection", "simulate"},
 }
 """What a package and its sub-packages may not import, with what is below it, beside what would close a circle."""
@@ -184,6 +193,12 @@ def test_slow_packages_are_imported_where_they_are_used() -> None:
         at_the_top |= {node.module or "" for node in tree.body if isinstance(node, ast.ImportFrom)}
         slow = {name for name in at_the_top if name.split(".")[0] not in quick}
         assert not slow, f"{path}: import {', '.join(sorted(slow))} in the function that needs it"
+
+
+def test_no_package_is_called_as_a_public_name() -> None:
+    """Importing the package would put it in the place of the function."""
+    top = {path.stem for path in (CHECKOUT / "ladarreg_core").iterdir() if path.suffix == ".py" or path.is_dir()}
+    assert not top & set(ladarreg_core.__all__)
 
 
 def test_importing_the_core_costs_nothing() -> None:

@@ -19,8 +19,8 @@ import numpy as np
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats import photo_file, read_scan
 from ladarreg_core.formats.isolated.messages import message_parts
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner import origin
 

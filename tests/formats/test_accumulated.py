@@ -13,7 +13,7 @@ from ladarreg.exit_codes import ExitCode
 
 import ladarreg_core as lr
 from ladarreg_core.errors import FormatError, OptionError, ShapeError
-from ladarreg_core.outputs.saved_results import read_saved_result
+from ladarreg_core.export.outputs.saved_results import read_saved_result
 from ladarreg_core.simulate.sample import sample_folder
 from testing.files.small_scans import make_scan, pcd_bytes
 from testing.scenes.box_room import distances, off_surface

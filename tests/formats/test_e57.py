@@ -16,8 +16,8 @@ from ladarreg_core.formats.cameras.camera_file import read_camera
 from ladarreg_core.formats.documents.pose_file import read_pose
 from ladarreg_core.formats.e57.reader import read_e57
 from ladarreg_core.formats.e57_images import extract_images
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.frames import Rigid
-from ladarreg_core.progress import Progress
 from ladarreg_core.scan import NO_INTENSITY_NOTE, Scan
 from testing.files.small_scans import picture_e57
 

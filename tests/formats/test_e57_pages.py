@@ -10,8 +10,8 @@ from ladarreg.cli import main
 from ladarreg.exit_codes import ExitCode
 
 from ladarreg_core.errors import FormatError
+from ladarreg_core.export.outputs.integrity import check_integrity
 from ladarreg_core.formats.e57.pages import _checksums, require_intact_pages
-from ladarreg_core.outputs.integrity import check_integrity
 from testing.files.small_scans import e57_fields, e57_file
 from testing.scenes.small_registration import sample_scan
 

@@ -27,9 +27,9 @@ from ladarreg_core.formats.documents.matches_file import read_matches
 from ladarreg_core.formats.isolated import IsolatedReaders, ReaderLimits
 from ladarreg_core.formats.isolated.messages import MessageError, read_message, write_message
 from ladarreg_core.formats.isolated.pieces import Turn, write_piece
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.frames import Rigid
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner import gridding, grids
 from ladarreg_core.scanner.grids import (

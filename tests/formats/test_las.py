@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from ladarreg_core.errors import Cancelled, FormatError, OptionError, UnderspecifiedError
 from ladarreg_core.formats import describe, read_scan
-from ladarreg_core.progress import Progress
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.scan import Scan
 from testing.scenes.simulated_clouds import brightness, dome, in_room
 

@@ -17,7 +17,7 @@ from ladarreg_core.errors import LadarregError
 from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.thesis.estimators.stereo_simplex import SimplexOptions
 from testing.scenes.pose_case import difference
 from testing.scenes.room import ROOM_CAMERA, room_case

@@ -15,7 +15,7 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import estimate_pose
 from ladarreg_core.pose.estimators.bundle import States, least_squares, linearise, normal_equations
 from ladarreg_core.pose.estimators.measurements import Measurements
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from testing.scenes.pose_case import difference
 from testing.scenes.room import ROOM_CAMERA, room_case
 from tests.properties.strategies import rotvecs

@@ -11,10 +11,10 @@ import yaml
 
 import ladarreg_core as lr
 from ladarreg_core.errors import FormatError, OptionError
+from ladarreg_core.export.outputs.rig_folder import write_rig
 from ladarreg_core.formats import describe
 from ladarreg_core.formats.documents.pose_file import read_initial_of_rig
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
-from ladarreg_core.outputs.rig_folder import write_rig
 from ladarreg_core.registration.rig.results import RigResult
 from ladarreg_core.storage.manifest import visible_files
 from testing.scenes.camera_rig import MountedCamera, camera_rig, panorama_camera, three_cameras

@@ -9,9 +9,9 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.frames import rotation_about
-from ladarreg_core.progress import StepLog
 from ladarreg_core.registration.comparison import compare
 from ladarreg_core.registration.register import RegisterOptions
+from ladarreg_core.results.steps import StepLog
 from ladarreg_core.simulate import SimulatedCase
 from ladarreg_core.thesis.matching.chain import ThesisOptions, solve_thesis
 from testing.scenes.painted_room import PaintedRoom, painted_room

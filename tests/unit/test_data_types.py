@@ -14,7 +14,7 @@ from ladarreg_core.foundations.arrays import read_only
 from ladarreg_core.frames import Rigid, ThesisParameters, rotation_from_rotvec
 from ladarreg_core.matches import Matches, Pick
 from ladarreg_core.photo import Photo
-from ladarreg_core.results import PoseResult, Registration
+from ladarreg_core.results.registration import PoseResult, Registration
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 

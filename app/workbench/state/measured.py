@@ -20,8 +20,8 @@ from ...session.measured import Picked, in_common_frame, measured_places, photos
 from ...session.session import Session
 
 if TYPE_CHECKING:
-    from ladarreg_core.measuring.drawn import DrawnMeasurement
-    from ladarreg_core.measuring.measurement_list import NamedMeasurement
+    from ladarreg_core.inspection.measuring.drawn import DrawnMeasurement
+    from ladarreg_core.inspection.measuring.measurement_list import NamedMeasurement
     from ladarreg_core.project.document import Document, MeasuredPlace, MeasurementEntry, PhotoEntry
     from ladarreg_core.scan import Scan
     from ladarreg_core.surface.visibility.visible_points import Occluder
@@ -90,7 +90,7 @@ class Measured:
 
         Those of stations that stand nobody knows where are not drawn.
         """
-        from ladarreg_core.measuring.drawn import lines_of
+        from ladarreg_core.inspection.measuring.drawn import lines_of
 
         from ...scene import MeasuredShown
 
@@ -170,7 +170,7 @@ class Measured:
         measured = found.measurement
         if measured is None:
             return {"drawn": None, "in_photo": {}}
-        from ladarreg_core.measuring.drawn import drawn_from_scanner
+        from ladarreg_core.inspection.measuring.drawn import drawn_from_scanner
 
         seen = self._loader.seen_from_scan(document, picked.station)
         scan = self._loader.scan(seen)
@@ -189,7 +189,7 @@ class Measured:
     def _in_photo(
         self, scan: Scan, places: Sequence[MeasuredPlace], found: NamedMeasurement, photo: PhotoEntry
     ) -> tuple[NamedMeasurement, dict[str, Any] | None]:
-        from ladarreg_core.measuring.drawn import drawn_in_photo, may_be_drawn
+        from ladarreg_core.inspection.measuring.drawn import drawn_in_photo, may_be_drawn
         from ladarreg_core.surface.visibility.visible_points import Occluder
 
         assert photo.pose is not None

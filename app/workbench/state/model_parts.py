@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from ladarreg_core.inspection.model_textures import Legend
     from ladarreg_core.photo import Photo
     from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
-    from ladarreg_core.results import PoseResult
+    from ladarreg_core.results.registration import PoseResult
     from ladarreg_core.scan import Scan
     from ladarreg_core.surface.mesh.grid_block import GridBlock
     from ladarreg_core.surface.mesh.grid_mesh import Mesh

@@ -13,7 +13,7 @@ from ladarreg_core.inspection.figures import figures, parameters
 from ladarreg_core.matching.step_labels import step_label
 from ladarreg_core.project.results import pose_of
 from ladarreg_core.project.staleness import changed_since
-from ladarreg_core.results import STAGE_LABELS
+from ladarreg_core.results.registration import STAGE_LABELS
 
 from ...argument_names import as_fields
 from ...messages import verdict
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ladarreg_core.photo import Photo
     from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
     from ladarreg_core.quality.assessment import Assessment
-    from ladarreg_core.results import StageId
+    from ladarreg_core.results.registration import StageId
     from ladarreg_core.scan import Scan
 
     from ...session.loader import Loader

@@ -23,8 +23,8 @@ from ladarreg_core.acquisition.alignment.voxel_planes import (
     shared_planes,
 )
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.frames import Rigid, rotation_from_rotvec, rotvec_from_rotation, skew
-from ladarreg_core.progress import Progress, Report
 
 GATES: tuple[tuple[float, float], ...] = ((0.1, 6.0), (0.05, 4.0), (0.025, 2.5), (0.015, 2.0), (0.015, 2.0))
 """Distance (m) and angle (deg) within which two views' patches are one plane, in turn."""

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from ladarreg_core.acquisition.alignment.intensity_view import IntensityView, Seen, by_point, lengths, lookup, lookup_at
 from ladarreg_core.acquisition.alignment.voxel_planes import dots
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.frames import Rigid
-from ladarreg_core.progress import Progress, Report
 
 BLUR_CELLS = (6.0, 3.0, 1.5)
 """Smoothing of the intensities, in turn: from far off only what is coarse leads to the right place."""

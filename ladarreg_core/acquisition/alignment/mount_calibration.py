@@ -33,8 +33,8 @@ from ladarreg_core.acquisition.alignment.voxel_planes import (
 )
 from ladarreg_core.acquisition.line_sweep import LineSweep
 from ladarreg_core.foundations.arrays import FloatArray, IntArray
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.frames import Rigid, rotation_about, rotvec_from_rotation
-from ladarreg_core.progress import Progress
 from ladarreg_core.scanner.pan_tilt import turned_by_unit
 
 _MAX_POINTS = 1_500_000

@@ -39,8 +39,8 @@ from ladarreg_core.acquisition.alignment.run_faults import blow, fault_of_run, t
 from ladarreg_core.acquisition.alignment.voxel_planes import dots
 from ladarreg_core.acquisition.interfaces import PanTilt
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray
+from ladarreg_core.foundations.progress import Progress, Report, part_of
 from ladarreg_core.frames import Rigid, rotation_about
-from ladarreg_core.progress import Progress, Report, part_of
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grid_window import GridWindow
 from ladarreg_core.scanner.grids import TabulatedGrid

@@ -17,7 +17,7 @@ from ladarreg_core.acquisition.alignment.mosaic_piece import Float32, LoadedPiec
 from ladarreg_core.acquisition.composition.panorama_grid import Footprint, footprint_of, grid_around
 from ladarreg_core.acquisition.composition.piece_fit import Overlaps, PieceFit
 from ladarreg_core.errors import OptionError, ShapeError
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.scan import IntensityKind, Scan
 from ladarreg_core.scanner.grids import SphericalGrid
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ladarreg_core.errors import FormatError, OptionError
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.foundations.version import VERSION
-from ladarreg_core.progress import Progress, Report
 
 if TYPE_CHECKING:
     from ladarreg_core.acquisition.alignment.refined_pieces import Refinement

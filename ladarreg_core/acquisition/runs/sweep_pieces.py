@@ -13,7 +13,7 @@ from ladarreg_core.acquisition.line_sweep import LineSweep, UnitTrack
 from ladarreg_core.acquisition.runs.piece_list import ListedPiece
 from ladarreg_core.errors import FormatError, ShapeError
 from ladarreg_core.formats.parsing.untrusted import reading
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.foundations.progress import Progress, Report
 
 _SAME_TILT_RAD = float(np.radians(0.02))
 _MAX_VALUES = 200_000_000

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.export.clouds.cloud_part import SCANNER_FRAME, CloudPart, cloud_rows
 from ladarreg_core.export.output_frame import OutputFrame
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.storage.atomic_write import write_chunks
 from ladarreg_core.surface.texture.best_photo import CellColors

@@ -64,7 +64,7 @@ from ladarreg_core.foundations.palette import (
 from ladarreg_core.matches import count_picks
 from ladarreg_core.photo import Photo
 from ladarreg_core.registration.comparison import Column, Comparison
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.registered_texture import RegisteredTexture, intensity_picture, model_picture
 

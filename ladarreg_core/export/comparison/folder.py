@@ -32,10 +32,10 @@ from ladarreg_core.export.json import (
 )
 from ladarreg_core.export.pictures.images import write_registered_png
 from ladarreg_core.export.targets.folder import FileJob, write_folder
+from ladarreg_core.foundations.progress import Report
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import Report
 from ladarreg_core.registration.comparison import Column, Comparison
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.storage.atomic_write import write_bytes
 

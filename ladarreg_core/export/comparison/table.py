@@ -9,7 +9,7 @@ import numpy as np
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.registration.comparison import Column, Comparison
-from ladarreg_core.results import STAGE_LABELS, PoseResult
+from ladarreg_core.results.registration import STAGE_LABELS, PoseResult
 from ladarreg_core.scan import Scan
 
 NOTHING = "-"

@@ -18,7 +18,7 @@ from ladarreg_core.export.models.viser_colors import VISER_BASE_COLOR, texture_f
 from ladarreg_core.export.output_frame import OutputFrame
 from ladarreg_core.export.pictures.texture_image import TextureImage, image_of, texture_image
 from ladarreg_core.foundations.arrays import ByteArray, read_only
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.storage.atomic_write import write_chunks
 from ladarreg_core.surface.mesh.grid_mesh import Mesh
 from ladarreg_core.surface.texture.photo_model import PhotoModel

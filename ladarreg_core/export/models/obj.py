@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.export.output_frame import OutputFrame
 from ladarreg_core.export.pictures.texture_image import extension_of, image_of
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.storage.atomic_write import write_bytes, write_chunks
 from ladarreg_core.surface.mesh.model_part import ModelPart
 from ladarreg_core.surface.texture.photo_model import PhotoModel

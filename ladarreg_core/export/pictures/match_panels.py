@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ladarreg_core.export.pictures.layout import resized
 from ladarreg_core.foundations.palette import BACKGROUND, BAD, OK, Color
 from ladarreg_core.photo import Photo
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 
 _ENLARGEMENTS = (50, 20, 10, 5, 2, 1)
 _TARGET_LINE_PX = 14.0

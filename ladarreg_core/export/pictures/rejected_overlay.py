@@ -13,7 +13,7 @@ from ladarreg_core.export.pictures.watermark import watermarked
 from ladarreg_core.foundations.palette import BAD
 from ladarreg_core.inspection.pictures import scan_over_photo
 from ladarreg_core.photo import Photo
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.scan import Scan
 
 _WATERMARK = "REFUSED"

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from ladarreg_core.export.clouds.cloud_part import CloudPart, CloudRows, SixteenBitIntensity, cloud_points, cloud_rows
 from ladarreg_core.export.json import write_document
 from ladarreg_core.foundations.arrays import FloatArray
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.storage.atomic_write import cannot_write, sync_file, write_bytes
 from ladarreg_core.surface.texture.registered_texture import Label
 

@@ -14,7 +14,7 @@ from ladarreg_core.foundations.arrays import ByteArray, FloatArray
 from ladarreg_core.foundations.markup import Html, photograph_uri, tag
 from ladarreg_core.foundations.palette import BACKGROUND
 from ladarreg_core.photo import Photo
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.registered_texture import intensity_picture
 

@@ -25,7 +25,8 @@ from ladarreg_core.foundations.markup import Content, Html, definitions, figure,
 from ladarreg_core.inspection.figures import figures, parameters
 from ladarreg_core.photo import Photo
 from ladarreg_core.picks.lengths import lengths_by_end
-from ladarreg_core.results import Registration, verdict_words
+from ladarreg_core.results.registration import Registration
+from ladarreg_core.results.verdict_words import verdict_words
 from ladarreg_core.scan import Scan
 from ladarreg_core.storage.atomic_write import write_bytes
 from ladarreg_core.storage.checksums import sealed_page

@@ -31,7 +31,7 @@ from ladarreg_core.inspection.model_textures import (
 )
 from ladarreg_core.inspection.pictures import scan_over_photo
 from ladarreg_core.photo import Photo
-from ladarreg_core.results import Registration
+from ladarreg_core.results.registration import Registration
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.registered_texture import Label, RegisteredTexture, intensity_picture
 

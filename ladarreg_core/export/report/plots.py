@@ -9,7 +9,7 @@ import numpy as np
 
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.foundations.markup import Html, tag
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 
 _WIDTH, _HEIGHT = 340.0, 270.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 46.0, 10.0, 10.0, 38.0

@@ -22,7 +22,7 @@ from ladarreg_core.export.targets.colmap_files import (
 from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.reconstruction import Reconstruction
 from ladarreg_core.export.targets.target import ExportOptions
-from ladarreg_core.progress import Report
+from ladarreg_core.foundations.progress import Report
 from ladarreg_core.storage.replacement import OFFSET_FILE
 
 _FILES: tuple[tuple[str, Callable[[Path, ColmapModel], None]], ...] = (

@@ -45,8 +45,8 @@ from ladarreg_core.formats.e57.header import E57ScanInfo, contents_of, read_e57_
 from ladarreg_core.formats.e57.records import fields_of
 from ladarreg_core.formats.e57.tree import SIGNATURE, E57File, E57Node, open_e57
 from ladarreg_core.formats.parsing.untrusted import one_line, reading
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.frames import Rigid
-from ladarreg_core.progress import Progress, Report
 
 _SENSOR_WIDTH_M = 0.036  # of a pinhole image whose sensor is not known: only the ratio to the focal length matters
 _PICTURE_WEIGHT = 500_000  # points that take about as long as a picture

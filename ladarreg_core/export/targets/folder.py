@@ -23,10 +23,10 @@ from ladarreg_core.export.pictures.images import (
 from ladarreg_core.export.pictures.rejected_overlay import write_rejected_overlay
 from ladarreg_core.export.report.page import write_report
 from ladarreg_core.foundations.parallel import OtherCore, side_by_side
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import Progress, Report
 from ladarreg_core.quality.assessment import Assessment, assess
-from ladarreg_core.results import Registration
+from ladarreg_core.results.registration import Registration
 from ladarreg_core.scan import Scan
 from ladarreg_core.storage.atomic_write import cannot_write, make_folder, sync_tree
 from ladarreg_core.storage.manifest import write_manifest

@@ -17,8 +17,8 @@ from ladarreg_core.export.photo_files import on_one_line, text_writer, words_of
 from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions
+from ladarreg_core.foundations.progress import Report
 from ladarreg_core.frames import Rigid
-from ladarreg_core.progress import Report
 
 _TERMS = 4
 _CHAIN = "camchain"

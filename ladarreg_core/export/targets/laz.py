@@ -32,9 +32,9 @@ from ladarreg_core.formats.scans.las_records import (
     extra_bytes_of,
     point_dtype,
 )
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.foundations.version import VERSION
 from ladarreg_core.frames import Rigid
-from ladarreg_core.progress import Progress, Report
 from ladarreg_core.surface.texture.best_photo import NO_PHOTO
 from ladarreg_core.surface.texture.registered_texture import Label, dimmed_gray, dimmed_levels
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions
-from ladarreg_core.progress import Report
+from ladarreg_core.foundations.progress import Report
 
 SUFFIXES = (".csv", ".json", ".geojson", ".dxf")
 """How the names of its files end: all forms of a list of measurements."""

@@ -13,7 +13,7 @@ from ladarreg_core.export.models.obj import texture_names, write_materials, writ
 from ladarreg_core.export.registered_scan import RegisteredScan
 from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions
-from ladarreg_core.progress import Report
+from ladarreg_core.foundations.progress import Report
 from ladarreg_core.storage.replacement import OFFSET_FILE
 from ladarreg_core.surface.mesh.reduced_mesh import MAX_FACES
 from ladarreg_core.surface.texture.photo_model import ModelPhoto, PhotoModel, photo_model

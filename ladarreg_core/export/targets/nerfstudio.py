@@ -31,7 +31,7 @@ from ladarreg_core.export.targets.colmap_files import colmap_parameters
 from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.reconstruction import Reconstruction
 from ladarreg_core.export.targets.target import ExportOptions
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.storage.atomic_write import cannot_write, write_chunks
 from ladarreg_core.storage.replacement import OFFSET_FILE
 from ladarreg_core.surface.visibility.depth_map import depth_map

@@ -19,8 +19,8 @@ from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.foundations.progress import Report
 from ladarreg_core.frames import rotvec_from_rotation
-from ladarreg_core.progress import Report
 
 
 def opencv_refusal(handed: RegisteredScan, options: ExportOptions) -> str | None:

@@ -14,7 +14,7 @@ from ladarreg_core.export.targets.measurements import MeasurementList
 from ladarreg_core.export.targets.registry import targets_of
 from ladarreg_core.export.targets.stations import StationScans
 from ladarreg_core.export.targets.target import ExportOptions, Target
-from ladarreg_core.progress import Report
+from ladarreg_core.foundations.progress import Report
 from ladarreg_core.storage.replacement import EXPORT_FILE
 
 Photographed = RegisteredScan | RegisteredSurvey

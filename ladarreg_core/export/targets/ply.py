@@ -11,7 +11,7 @@ from ladarreg_core.export.layered_scan import LayeredScan
 from ladarreg_core.export.registered_scan import RegisteredScan
 from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions
-from ladarreg_core.progress import Report
+from ladarreg_core.foundations.progress import Report
 from ladarreg_core.storage.replacement import OFFSET_FILE
 
 

@@ -31,7 +31,7 @@ from ladarreg_core.export.potree.photographs import (
 from ladarreg_core.export.registered_scan import Registered
 from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions
-from ladarreg_core.progress import Report
+from ladarreg_core.foundations.progress import Report
 
 _PANORAMAS = "panoramas"
 _Line = Callable[[str, Any, Any], str]

@@ -13,7 +13,7 @@ from ladarreg_core.export.photo_files import WrittenPhoto
 from ladarreg_core.export.registered_scan import Registered, RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.colmap_files import ColmapImage, ColmapModel, joined
 from ladarreg_core.foundations.arrays import FloatArray
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.surface.texture.registered_texture import COLORED, Label
 
 MAX_POINTS = 200_000

@@ -13,7 +13,7 @@ from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.report.page import write_report
 from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions
-from ladarreg_core.progress import Report
+from ladarreg_core.foundations.progress import Report
 from ladarreg_core.surface.texture.registered_texture import RegisteredTexture
 
 

@@ -9,8 +9,8 @@ from ladarreg_core.export.targets.folder import FileJob, registration_files
 from ladarreg_core.export.targets.report import read_right
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.formats.documents.matches_file import write_matches
+from ladarreg_core.foundations.progress import Report
 from ladarreg_core.matches import Pick
-from ladarreg_core.progress import Report
 from ladarreg_core.storage.replacement import MATCHES_FILE
 
 

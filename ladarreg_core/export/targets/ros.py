@@ -31,9 +31,9 @@ from ladarreg_core.export.ros.messages import (
 from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.foundations.arrays import ByteArray, FloatArray
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.foundations.shell_command import shell_command
 from ladarreg_core.frames import Rigid
-from ladarreg_core.progress import Progress, Report
 from ladarreg_core.storage.atomic_write import write_bytes, write_chunks
 from ladarreg_core.surface.texture.registered_texture import dimmed_levels, model_rows
 

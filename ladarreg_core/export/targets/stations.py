@@ -15,7 +15,7 @@ from ladarreg_core.export.json import software_document, write_result
 from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.formats.scans.npz import write_npz_xyz
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.storage.atomic_write import write_bytes
 from ladarreg_core.storage.replacement import STATIONS_FILE

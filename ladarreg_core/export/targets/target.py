@@ -8,8 +8,8 @@ from typing import Any, Literal, get_args
 
 from ladarreg_core.export.registered_scan import RegisteredScan
 from ladarreg_core.export.targets.folder import FileJob
+from ladarreg_core.foundations.progress import Report
 from ladarreg_core.foundations.validation import require_choice, require_type
-from ladarreg_core.progress import Report
 
 Crop = Literal["none", "photo"]
 

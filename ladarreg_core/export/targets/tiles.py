@@ -25,7 +25,7 @@ from ladarreg_core.export.targets.folder import FileJob
 from ladarreg_core.export.targets.model import model_of
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.foundations.arrays import FloatArray
-from ladarreg_core.progress import Report, part_of
+from ladarreg_core.foundations.progress import Report, part_of
 from ladarreg_core.storage.atomic_write import write_bytes
 from ladarreg_core.surface.mesh.model_part import ModelPart
 from ladarreg_core.surface.mesh.model_tree import ModelTile, ModelTree

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ladarreg_core.export.targets.folder import FileJob
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.storage.atomic_write import cannot_write, move_file
 from ladarreg_core.storage.manifest import MANIFEST_FILE, ListedFile, manifest_bytes
 from ladarreg_core.storage.staging import clear_leftovers, staging_folder

@@ -18,15 +18,10 @@ from ladarreg_core.formats.parsing.untrusted import PathLike, one_line, reading
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
-from ladarreg_core.results import (
-    GIVEN_MARK,
-    STATED_OFFSET_SIGMA_M,
-    STATED_OFFSET_SIGMA_RAD,
-    ComparedBlocks,
-    Evidence,
-    Offset,
-    Registration,
-)
+from ladarreg_core.results.compared_blocks import ComparedBlocks
+from ladarreg_core.results.offset import STATED_OFFSET_SIGMA_M, STATED_OFFSET_SIGMA_RAD, Offset
+from ladarreg_core.results.registration import Registration
+from ladarreg_core.results.verdict_words import GIVEN_MARK, Evidence
 
 _ASYMMETRY = 1e-6
 _UNKNOWN = np.full((6, 6), np.nan)

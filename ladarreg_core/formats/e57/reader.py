@@ -19,7 +19,7 @@ from ladarreg_core.formats.scans.grid_assembly import GridAssembly
 from ladarreg_core.formats.scans.intensity import require_intensity
 from ladarreg_core.formats.scans.scan_request import IntensitySource
 from ladarreg_core.foundations.arrays import ByteArray, FloatArray, IntArray
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.scan import LUMA_NOTE, NO_INTENSITY_NOTE, Scan, luma
 from ladarreg_core.scanner.cloud import moved_pose, where_it_stood
 from ladarreg_core.scanner.grid_order import is_scan_grid

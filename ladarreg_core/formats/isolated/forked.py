@@ -28,7 +28,7 @@ from ladarreg_core.formats.isolated.readers import (
     why_it_ended,
 )
 from ladarreg_core.formats.parsing.begun_read import BegunRead, reads_started_by
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.foundations.progress import Progress, Report
 
 P = ParamSpec("P")
 T = TypeVar("T")

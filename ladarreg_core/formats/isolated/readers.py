@@ -29,7 +29,7 @@ from typing import Any, ParamSpec, TypeVar
 
 from ladarreg_core import errors
 from ladarreg_core.errors import FormatError, LadarregError
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.foundations.progress import Progress, Report
 
 P = ParamSpec("P")
 T = TypeVar("T")

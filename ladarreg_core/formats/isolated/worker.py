@@ -24,7 +24,7 @@ from typing import IO, Any
 
 from ladarreg_core.errors import CameraError, LadarregError, OptionError
 from ladarreg_core.formats.isolated.pieces import write_piece
-from ladarreg_core.progress import Progress
+from ladarreg_core.foundations.progress import Progress
 
 _PRELOADED = (
     "ladarreg_core.formats.isolated.messages",

@@ -30,7 +30,7 @@ from ladarreg_core.formats.packets.velodyne_packet import (
 from ladarreg_core.formats.parsing.budget import ReadBudget
 from ladarreg_core.formats.parsing.untrusted import PathLike, as_float32, reading
 from ladarreg_core.foundations.arrays import FloatArray
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grid_order import order_of
 from ladarreg_core.scanner.grids import TabulatedGrid

@@ -8,7 +8,7 @@ from contextvars import ContextVar
 from types import TracebackType
 from typing import Any, Generic, Protocol, TypeVar
 
-from ladarreg_core.progress import Report
+from ladarreg_core.foundations.progress import Report
 
 T = TypeVar("T")
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.parsing.untrusted import one_line
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.foundations.progress import Progress, Report
 
 _PART = 8 << 20
 _LONGEST_ROW = 1 << 16

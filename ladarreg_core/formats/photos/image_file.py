@@ -20,7 +20,7 @@ from ladarreg_core.formats.parsing.untrusted import one_line
 from ladarreg_core.formats.photos.tiff_file import tiff_facts, tiff_size, tiff_values
 from ladarreg_core.foundations.arrays import ByteArray
 from ladarreg_core.foundations.opened_image import MAX_PIXELS, opened_image
-from ladarreg_core.thermal import TemperatureUnit
+from ladarreg_core.foundations.temperatures import TemperatureUnit
 
 if TYPE_CHECKING:
     from PIL.Image import Image

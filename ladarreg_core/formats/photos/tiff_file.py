@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.parsing.budget import ReadBudget
 from ladarreg_core.formats.parsing.untrusted import one_line
-from ladarreg_core.thermal import TemperatureUnit
+from ladarreg_core.foundations.temperatures import TemperatureUnit
 
 _UNPACKED, _DEFLATED, _PACKBITS = (1,), (8, 32946), (32773,)
 _MAX_SAMPLES = 16

@@ -24,7 +24,7 @@ from ladarreg_core.formats.recordings.recording import (
 from ladarreg_core.formats.scans.cloud import most_cells_of
 from ladarreg_core.formats.scans.field_cloud import scan_of_fields
 from ladarreg_core.formats.scans.scan_request import IntensitySource
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.scan import Scan
 
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField

@@ -26,7 +26,7 @@ from ladarreg_core.formats.parsing.untrusted import (
 )
 from ladarreg_core.formats.photos.image_file import read_image
 from ladarreg_core.formats.scans.npz import OFFSETS, SCALARS, counts_geometry
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.scan import NO_INTENSITY_NOTE, IntensityKind, Scan
 from ladarreg_core.scanner.grids import PinholeGrid, range_from_counts
 

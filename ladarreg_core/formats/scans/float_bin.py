@@ -16,7 +16,7 @@ from ladarreg_core.errors import FormatError
 from ladarreg_core.formats.parsing.budget import ReadBudget
 from ladarreg_core.formats.parsing.untrusted import PathLike, reading
 from ladarreg_core.formats.scans.cloud import most_cells_of, scan_of_cloud
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.scan import Scan
 
 _MIN_POINTS = 12

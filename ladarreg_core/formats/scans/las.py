@@ -16,8 +16,8 @@ from ladarreg_core.formats.scans.cloud import scan_of_cloud
 from ladarreg_core.formats.scans.las_header import LasHeader, read_las_header
 from ladarreg_core.formats.scans.scan_request import IntensitySource
 from ladarreg_core.foundations.arrays import ByteArray
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.frames import describe_position
-from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import LUMA_NOTE, NO_INTENSITY_NOTE, Scan, luma
 
 INTENSITY_NAMES = ("reflectance", "amplitude", "intensity", "reflectivity", "signal")

@@ -28,8 +28,8 @@ from ladarreg_core.formats.parsing.untrusted import (
     unit_notes,
 )
 from ladarreg_core.formats.scans.world_pose import world_pose
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.frames import Rigid
-from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import NO_INTENSITY_NOTE, IntensityKind, Scan
 from ladarreg_core.scanner.grid_order import is_scan_grid, order_of, unit_rays
 from ladarreg_core.scanner.grid_window import grid_rays

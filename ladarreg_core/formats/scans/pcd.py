@@ -15,8 +15,8 @@ from ladarreg_core.formats.parsing.budget import ReadBudget
 from ladarreg_core.formats.parsing.untrusted import PathLike, one_line, reading, require_cells
 from ladarreg_core.formats.scans.field_cloud import PACKED_COLOR_NAMES, scan_of_fields
 from ladarreg_core.formats.scans.scan_request import IntensitySource
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.frames import Rigid
-from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
 
 _LONGEST_HEADER = 1 << 16

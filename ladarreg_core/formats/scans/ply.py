@@ -24,7 +24,7 @@ from ladarreg_core.formats.scans.intensity import (
     require_intensity,
 )
 from ladarreg_core.formats.scans.scan_request import IntensitySource
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.scan import Scan
 
 _LONGEST_HEADER = 1 << 18

@@ -23,8 +23,8 @@ from ladarreg_core.formats.scans.intensity import chosen_intensity, colors_as_by
 from ladarreg_core.formats.scans.scan_request import IntensitySource
 from ladarreg_core.formats.scans.world_pose import world_pose
 from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.foundations.progress import Report
 from ladarreg_core.frames import Rigid
-from ladarreg_core.progress import Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.cloud import in_world_note, moved_pose, where_it_stood
 from ladarreg_core.scanner.grid_order import is_scan_grid, order_of, unit_rays

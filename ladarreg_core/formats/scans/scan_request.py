@@ -9,8 +9,8 @@ import msgspec
 from msgspec import Meta
 
 from ladarreg_core.errors import OptionError
+from ladarreg_core.foundations.progress import Report
 from ladarreg_core.foundations.validation import is_number, require_choice
-from ladarreg_core.progress import Report
 
 IntensitySource = Literal["auto", "luma"]
 _ORIGIN = "three coordinates x, y, z in metres"

@@ -26,7 +26,7 @@ from ladarreg_core.formats.scans.intensity import (
     require_intensity,
 )
 from ladarreg_core.formats.scans.scan_request import IntensitySource
-from ladarreg_core.progress import Report
+from ladarreg_core.foundations.progress import Report
 from ladarreg_core.scan import Scan
 
 _HEAD_LINES = 12

@@ -7,7 +7,8 @@ from importlib import import_module
 from typing import Any
 
 from ladarreg_core.foundations.markup import Html, tag
-from ladarreg_core.progress import Progress, Step
+from ladarreg_core.foundations.progress import Progress
+from ladarreg_core.results.steps import Step
 
 _EVERY_S = 0.1
 

@@ -17,7 +17,8 @@ from ladarreg_core.foundations.validation import require_choice
 from ladarreg_core.inspection.model_textures import registered_texture
 from ladarreg_core.inspection.pictures import OverlayShow, scan_over_photo
 from ladarreg_core.photo import Photo
-from ladarreg_core.results import PoseResult, verdict_words
+from ladarreg_core.results.registration import PoseResult
+from ladarreg_core.results.verdict_words import verdict_words
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.registered_texture import intensity_picture, model_picture
 

@@ -16,7 +16,7 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.matching.features.channels import channel_products
 from ladarreg_core.matching.images.sampling import Blocks, ViewPoints, runs
 from ladarreg_core.matching.images.zbuffer import Occluder
-from ladarreg_core.results import ComparedBlocks
+from ladarreg_core.results.compared_blocks import ComparedBlocks
 
 MIN_POINTS = 8
 """Least number of visible points of a block."""

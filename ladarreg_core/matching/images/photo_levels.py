@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray
+from ladarreg_core.foundations.temperatures import thermal_gray
 from ladarreg_core.matching.features.channels import FEW_HARMONICS, normalised_channels, raw_channels
 from ladarreg_core.matching.images.support import comparison_focal_px
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.remap import look_up
-from ladarreg_core.thermal import thermal_gray
 
 LEVELS = (0, 1, 2)
 """Pyramid levels; level L has 1 / 2^L of the working resolution."""

@@ -10,7 +10,7 @@ from ladarreg_core.foundations.arrays import FloatArray, IntArray
 from ladarreg_core.matching.images.blocks import BlockComparison, block_names, centre_points
 from ladarreg_core.matching.images.sampling import ViewPoints
 from ladarreg_core.matching.refine.ecc import RefineOptions, block_weights
-from ladarreg_core.results import ComparedBlocks
+from ladarreg_core.results.compared_blocks import ComparedBlocks
 
 _MEDIAN_CHI2 = 2 * float(np.log(2))  # of two degrees of freedom
 _ALONG_AN_EDGE = 1e-3  # of a block's trace: keeps its own step short where it does not constrain it

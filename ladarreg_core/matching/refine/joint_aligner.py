@@ -23,7 +23,7 @@ from ladarreg_core.matching.refine.covariance import RegionEvidence, WindowEvide
 from ladarreg_core.matching.refine.ecc import RefineResult, refine_pose
 from ladarreg_core.matching.verify.agreement import Agreement, joined
 from ladarreg_core.matching.verify.verification import GateOptions, Verification, verify
-from ladarreg_core.results import ComparedBlocks
+from ladarreg_core.results.compared_blocks import ComparedBlocks
 
 _MAX_MARKERS = 250
 

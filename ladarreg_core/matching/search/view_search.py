@@ -30,7 +30,7 @@ from ladarreg_core.matching.search.hypotheses import (
 )
 from ladarreg_core.matching.search.roll import Roll, roll_between
 from ladarreg_core.matching.verify.verification import GateOptions
-from ladarreg_core.progress import StepLog
+from ladarreg_core.results.steps import StepLog
 
 _Attempt = Hypothesis | str
 _COARSEST = LEVELS[-1]

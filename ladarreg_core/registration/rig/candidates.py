@@ -12,10 +12,10 @@ from ladarreg_core.matching.auto_options import AutoOptions
 from ladarreg_core.matching.modality import register_by_modality
 from ladarreg_core.matching.search.ambiguity import KnownPoses
 from ladarreg_core.matching.verify.verification import GateOptions
-from ladarreg_core.progress import Step, StepLog
 from ladarreg_core.registration.rig.joint import JointPairs, PairViews
 from ladarreg_core.registration.rig.options import NEAR_PX, RigOptions
 from ladarreg_core.registration.rig.results import RigPair
+from ladarreg_core.results.steps import Step, StepLog
 
 _STEPS = ("climb", "finish", "camera")
 _MAX_DIGITS = 12.0  # of one pair: no pair outvotes all others

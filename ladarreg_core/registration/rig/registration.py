@@ -20,13 +20,13 @@ from ladarreg_core.foundations.validation import require_type
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
 from ladarreg_core.matching.auto import reason_against_scan
 from ladarreg_core.matching.search.ambiguity import KnownPoses
-from ladarreg_core.progress import StepLog, StepReport
 from ladarreg_core.registration.rig.candidates import proposed_poses, tried_on_all
 from ladarreg_core.registration.rig.evidence import ADVICE, Jury, held_out, joint_alarm, reasons_against
 from ladarreg_core.registration.rig.joint import JointPairs, PairViews
 from ladarreg_core.registration.rig.options import MIN_PAIRS, RigOptions
 from ladarreg_core.registration.rig.results import PairEvidence, RigPair, RigResult
 from ladarreg_core.registration.rig.time_offset import estimate_time_offset, paired_at
+from ladarreg_core.results.steps import StepLog, StepReport
 
 # Variance factors of the covariance from regions, for pairs with intensity and for those whose shape alone is compared;
 # to it that of leaving out pairs is added. From simulated rigs of other seeds than those of the benchmark.

@@ -12,7 +12,7 @@ from ladarreg_core.camera import CameraModel
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.photo import Photo, TimedPhoto
-from ladarreg_core.progress import Step
+from ladarreg_core.results.steps import Step
 from ladarreg_core.scan import Scan
 
 PairOutcome = Literal["agrees", "disagrees", "undecided"]

@@ -16,12 +16,12 @@ from ladarreg_core.camera import CameraModel
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.foundations.formatting import format_angle, format_length
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.frames import Rigid, rotation_from_rotvec, rotvec_from_rotation
 from ladarreg_core.matching.images.kept_channels import Channels
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import Progress, Report
 from ladarreg_core.registration.register import RegisterOptions, register
-from ladarreg_core.results import Registration
+from ladarreg_core.results.registration import Registration
 from ladarreg_core.scan import Scan
 
 CAMERA_MOUNT_IS = (

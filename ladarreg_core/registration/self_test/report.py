@@ -9,7 +9,7 @@ import numpy as np
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.foundations.formatting import format_length
-from ladarreg_core.progress import Report
+from ladarreg_core.foundations.progress import Report
 from ladarreg_core.registration.self_test.trials import START_LEVELS_DEG, SelfTestOptions, Trial, run_trials
 from ladarreg_core.scan import Scan
 

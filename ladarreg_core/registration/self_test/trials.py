@@ -11,12 +11,12 @@ import numpy as np
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.foundations.validation import LARGEST_INT, require_int
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matching.auto_options import AutoOptions
 from ladarreg_core.matching.images.support import is_coarse
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import Progress, Report
 from ladarreg_core.registration.register import RegisterOptions, register
 from ladarreg_core.registration.self_test.synthetic_photo import (
     FARTHEST_REACH_M,

@@ -12,9 +12,9 @@ from threadpoolctl import threadpool_limits
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.foundations.formatting import format_angle, format_length
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.foundations.validation import LARGEST_INT, require_choice, require_int, require_type
 from ladarreg_core.frames import Rigid
-from ladarreg_core.progress import Progress, Report
 from ladarreg_core.registration.stations.network import adjusted, connected, loops_of, pose_graph
 from ladarreg_core.registration.stations.pair import (
     PairOptions,

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.errors import DegenerateGeometryError, LadarregError, OptionError
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.foundations.validation import require_number
-from ladarreg_core.progress import Progress, Report
 from ladarreg_core.registration.stations.survey_target import SurveyTarget
 from ladarreg_core.registration.stations.target_correspondence import MOST_ASSIGNMENTS, MOVED_M, named_across
 from ladarreg_core.registration.stations.target_matching import (

@@ -13,9 +13,9 @@ from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.errors import ShapeError
 from ladarreg_core.foundations.arrays import ByteArray, FloatArray, IntArray, read_only
 from ladarreg_core.foundations.palette import UNSEEN
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.frames import Rigid
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh.grid_mesh import grid_edges
 from ladarreg_core.surface.remap import look_up

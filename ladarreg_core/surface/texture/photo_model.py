@@ -20,8 +20,8 @@ import numpy as np
 
 from ladarreg_core.camera import CameraModel
 from ladarreg_core.foundations.arrays import BoolArray, ByteArray, FloatArray, IntArray
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.frames import Rigid
-from ladarreg_core.progress import Progress, Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh.components import connected_components
 from ladarreg_core.surface.mesh.facets import point_facets

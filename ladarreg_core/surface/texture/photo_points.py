@@ -21,7 +21,7 @@ from ladarreg_core.errors import ExportError, OptionError
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray, IntArray, read_only
 from ladarreg_core.foundations.validation import require_choice, require_number, require_type
 from ladarreg_core.frames import Rigid
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.mesh.grid_mesh import Mesh, scan_mesh
 from ladarreg_core.surface.mesh.normals import cell_normals

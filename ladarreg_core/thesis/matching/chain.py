@@ -27,9 +27,9 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.picks.measure import SAMPLES_PER_LINE, matches_from_picks
 from ladarreg_core.pose.acceptance import count_distinct
 from ladarreg_core.pose.estimate import STATED_SIGMA_PX, Method, PoseOptions, solve_pose
-from ladarreg_core.progress import StepLog, StepReport
 from ladarreg_core.quality.stereo_limits import stereo_cautions
-from ladarreg_core.results import PoseResult, Stage, StageName
+from ladarreg_core.results.registration import PoseResult, Stage, StageName
+from ladarreg_core.results.steps import StepLog, StepReport
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.perspective import perspective_view
 from ladarreg_core.thesis.estimators.stereo_simplex import Residual

@@ -16,9 +16,9 @@ from ladarreg.batch_table import batch_table, time_left
 from ladarreg.cli import main
 from ladarreg.exit_codes import ExitCode
 
+from ladarreg_core.batches.jobs.run import BatchProgress
 from ladarreg_core.export.pictures.images import write_png
 from ladarreg_core.formats.scans.npz import write_npz_xyz
-from ladarreg_core.jobs.run import BatchProgress
 from testing.scenes.small_registration import sample_photo, sample_scan
 
 CHECKOUT = Path(__file__).resolve().parents[3]

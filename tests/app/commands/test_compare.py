@@ -18,8 +18,8 @@ import ladarreg_core.registration.comparison
 from ladarreg_core.errors import Cancelled, DegenerateGeometryError
 from ladarreg_core.export.comparison.table import Table
 from ladarreg_core.formats.documents.pose_file import read_pose
-from ladarreg_core.progress import Step
 from ladarreg_core.registration.comparison import Comparison
+from ladarreg_core.results.steps import Step
 from ladarreg_core.simulate.sample import sample_folder
 from ladarreg_core.storage.manifest import visible_files
 from tests.unit.export.comparisons import NOTE, STAGES, comparison_of

@@ -19,7 +19,7 @@ from ladarreg_core.formats.isolated.forked import confined_reads
 from ladarreg_core.formats.parsing.begun_read import BegunRead
 from ladarreg_core.formats.photo_file import begin_photo
 from ladarreg_core.formats.registry import begin_scan
-from ladarreg_core.progress import Progress, Report
+from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.sample import sample_folder
 from testing.files.seed_files import write_seeds

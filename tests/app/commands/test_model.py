@@ -18,9 +18,9 @@ from ladarreg.cli import main
 from ladarreg.exit_codes import ExitCode
 from scipy.spatial import cKDTree
 
+from ladarreg_core.export.outputs.integrity import check_integrity
 from ladarreg_core.formats import read_scan
 from ladarreg_core.frames import Rigid
-from ladarreg_core.outputs.integrity import check_integrity
 from ladarreg_core.storage.checksums import checksum_state
 from testing.files.potree_reader import read_cloud
 from testing.scenes.kept import kept_folder

@@ -17,8 +17,8 @@ from ladarreg.commands.register import Arguments
 from ladarreg.exit_codes import ExitCode
 from ladarreg.photos import PhotosArguments
 
+from ladarreg_core.batches.photos.folder import PAGE_FILE, SUMMARY_FILE
 from ladarreg_core.formats.scans.npz import write_npz_xyz
-from ladarreg_core.many.folder import PAGE_FILE, SUMMARY_FILE
 from testing.scenes.photo_set import small_photo_set, write_photo_set
 from testing.scenes.small_registration import sample_photo, sample_scan
 

@@ -13,7 +13,7 @@ from ladarreg.gateway.uploads import KINDS, STATION
 from ladarreg.workbench.commands.registry import EVERY_COMMAND
 
 from ladarreg_core.project.settings import Settings
-from ladarreg_core.results import StageId
+from ladarreg_core.results.registration import StageId
 from testing.workbench.protocol_text import DECLARATIONS, declarations, with_rows
 from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 

@@ -25,7 +25,7 @@ from ladarreg_core.foundations.palette import ACCENT, BACKGROUND, BAD, MATCHES, 
 from ladarreg_core.frames import Rigid, ThesisParameters
 from ladarreg_core.matches import Matches
 from ladarreg_core.photo import Photo
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation, SphericalGrid
 from testing.workbench.open_viser import open_server

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from ladarreg.session.loader import STATION_POINTS, Loader
 
+from ladarreg_core.batches.photos.cache import ContentCache
 from ladarreg_core.errors import FormatError
-from ladarreg_core.many.cache import ContentCache
 from ladarreg_core.project.document import CameraGiven, PhotoEntry
 from ladarreg_core.project.source import Source
 from ladarreg_core.project.storage.folder import ProjectFolder

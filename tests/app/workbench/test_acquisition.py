@@ -16,7 +16,7 @@ from ladarreg.workbench.acquisition.watchable import Watchable
 from PIL import Image
 
 from ladarreg_core.acquisition.composition import panorama
-from ladarreg_core.progress import Report
+from ladarreg_core.foundations.progress import Report
 from testing.workbench.workbench_driver import WorkbenchDriver, open_bench
 
 pytestmark = pytest.mark.slow

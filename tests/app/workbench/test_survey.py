@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ladarreg_core.outputs.project_survey import survey_of_project
+from ladarreg_core.export.outputs.project_survey import survey_of_project
 from ladarreg_core.simulate.sample import sample_survey_folder
 from testing.scenes.shared_places import shared_places
 from testing.workbench.workbench_driver import WorkbenchDriver, kept_bench, open_bench, registered

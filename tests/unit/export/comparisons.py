@@ -13,7 +13,7 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.photo import Photo
 from ladarreg_core.pose.result import describe_pose
 from ladarreg_core.registration.comparison import Column, Comparison
-from ladarreg_core.results import PoseResult, Stage, StageName
+from ladarreg_core.results.registration import PoseResult, Stage, StageName
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.registered_texture import texture_scan
 

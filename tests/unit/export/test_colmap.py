@@ -20,8 +20,8 @@ from ladarreg_core.export.registered_scan import RegisteredScan
 from ladarreg_core.export.targets import reconstruction
 from ladarreg_core.export.targets.pipeline import export_to
 from ladarreg_core.formats.cameras.camera_file import read_cameras, read_stated_pose
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.frames import Rigid
-from ladarreg_core.progress import Progress
 from testing.scenes.small_registration import POSE
 from tests.unit.export.camera_cases import CAMERAS, TILTED, WORLD, handed_over, photograph, scanner_points, world_points
 

@@ -21,7 +21,7 @@ from ladarreg_core.quality.assessment import assess
 from ladarreg_core.quality.smoothing import SmoothedScan
 from ladarreg_core.registration.given import given_pose
 from ladarreg_core.registration.register import register
-from ladarreg_core.results import ComparedBlocks
+from ladarreg_core.results.compared_blocks import ComparedBlocks
 from ladarreg_core.simulate.sample import sample_folder
 from ladarreg_core.storage.replacement import OFFSET_FILE, REFUSED_FILES, REGISTRATION_FILES
 from ladarreg_core.surface.texture.registered_texture import Label

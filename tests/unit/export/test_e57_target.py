@@ -22,8 +22,8 @@ from ladarreg_core.formats import extract_images, read_scan
 from ladarreg_core.formats.cameras.camera_file import read_camera
 from ladarreg_core.formats.documents.pose_file import read_pose
 from ladarreg_core.formats.e57_images import embedded_images
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.frames import Rigid
-from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
 from testing.attacks.bombs import e57_with_xml
 from testing.attacks.full_disk import largest_file

@@ -8,7 +8,7 @@ import pytest
 from ladarreg_core.errors import ExportError
 from ladarreg_core.export.json import registration_document, write_document
 from ladarreg_core.frames import Rigid
-from ladarreg_core.results import Registration
+from ladarreg_core.results.registration import Registration
 
 PROMISED = {
     "version", "camera_from_scanner", "camera", "covariance", "sigma", "thesis_parameters", "accepted", "evidence",

@@ -19,9 +19,9 @@ from ladarreg_core.export.output_frame import OutputFrame
 from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.pipeline import export_to
 from ladarreg_core.formats import read_scan
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import Progress
 from ladarreg_core.surface.texture.registered_texture import Label
 from testing.scenes.simulated_clouds import dome, in_room
 from testing.scenes.small_registration import sample_photo, sample_registration, sample_scan

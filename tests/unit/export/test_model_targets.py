@@ -18,9 +18,9 @@ from ladarreg_core.export.output_frame import OutputFrame
 from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.pipeline import export_to
 from ladarreg_core.export.targets.target import ExportOptions
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.frames import Rigid, look_along
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import Progress
 from ladarreg_core.surface.remap import look_up
 from testing.files.gltf_checks import Glb
 from testing.scenes.painted_room import PaintedRoom, painted_room, paintings

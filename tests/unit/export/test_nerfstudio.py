@@ -25,8 +25,8 @@ from ladarreg_core.export.targets.nerfstudio import nerfstudio_files
 from ladarreg_core.export.targets.pipeline import export_to
 from ladarreg_core.export.targets.target import ExportOptions
 from ladarreg_core.formats.cameras.camera_file import read_cameras, read_stated_pose
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.frames import Rigid, look_along, rotation_from_rotvec
-from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from testing.scenes.painted_room import shoot

@@ -13,7 +13,7 @@ from ladarreg_core.errors import Cancelled, ExportError, OptionError
 from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan, photo_id
 from ladarreg_core.export.targets.pipeline import export_files, export_to
 from ladarreg_core.export.targets.zip_file import write_zip
-from ladarreg_core.progress import Progress
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.storage.manifest import MANIFEST_FILE
 from testing.scenes.small_registration import sample_photo, sample_registration, sample_scan
 

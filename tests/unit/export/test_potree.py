@@ -21,8 +21,8 @@ from ladarreg_core.export.potree.octree import NumberedPart, PotreeOctree
 from ladarreg_core.export.potree.photographs import oriented_angles_deg, panorama_angles_deg
 from ladarreg_core.export.registered_scan import RegisteredScan, RegisteredSurvey
 from ladarreg_core.export.targets.pipeline import export_to
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, look_along
-from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.texture.best_photo import NO_PHOTO, CellColors

@@ -20,7 +20,7 @@ from ladarreg_core.foundations.markup import joined, tag
 from ladarreg_core.matches import Matches
 from ladarreg_core.photo import Photo
 from ladarreg_core.quality.assessment import assess
-from ladarreg_core.results import Registration
+from ladarreg_core.results.registration import Registration
 from ladarreg_core.scan import Scan
 from testing.scenes.small_registration import CAMERA, POSE, sample_registration
 

@@ -21,9 +21,9 @@ from ladarreg_core.export.registered_scan import RegisteredPhoto, RegisteredScan
 from ladarreg_core.export.targets.pipeline import export_to
 from ladarreg_core.formats import read_scan
 from ladarreg_core.formats.cameras.camera_file import read_camera
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, rotation_from_rotvec
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.registered_texture import Label
 from testing.scenes.small_registration import POSE, sample_registration, sample_scan

@@ -10,15 +10,15 @@ import pytest
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import Cancelled, OptionError, ShapeError
 from ladarreg_core.export.registered_scan import RegisteredScan
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.frames import Rigid
 from ladarreg_core.fusion.fused_model import FusedModel, fuse
 from ladarreg_core.fusion.samples import OtherSurface
-from ladarreg_core.progress import Progress
+from ladarreg_core.photo import thermal_photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import SphericalGrid
 from ladarreg_core.surface.texture.best_photo import NO_PHOTO, best_photo
 from ladarreg_core.surface.texture.registered_texture import Label, texture_scan
-from ladarreg_core.thermal import thermal_photo
 from testing.scenes.color_room import photo_of, registered, scan_of
 from testing.scenes.kept import kept
 from testing.scenes.photo_tour import PhotoTour, light_error, photo_tour

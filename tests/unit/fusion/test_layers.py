@@ -14,9 +14,9 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.fusion.fused_model import FusedModel, Station, fuse_stations
 from ladarreg_core.fusion.layers import Layer, Quantity, layer_pictures, layer_values, model_layers
 from ladarreg_core.fusion.stations import doubled_cells, relative_pose, without_cells
+from ladarreg_core.photo import thermal_photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.surface.texture.best_photo import NO_PHOTO, PosedPhoto
-from ladarreg_core.thermal import thermal_photo
 from testing.scenes.color_room import POSE, distances, photo_of, scan_of
 
 CAMERA = Camera.from_focal(160, 120, 130.0)

@@ -30,7 +30,7 @@ from ladarreg_core.inspection.surface_fields import (
 )
 from ladarreg_core.matches import Matches
 from ladarreg_core.photo import Photo
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.texture.registered_texture import Label, texture_scan

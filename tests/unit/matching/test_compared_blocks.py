@@ -16,7 +16,7 @@ from ladarreg_core.errors import FormatError, ShapeError
 from ladarreg_core.export.json import registration_document, write_result
 from ladarreg_core.formats.documents.registration_file import as_given, read_registration, read_result
 from ladarreg_core.project.results import pose_entry, registration_of
-from ladarreg_core.results import ComparedBlocks
+from ladarreg_core.results.compared_blocks import ComparedBlocks
 from testing.scenes.painted_room import registered_room
 
 ARRAYS = ("uv", "offset_px", "information", "correlation", "agrees")

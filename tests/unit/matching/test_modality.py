@@ -12,7 +12,7 @@ from ladarreg_core.frames import rotvec_from_rotation
 from ladarreg_core.matching.images.scan_levels import ChannelSet
 from ladarreg_core.matching.modality import is_gray
 from ladarreg_core.matching.verify.verification import COARSE_GATE
-from ladarreg_core.thermal import thermal_photo
+from ladarreg_core.photo import thermal_photo
 from testing.scenes.painted_room import PaintedRoom, painted_room
 
 

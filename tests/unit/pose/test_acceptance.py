@@ -10,7 +10,7 @@ from ladarreg_core.errors import OptionError
 from ladarreg_core.pose.acceptance import AcceptanceOptions
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
 from ladarreg_core.pose.multistart import confirm, probe_basin
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from testing.scenes.pose_case import Case
 from testing.scenes.room import ROOM_CAMERA, plane_case, repeated_case, room_case
 

@@ -12,9 +12,9 @@ import pytest
 
 from ladarreg_core.errors import FormatError, OptionError
 from ladarreg_core.frames import Rigid, rotation_about
-from ladarreg_core.measuring.measurement import measure
-from ladarreg_core.measuring.measurement_list import NamedMeasurement, in_frame, write_measurements
-from ladarreg_core.measuring.points import MeasuredPoints
+from ladarreg_core.inspection.measuring.measurement import measure
+from ladarreg_core.inspection.measuring.measurement_list import NamedMeasurement, in_frame, write_measurements
+from ladarreg_core.inspection.measuring.points import MeasuredPoints
 from ladarreg_core.project import edits
 from ladarreg_core.project.document import Document
 from ladarreg_core.project.inverse import ChangedSinceError, restored

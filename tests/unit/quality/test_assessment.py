@@ -12,7 +12,7 @@ from ladarreg_core.matches import Matches
 from ladarreg_core.quality.assessment import assess
 from ladarreg_core.quality.influence import influence
 from ladarreg_core.quality.next_match import suggest_matches
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.surface.uncertainty import pixel_sigma
 from tests.unit.quality.test_next_match import clustered
 

@@ -23,7 +23,7 @@ from ladarreg_core.quality.smoothing import (
     smooth_with_report,
     with_ranges,
 )
-from ladarreg_core.results import PoseResult
+from ladarreg_core.results.registration import PoseResult
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from testing.scenes.apple import apple_case, apple_points

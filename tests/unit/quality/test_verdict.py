@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from ladarreg_core.quality.verdict import LIGHT_WORDS, Verdict, verdict_of
-from ladarreg_core.results import PoseResult, StageId
+from ladarreg_core.results.registration import PoseResult, StageId
 from testing.scenes.documents import a_result
 
 CONTRADICTED: dict[str, Any] = {"verification": {"outcome": "contradicted"}}

@@ -21,7 +21,8 @@ from ladarreg_core.formats.documents.registration_file import read_offset, read_
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.registration.carry import carry_over
-from ladarreg_core.results import Offset, Registration
+from ladarreg_core.results.offset import Offset
+from ladarreg_core.results.registration import Registration
 from tests.properties.strategies import poses
 
 CAMERA = lr.Camera.from_focal(60, 40, 70.0)

@@ -29,7 +29,8 @@ from ladarreg_core.inspection.figures import parameters
 from ladarreg_core.picks.measure import matches_from_picks
 from ladarreg_core.quality.assessment import assess
 from ladarreg_core.registration.register import RegisterOptions, register
-from ladarreg_core.results import COARSE_CAVEAT, COARSE_SIGMA_PX
+from ladarreg_core.results.registration import COARSE_SIGMA_PX
+from ladarreg_core.results.verdict_words import COARSE_CAVEAT
 from ladarreg_core.surface.ranges import surface_range
 from testing.scenes.painted_room import PaintedRoom, painted_room, registered_room
 

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from ladarreg_core.camera import Camera, camera_from_model_fields
 from ladarreg_core.errors import Cancelled, DependencyError, ExportError, OptionError
 from ladarreg_core.formats.scans.npz import read_npz
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid, ThesisParameters
-from ladarreg_core.progress import Progress
 from ladarreg_core.simulate import SCENES, SETS, SimulatedCase, sample, simulate_case, write_case
 from ladarreg_core.simulate.case import CAMERA, _pose
 from ladarreg_core.simulate.ladar import GEOMETRY, LadarImages

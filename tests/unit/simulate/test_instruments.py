@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 import ladarreg_core as lr
 from ladarreg_core.errors import DegenerateGeometryError
+from ladarreg_core.foundations.temperatures import centikelvin
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
-from ladarreg_core.thermal import centikelvin
 
 pytest.importorskip("embreex", reason="the simulator needs the extra `simulate`")
 

@@ -19,6 +19,13 @@ from ladarreg.exit_codes import ExitCode
 
 from ladarreg_core.errors import DegenerateGeometryError, ExportError, FormatError
 from ladarreg_core.export.json import find_inputs, hinted_file, write_result
+from ladarreg_core.export.outputs.integrity import check_integrity
+from ladarreg_core.export.outputs.saved_results import (
+    read_saved_result,
+    recorded_options,
+    recorded_scans,
+    registered_results,
+)
 from ladarreg_core.export.targets.folder import export_registration, registration_files
 from ladarreg_core.export.targets.zip_file import write_zip
 from ladarreg_core.formats import read_photo, read_scan
@@ -26,8 +33,6 @@ from ladarreg_core.formats.documents.own_results import edited_note
 from ladarreg_core.formats.documents.pose_file import read_initial
 from ladarreg_core.formats.documents.registration_file import read_registration
 from ladarreg_core.frames import Rigid
-from ladarreg_core.outputs.integrity import check_integrity
-from ladarreg_core.outputs.saved_results import read_saved_result, recorded_options, recorded_scans, registered_results
 from ladarreg_core.registration.carry import carry_over
 from ladarreg_core.simulate.sample import sample_folder
 from ladarreg_core.storage.checksums import canonical, checksum, checksum_state, sealed

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from ladarreg_core.camera import Camera, EquirectangularCamera
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.photo import Photo
-from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.texture import registered_texture as texture

@@ -12,8 +12,8 @@ from PIL import Image
 import ladarreg_core as lr
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import Cancelled, OptionError
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.frames import rotvec_from_rotation
-from ladarreg_core.progress import Progress
 from ladarreg_core.simulate.case import SimulatedCase
 from ladarreg_core.survey.parts import SurveyCamera, SurveyPhoto
 

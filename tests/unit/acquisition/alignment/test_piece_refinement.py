@@ -14,8 +14,8 @@ from ladarreg_core.acquisition.alignment.piece_refinement import _views, refine_
 from ladarreg_core.acquisition.alignment.refined_pieces import Refinement
 from ladarreg_core.acquisition.interfaces import PanTilt
 from ladarreg_core.foundations.arrays import FloatArray
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.frames import Rigid
-from ladarreg_core.progress import Progress
 from ladarreg_core.scanner.grids import AzimuthElevation, TabulatedGrid
 from ladarreg_core.scanner.pan_tilt import pan_tilt_pose
 from ladarreg_core.scanner.ray_table import RayTableInverse

@@ -9,7 +9,7 @@ import pytest
 
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import Cancelled, OptionError
-from ladarreg_core.progress import Progress
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.registration.self_test.report import SelfTest, self_test
 from ladarreg_core.registration.self_test.synthetic_photo import random_pose, render_photo, unrelated_photo
 from ladarreg_core.registration.self_test.trials import SelfTestOptions, Trial, run_trials

@@ -12,8 +12,8 @@ import pytest
 
 import ladarreg_core as lr
 from ladarreg_core.errors import Cancelled, OptionError
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.frames import Rigid, rotvec_from_rotation
-from ladarreg_core.progress import Progress
 from ladarreg_core.scan import Scan
 from ladarreg_core.simulate.stations import scan_stations, station_room, upright_pose
 from testing.scenes.kept import kept

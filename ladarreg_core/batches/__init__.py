@@ -1,0 +1,1 @@
+"""Many photographs, and many jobs, in one run."""

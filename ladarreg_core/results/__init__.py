@@ -1,0 +1,1 @@
+"""What solvers and registrations return: poses with their evidence, the steps that led to them, verdicts in words."""
