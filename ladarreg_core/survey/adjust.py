@@ -51,6 +51,7 @@ from ladarreg_core.survey.rigs import Rigs, rig_factors, rigs_of, start_from_rig
 from ladarreg_core.survey.stations import place_stations
 from ladarreg_core.survey.survey import Survey
 from ladarreg_core.survey.ties.features import propose_pairs
+from ladarreg_core.survey.ties.lines import numbered_lines
 from ladarreg_core.survey.ties.ties import DrawnEnds, with_drawn
 from ladarreg_core.survey.verdicts import (
     Solution,
@@ -173,6 +174,7 @@ class _Run:
             self._reporter(3 * len(states)),
             self._tick,
             drawn,
+            numbered_lines(self.survey),
         )
         placement.run()
         cameras = camera_unknowns(self.survey, states)

@@ -153,6 +153,22 @@ class AdjustedTie:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class AdjustedLine:
+    """A line that was drawn by hand, and whether it agrees with all else."""
+
+    id: str
+    photos: tuple[str, ...]
+    """Ids of its photographs."""
+    agrees: bool
+    """Whether all of it was kept that is in accepted photographs."""
+    residuals_px: tuple[float, ...]
+    """How far its ends lie from the image of the line in each photograph, the larger of both, px; NaN: it was no part
+    of the adjustment there."""
+    reason: str
+    """A sentence."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Adjustment:
     """The result of `adjust`."""
 
@@ -173,6 +189,8 @@ class Adjustment:
     """By their ids and the names of their sensors."""
     ties: tuple[AdjustedTie, ...] = ()
     """Those that were drawn by hand."""
+    lines: tuple[AdjustedLine, ...] = ()
+    """Likewise."""
     folder: Path | None = None
     """Where the results were written; None: nowhere."""
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -229,6 +247,7 @@ class Adjustment:
                 }
                 for one in self.ties
             ],
+            **({"lines": [_line_fields(one) for one in self.lines]} if self.lines else {}),
             "chi2_per_dof": _number(self.chi2_per_dof),
             "sigma_px": _number(self.sigma_px),
             "options": dict(self.options),
@@ -305,6 +324,13 @@ def _camera_fields(one: AdjustedCamera) -> dict[str, Any]:
         "covariance": one.covariance.tolist(),
         "photos": list(one.photos),
     }
+
+
+def _line_fields(one: AdjustedLine) -> dict[str, Any]:
+    return {
+        "id": one.id, "photos": list(one.photos), "agrees": one.agrees,
+        "residuals_px": [_number(value) for value in one.residuals_px], "reason": one.reason,
+    }  # fmt: skip
 
 
 def _number(value: float) -> float | None:

@@ -10,6 +10,7 @@ import numpy as np
 from ladarreg_core.camera.uncertainty import INTRINSICS
 from ladarreg_core.survey.adjustment import (
     AdjustedCamera,
+    AdjustedLine,
     AdjustedPhoto,
     AdjustedScan,
     AdjustedSensor,
@@ -21,11 +22,12 @@ from ladarreg_core.survey.adjustment import (
 )
 from ladarreg_core.survey.build import Bodies
 from ladarreg_core.survey.least_squares.problem import Matrix, projected
-from ladarreg_core.survey.least_squares.solver import Adjusted
-from ladarreg_core.survey.parts import SurveyTie
+from ladarreg_core.survey.least_squares.solver import LOST, Adjusted
+from ladarreg_core.survey.parts import SurveyLine, SurveyTie
 from ladarreg_core.survey.placement import Placement
 from ladarreg_core.survey.rigs import Rigs
 from ladarreg_core.survey.survey import Survey
+from ladarreg_core.survey.ties.lines import MIN_PHOTOS, DrawnLine, start_or_reason
 from ladarreg_core.survey.ties.ties import tracks_of
 from ladarreg_core.survey.verdicts import Solution, agreeing_ties, agrees_with_scan, count_ties
 
@@ -72,6 +74,7 @@ def adjustment_of(
         sigma_px=adjusted.sigma_px, joint=joint, joint_ids=tuple((kind, name) for kind, name, _ in order),
         residuals=_worst_ties(adjusted, bodies, names), rigs=_rigs(survey, rigs), options=options, inputs=inputs,
         ties=drawn_ties(survey.ties, solution, photos),
+        lines=drawn_lines(survey.lines, placement.lines, solution, photos),
     )  # fmt: skip
 
 
@@ -171,6 +174,60 @@ def _drawn_tie(
     if not np.isfinite(worst):
         return judged("Left out: what it shows would lie behind one of the cameras; draw it again.")
     return judged(f"Left out: it lies {worst:.1f} px from where all else puts it.", worst)
+
+
+def drawn_lines(
+    given: Sequence[SurveyLine], drawn: Sequence[DrawnLine], solution: Solution, photos: Mapping[str, AdjustedPhoto]
+) -> tuple[AdjustedLine, ...]:
+    """Return of each line that was drawn by hand whether it agrees, and why it does not.
+
+    Args:
+        given: all that were drawn.
+        drawn: the same, as the adjustment numbers photographs and scans.
+        solution: the adjustment.
+        photos: the results of all photographs in the order in which the adjustment numbers them, by id.
+    """
+    return tuple(
+        _drawn_line(one, number, drawn[number], solution, photos) for number, one in enumerate(given)
+    )  # fmt: skip
+
+
+def _drawn_line(
+    given: SurveyLine, number: int, drawn: DrawnLine, solution: Solution, photos: Mapping[str, AdjustedPhoto]
+) -> AdjustedLine:
+    """Return whether a line that was drawn by hand agrees, and why it does not; `number` is its own."""
+    adjusted, bodies = solution.adjusted, solution.bodies
+    names = list(photos)
+    taking = {photo: body for photo, body in bodies.photos.items() if photos[names[photo]].accepted}
+    lines = adjusted.problem.lines
+    of_body = {int(lines.photo[row]): row for row in np.flatnonzero(lines.drawn[lines.line] == number).tolist()}
+    shown = [photo for photo in drawn.photos if photo in taking]
+    rows = {photo: of_body[taking[photo]] for photo in shown if taking[photo] in of_body}
+    off = {photo: float(np.abs(adjusted.line_residuals_px[row]).max()) for photo, row in rows.items()}
+
+    def judged(reason: str, *, agrees: bool = False) -> AdjustedLine:
+        residuals = tuple(off.get(photo, float("nan")) for photo in drawn.photos)
+        return AdjustedLine(id=given.id, photos=given.photos, agrees=agrees, residuals_px=residuals, reason=reason)
+
+    if not rows:
+        return judged(start_or_reason(adjusted.problem, drawn, taking, bodies.scans)[1])
+    kept = [photo for photo, row in rows.items() if adjusted.line_inliers[row]]
+    lost = [photo for photo in shown if photo not in kept]
+    in_scan = lines.drawn[lines.on_line] == number
+    scan_kept = bool(in_scan.any() and (adjusted.line_surface_weights[in_scan] > LOST).all())
+    worst = max((off[photo] for photo in lost if np.isfinite(off.get(photo, np.nan))), default=None)
+    by = "far" if worst is None else f"{worst:.1f} px"
+    if len(kept) < (1 if scan_kept else MIN_PHOTOS):
+        which = ", ".join(given.photos)
+        return judged(f"Left out: one of {which} shows another edge, or is drawn {by} beside it; draw it again.")
+    if lost:
+        left_out = " and ".join(names[photo] for photo in lost)
+        return judged(f"Left out in {left_out}, which shows it {by} from where all else puts it.")
+    if in_scan.any() and not scan_kept:
+        return judged("Left out in the scan, which shows it elsewhere than its photographs.")
+    which = f"{len(kept)} photographs" if len(kept) > 1 else "one photograph"
+    with_scan = " and the scan" if scan_kept else ""
+    return judged(f"In {which}{with_scan} it agrees within {max(off.values()):.1f} px.", agrees=True)
 
 
 def _bodies(solution: Solution, count: int) -> list[int]:

@@ -24,6 +24,7 @@ from ladarreg_core.survey.least_squares.problem import (
 from ladarreg_core.survey.parts import SurveyCamera
 from ladarreg_core.survey.placement import PhotoState, Placement
 from ladarreg_core.survey.survey import Survey
+from ladarreg_core.survey.ties.lines import lines_between
 from ladarreg_core.survey.ties.ties import tie_points
 
 _KNOWN = 1e-6  # relative standard deviation of an intrinsic that is not estimated
@@ -110,7 +111,7 @@ def build_problem(
 
 
 def with_ties(problem: Problem, bodies: Bodies, placement: Placement) -> Problem:
-    """Return the problem with the ties between its photographs, from its present poses."""
+    """Return the problem with the ties between its photographs, points and lines, from its present poses."""
     poses = {photo: problem.poses[body] for photo, body in bodies.photos.items()}
     cameras = {photo: problem.camera_of(body) for photo, body in bodies.photos.items()}
     scans = [k for k, body in enumerate(bodies.scans) if body >= 0]
@@ -125,7 +126,7 @@ def with_ties(problem: Problem, bodies: Bodies, placement: Placement) -> Problem
         body_of_scan=[bodies.scans[scan] for scan in scans], body_of_photo=bodies.photos,
         drawn=placement.drawn,
     )  # fmt: skip
-    return replace(problem, ties=ties)
+    return replace(problem, ties=ties, lines=lines_between(problem, placement.lines, bodies.photos, bodies.scans))
 
 
 def pair_factor(result: Registration, state: PhotoState, size: int) -> RelativePose:

@@ -21,6 +21,12 @@ Estimate = Literal["auto", "none"] | tuple[str, ...]
 """Which intrinsics of a camera are estimated: all where nothing but an assumption is known, none, or those named."""
 DRAWN_SIGMA_PX = 1.0
 """Standard deviation of a tie that is drawn by hand where nobody states another, px."""
+SCAN_LINE_SIGMA_M = 0.005
+"""Standard deviation of a line that is drawn in a scan where nobody states another, m: half a cell of .1 degrees at
+6 m."""
+MIN_LINE_PX = 5.0
+"""Length of a line in a photograph below which its direction is not known."""
+_MIN_LINE_M = 0.01  # likewise in a scan
 _MAX_LISTED = 20
 
 
@@ -131,6 +137,34 @@ class SurveyTie:
     """Standard deviation of each of these, in either direction."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanLine:
+    """A line as a scan shows it."""
+
+    scan: str
+    """Id of the scan."""
+    xyz: tuple[tuple[float, float, float], tuple[float, float, float]]
+    """Two places of it, scanner frame, m."""
+    sigma_m: float = SCAN_LINE_SIGMA_M
+    """Standard deviation of each across the line."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurveyLine:
+    """A straight edge that several photographs show, as somebody drew it; its ends may differ from one to another."""
+
+    id: str
+    """Unique among the lines."""
+    photos: tuple[str, ...]
+    """Ids of the photographs."""
+    uv: tuple[tuple[tuple[float, float], tuple[float, float]], ...]
+    """Two places of the edge in each, px; of a photograph that EXIF turns, in its upright pixels."""
+    sigma_px: float = DRAWN_SIGMA_PX
+    """Standard deviation of each of these, across the edge."""
+    in_scan: ScanLine | None = None
+    """The same edge in a scan."""
+
+
 class SurveyParts(Protocol):
     """What a survey consists of, also before it is one."""
 
@@ -154,10 +188,17 @@ class SurveyParts(Protocol):
     def ties(self) -> Sequence[SurveyTie]:
         """The ties that were drawn."""
 
+    @property
+    def lines(self) -> Sequence[SurveyLine]:
+        """The lines that were drawn."""
+
 
 def faults_of(parts: SurveyParts) -> list[str]:
     """Return what is wrong with the parts of a survey, a clause each."""
-    return [*_faults_of_ids(parts), *_faults_of_references(parts), *_faults_of_values(parts)]
+    return [
+        *_faults_of_ids(parts), *_faults_of_references(parts), *_faults_of_values(parts),
+        *(fault for one in parts.lines for fault in _faults_of_line(one, parts)),
+    ]  # fmt: skip
 
 
 def listed_faults(what: str, faults: Sequence[str]) -> str:
@@ -172,10 +213,10 @@ def _faults_of_ids(survey: SurveyParts) -> list[str]:
     from ladarreg_core.storage.replacement import is_file_name
 
     faults = [f"it has no {what}" for what in ("scans", "photos") if not getattr(survey, what)]
-    for what in ("scans", "cameras", "photos", "ties"):
+    for what in ("scans", "cameras", "photos", "ties", "lines"):
         ids = [one.id for one in getattr(survey, what)]
         faults += [f"{count} {what} have the id {name!r}" for name, count in Counter(ids).items() if count > 1]
-        if what == "ties":
+        if what in ("ties", "lines"):
             continue
         faults += [
             f"the id {name!r:.60} of one of the {what} is no name of a file"
@@ -237,4 +278,31 @@ def _faults_of_values(survey: SurveyParts) -> list[str]:
     for photo in survey.photos:
         if photo.prior is not None and np.shape(photo.prior.covariance) != (6, 6):
             faults.append(f"the prior of the photo {photo.id} has a covariance that is not 6 x 6")
+    return faults
+
+
+def _faults_of_line(line: SurveyLine, survey: SurveyParts) -> list[str]:
+    """Return what is wrong with a line, a clause each."""
+    photos = {one.id for one in survey.photos}
+    faults = [f"the line {line.id} names the photo {name!r:.60}, which is not listed"
+              for name in line.photos if name not in photos]  # fmt: skip
+    least = 1 if line.in_scan is not None else 2
+    if len(line.photos) < least or len(set(line.photos)) < len(line.photos):
+        faults.append(f"the line {line.id} must name {least} or more photos, each of them once")
+    if len(line.uv) != len(line.photos) or not np.isfinite(line.uv).all():
+        faults.append(f"the line {line.id} needs two pixels in each of its photos: its uv must be numbers")
+    elif any(np.hypot(u - s, v - t) < MIN_LINE_PX for (u, v), (s, t) in line.uv):
+        faults.append(f"the line {line.id} is shorter than {MIN_LINE_PX:g} px in one of its photos")
+    if not (np.isfinite(line.sigma_px) and line.sigma_px > 0):
+        faults.append(f"the line {line.id} has the sigma_px {line.sigma_px:g}; it must be positive")
+    if line.in_scan is not None:
+        if line.in_scan.scan not in {one.id for one in survey.scans}:
+            faults.append(f"the line {line.id} names the scan {line.in_scan.scan!r:.60}, which is not listed")
+        first, second = np.array(line.in_scan.xyz)
+        if not np.linalg.norm(second - first) >= _MIN_LINE_M:  # also of what is no number
+            faults.append(f"the line {line.id} is shorter than {1000 * _MIN_LINE_M:g} mm in its scan")
+        if not (np.isfinite(line.in_scan.sigma_m) and line.in_scan.sigma_m > 0):
+            faults.append(
+                f"the line {line.id} has the sigma_m {line.in_scan.sigma_m:g} in its scan; it must be positive"
+            )
     return faults

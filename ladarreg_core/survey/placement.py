@@ -25,6 +25,7 @@ from ladarreg_core.results.registration import Registration
 from ladarreg_core.survey.parts import SurveyPhoto
 from ladarreg_core.survey.stations import Stations
 from ladarreg_core.survey.ties.features import Features
+from ladarreg_core.survey.ties.lines import DrawnLine
 from ladarreg_core.survey.ties.ties import DrawnEnds, LaserPoints
 from ladarreg_core.survey.work import PairTask, PhotoFiles, finished, laser_under, registered
 
@@ -80,6 +81,8 @@ class Placement:
     """Called several times a second; may raise to stop."""
     drawn: DrawnEnds = field(default_factory=dict)
     """Which features are ends of ties that were drawn by hand."""
+    lines: Sequence[DrawnLine] = ()
+    """Lines that were drawn by hand."""
     laser: dict[tuple[int, int], LaserPoints] = field(default_factory=dict)
     """Places on the surface of scan s under all features of photograph p, by (p, s)."""
 

@@ -14,6 +14,7 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.survey.parts import (
     SurveyCamera,
+    SurveyLine,
     SurveyParts,
     SurveyPhoto,
     SurveyScan,
@@ -43,6 +44,8 @@ class Survey:
     reference."""
     ties: tuple[SurveyTie, ...] = ()
     """Points that were marked by hand in two photographs."""
+    lines: tuple[SurveyLine, ...] = ()
+    """Straight edges that were drawn by hand in several photographs."""
 
     def __post_init__(self) -> None:
         faults = faults_of(self)
@@ -103,7 +106,7 @@ class Survey:
 def _of_parts(parts: SurveyParts) -> Survey:
     return Survey(
         scans=tuple(parts.scans), cameras=tuple(parts.cameras), photos=tuple(parts.photos), rigs=parts.rigs,
-        ties=tuple(parts.ties),
+        ties=tuple(parts.ties), lines=tuple(parts.lines),
     )  # fmt: skip
 
 

@@ -23,11 +23,14 @@ from ladarreg_core.foundations.validation import is_number
 from ladarreg_core.frames import Rigid
 from ladarreg_core.survey.parts import (
     DRAWN_SIGMA_PX,
+    SCAN_LINE_SIGMA_M,
     Estimate,
     PosePrior,
     RigMember,
+    ScanLine,
     ScanTargets,
     SurveyCamera,
+    SurveyLine,
     SurveyParts,
     SurveyPhoto,
     SurveyScan,
@@ -43,6 +46,7 @@ _FIELDS = {
     "cameras": {"id", "camera", "path", "estimate", "options"},
     "photos": {"id", "path", "camera", "initial", "prior", "matches", "rig"},
     "ties": {"id", "photos", "uv", "sigma_px"},
+    "lines": {"id", "photos", "uv", "sigma_px", "scan"},
 }
 _ESTIMATED = {"focal": "focal_px"}  # what the file calls it
 _PHOTO_OPTIONS = ("focal_px", "focal_mm", "sensor_mm", "camera_model")
@@ -55,6 +59,7 @@ class _Parts:
     photos: list[SurveyPhoto]
     rigs: Mapping[str, Mapping[str, Rigid | None]]
     ties: list[SurveyTie] = field(default_factory=list)
+    lines: list[SurveyLine] = field(default_factory=list)
 
 
 class _Faults:
@@ -99,7 +104,8 @@ def read_survey_parts(path: str | Path) -> SurveyParts:
         none: dict[str, dict[str, Rigid | None]] = {}
         rigs = faults.taken("rigs", lambda: _rigs(fields.get("rigs", [])), none)
         ties = [tie for one in parts["ties"] if (tie := _tie(one, faults)) is not None]
-        parts_read = _Parts(scans, cameras, photos, rigs, ties)
+        lines = [line for one in parts["lines"] if (line := _line(one, faults)) is not None]
+        parts_read = _Parts(scans, cameras, photos, rigs, ties, lines)
         faults.found += faults_of(parts_read)
     if faults.found:  # here, since errors of reading are shortened
         raise FormatError(f"{shown_name(path)}: {listed_faults('it', faults.found)}")
@@ -171,6 +177,7 @@ def survey_fields(survey: SurveyParts, path: str | Path) -> dict[str, Any]:
             {"id": one.id, "photos": list(one.photos), "uv": [list(uv) for uv in one.uv], "sigma_px": one.sigma_px}
             for one in survey.ties
         ]} if survey.ties else {}),
+        **({"lines": [_line_fields(one) for one in survey.lines]} if survey.lines else {}),
     }  # fmt: skip
 
 
@@ -325,6 +332,49 @@ def _tie(one: Mapping[str, Any], faults: _Faults) -> SurveyTie | None:
         return SurveyTie(id=one["id"], photos=(photos[0], photos[1]), uv=(first, second), sigma_px=float(sigma_px))
 
     return faults.taken(f"tie {one['id']}", made, None)
+
+
+def _line(one: Mapping[str, Any], faults: _Faults) -> SurveyLine | None:
+    def made() -> SurveyLine:
+        photos, sigma_px = one.get("photos"), one.get("sigma_px", DRAWN_SIGMA_PX)
+        if not isinstance(photos, list) or not all(isinstance(name, str) for name in photos):
+            raise OptionError("its photos must be a list of ids")
+        places = np.asarray(one.get("uv"), np.float64)
+        if places.shape != (len(photos), 2, 2):
+            raise OptionError("its uv must be two pixels for each of its photos, [[[u, v], [u, v]], ...]")
+        if not is_number(sigma_px):
+            raise OptionError(f"its sigma_px is {sigma_px!r:.20}; it must be a number of pixels")
+        uv = tuple(((float(u), float(v)), (float(s), float(t))) for (u, v), (s, t) in places)
+        return SurveyLine(
+            id=one["id"], photos=tuple(photos), uv=uv, sigma_px=float(sigma_px), in_scan=_scan_line(one.get("scan"))
+        )
+
+    return faults.taken(f"line {one['id']}", made, None)
+
+
+def _scan_line(value: Any) -> ScanLine | None:
+    if value is None:
+        return None
+    if not isinstance(value, dict) or not isinstance(value.get("id"), str) or set(value) - {"id", "xyz", "sigma_m"}:
+        raise OptionError("its scan must have an id and xyz, and may have sigma_m")
+    xyz, sigma_m = np.asarray(value.get("xyz"), np.float64), value.get("sigma_m", SCAN_LINE_SIGMA_M)
+    if xyz.shape != (2, 3):
+        raise OptionError("the xyz of its scan must be two places, [[x, y, z], [x, y, z]]")
+    if not is_number(sigma_m):
+        raise OptionError(f"the sigma_m of its scan is {sigma_m!r:.20}; it must be a length in metres")
+    first, second = ((float(x), float(y), float(z)) for x, y, z in xyz)
+    return ScanLine(scan=value["id"], xyz=(first, second), sigma_m=float(sigma_m))
+
+
+def _line_fields(one: SurveyLine) -> dict[str, Any]:
+    fields: dict[str, Any] = {
+        "id": one.id, "photos": list(one.photos), "uv": [[list(end) for end in ends] for ends in one.uv],
+        "sigma_px": one.sigma_px,
+    }  # fmt: skip
+    scan = one.in_scan
+    if scan is not None:
+        fields["scan"] = {"id": scan.scan, "xyz": [list(end) for end in scan.xyz], "sigma_m": scan.sigma_m}
+    return fields
 
 
 def _prior(value: Any) -> PosePrior | None:

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ladarreg_core.foundations.arrays import BoolArray
+from ladarreg_core.foundations.arrays import BoolArray, IntArray
 from ladarreg_core.foundations.formatting import format_length
 from ladarreg_core.frames import Rigid
 from ladarreg_core.survey.build import Bodies
-from ladarreg_core.survey.least_squares.problem import RIG, Problem, Ties, pose_difference
-from ladarreg_core.survey.least_squares.solver import Adjusted, solve
+from ladarreg_core.survey.least_squares.problem import RIG, Lines, Problem, Ties, pose_difference
+from ladarreg_core.survey.least_squares.solver import LOST, Adjusted, solve
 from ladarreg_core.survey.ties.ties import spread
 
 _MIN_FACTOR_WEIGHT = 0.25  # of what a scan's image says of a pose: beyond, it contradicts the adjustment
@@ -128,7 +128,7 @@ def count_ties(adjusted: Adjusted, bodies: Bodies, photo: int) -> TieCount:
     own = ties.photo == bodies.photos[photo]
     kept = adjusted.tie_inliers
     on_surface = np.zeros(len(ties.points), np.bool_)
-    on_surface[ties.on_point[adjusted.surface_weights > 0.05]] = True
+    on_surface[ties.on_point[adjusted.surface_weights > LOST]] = True
     good = own & agreeing_ties(adjusted)
     others = np.isin(ties.point, ties.point[good]) & kept & ~own
     photo_of = bodies.photo_of
@@ -163,9 +163,26 @@ def without_photo(problem: Problem, bodies: Bodies, photo: int) -> tuple[Problem
     again = replace(
         problem, poses=tuple(problem.poses[k] for k in kept), fixed=problem.fixed[kept],
         views=tuple(problem.views[k] for k in kept), relative=relative, ties=left,
+        lines=_without_body(problem.lines, body, number),
     )  # fmt: skip
     photos = {one: int(number[at]) for one, at in bodies.photos.items() if one != photo}
     return again, Bodies([int(number[at]) if at >= 0 else -1 for at in bodies.scans], photos)
+
+
+def _without_body(lines: Lines, body: int, number: IntArray) -> Lines:
+    """Return the lines without a body; those that say nothing of any pose then are left out."""
+    seen = lines.photo != body
+    equations = 2 * np.bincount(lines.line[seen], minlength=len(lines.points))
+    equations += np.bincount(lines.on_line, minlength=len(lines.points))
+    enough = equations > 4  # the unknowns of a line
+    seen &= enough[lines.line]
+    on = enough[lines.on_line]
+    left = np.cumsum(enough) - 1
+    return Lines(
+        lines.points[enough], left[lines.line[seen]], number[lines.photo[seen]], lines.uv[seen], lines.sigma_px[seen],
+        left[lines.on_line[on]], lines.at[on], number[lines.scan[on]], lines.xyz[on], lines.normal[on],
+        lines.sigma_m[on], lines.drawn[enough],
+    )  # fmt: skip
 
 
 def largest_shift(before: Adjusted, bodies: Bodies, after: Adjusted, left: Bodies) -> tuple[float, int | None]:

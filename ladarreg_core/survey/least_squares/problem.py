@@ -3,13 +3,13 @@
 Scanners and photographs are bodies: each has a pose `body_from_world` with the unknowns (w, c) of this project:
 R_true = exp([w]x) R, c = the shift of its centre in the world, m. A camera has the unknowns of `INTRINSICS` if it is
 estimated. A tie is a point of the world, seen in two photographs or more, and on the laser's surface where
-there is one.
+there is one; or a straight line, seen in three, or in two and by the laser.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -135,6 +135,66 @@ class Ties:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Lines:
+    """N observations of L straight lines in photographs, and K of their places on the surfaces of scans.
+
+    A line is two points, which move across it only: four unknowns, two for each point, along the axes of `across`.
+
+    Source: the minimal local form of Bartoli and Sturm 2005, 'Structure-from-motion using lines'; with two points, it
+    is as well determined as they are far apart.
+    """
+
+    points: Matrix
+    """(L, 2, 3) two points of each line, where its drawn ends are; world, m."""
+    line: IntArray
+    """(N,) index of the line of each observation."""
+    photo: IntArray
+    """(N,) index of the body."""
+    uv: Matrix
+    """(N, 2, 2) the drawn ends, photo pixels; in each photograph any two places of the line."""
+    sigma_px: Matrix
+    """(N,) standard deviation of these, px."""
+    on_line: IntArray
+    """(K,) index of the line of each place on a surface."""
+    at: Matrix
+    """(K,) which of its points lies there: 0 is the first, 1 the second, and so on along the line."""
+    scan: IntArray
+    """(K,) index of the body."""
+    xyz: Matrix
+    """(K, 3) scanner frame, m."""
+    normal: Matrix
+    """(K, 3) unit normals there; of a line that was drawn in a scan, two directions across it for each end."""
+    sigma_m: Matrix
+    """(K,) standard deviation along these, m."""
+    drawn: IntArray
+    """(L,) number of the line that was drawn by hand."""
+
+    @staticmethod
+    def none() -> Lines:
+        """Return no lines."""
+        empty, indices, numbers = np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0)
+        return Lines(
+            np.zeros((0, 2, 3)), indices, indices, np.zeros((0, 2, 2)), numbers, indices, numbers, indices, empty,
+            empty, numbers, indices,
+        )  # fmt: skip
+
+    @property
+    def across(self) -> Matrix:
+        """(L, 3, 2) two axes across each line."""
+        along = self.points[:, 1] - self.points[:, 0]
+        along = along / np.linalg.norm(along, axis=1, keepdims=True)
+        helper = np.eye(3)[np.abs(along).argmin(axis=1)]
+        first = np.cross(along, helper)
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        return np.stack([first, np.cross(along, first)], axis=2)
+
+    def moved(self, step: Matrix) -> Lines:
+        """Return the lines after a step (L, 4): of the first point, then of the second, across the line."""
+        by = np.einsum("lij,lpj->lpi", self.across, step.reshape(-1, 2, 2))
+        return replace(self, points=self.points + by)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Problem:
     """All unknowns with their values, and all that is known."""
 
@@ -147,6 +207,7 @@ class Problem:
     cameras: tuple[CameraUnknowns, ...]
     relative: tuple[RelativePose, ...]
     ties: Ties
+    lines: Lines = field(default_factory=Lines.none)
 
     @property
     def columns(self) -> tuple[IntArray, IntArray, int]:
@@ -160,8 +221,8 @@ class Problem:
                 of_camera[k], at = at, at + camera.size
         return of_body, of_camera, at
 
-    def moved(self, step: Matrix, points: Matrix) -> Problem:
-        """Return the problem at other values: `step` (Y,) of bodies and cameras, `points` (P, 3) of the ties."""
+    def moved(self, step: Matrix, points: Matrix, lines: Matrix | None = None) -> Problem:
+        """Return the problem at other values: `step` (Y,) of bodies and cameras, `points` (P, 3), `lines` (L, 4)."""
         of_body, of_camera, _ = self.columns
         poses = tuple(
             pose if at < 0 else moved_pose(pose, step[at : at + 6])
@@ -171,7 +232,10 @@ class Problem:
             one if at < 0 else replace(one, values=one.values + step[at : at + one.size])
             for one, at in zip(self.cameras, of_camera, strict=True)
         )
-        return replace(self, poses=poses, cameras=cameras, ties=replace(self.ties, points=self.ties.points + points))
+        return replace(
+            self, poses=poses, cameras=cameras, ties=replace(self.ties, points=self.ties.points + points),
+            lines=self.lines if lines is None else self.lines.moved(lines),
+        )  # fmt: skip
 
     def camera_of(self, body: int) -> CameraModel:
         """Return the camera of a photograph at the present values."""
@@ -268,12 +332,27 @@ def surface_residuals(problem: Problem) -> tuple[Matrix, Matrix, Matrix]:
         distance (K,) m; derivatives by the scanner's (w, c), (K, 6), and by the point, (K, 3).
     """
     ties = problem.ties
-    rotations = np.array([pose.rotation for pose in problem.poses])[ties.scan]
-    centres = np.array([pose.centre for pose in problem.poses])[ties.scan]
-    there = np.einsum("kij,kj->ki", rotations, ties.points[ties.on_point] - centres)
-    distance = np.einsum("ki,ki->k", ties.normal, there - ties.xyz)
-    by_point = np.einsum("ki,kij->kj", ties.normal, rotations)
-    by_turn = np.cross(there, ties.normal)  # n . (w x y) = w . (y x n)
+    return surface_distances(problem, ties.scan, ties.points[ties.on_point], ties.xyz, ties.normal)
+
+
+def surface_distances(
+    problem: Problem, scan: IntArray, points: Matrix, xyz: Matrix, normal: Matrix
+) -> tuple[Matrix, Matrix, Matrix]:
+    """Return how far points (K, 3) of the world lie before places of the surfaces of scans, see `surface_residuals`.
+
+    Args:
+        problem: the problem.
+        scan: (K,) index of the scanner's body.
+        points: the points.
+        xyz: (K, 3) the places, scanner frame.
+        normal: (K, 3) unit normals there.
+    """
+    rotations = np.array([pose.rotation for pose in problem.poses])[scan]
+    centres = np.array([pose.centre for pose in problem.poses])[scan]
+    there = np.einsum("kij,kj->ki", rotations, points - centres)
+    distance = np.einsum("ki,ki->k", normal, there - xyz)
+    by_point = np.einsum("ki,kij->kj", normal, rotations)
+    by_turn = np.cross(there, normal)  # n . (w x y) = w . (y x n)
     return distance, np.concatenate([by_turn, -by_point], axis=1), by_point
 
 

@@ -1,25 +1,25 @@
 """The adjustment: robust least squares over all poses, cameras and ties, and the covariance of what results.
 
-The ties' points are eliminated: with H the normal matrix, y the poses and cameras, x the points, which are independent
-of each other, the reduced system is S = H_yy - H_yx H_xx^-1 H_xy. Robust weights are graduated: the loss begins nearly
+The ties' points and lines are eliminated (`elimination`). Robust weights are graduated: the loss begins nearly
 quadratic and narrows, so that ties which are wrong by much lose their weight before they have bent anything.
 
 The covariance is that of a jackknife over regions of the surface, since ties of one region err alike (the laser's
 surface, the lens, the light), and of what states a covariance of its own.
 
-Source: Triggs et al. 2000, 'Bundle adjustment - a modern synthesis' (Schur complement); Yang et al. 2020, 'Graduated
-non-convexity for robust spatial perception' (Geman-McClure); Bell and McCaffrey 2002 (jackknife over clusters, CR3).
+Source: Yang et al. 2020, 'Graduated non-convexity for robust spatial perception' (Geman-McClure); Bell and McCaffrey
+2002 (jackknife over clusters, CR3).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ladarreg_core.foundations.arrays import BoolArray, IntArray
+from ladarreg_core.survey.least_squares.elimination import Eliminated, Observations
+from ladarreg_core.survey.least_squares.line_residuals import line_residuals, line_surface_residuals
 from ladarreg_core.survey.least_squares.problem import (
     WORLD,
     Matrix,
@@ -28,9 +28,6 @@ from ladarreg_core.survey.least_squares.problem import (
     surface_residuals,
     tie_residuals,
 )
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_matrix
 
 _GRADUATION = (30.0, 10.0, 4.0, 2.0, 1.0)
 """Widths of the loss, relative to the last one."""
@@ -45,7 +42,8 @@ _MAX_RELATIVE = 30.0  # squared Mahalanobis distance of a relative pose, with 6 
 _REGION_M = 0.5
 _LEFT_OUT = 0.9  # of a region's information: a pose in one region has to stay determined without it
 _DAMPED = 1e-9
-_WORST_LOST = 0.05  # weight below which an observation counts as an outlier
+LOST = 0.05
+"""Weight below which an observation counts as an outlier."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,11 +75,22 @@ class Adjusted:
     chi2_per_dof: float
     """Of all that was kept."""
     converged: bool
+    line_weights: Matrix
+    """(N,) robust weights of the observations of lines in photographs."""
+    line_surface_weights: Matrix
+    """(K,) likewise of the places of lines on surfaces."""
+    line_residuals_px: Matrix
+    """(N, 2) of the two drawn ends, NaN behind a camera."""
+
+    @property
+    def line_inliers(self) -> BoolArray:
+        """(N,) which observations of lines in photographs were kept."""
+        return np.asarray(self.line_weights > LOST)
 
     @property
     def tie_inliers(self) -> BoolArray:
         """(N,) which observations in photographs were kept."""
-        return np.asarray(self.tie_weights > _WORST_LOST)
+        return np.asarray(self.tie_weights > LOST)
 
     def covariance_of(self, body: int) -> Matrix:
         """Return the covariance (6, 6) of a body's (w, c); zeros of a fixed one."""
@@ -132,8 +141,8 @@ def solve(
         for _ in range(_MAX_STEPS):
             if tick is not None:
                 tick()
-            step, points = system.step(damping)
-            moved = problem.moved(step, points)
+            step, points, lines = system.step(damping)
+            moved = problem.moved(step, points, lines)
             again = _System.at(moved, noise, width)
             if not again.cost <= system.cost * (1 + 1e-12) and damping < 1e6:
                 damping = max(damping, 1e-6) * 100
@@ -148,7 +157,8 @@ def solve(
     system = _System.at(problem, noise, 1.0 if robust else np.inf)
     return Adjusted(
         problem, system.covariance(), system.tie_weights, system.surface_weights, system.relative_weights,
-        system.residual, noise.px, system.chi2_per_dof, converged,
+        system.residual, noise.px, system.chi2_per_dof, converged, system.line_weights, system.line_surface_weights,
+        system.line_residual,
     )  # fmt: skip
 
 
@@ -161,8 +171,52 @@ def regions(points: Matrix) -> IntArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Weighted:
+    """Observations with their weights."""
+
+    rows: Observations
+    squared: Matrix
+    """(N,) squares in standard deviations; NaN: it cannot be seen."""
+    weights: Matrix
+    """(N,)."""
+
+    @staticmethod
+    def of(
+        residual: Matrix, by_unknowns: Matrix, columns: IntArray, by_landmark: Matrix, landmark: IntArray,
+        sigma: Matrix, limit: float,
+    ) -> _Weighted:  # fmt: skip
+        """Return observations (N, R) with their derivatives, as of `Observations`, whitened by `sigma` (N,)."""
+        squared = np.einsum("nr,nr->n", residual, residual) / sigma**2
+        seen = np.isfinite(squared) & np.isfinite(by_unknowns).all(axis=(1, 2))
+        weights = np.where(seen, _weight(squared, limit), 0.0)
+        scale = np.where(seen, np.sqrt(weights) / sigma, 0.0)[:, None, None]
+        J, Jx = (np.where(seen[:, None, None], one, 0.0) * scale for one in (by_unknowns, by_landmark))
+        off = np.where(seen[:, None], residual, 0.0) * scale[:, 0]
+        return _Weighted(Observations(off, J, columns, Jx, landmark), np.where(seen, squared, np.nan), weights)
+
+    def loss(self, limit: float) -> float:
+        """Return the sum of the losses of all that is seen."""
+        return float(_loss(self.squared[np.isfinite(self.squared)], limit).sum())
+
+    @property
+    def kept(self) -> BoolArray:
+        """(N,) which are no outliers."""
+        return np.asarray(self.weights > LOST)
+
+    @property
+    def chi2(self) -> float:
+        """Of those."""
+        return float((self.weights * self.squared)[self.kept].sum())
+
+    @property
+    def equations(self) -> int:
+        """Number of their residuals."""
+        return int(self.kept.sum()) * self.rows.residual.shape[1]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _System:
-    """The normal equations at some values, with the points eliminated."""
+    """The normal equations at some values, with points and lines eliminated."""
 
     problem: Problem
     cost: float
@@ -170,25 +224,16 @@ class _System:
     """(Y, Y) S."""
     right: Matrix
     """(Y,)."""
-    mixed: csr_matrix
-    """(Y, 3 P) H_yx."""
-    inverse: Matrix
-    """(P, 3, 3) H_xx^-1."""
-    right_points: Matrix
-    """(P, 3)."""
-    by_ties: csr_matrix
-    """(2 N, Y): whitened derivatives of the observations in photographs."""
-    by_surfaces: csr_matrix
-    """(K, Y): likewise of the places on surfaces."""
-    off: Matrix
-    """(2 N,): whitened residuals."""
-    off_surfaces: Matrix
-    """(K,)."""
+    points: Eliminated
+    lines: Eliminated
     of_relative: Matrix
     """(Y, Y): the information of relative poses and of the cameras' priors."""
     residual: Matrix
+    line_residual: Matrix
     tie_weights: Matrix
     surface_weights: Matrix
+    line_weights: Matrix
+    line_surface_weights: Matrix
     relative_weights: Matrix
     chi2_per_dof: float
 
@@ -196,75 +241,52 @@ class _System:
     def at(problem: Problem, noise: _Noise, width: float) -> _System:
         """Return the equations for a noise of the ties and a width of the loss relative to the last one."""
         of_body, of_camera, size = problem.columns
-        ties, count = problem.ties, len(problem.ties.points)
-        sigma_m = noise.surface * ties.sigma_m
+        ties, lines, limit = problem.ties, problem.lines, width * _WIDTH
         residual, by_pose, by_camera, by_point = tie_residuals(problem)
-        sigma_px = np.where(np.isnan(ties.stated_px), noise.px, ties.stated_px)
-        r2 = np.einsum("ni,ni->n", residual, residual) / sigma_px**2
-        seen = np.isfinite(r2) & np.isfinite(by_pose).all(axis=(1, 2)) & np.isfinite(by_camera).all(axis=(1, 2))
-        w = np.where(seen, _weight(r2, width * _WIDTH), 0.0)
-        scale = np.sqrt(w) / sigma_px
-        off = np.where(seen[:, None], residual, 0.0) * scale[:, None]
-        J = np.concatenate([by_pose, by_camera], axis=2)
-        J = np.where(seen[:, None, None], J, 0.0) * scale[:, None, None]
-        Jx = np.where(seen[:, None, None], by_point, 0.0) * scale[:, None, None]
-        distance, on_scan, on_point = surface_residuals(problem)
-        d2 = (distance / sigma_m) ** 2
-        v = _weight(d2, width * _WIDTH)
-        scale_s = np.sqrt(v) / sigma_m
-        off_s, Ks, Kx = -distance * scale_s, on_scan * scale_s[:, None], on_point * scale_s[:, None]
+        of_ties = _Weighted.of(
+            residual, np.concatenate([by_pose, by_camera], axis=2), _photo_columns(problem, ties.photo), by_point,
+            ties.point, np.where(np.isnan(ties.stated_px), noise.px, ties.stated_px), limit,
+        )  # fmt: skip
+        distance, by_scan, by_point = surface_residuals(problem)
+        of_surfaces = _Weighted.of(
+            -distance[:, None], by_scan[:, None], _scan_columns(problem, ties.scan), by_point[:, None], ties.on_point,
+            noise.surface * ties.sigma_m, limit,
+        )  # fmt: skip
+        points = Eliminated.of([of_ties.rows, of_surfaces.rows], len(ties.points), 3, size)
 
-        H_xx = np.zeros((count, 3, 3))
-        np.add.at(H_xx, ties.point, np.einsum("nia,nib->nab", Jx, Jx))
-        np.add.at(H_xx, ties.on_point, np.einsum("ka,kb->kab", Kx, Kx))
-        b_x = np.zeros((count, 3))
-        np.add.at(b_x, ties.point, np.einsum("nia,ni->na", Jx, off))
-        np.add.at(b_x, ties.on_point, Kx * off_s[:, None])
-        trace = np.trace(H_xx, axis1=1, axis2=2)
-        H_xx += (1e-9 * trace + 1e-12)[:, None, None] * np.eye(3)
-        inverse = np.linalg.inv(H_xx)
-
-        # Columns of the unknowns that each observation touches; those of what is fixed fall into an extra one.
-        cameras = np.array([-1 if view is None else view.camera for view in problem.views], np.int64)
-        sizes = np.array([one.size for one in problem.cameras], np.int64)
-        at_body, camera = of_body[ties.photo], cameras[ties.photo]
-        columns = np.full((len(ties.photo), 10), size, np.int64)
-        columns[:, :6] = np.where(at_body[:, None] >= 0, at_body[:, None] + np.arange(6), size)
-        if len(camera):
-            estimated = sizes[camera] > 0
-            columns[:, 6:] = np.where(estimated[:, None], of_camera[camera][:, None] + np.arange(4), size)
-        at_scan = of_body[ties.scan]
-        columns_s = np.where(at_scan[:, None] >= 0, at_scan[:, None] + np.arange(6), size)
-
-        rows_J = _sparse(J.reshape(-1, 10), np.repeat(columns, 2, axis=0), size)
-        rows_s = _sparse(Ks, columns_s, size)
-        cross = np.einsum("nia,nib->nab", J, Jx)
-        cross_s = np.einsum("ka,kb->kab", Ks, Kx)
-        mixed = _mixed(cross, columns, ties.point, size, count) + _mixed(cross_s, columns_s, ties.on_point, size, count)
-        H_yy = (rows_J.T @ rows_J + rows_s.T @ rows_s).toarray()
-        b_y = rows_J.T @ off.ravel() + rows_s.T @ off_s
+        line_residual, by_pose, by_camera, by_line = line_residuals(problem)
+        of_lines = _Weighted.of(
+            line_residual, np.concatenate([by_pose, by_camera], axis=2), _photo_columns(problem, lines.photo), by_line,
+            lines.line, lines.sigma_px, limit,
+        )  # fmt: skip
+        distance, by_scan, by_line = line_surface_residuals(problem)
+        of_line_surfaces = _Weighted.of(
+            -distance[:, None], by_scan[:, None], _scan_columns(problem, lines.scan), by_line[:, None], lines.on_line,
+            lines.sigma_m, limit,
+        )  # fmt: skip
+        of_all = (of_ties, of_surfaces, of_lines, of_line_surfaces)
+        eliminated = Eliminated.of([of_lines.rows, of_line_surfaces.rows], len(lines.points), 4, size)
 
         of_relative, right, relative_weights, cost = _of_relative(problem, of_body, of_camera, size, width)
-        solved = mixed @ _block_diagonal(inverse)
-        S = H_yy + of_relative - (solved @ mixed.T).toarray()
-        g = b_y + right - solved @ b_x.ravel()
-        cost += float(_loss(r2[seen], width * _WIDTH).sum() + _loss(d2, width * _WIDTH).sum())
-        kept, kept_s = w > _WORST_LOST, v > _WORST_LOST
-        dof = 2 * kept.sum() + kept_s.sum() - 3 * len(np.unique(ties.point[kept])) + 6 * len(problem.relative) - size
-        chi2 = float((w * r2)[kept].sum() + (v * d2)[kept_s].sum() + _of_kept(problem, relative_weights))
+        cost += sum(one.loss(limit) for one in of_all)
+        dof = (
+            sum(one.equations for one in of_all) - 3 * len(np.unique(ties.point[of_ties.kept]))
+            - 4 * len(np.unique(lines.line[of_lines.kept])) + 6 * len(problem.relative) - size
+        )  # fmt: skip
+        chi2 = sum(one.chi2 for one in of_all) + _of_kept(problem, relative_weights)
         return _System(
-            problem, cost, S, g, mixed, inverse, b_x, rows_J, rows_s, off.ravel(), off_s, of_relative, residual, w, v,
-            relative_weights, chi2 / max(int(dof), 1),
+            problem, cost, of_relative + points.reduced + eliminated.reduced, right + points.right + eliminated.right,
+            points, eliminated, of_relative, residual, line_residual, *(one.weights for one in of_all),
+            relative_weights, chi2 / max(dof, 1),
         )  # fmt: skip
 
-    def step(self, damping: float) -> tuple[Matrix, Matrix]:
-        """Return the step of the unknowns (Y,) and of the points (P, 3)."""
+    def step(self, damping: float) -> tuple[Matrix, Matrix, Matrix]:
+        """Return the step of the unknowns (Y,), of the points (P, 3) and of the lines (L, 4)."""
         from scipy.linalg import cho_factor, cho_solve
 
         S = self.reduced + damping * np.diag(np.diag(self.reduced))
-        y = cho_solve(cho_factor(S), self.right) if len(S) else np.zeros(0)
-        back = self.right_points - (self.mixed.T @ y).reshape(-1, 3)
-        return np.asarray(y), np.einsum("pij,pj->pi", self.inverse, back)
+        y = np.asarray(cho_solve(cho_factor(S), self.right) if len(S) else np.zeros(0))
+        return y, self.points.step(y), self.lines.step(y)
 
     def covariance(self) -> Matrix:
         """Return the scatter of the solutions without one region each, and of what states its own covariance.
@@ -273,20 +295,25 @@ class _System:
         (S - S_k)^-1 g: the jackknife, whose middle is the sandwich, and which counts that residuals are small where
         few regions determine a pose. It is never less than what independent ties would give, if all counted less by as
         much as regions scatter more: a close-up lies in one region or two, which say nothing of their own scatter.
+        A line is part of the region of its middle.
         """
         from scipy.linalg import cho_factor, cho_solve
 
         if not len(self.reduced):
             return np.zeros((0, 0))
         bread = cho_solve(cho_factor(self.reduced), np.eye(len(self.reduced)))
-        ties = self.problem.ties
-        region = regions(ties.points)
+        points = self.problem.ties.points
+        region = regions(np.concatenate([points, self.problem.lines.points.mean(axis=1)]))
+        of_points, of_lines = region[: len(points)], region[len(points) :]
         count = int(region.max(initial=-1)) + 1
         if not count:
             return np.asarray(bread)
         shifts, scores = np.zeros((len(bread), count)), np.zeros((len(bread), count))
         for k in range(count):
-            own, g = self._of_points(region == k)
+            own, g = self.points.of_some(of_points == k)
+            if (of_lines == k).any():
+                more, g_lines = self.lines.of_some(of_lines == k)
+                own, g = own + more, g + g_lines
             scores[:, k] = g
             shifts[:, k] = cho_solve(cho_factor(self.reduced - _LEFT_OUT * own), g)
         by_region = shifts @ shifts.T * (1 - 1 / count) + bread @ self.of_relative @ bread
@@ -296,16 +323,27 @@ class _System:
         least = of_ties / max(float(alike), 1.0) + self.of_relative
         return _no_less(by_region, cho_solve(cho_factor(least), np.eye(len(least))))
 
-    def _of_points(self, chosen: BoolArray) -> tuple[Matrix, Matrix]:
-        """Return the information (Y, Y) of some points (P,) and their ties, and their score (Y,)."""
-        ties = self.problem.ties
-        seen, on = chosen[ties.point], chosen[ties.on_point]
-        rows, rows_s = self.by_ties[np.repeat(seen, 2)], self.by_surfaces[on]
-        at = np.flatnonzero(chosen)
-        mixed = self.mixed[:, (3 * at[:, None] + np.arange(3)).ravel()]
-        own = (rows.T @ rows + rows_s.T @ rows_s - mixed @ _block_diagonal(self.inverse[at]) @ mixed.T).toarray()
-        g = rows.T @ self.off[np.repeat(seen, 2)] + rows_s.T @ self.off_surfaces[on]
-        return np.asarray(own), np.asarray(g)
+
+def _photo_columns(problem: Problem, photo: IntArray) -> IntArray:
+    """Return the columns (N, 10) of poses and cameras of photographs (N,), by their bodies.
+
+    Those of what is fixed fall into an extra one.
+    """
+    _, of_camera, size = problem.columns
+    columns = np.full((len(photo), 10), size, np.int64)
+    columns[:, :6] = _scan_columns(problem, photo)
+    if len(photo):
+        camera = np.array([-1 if view is None else view.camera for view in problem.views], np.int64)[photo]
+        estimated = np.array([one.size for one in problem.cameras], np.int64)[camera] > 0
+        columns[:, 6:] = np.where(estimated[:, None], of_camera[camera][:, None] + np.arange(4), size)
+    return columns
+
+
+def _scan_columns(problem: Problem, body: IntArray) -> IntArray:
+    """Return the columns (N, 6) of the poses of bodies (N,); those of fixed ones fall into an extra one."""
+    of_body, _, size = problem.columns
+    at = of_body[body]
+    return np.where(at[:, None] >= 0, at[:, None] + np.arange(6), size)
 
 
 def _of_relative(
@@ -388,31 +426,3 @@ def _no_less(found: Matrix, least: Matrix) -> Matrix:
     inside = np.linalg.solve(L, np.linalg.solve(L, found).T)
     values, vectors = np.linalg.eigh((inside + inside.T) / 2)
     return np.asarray(L @ (vectors * np.maximum(values, 1.0)) @ vectors.T @ L.T)
-
-
-def _sparse(rows: Matrix, columns: IntArray, size: int) -> csr_matrix:
-    """Return rows (N, C) at columns (N, C) of a matrix (N, size); the column `size` is dropped."""
-    from scipy.sparse import csr_matrix
-
-    at = np.repeat(np.arange(len(rows)), rows.shape[1])
-    whole = csr_matrix((rows.ravel(), (at, columns.ravel())), shape=(len(rows), size + 1))
-    return whole[:, :size]
-
-
-def _mixed(blocks: Matrix, columns: IntArray, point: IntArray, size: int, count: int) -> csr_matrix:
-    """Return blocks (N, C, 3) at rows (N, C) and the columns of points (N,), of (size, 3 count)."""
-    from scipy.sparse import csr_matrix
-
-    n, c = columns.shape
-    rows = np.repeat(columns.ravel(), 3)
-    at = (3 * point[:, None, None] + np.arange(3)).repeat(c, axis=1).ravel()
-    return csr_matrix((blocks.reshape(n * c * 3), (rows, at)), shape=(size + 1, 3 * count))[:size]
-
-
-def _block_diagonal(blocks: Matrix) -> csr_matrix:
-    from scipy.sparse import csr_matrix
-
-    count = len(blocks)
-    rows = np.repeat(np.arange(3 * count), 3)
-    columns = (3 * np.arange(count)[:, None, None] + np.arange(3)).repeat(3, axis=1).ravel()
-    return csr_matrix((blocks.ravel(), (rows, columns)), shape=(3 * count, 3 * count))

@@ -26,8 +26,10 @@ DrawnEnds = Mapping[tuple[int, int], tuple[int, float]]
 """Of the ties that were drawn by hand the number of the first one of the track, and the pixel sigma, by their ends:
 (photograph, feature)."""
 _SURFACE_SIGMA_M = 0.0025  # of the smoothed surface beside its range noise: texture is not exactly where the laser hit
-_MIN_PARALLAX_RAD = float(np.radians(2.0))  # of a tie that lies on no surface
-_FAR_PX = 60.0  # of a photograph 1000 px wide: what lies farther from where the poses put it is a wrong match
+MIN_PARALLAX_RAD = float(np.radians(2.0))
+"""Angle between the rays of a tie that lies on no surface, or between the planes of a line."""
+FAR_PX = 60.0
+"""Of a photograph 1000 px wide: what lies farther from where the poses put it is a wrong match."""
 _PAIR_LIMIT = 400  # matches of a pair that are used; more of them say nothing new
 
 
@@ -217,7 +219,7 @@ def tie_points(
         if point is None:
             continue
         number = len(out["points"])
-        allowed = np.array([_FAR_PX * cameras[photo].width / 1000 for photo, _ in group])
+        allowed = np.array([FAR_PX * cameras[photo].width / 1000 for photo, _ in group])
         near = off <= allowed
         if near.sum() < 2:
             continue
@@ -306,7 +308,7 @@ def _triangulated(
     )  # fmt: skip
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     cosine = np.clip(rays @ rays.T, -1, 1)
-    if not np.isfinite(rays).all() or np.arccos(cosine.min()) < _MIN_PARALLAX_RAD:
+    if not np.isfinite(rays).all() or np.arccos(cosine.min()) < MIN_PARALLAX_RAD:
         return None, np.zeros(0)
     across = np.eye(3) - np.einsum("ni,nj->nij", rays, rays)
     point = np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, centres))
