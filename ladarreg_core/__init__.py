@@ -106,12 +106,15 @@ if TYPE_CHECKING:
     from ladarreg_core.surface.texture.registered_texture import intensity_picture as intensity_picture
     from ladarreg_core.surface.texture.registered_texture import texture_scan as texture_scan
     from ladarreg_core.survey.adjust import adjust as adjust
+    from ladarreg_core.survey.adjustment import AdjustedLine as AdjustedLine
     from ladarreg_core.survey.adjustment import AdjustedTie as AdjustedTie
     from ladarreg_core.survey.adjustment import Adjustment as Adjustment
     from ladarreg_core.survey.audit import Audit as Audit
     from ladarreg_core.survey.audit import audit as audit
     from ladarreg_core.survey.outputs import write_adjustment as write_adjustment
+    from ladarreg_core.survey.parts import ScanLine as ScanLine
     from ladarreg_core.survey.parts import SurveyCamera as SurveyCamera
+    from ladarreg_core.survey.parts import SurveyLine as SurveyLine
     from ladarreg_core.survey.parts import SurveyPhoto as SurveyPhoto
     from ladarreg_core.survey.parts import SurveyScan as SurveyScan
     from ladarreg_core.survey.parts import SurveyTie as SurveyTie
@@ -120,6 +123,7 @@ if TYPE_CHECKING:
 __version__ = VERSION
 
 _HOMES = {
+    "AdjustedLine": "survey.adjustment",
     "AdjustedTie": "survey.adjustment",
     "Adjustment": "survey.adjustment",
     "Audit": "survey.audit",
@@ -164,11 +168,13 @@ _HOMES = {
     "RigResult": "registration.rig.results",
     "Rigid": "frames",
     "Scan": "scan",
+    "ScanLine": "survey.parts",
     "StationNetwork": "registration.stations.results",
     "StationPair": "registration.stations.results",
     "Step": "results.steps",
     "Survey": "survey.survey",
     "SurveyCamera": "survey.parts",
+    "SurveyLine": "survey.parts",
     "SurveyPhoto": "survey.parts",
     "SurveyScan": "survey.parts",
     "SurveyTie": "survey.parts",

@@ -88,6 +88,8 @@ def run(arguments: Arguments) -> ExitCode:
         print(f"Camera   {name}: {shown}, {len(camera.photos)} photos")
     for tie in found.ties:
         print(f"Tie      {tie.id} of {' and '.join(tie.photos)}: {tie.reason}")
+    for line in found.lines:
+        print(f"Line     {line.id} of {', '.join(line.photos)}: {line.reason}")
     accepted = sum(one.accepted for one in found.photos.values())
     noise = f"; noise of the ties {found.sigma_px:.2f} px" if found.residuals else ""
     print(f"Accepted {accepted} of {len(found.photos)} photos{noise}")

@@ -11,6 +11,7 @@ from typing import Any, Literal, get_args
 import msgspec
 
 from ladarreg_core.matches import Pick
+from ladarreg_core.project.drawn import AdjustedLineEntry, AdjustedTieEntry, LineEntry, TieEntry
 from ladarreg_core.project.settings import Settings
 from ladarreg_core.project.source import Source
 from ladarreg_core.project.stored_arrays import StoredArrays
@@ -345,30 +346,6 @@ class AdjustedPhotoEntry(msgspec.Struct, frozen=True, kw_only=True):
     """How far the adjustment turned it."""
 
 
-class TieEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """A place that two photographs show, as somebody drew it."""
-
-    id: str
-    """Stable id of letters and digits."""
-    photos: tuple[str, str]
-    """Ids of the photographs."""
-    uv: tuple[tuple[float, float], tuple[float, float]]
-    """Where each shows it, px."""
-    sigma_px: float
-    """Standard deviation of each of these."""
-
-
-class AdjustedTieEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """What an adjustment said of a tie that was drawn."""
-
-    agrees: bool
-    """Whether it was kept."""
-    residual_px: float | None = None
-    """The larger of its two residuals, px; None: it was no part of it."""
-    reason: str = ""
-    """A sentence."""
-
-
 class AdjustedScanEntry(msgspec.Struct, frozen=True, kw_only=True):
     """Where a scanner stood."""
 
@@ -411,6 +388,8 @@ class Adjusted(msgspec.Struct, frozen=True, kw_only=True):
 
     drawn: dict[str, AdjustedTieEntry] = {}
     """The ties that were drawn, by their ids."""
+    drawn_lines: dict[str, AdjustedLineEntry] = {}
+    """Likewise the lines."""
 
     def scan(self, source: Source) -> AdjustedScanEntry | None:
         """Return what is known of a scan; None: it was not among them."""
@@ -448,6 +427,10 @@ class Document(msgspec.Struct, frozen=True, kw_only=True):
     """Places that two photographs show, in the order in which they were drawn."""
     numbered_ties: int = 0
     """Last number used in a tie's id."""
+    lines: tuple[LineEntry, ...] = ()
+    """Straight edges that photographs show, in the order in which they were drawn."""
+    numbered_lines: int = 0
+    """Last number used in a line's id."""
 
     @property
     def clouds(self) -> int:

@@ -13,6 +13,7 @@ from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Pick, unit_rays
 from ladarreg_core.project.document import STAGES, CameraGiven, Document, Part, PhotoEntry, PickEntry, PoseEntry, Rows
+from ladarreg_core.project.drawn import LineEntry
 from ladarreg_core.project.source import Source, file_name
 from ladarreg_core.results.registration import StageId
 
@@ -94,13 +95,22 @@ def with_photo(
 
 
 def without_photo(document: Document, photo_id: str) -> Document:
-    """Return the document without a photograph, and without the ties that were drawn in it."""
+    """Return the document without a photograph, and without the ties and lines that were drawn in it."""
     require_photo(document, photo_id)
     return replace(
         document,
         photos=tuple(p for p in document.photos if p.id != photo_id),
         ties=tuple(tie for tie in document.ties if photo_id not in tie.photos),
+        lines=tuple(left for line in document.lines if (left := _without(line, photo_id)) is not None),
     )
+
+
+def _without(line: LineEntry, photo_id: str) -> LineEntry | None:
+    """Return a line without what was drawn in a photograph; None: nothing is left."""
+    if photo_id not in line.photos:
+        return line
+    left = [(photo, uv) for photo, uv in zip(line.photos, line.uv, strict=True) if photo != photo_id]
+    return replace(line, photos=tuple(one for one, _ in left), uv=tuple(uv for _, uv in left)) if left else None
 
 
 def require_photo(document: Document, photo_id: object) -> PhotoEntry:

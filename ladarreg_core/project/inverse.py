@@ -1,8 +1,8 @@
 """The inverse of one edit, applied to a later document: what the edit touched gets its former value, all else stays.
 
-A document is compared by parts: its fields, the settings, the stations, measurements and ties, and of each photograph
-its fields, poses and picks, by path: `("name",)`, `("settings", "t1")`, `("measurements", "m1")`, `("photos", "p1")`
-where the photograph exists on one side only, else `("photos", "p1", "camera")`, `("photos", "p1", "poses", "auto")`,
+A document is compared by parts: its fields, the settings, the stations, measurements, ties and lines, and of each
+photograph its fields, poses and picks, by path: `("name",)`, `("settings", "t1")`, `("measurements", "m1")`,
+`("photos", "p1")` where the photograph exists on one side only, else `("photos", "p1", "camera")`, `("photos", "p1", "poses", "auto")`,
 `("photos", "p1", "picks", "3", "on")`.
 Counters of given numbers are no part: a number is never given twice.
 """
@@ -22,10 +22,18 @@ Part = tuple[str, ...]
 Parts = dict[Part, tuple[Any, Any]]
 """Parts with their values before and after an edit."""
 T = TypeVar("T", bound=msgspec.Struct)
-_COUNTERS = ("numbered", "numbered_stations", "numbered_measurements", "numbered_ties")
+_COUNTERS = ("numbered", "numbered_stations", "numbered_measurements", "numbered_ties", "numbered_lines")
 _LISTS = ("picks", "poses")
-_KEYS = {"photos": "id", "picks": "id", "poses": "stage", "stations": "id", "measurements": "id", "ties": "id"}
-_WHOLE = ("stations", "measurements", "ties")
+_KEYS = {
+    "photos": "id",
+    "picks": "id",
+    "poses": "stage",
+    "stations": "id",
+    "measurements": "id",
+    "ties": "id",
+    "lines": "id",
+}
+_WHOLE = ("stations", "measurements", "ties", "lines")
 """Lists of the document whose items are compared as wholes."""
 
 

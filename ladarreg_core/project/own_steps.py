@@ -153,6 +153,8 @@ def _described(history: History, part: Part) -> str:
         return "the measurements" if len(part) == 1 else "the measurement"
     if part[0] == "stations":
         return "the stations" if len(part) == 1 else "the station"
+    if part[0] == "lines":
+        return "the lines" if len(part) == 1 else f"the line {part[1].removeprefix('l')}"
     if part[0] == "ties":
         return "the ties" if len(part) == 1 else f"the tie {part[1].removeprefix('t')}"
     if part[0] != "photos":

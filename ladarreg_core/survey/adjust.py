@@ -38,6 +38,7 @@ from ladarreg_core.survey.build import (
     Bodies,
     build_problem,
     camera_unknowns,
+    numbered_lines,
     pair_factor,
     photo_view,
     with_ties,
@@ -51,7 +52,6 @@ from ladarreg_core.survey.rigs import Rigs, rig_factors, rigs_of, start_from_rig
 from ladarreg_core.survey.stations import place_stations
 from ladarreg_core.survey.survey import Survey
 from ladarreg_core.survey.ties.features import propose_pairs
-from ladarreg_core.survey.ties.lines import numbered_lines
 from ladarreg_core.survey.ties.ties import DrawnEnds, with_drawn
 from ladarreg_core.survey.verdicts import (
     Solution,

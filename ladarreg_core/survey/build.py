@@ -24,7 +24,7 @@ from ladarreg_core.survey.least_squares.problem import (
 from ladarreg_core.survey.parts import SurveyCamera
 from ladarreg_core.survey.placement import PhotoState, Placement
 from ladarreg_core.survey.survey import Survey
-from ladarreg_core.survey.ties.lines import lines_between
+from ladarreg_core.survey.ties.lines import DrawnLine, lines_between
 from ladarreg_core.survey.ties.ties import tie_points
 
 _KNOWN = 1e-6  # relative standard deviation of an intrinsic that is not estimated
@@ -46,6 +46,20 @@ class Bodies:
     def photo_of(self) -> dict[int, int]:
         """Photograph of each body."""
         return {body: photo for photo, body in self.photos.items()}
+
+
+def numbered_lines(survey: Survey) -> list[DrawnLine]:
+    """Return the lines that were drawn, with the numbers of their photographs and scans."""
+    photos = {one.id: k for k, one in enumerate(survey.photos)}
+    scans = {one.id: k for k, one in enumerate(survey.scans)}
+    found = []
+    for one in survey.lines:
+        drawn = DrawnLine(tuple(photos[name] for name in one.photos), np.array(one.uv), one.sigma_px)
+        shown = one.in_scan
+        if shown is not None:
+            drawn = replace(drawn, scan=scans[shown.scan], xyz=np.array(shown.xyz), sigma_m=shown.sigma_m)
+        found.append(drawn)
+    return found
 
 
 def camera_unknowns(survey: Survey, states: Sequence[PhotoState]) -> list[CameraUnknowns]:

@@ -14,6 +14,7 @@ from ladarreg_core.camera import CameraModel
 from ladarreg_core.camera.uncertainty import INTRINSICS
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.frames import Rigid
+from ladarreg_core.matches import MIN_LINE_PX
 from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 
@@ -24,8 +25,6 @@ DRAWN_SIGMA_PX = 1.0
 SCAN_LINE_SIGMA_M = 0.005
 """Standard deviation of a line that is drawn in a scan where nobody states another, m: half a cell of .1 degrees at
 6 m."""
-MIN_LINE_PX = 5.0
-"""Length of a line in a photograph below which its direction is not known."""
 _MIN_LINE_M = 0.01  # likewise in a scan
 _MAX_LISTED = 20
 

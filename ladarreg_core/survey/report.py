@@ -12,7 +12,7 @@ from ladarreg_core.foundations.formatting import format_angle, format_length
 from ladarreg_core.foundations.markup import Content, DataUri, Html, joined, section, table, tag
 from ladarreg_core.storage.checksums import sealed_page
 from ladarreg_core.storage.replacement import REPORT_FILE
-from ladarreg_core.survey.adjustment import AdjustedPhoto, Adjustment
+from ladarreg_core.survey.adjustment import AdjustedLine, AdjustedPhoto, Adjustment
 from ladarreg_core.survey.least_squares.problem import Matrix
 from ladarreg_core.survey.survey import Survey
 
@@ -213,10 +213,20 @@ def _residuals(adjustment: Adjustment) -> Html:
         f"is {adjustment.chi2_per_dof:.2f}."
     )
     found = joined(tag("p", words), table(("photograph", "pixel", "residual, px", "also seen in"), rows, numbers=(2,)))
-    if not adjustment.ties:
-        return found
-    drawn = [(one.id, " and ".join(one.photos), one.reason) for one in adjustment.ties]
-    return joined(found, tag("p", "Drawn by hand:"), table(("tie", "photographs", "verdict"), drawn))
+    if adjustment.ties:
+        ties = [(one.id, " and ".join(one.photos), one.reason) for one in adjustment.ties]
+        found = joined(found, tag("p", "Drawn by hand:"), table(("tie", "photographs", "verdict"), ties))
+    if adjustment.lines:
+        lines = [(one.id, _line_residuals(one), one.reason) for one in adjustment.lines]
+        found = joined(found, tag("p", "Lines drawn by hand:"), table(("line", "residuals, px", "verdict"), lines))
+    return found
+
+
+def _line_residuals(line: AdjustedLine) -> str:
+    return ", ".join(
+        f"{name} {px:.1f}" if np.isfinite(px) else f"{name} -"
+        for name, px in zip(line.photos, line.residuals_px, strict=True)
+    )
 
 
 def _provenance(adjustment: Adjustment) -> Html:

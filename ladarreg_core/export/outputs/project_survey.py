@@ -21,13 +21,13 @@ from ladarreg_core.project.document import (
     AdjustedCameraEntry,
     AdjustedPhotoEntry,
     AdjustedScanEntry,
-    AdjustedTieEntry,
     CameraGiven,
     Document,
     PhotoEntry,
     PoseEntry,
     Rows,
 )
+from ladarreg_core.project.drawn import AdjustedLineEntry, AdjustedTieEntry, LineEntry
 from ladarreg_core.project.results import pose_of
 from ladarreg_core.project.smoothing_edits import with_smoothings
 from ladarreg_core.project.source import Source
@@ -36,7 +36,15 @@ from ladarreg_core.project.storage.folder import ProjectFolder
 from ladarreg_core.project.stored_arrays import StoredArrays
 from ladarreg_core.scan import Scan
 from ladarreg_core.survey.adjustment import Adjustment
-from ladarreg_core.survey.parts import PosePrior, SurveyCamera, SurveyPhoto, SurveyScan, SurveyTie
+from ladarreg_core.survey.parts import (
+    PosePrior,
+    ScanLine,
+    SurveyCamera,
+    SurveyLine,
+    SurveyPhoto,
+    SurveyScan,
+    SurveyTie,
+)
 from ladarreg_core.survey.survey import Survey
 
 _HELD = np.diag([1e-5**2] * 3 + [1e-4**2] * 3)
@@ -90,6 +98,24 @@ def survey_of_project(document: Document, folder: ProjectFolder, photos: Collect
             SurveyTie(id=one.id, photos=one.photos, uv=one.uv, sigma_px=one.sigma_px)
             for one in document.ties if set(one.photos) <= set(camera_of)
         ),
+        lines=tuple(
+            line for one in document.lines
+            if (line := _line(one, camera_of, dict(zip(scans_of(document), names, strict=True)))) is not None
+        ),
+    )  # fmt: skip
+
+
+def _line(entry: LineEntry, photos: Collection[str], scans: Mapping[Source, str]) -> SurveyLine | None:
+    """Return a line in the photographs that take part; None: it is in too few of them to say anything."""
+    shown = [(photo, uv) for photo, uv in zip(entry.photos, entry.uv, strict=True) if photo in photos]
+    drawn = entry.in_scan
+    scan = None if drawn is None else scans.get(drawn.source)
+    in_scan = None if drawn is None or scan is None else ScanLine(scan=scan, xyz=drawn.xyz, sigma_m=drawn.sigma_m)
+    if len(shown) < (2 if in_scan is None else 1):
+        return None
+    return SurveyLine(
+        id=entry.id, photos=tuple(photo for photo, _ in shown), uv=tuple(uv for _, uv in shown),
+        sigma_px=entry.sigma_px, in_scan=in_scan,
     )  # fmt: skip
 
 
@@ -140,6 +166,15 @@ def adjusted_entry(document: Document, adjustment: Adjustment, poses: Mapping[st
         drawn={
             one.id: AdjustedTieEntry(agrees=one.agrees, residual_px=_finite(one.residual_px), reason=one.reason)
             for one in adjustment.ties
+        },
+        drawn_lines={
+            one.id: AdjustedLineEntry(
+                agrees=one.agrees, reason=one.reason,
+                residuals_px={
+                    photo: px for photo, px in zip(one.photos, one.residuals_px, strict=True) if np.isfinite(px)
+                },
+            )
+            for one in adjustment.lines
         },
         sigma_px=_finite(adjustment.sigma_px) if any(one.ties for one in adjustment.photos.values()) else None,
     )  # fmt: skip

@@ -12,7 +12,7 @@ from ladarreg_core.project.document import VERSION, Document, PoseEntry
 from ladarreg_core.project.measurement_edits import checked_measurement, with_one_list
 from ladarreg_core.project.station_edits import checked_survey
 from ladarreg_core.project.stored_arrays import StoredArrays
-from ladarreg_core.project.tie_edits import checked_tie
+from ladarreg_core.project.tie_edits import checked_line, checked_tie
 
 
 class _Versioned(msgspec.Struct):
@@ -67,6 +67,8 @@ def decode_document(data: bytes, find: FindArrays) -> Document:
         checked_measurement(measurement)
     for tie in found.ties:
         checked_tie(tie)
+    for line in found.lines:
+        checked_line(line)
     if found.survey is not None:
         checked_survey(found.survey)
     return found

@@ -1,7 +1,7 @@
 """Differences between documents, small enough to be written for every commit.
 
-A change names the fields that differ. `photos`, `picks`, `measurements` and `ties`, lists of objects with ids, are
-stored as `{"in": {id: change}, "new": [objects], "gone": [ids], "order": [ids]}`, without the parts that are empty.
+A change names the fields that differ. `photos`, `picks`, `measurements`, `ties` and `lines`, lists of objects with ids,
+are stored as `{"in": {id: change}, "new": [objects], "gone": [ids], "order": [ids]}`, without the parts that are empty.
 """
 
 from __future__ import annotations
@@ -14,18 +14,20 @@ import msgspec
 from msgspec.structs import replace
 
 from ladarreg_core.errors import FormatError, LadarregError
-from ladarreg_core.project.document import Document, MeasurementEntry, PhotoEntry, PickEntry, TieEntry
+from ladarreg_core.project.document import Document, MeasurementEntry, PhotoEntry, PickEntry
+from ladarreg_core.project.drawn import LineEntry, TieEntry
 from ladarreg_core.project.measurement_edits import checked_measurement, with_one_list
 from ladarreg_core.project.storage.codec import FindArrays, arrays_of, encode, from_plain
-from ladarreg_core.project.tie_edits import checked_tie
+from ladarreg_core.project.tie_edits import checked_line, checked_tie
 
 Change = dict[str, Any]
 T = TypeVar("T", bound=msgspec.Struct)
-_LISTS: Mapping[str, type[PhotoEntry] | type[PickEntry] | type[MeasurementEntry] | type[TieEntry]] = {
+_LISTS: Mapping[str, type[PhotoEntry | PickEntry | MeasurementEntry | TieEntry | LineEntry]] = {
     "photos": PhotoEntry,
     "picks": PickEntry,
     "measurements": MeasurementEntry,
     "ties": TieEntry,
+    "lines": LineEntry,
 }
 
 
@@ -72,8 +74,13 @@ def _field_changes(before: msgspec.Struct, after: msgspec.Struct) -> Change:
     for name in after.__struct_fields__:
         was, now = getattr(before, name), getattr(after, name)
         if was is not now and was != now:
-            found[name] = _list_change(was, now) if name in _LISTS else now
+            found[name] = _list_change(was, now) if _is_list(before, name) else now
     return found
+
+
+def _is_list(of: msgspec.Struct, name: str) -> bool:
+    """Return whether a field is a list of objects with ids; the photographs of a line are ids."""
+    return name in _LISTS and isinstance(of, Document | PhotoEntry)
 
 
 def _list_change(before: Sequence[Any], after: Sequence[Any]) -> Change:
@@ -96,7 +103,7 @@ def _apply(before: T, change: Any, find: FindArrays) -> T:
     kinds = _kinds(type(before))
     found = {
         name: _apply_list_change(getattr(before, name), value, _LISTS[name], find)
-        if name in _LISTS
+        if _is_list(before, name)
         else from_plain(kinds[name], value, find)
         for name, value in change.items()
         if name in kinds  # fields of newer versions are kept with the whole document, see `unknown_fields`
@@ -116,6 +123,8 @@ def _validate(thing: object) -> None:
         checked_measurement(thing)
     elif isinstance(thing, TieEntry):
         checked_tie(thing)
+    elif isinstance(thing, LineEntry):
+        checked_line(thing)
 
 
 @cache

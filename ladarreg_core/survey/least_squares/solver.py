@@ -211,7 +211,7 @@ class _Weighted:
     @property
     def equations(self) -> int:
         """Number of their residuals."""
-        return int(self.kept.sum()) * self.rows.residual.shape[1]
+        return int(self.kept.sum()) * int(self.rows.residual.shape[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -276,8 +276,8 @@ class _System:
         chi2 = sum(one.chi2 for one in of_all) + _of_kept(problem, relative_weights)
         return _System(
             problem, cost, of_relative + points.reduced + eliminated.reduced, right + points.right + eliminated.right,
-            points, eliminated, of_relative, residual, line_residual, *(one.weights for one in of_all),
-            relative_weights, chi2 / max(dof, 1),
+            points, eliminated, of_relative, residual, line_residual, of_ties.weights, of_surfaces.weights,
+            of_lines.weights, of_line_surfaces.weights, relative_weights, chi2 / max(dof, 1),
         )  # fmt: skip
 
     def step(self, damping: float) -> tuple[Matrix, Matrix, Matrix]:

@@ -16,7 +16,6 @@ import numpy as np
 from ladarreg_core.foundations.arrays import FloatArray
 from ladarreg_core.survey.least_squares.line_residuals import line_residuals, nearest_to_rays
 from ladarreg_core.survey.least_squares.problem import Lines, Matrix, Problem
-from ladarreg_core.survey.parts import SurveyParts
 from ladarreg_core.survey.ties.ties import FAR_PX, MIN_PARALLAX_RAD
 
 MIN_PHOTOS = 3
@@ -55,20 +54,6 @@ class _Start:
     """(2, 3) world."""
     kept: tuple[int, ...]
     """Which of the photographs show it there."""
-
-
-def numbered_lines(survey: SurveyParts) -> list[DrawnLine]:
-    """Return the lines of a survey, with the numbers of their photographs and scans."""
-    photos = {one.id: k for k, one in enumerate(survey.photos)}
-    scans = {one.id: k for k, one in enumerate(survey.scans)}
-    found = []
-    for one in survey.lines:
-        drawn = DrawnLine(tuple(photos[name] for name in one.photos), np.array(one.uv), one.sigma_px)
-        shown = one.in_scan
-        if shown is not None:
-            drawn = replace(drawn, scan=scans[shown.scan], xyz=np.array(shown.xyz), sigma_m=shown.sigma_m)
-        found.append(drawn)
-    return found
 
 
 def lines_between(
@@ -151,7 +136,7 @@ def _planes(problem: Problem, drawn: DrawnLine, own: Sequence[tuple[int, int]]) 
 def _pairs(normals: Matrix) -> tuple[list[tuple[int, int]], float]:
     """Return pairs of planes that meet at an angle, the largest first, and that angle, rad."""
     angles = {
-        (i, j): float(np.arcsin(min(np.linalg.norm(np.cross(normals[i], normals[j])), 1.0)))
+        (i, j): float(np.arcsin(min(float(np.linalg.norm(np.cross(normals[i], normals[j]))), 1.0)))
         for i, j in combinations(range(len(normals)), 2)
     }
     order = sorted(angles, key=lambda pair: (-angles[pair], pair))

@@ -13,7 +13,16 @@ import ladarreg_core as lr
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import ExportError, FormatError, OptionError
 from ladarreg_core.frames import Rigid
-from ladarreg_core.survey.parts import PosePrior, RigMember, SurveyCamera, SurveyPhoto, SurveyScan, SurveyTie
+from ladarreg_core.survey.parts import (
+    PosePrior,
+    RigMember,
+    ScanLine,
+    SurveyCamera,
+    SurveyLine,
+    SurveyPhoto,
+    SurveyScan,
+    SurveyTie,
+)
 from ladarreg_core.survey.survey import Survey
 
 
@@ -52,6 +61,12 @@ def _survey(folder: Path) -> Survey:
             SurveyTie(id="t1", photos=("one", "two"), uv=((1.5, 2.0), (30.0, 40.25)), sigma_px=0.4),
             SurveyTie(id="t2", photos=("three", "one"), uv=((3.0, 4.0), (5.0, 6.0))),
         ),
+        lines=(
+            SurveyLine(id="l1", photos=("one", "two", "three"), sigma_px=0.7,
+                       uv=(((1.5, 2.0), (30.0, 40.25)), ((3.0, 4.0), (5.0, 60.0)), ((0.0, 9.0), (90.0, 9.0)))),
+            SurveyLine(id="l2", photos=("two",), uv=(((1.0, 2.0), (30.0, 40.0)),),
+                       in_scan=ScanLine(scan="hall", xyz=((1.0, 2.0, 3.0), (1.0, 2.5, 3.0)), sigma_m=0.004)),
+        ),
     )  # fmt: skip
 
 
@@ -76,6 +91,7 @@ def test_what_is_written_is_read(files: Path) -> None:
     assert list(read.rigs["car"]) == ["front", "left"]
     assert read.ties == survey.ties
     assert read.ties[1].sigma_px == 1.0
+    assert read.lines == survey.lines
     read.to_file(files / "again.json")
     assert json.loads((files / "again.json").read_text()) == stated
 
@@ -119,6 +135,39 @@ def test_faults_of_ties_are_told(files: Path, changes: dict[str, Any], words: st
     _survey(files).to_file(files / "survey.json")
     fields = json.loads((files / "survey.json").read_text())
     fields["ties"][0] |= changes
+    (files / "survey.json").write_text(json.dumps(fields))
+    with pytest.raises(FormatError, match="1 fault") as caught:
+        Survey.from_file(files / "survey.json")
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"photos": ["one", "nobody", "three"]}, "line l1 names the photo 'nobody', which is not listed"),
+        ({"photos": ["one", "one", "two"]}, "line l1 must name 2 or more photos, each of them once"),
+        ({"photos": ["one"], "uv": [[[1, 2], [30, 4]]]}, "line l1 must name 2 or more photos, each of them once"),
+        ({"photos": ["one"]}, "line l1: its uv must be two pixels for each of its photos"),
+        ({"photos": "one"}, "line l1: its photos must be a list of ids"),
+        ({"uv": [[[1, 2], [3, 4]]] * 3}, "line l1 is shorter than 5 px in one of its photos"),
+        ({"sigma_px": 0}, "line l1 has the sigma_px 0"),
+        ({"sigma_px": "fine"}, "line l1: its sigma_px is 'fine'"),
+        ({"id": "l2"}, "2 lines have the id 'l2'"),
+        ({"weight": 1}, "unknown fields weight"),
+        ({"scan": {"id": "cellar", "xyz": [[1, 2, 3], [1, 2, 4]]}}, "line l1 names the scan 'cellar'"),
+        ({"scan": {"id": "hall", "xyz": [[1, 2, 3]]}}, "line l1: the xyz of its scan must be two places"),
+        ({"scan": {"id": "hall", "xyz": [[1, 2, 3], [1, 2, 3]]}}, "line l1 is shorter than 10 mm in its scan"),
+        (
+            {"scan": {"id": "hall", "xyz": [[1, 2, 3], [1, 2, 4]], "sigma_m": 0}},
+            "line l1 has the sigma_m 0 in its scan",
+        ),
+        ({"scan": {"xyz": [[1, 2, 3], [1, 2, 4]]}}, "line l1: its scan must have an id and xyz"),
+    ],
+)
+def test_faults_of_lines_are_told(files: Path, changes: dict[str, Any], words: str) -> None:
+    _survey(files).to_file(files / "survey.json")
+    fields = json.loads((files / "survey.json").read_text())
+    fields["lines"][0] |= changes
     (files / "survey.json").write_text(json.dumps(fields))
     with pytest.raises(FormatError, match="1 fault") as caught:
         Survey.from_file(files / "survey.json")

@@ -1,0 +1,71 @@
+"""What is drawn in several photographs of a project: places and lines that all of them show; and what is said of it."""
+
+from __future__ import annotations
+
+import msgspec
+
+from ladarreg_core.project.source import Source
+
+Pixel = tuple[float, float]
+Place = tuple[float, float, float]
+
+
+class TieEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """A place that two photographs show, as somebody drew it."""
+
+    id: str
+    """Stable id of letters and digits."""
+    photos: tuple[str, str]
+    """Ids of the photographs."""
+    uv: tuple[tuple[float, float], tuple[float, float]]
+    """Where each shows it, px."""
+    sigma_px: float
+    """Standard deviation of each of these."""
+
+
+class AdjustedTieEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """What an adjustment said of a tie that was drawn."""
+
+    agrees: bool
+    """Whether it was kept."""
+    residual_px: float | None = None
+    """The larger of its two residuals, px; None: it was no part of it."""
+    reason: str = ""
+    """A sentence."""
+
+
+class ScanLineEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """A line as a scan shows it."""
+
+    source: Source
+    """The scan's file."""
+    xyz: tuple[Place, Place]
+    """Two places of it, scanner frame, m."""
+    sigma_m: float
+    """Standard deviation of each across it."""
+
+
+class LineEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """A straight edge that photographs show, as somebody drew it in one after the other."""
+
+    id: str
+    """Stable id of letters and digits."""
+    photos: tuple[str, ...]
+    """Ids of the photographs, one or more."""
+    uv: tuple[tuple[Pixel, Pixel], ...]
+    """Two places of it in each, px."""
+    sigma_px: float
+    """Standard deviation of each of these, across it."""
+    in_scan: ScanLineEntry | None = None
+    """The same edge in a scan."""
+
+
+class AdjustedLineEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """What an adjustment said of a line that was drawn."""
+
+    agrees: bool
+    """Whether all of it was kept."""
+    residuals_px: dict[str, float] = {}
+    """How far it lies off in each photograph in which it took part, by their ids, px."""
+    reason: str = ""
+    """A sentence."""
