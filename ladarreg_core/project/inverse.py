@@ -2,8 +2,8 @@
 
 A document is compared by parts: its fields, the settings, the stations, measurements, ties and lines, and of each
 photograph its fields, poses and picks, by path: `("name",)`, `("settings", "t1")`, `("measurements", "m1")`,
-`("photos", "p1")` where the photograph exists on one side only, else `("photos", "p1", "camera")`, `("photos", "p1", "poses", "auto")`,
-`("photos", "p1", "picks", "3", "on")`.
+`("photos", "p1")` where the photograph exists on one side only, else `("photos", "p1", "camera")`,
+`("photos", "p1", "poses", "auto")`, `("photos", "p1", "picks", "3", "on")`.
 Counters of given numbers are no part: a number is never given twice.
 """
 
