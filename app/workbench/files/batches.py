@@ -379,7 +379,10 @@ def _undecided(file: BatchFile, scans: Sequence[Step], document: Document, error
     for step in scans:
         if file in step.companions.values():
             return Reason(f"it is part of {step.file.name}", needs_choice=True, part_of=step.file.id)
-    if str(error) and file.survey.kind == "scan":
+    if file.survey.kind != "scan":
+        names = listed([step.file.name for step in scans])
+        return Reason(f"it is opened as soon as you choose what becomes of {names}", needs_choice=True)
+    if str(error):
         return Reason(f"not opened: {error}", needs_choice=True, is_underspecified=error.is_underspecified)
     if document.scan is not None:
         return Reason(f"the project has a scan already, {document.scan.name}", needs_choice=True)

@@ -153,6 +153,7 @@ def test_two_scans_are_a_question(bench: WorkbenchDriver) -> None:
     reply = drop(bench, {"a.npz": scan, "b.npz": scan, "photo.jpg": PHOTO.read_bytes()})
     assert (reply["asks"], reply["scans"], reply["opened"]) == ("scan", ["a.npz", "b.npz"], [])
     assert waiting(bench)["b.npz"] == "one of 2 scans, a.npz and b.npz: open them together, or this one alone"
+    assert waiting(bench)["photo.jpg"] == "it is opened as soon as you choose what becomes of a.npz and b.npz"
     chosen = [file["id"] for file in bench.slice("waiting") if file["name"] != "a.npz"]
     assert kinds(bench.do("open_files", files=chosen)) == ["scan", "photo"]
     assert set(waiting(bench)) == {"a.npz"}
