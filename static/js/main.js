@@ -24,14 +24,11 @@ import { linkHovering } from "./state/hover.js";
 import { isRunning } from "./state/pipeline.js";
 import { followProject, projectNotice } from "./state/project.js";
 import { view } from "./state/view.js";
+import { byId, partOf } from "./ui/dom.js";
 import { dropOutdated, notice, noticeArea } from "./ui/notices.js";
 import { followTheme } from "./ui/theme.js";
 
 const OPENED = "ladarreg-opened";
-
-const byId = (id) => document.getElementById(id);
-/** @returns {HTMLElement} */
-const part = (id, name) => byId(id).querySelector(`.${name}`);
 
 const floating = byId("floating");
 floating.append(noticeArea());
@@ -44,18 +41,18 @@ const model = mountModelPane(byId("model-pane"));
 mountDividers(byId("workbench"), byId("panes"));
 mountSwitcher(byId("workbench"));
 mountPanes({
-  scanHead: part("scan-pane", "pane-head"),
-  scanBody: part("scan-pane", "pane-body"),
-  photoHead: part("photo-pane", "pane-head"),
-  photoBody: part("photo-pane", "pane-body"),
+  scanHead: partOf(document, "#scan-pane .pane-head"),
+  scanBody: partOf(document, "#scan-pane .pane-body"),
+  photoHead: partOf(document, "#photo-pane .pane-head"),
+  photoBody: partOf(document, "#photo-pane .pane-body"),
   model,
   store,
   view,
   ask,
 });
 mountTiePictures({ store, view });
-mountFramesButton(part("scan-pane", "pane-head"), () => openFiles("frames"));
-mountLiveScan(part("scan-pane", "pane-body"));
+mountFramesButton(partOf(document, "#scan-pane .pane-head"), () => openFiles("frames"));
+mountLiveScan(partOf(document, "#scan-pane .pane-body"));
 listenToShortcuts();
 followAccess();
 linkHovering();

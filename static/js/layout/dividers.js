@@ -5,7 +5,7 @@
 
 import { store } from "../net/store.js";
 import { view } from "../state/view.js";
-import { element } from "../ui/dom.js";
+import { element, partOf } from "../ui/dom.js";
 
 const EMPTY = { left: 0.325, middle: 0.325, dock: 0.33 };
 const MODEL_SHARE = 0.32; // of the width
@@ -109,12 +109,13 @@ export const mountDividers = (workbench, panes) => {
   const suited = () => {
     const found = store.scanBeside()?.views?.[view.get().scan.view] ?? store.scanBeside()?.views?.[0];
     const shown = store.photo();
-    const aspects = [found, shown].map((each) => (each?.height ? each.width / each.height : null));
+    const aspects = [found, shown].map((each) => (each?.height ? each.width / each.height : 0)); // 0: there is none
+    const known = aspects.find(Boolean);
     const [width, height] = [workbench.clientWidth, workbench.clientHeight];
     const sideBySide = scan.offsetTop === photo.offsetTop && photo.offsetLeft > scan.offsetLeft;
-    if (!aspects.some(Boolean) || !sideBySide || !height) return EMPTY;
-    const heads = Math.max(...[scan, photo].map((pane) => pane.clientHeight - pane.querySelector(".pane-body").clientHeight));
-    return sharesFor({ width, height }, heads, aspects.map((each) => each ?? aspects.find(Boolean)));
+    if (!known || !sideBySide || !height) return EMPTY;
+    const heads = Math.max(...[scan, photo].map((pane) => pane.clientHeight - partOf(pane, ".pane-body").clientHeight));
+    return sharesFor({ width, height }, heads, aspects.map((each) => each || known));
   };
   const layoutNow = () => {
     const chosen = Object.entries(view.get().layout).filter(([, share]) => share !== null);

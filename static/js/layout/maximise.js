@@ -2,7 +2,7 @@
 
 import { view } from "../state/view.js";
 import { button } from "../ui/controls.js";
-import { setChildren } from "../ui/dom.js";
+import { partOf, setChildren } from "../ui/dom.js";
 import { icon } from "../ui/icons.js";
 
 /** @typedef {"scan" | "photo" | "model"} PaneName */
@@ -24,7 +24,7 @@ export const mountMaximise = (panes) => {
       kind: "small fill",
       act: () => toggleMaximised(name),
     });
-    panes.querySelector(`#${name}-pane .pane-head`).append(toggle);
+    partOf(panes, `#${name}-pane .pane-head`).append(toggle);
     return [name, toggle];
   });
   const show = () => {

@@ -1,5 +1,6 @@
 /** Requests to the workbench whose refusal is shown as a notice and needs no further handling. */
 
+import { messageOf } from "../ui/faults.js";
 import { notice } from "../ui/notices.js";
 import { ask } from "./connection.js";
 import { store } from "./store.js";
@@ -21,7 +22,7 @@ export const request = async (command, args) => {
   try {
     return await ask(command, args);
   } catch (error) {
-    notice(error.message, "bad");
+    notice(messageOf(error), "bad");
     return null;
   }
 };

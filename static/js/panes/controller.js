@@ -2,6 +2,7 @@
 
 import { measurementsNow } from "../state/measuring.js";
 import { newRangesHere } from "../state/smoothing.js";
+import { messageOf } from "../ui/faults.js";
 import { readLook } from "./colors.js";
 import { marksOf } from "./marks.js";
 import { measuredMarks } from "./measured_layer.js";
@@ -44,6 +45,7 @@ export class Controller {
   colleagues = null;
   #marks = {};
   #measured = {};
+  /** @type {ReturnType<typeof smoothedMarks> | null} */
   #smoothed = null;
   #marked = new Map();
   #markTimer = 0;
@@ -96,7 +98,7 @@ export class Controller {
 
   /** Show an error as a notice. */
   report(error) {
-    this.store.take({ event: "notice", level: "bad", text: error.message });
+    this.store.take({ event: "notice", level: "bad", text: messageOf(error) });
   }
 
   /** Recompute the marks and redraw, after the matches or views have changed. */
@@ -172,7 +174,11 @@ export class Controller {
     return this.store.stageOf() !== null;
   }
 
-  /** Select matches by id, and optionally an end by its index, on the side used last. */
+  /**
+   * Select matches by id, and optionally an end by its index, on the side used last.
+   * @param {Iterable<string>} ids
+   * @param {number | null} [index]
+   */
   select(ids, index = null) {
     this.view.set({ selected: new Set(ids), end: index === null ? null : { side: this.active, index } });
   }
@@ -275,6 +281,7 @@ export class Controller {
   #opened() {
     const { open } = this.picking;
     this.openSamples = null;
+    if (!open) return;
     if (open.side === "scan" && open.kind === "line") this.#sample(open);
     if (this.posed) this.#predict(open);
   }

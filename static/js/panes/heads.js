@@ -87,7 +87,7 @@ export const mountScanHead = (head, controller) => {
   const zoom = zoomControls(controller, "scan");
   const beside = element("label", { class: "pane-station" }, element("span", { class: "dim" }, "Station"), station);
   station.className = "select";
-  head.closest(".pane-head").after(beside);
+  (head.closest(".pane-head") ?? head).after(beside);
   head.append(display, viewed, opener, sheet, zoom);
 
   const show = () => {

@@ -62,7 +62,7 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, model, st
       const { address, subject, extent, stretch } = controller.sides[side];
       built[side].slots.picture.show(address, { subject, size: extent, stretch });
     }
-    built.photo.slots.compare.show(controller.sides.photo.overlayAddress);
+    built.photo.slots.compare?.show(controller.sides.photo.overlayAddress);
   };
   /** While a key moves a slider, a few pictures a second are enough. */
   const loadPicturesSoon = throttled(loadPictures, PICTURE_INTERVAL_MS);

@@ -1,5 +1,6 @@
 /** The loupe: an enlarged view of the pixels under the pointer, placed so that it covers nothing that matters. */
 
+import { drawing } from "../ui/canvas.js";
 import { toScreen } from "./viewport.js";
 
 export const RADIUS_PX = 66;
@@ -65,7 +66,7 @@ export class Loupe {
       const canvas = document.createElement("canvas");
       canvas.className = name;
       this.#glass.append(canvas);
-      return canvas.getContext("2d", { willReadFrequently: true }); // small, with many strokes
+      return drawing(canvas.getContext("2d", { willReadFrequently: true })); // small, with many strokes
     });
     this.#box.append(this.#glass, this.#caption);
     pane.body.append(this.#box);

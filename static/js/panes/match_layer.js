@@ -173,12 +173,12 @@ export const drawSamples = (context, samples, look, colour) => {
 };
 
 /** Trace hairlines from the picked to the predicted positions, where they are far enough apart to be seen. */
-const traceResidual = (path, tips, { predicted, ends }) => {
+const traceResidual = (/** @type {Path2D} */ path, /** @type {number[][]} */ tips, { predicted, ends }) => {
   predicted.forEach((at, k) => {
     if (!at || !ends[k]) return;
     if (Math.hypot(at[0] - ends[k][0], at[1] - ends[k][1]) < LEAST_RESIDUAL_PX) return;
-    path.moveTo(...ends[k]);
-    path.lineTo(...at);
+    path.moveTo(ends[k][0], ends[k][1]);
+    path.lineTo(at[0], at[1]);
     tips.push(at);
   });
 };
@@ -311,7 +311,9 @@ export const drawOpen = (context, viewport, { ends, line }, look, { colour, outl
  * @param {Record<string, (number[] | null)[]>} predicted
  */
 export const drawPredictions = (context, viewport, size, marks, predicted, look) => {
-  const [hairs, tips] = [new Path2D(), []];
+  const hairs = new Path2D();
+  /** @type {number[][]} */
+  const tips = [];
   const box = visibleBox(viewport, size);
   for (const mark of marks) {
     (predicted[mark.id] ?? []).forEach((uv, k) => {

@@ -28,14 +28,15 @@ export const measuredMarks = (measurements, side) =>
 /** @returns {string} the unit of a value such as '1.234 ± 0.003 m' */
 const unitOf = (value) => (value.includes("°") ? "°" : value.includes("±") ? ` ${value.split(" ").at(-1)}` : "");
 
+/** @param {import("./viewport.js").Viewport} viewport @param {(readonly number[] | null)[][]} lines */
 const trace = (viewport, lines) => {
   const path = new Path2D();
   for (const line of lines) {
     let on = false;
     for (const uv of line) {
       const at = uv && toScreen(viewport, uv);
-      if (at && on) path.lineTo(...at);
-      else if (at) path.moveTo(...at);
+      if (at && on) path.lineTo(at[0], at[1]);
+      else if (at) path.moveTo(at[0], at[1]);
       on = Boolean(at);
     }
   }

@@ -6,6 +6,7 @@
 
 import { MEASURES } from "../state/measuring.js";
 import { scanOfStation, stationsNow } from "../state/stations.js";
+import { messageOf } from "../ui/faults.js";
 
 const CLICK_PX = 6;
 const DOUBLE_CLICK_MS = 400;
@@ -42,7 +43,9 @@ export class Measuring {
   #controller;
   #listeners = new Set();
   #asked = 0;
+  /** @type {{on: string, position: import("./picking.js").PickPosition} | null} the last click */
   #last = null;
+  /** @type {string | null} */
   #grid = null;
 
   /** @param {import("./controller.js").Controller} controller */
@@ -103,16 +106,17 @@ export class Measuring {
   /**
    * @param {"scan" | "photo"} side
    * @param {string} station id of the station whose scan is shown
-   * @returns {any[][]} for a pane, runs of the points that were picked in it one after the other
+   * @returns {number[][][]} for a pane, runs of the points that were picked in it one after the other
    */
   runs(side, station = this.#controller.store.station()) {
     const found = [];
-    let before = false;
+    /** @type {number[][] | null} */
+    let run = null;
     for (const place of this.places) {
       const here = this.#isIn(side, place, station);
-      if (here && before) found.at(-1).push(place.world);
-      else if (here) found.push([place.world]);
-      before = here;
+      if (here && run) run.push(place.world);
+      else if (here) found.push((run = [place.world]));
+      else run = null;
     }
     return found;
   }
@@ -120,7 +124,7 @@ export class Measuring {
   /** @returns {boolean} whether the last point was picked in a pane: the next line begins there */
   endsIn(side) {
     const last = this.places.at(-1);
-    return Boolean(last) && this.#isIn(side, last, this.#controller.store.station());
+    return last !== undefined && this.#isIn(side, last, this.#controller.store.station());
   }
 
   press(side) {
@@ -192,7 +196,7 @@ export class Measuring {
       this.soFar = found.refusal ? null : found;
       this.said = found.refusal ?? "";
     } catch (error) {
-      this.#refuse(place, error.message);
+      this.#refuse(place, messageOf(error));
       return;
     }
     this.#changed();
@@ -220,7 +224,7 @@ export class Measuring {
       this.#controller.view.set({ measurement });
     } catch (error) {
       if (this.places.length === 0 && kind === this.kind) this.places = places.slice(0, -1);
-      this.said = error.message;
+      this.said = messageOf(error);
     }
     this.#changed();
     return true;

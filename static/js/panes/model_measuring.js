@@ -1,5 +1,6 @@
 /** Points to be measured that are clicked on the model. */
 
+import { drawing } from "../ui/canvas.js";
 import { element } from "../ui/dom.js";
 import { mountMeasureBar } from "./measure_bar.js";
 import { drawPicked } from "./measured_layer.js";
@@ -46,7 +47,7 @@ export const mountModelMeasuring = ({ body, frame, surface }, controller) => {
       drawn = now;
       const scale = devicePixelRatio;
       [canvas.width, canvas.height] = size.map((length) => Math.round(length * scale));
-      const context = canvas.getContext("2d");
+      const context = drawing(canvas.getContext("2d"));
       context.scale(scale, scale);
       drawPicked(context, AS_ON_SCREEN, rays.map((run) => run.map(screenOf)), null, controller.look);
     }
@@ -60,6 +61,7 @@ export const mountModelMeasuring = ({ body, frame, surface }, controller) => {
   const start = () => {
     try {
       const inner = frame.contentWindow;
+      if (!inner) return;
       inner.addEventListener("pointerdown", () => surface.listenToClicks(), { capture: true });
       inner.addEventListener("pointermove", () => measures() && (surface.aims = true));
     } catch {

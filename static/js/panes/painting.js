@@ -11,10 +11,17 @@ import { SMOOTH_BELOW, toScreen } from "./viewport.js";
 
 const PULSE_MS = 1400;
 const STILL_OUTLINE = 0.22;
+/** @type {number[][]} */
 const NOTHING = [];
 
 /** @returns {number} opacity of the outline around a side that waits for its partner */
 export const outlineAt = (now_ms, moves) => (moves ? 0.2 + 0.16 * Math.sin((2 * Math.PI * now_ms) / PULSE_MS) : STILL_OUTLINE);
+
+/**
+ * @typedef {{viewport: import("./viewport.js").Viewport, size: readonly number[],
+ *   look: ReturnType<typeof import("./colors.js").readLook>, corners: number[][], ties: number[][], residuals: boolean,
+ *   laidOut: overlay.LaidOut[]}} MatchesShown
+ */
 
 /** Painting of one pane. */
 export class Painting {
@@ -23,6 +30,7 @@ export class Painting {
   #slots;
   #tools;
   #preview;
+  /** @type {MatchesShown | null} the layer of matches as it was laid out last */
   #shown = null;
   /**
    * @param {{controller: any, side: "scan" | "photo", slots: {picture: any, compare: any}, tools: any, preview: any}}
@@ -67,7 +75,7 @@ export class Painting {
     return true;
   }
 
-  /** What the layer of matches consists of: they are laid out, without the one being dragged. */
+  /** @returns {MatchesShown} what the layer of matches consists of: they are laid out, without the one being dragged */
   #matchesIn(viewport, size) {
     const controller = this.#controller;
     const { look } = this;
@@ -92,8 +100,8 @@ export class Painting {
   changedMatches(viewport, size) {
     const [before, now] = [this.#shown, this.#matchesIn(viewport, size)];
     this.#shown = now;
-    const sameView = before && ["zoom", "x", "y"].every((name) => before.viewport[name] === viewport[name]);
-    if (!sameView || before.look !== now.look || before.residuals !== now.residuals || before.ties !== now.ties) return null;
+    if (before === null || ["zoom", "x", "y"].some((name) => before.viewport[name] !== viewport[name])) return null;
+    if (before.look !== now.look || before.residuals !== now.residuals || before.ties !== now.ties) return null;
     if (before.size[0] !== size[0] || before.size[1] !== size[1] || before.corners.length !== now.corners.length) return null;
     if (before.corners.some(([u, v], k) => u !== now.corners[k][0] || v !== now.corners[k][1])) return null;
     return overlay.changedBoxes(before.laidOut, now.laidOut, now.look);
@@ -101,7 +109,7 @@ export class Painting {
 
   /** The matches that `changedMatches` has looked at; `boxes`: the places that are drawn; null: all. */
   matches(context, boxes) {
-    this.#drawMatches(context, this.#shown, boxes);
+    if (this.#shown) this.#drawMatches(context, this.#shown, boxes);
   }
 
   /** The matches as another part of the picture shows them. */

@@ -1,5 +1,6 @@
 /** A pane: stacked canvases, the viewport of the picture, and which layers need redrawing. */
 
+import { drawing } from "../ui/canvas.js";
 import { allowed, between, fitted, inside, keptInSight, moved, toPixel, toScreen, zoomedAbout } from "./viewport.js";
 
 const LAYERS = ["picture", "compare", "matches", "live"];
@@ -40,6 +41,7 @@ export class Pane {
   #emptied = new Set(LAYERS);
   #frame = 0;
   #fits = true;
+  /** @type {{from: import("./viewport.js").Viewport, to: import("./viewport.js").Viewport, by: Mover, began: number} | null} */
   #glide = null;
   #listeners = new Set();
   #paint;
@@ -64,7 +66,7 @@ export class Pane {
       canvas.className = `pane-layer pane-${layer}`;
       canvas.setAttribute("aria-hidden", "true");
       body.append(canvas);
-      this.#contexts.set(layer, canvas.getContext("2d", { willReadFrequently: ON_CPU.has(layer) }));
+      this.#contexts.set(layer, drawing(canvas.getContext("2d", { willReadFrequently: ON_CPU.has(layer) })));
     }
     new ResizeObserver(() => this.#resize()).observe(body);
     this.#watchRatio();
@@ -121,7 +123,7 @@ export class Pane {
 
   #step(now) {
     this.#frame = 0;
-    if (this.#glide) this.#glideOn(now);
+    if (this.#glide) this.#glideOn(this.#glide, now);
     this.#draw();
   }
 
@@ -208,8 +210,7 @@ export class Pane {
     return this.invalidate("live");
   }
 
-  #glideOn(now) {
-    const { from, to, by, began } = this.#glide;
+  #glideOn({ from, to, by, began }, now) {
     const t = Math.max(0, Math.min(1, (now - began) / GLIDE_MS));
     this.#put(between(from, to, 1 - (1 - t) ** 3, this.size), by);
     if (t >= 1) this.#glide = null;
@@ -221,9 +222,10 @@ export class Pane {
     return [event.clientX - box.left - this.body.clientLeft, event.clientY - box.top - this.body.clientTop];
   }
 
-  /** @returns {[number, number]} the image pixel at a position of the pane, clamped to the picture */
+  /** @returns {[number, number]} the image pixel at a position of the pane, clamped to the picture, if there is one */
   pixelAt(xy) {
-    return inside(toPixel(this.viewport, xy), this.extent);
+    const uv = toPixel(this.viewport, xy);
+    return this.extent ? inside(uv, this.extent) : uv;
   }
 
   /** @returns {[number, number]} position of an image pixel, CSS pixels of the pane */

@@ -27,6 +27,9 @@ export const other = (side) => (side === "scan" ? "photo" : "scan");
 /** @returns {number} CSS pixels, at the later zoom: the picture may have moved in between */
 const distance = (a, b) => Math.hypot(a.uv[0] - b.uv[0], a.uv[1] - b.uv[1]) * b.zoom;
 
+/** @type {(ends: (number[] | null)[] | null) => ends is number[][]} whether a predicted partner is known as a whole */
+const isWhole = (ends) => ends !== null && ends.length > 0 && ends.every((end) => end !== null);
+
 /** What is being drawn, the side that waits for its partner, and the partner that the pose predicts. */
 export class Picking {
   /**
@@ -41,6 +44,7 @@ export class Picking {
   subject = null;
   /** @type {Map<string, Drawn>} open sides of other photographs */
   waiting = new Map();
+  /** @type {{side: Side, position: PickPosition} | null} where the last stroke ended */
   #ended = null;
 
   /** @returns {Side | null} the side on which the partner is missing */
@@ -121,20 +125,20 @@ export class Picking {
     return result;
   }
 
-  /** @returns {"open" | Pair} */
+  /** @param {Drawn} drawn @returns {"open" | Pair} */
   #drawn(drawn) {
     if (!this.open || this.open.side === drawn.side) {
       this.open = drawn;
       this.predicted = null;
       return "open";
     }
-    return this.#paired(drawn.ends);
+    return this.#paired(this.open, drawn.ends);
   }
 
-  /** @returns {Pair} */
-  #paired(ends) {
-    const { side, kind } = this.open;
-    const [scan, photo] = side === "scan" ? [this.open.ends, ends] : [ends, this.open.ends];
+  /** @param {Drawn} open @param {number[][]} ends @returns {Pair} */
+  #paired(open, ends) {
+    const { side, kind } = open;
+    const [scan, photo] = side === "scan" ? [open.ends, ends] : [ends, open.ends];
     const pair = { kind, scan, photo, of: this.subject };
     this.open = null;
     this.predicted = null;
@@ -148,12 +152,12 @@ export class Picking {
 
   /** @returns {boolean} whether the whole predicted partner is known */
   get acceptable() {
-    return this.predicted !== null && this.predicted.length > 0 && this.predicted.every((end) => end !== null);
+    return isWhole(this.predicted);
   }
 
   /** @returns {Pair | null} the pair with the predicted partner */
   accept() {
-    return this.open && this.acceptable ? this.#paired(this.predicted) : null;
+    return this.open && isWhole(this.predicted) ? this.#paired(this.open, this.predicted) : null;
   }
 
   /** Open a first side again, in its own photograph: of a pair that was refused, or kept from an earlier page. */
@@ -174,15 +178,22 @@ export class Picking {
     this.#ended = null;
     if (subject === null) {
       // the first photograph: what was drawn in the scan may have a partner there
-      this.open ??= this.waiting.get(photo) ?? null;
-      this.waiting.delete(photo);
+      const kept = this.#waitingIn(photo);
+      this.open ??= kept;
       return "nothing";
     }
     this.drawing = this.predicted = null;
     if (open) this.waiting.set(subject, open);
-    this.open = this.waiting.get(photo) ?? null;
-    this.waiting.delete(photo);
+    this.open = this.#waitingIn(photo);
     return open ? "kept" : drawing ? "discarded" : "nothing";
+  }
+
+  /** @param {string | null} photo @returns {Drawn | null} its open side, which waits no longer */
+  #waitingIn(photo) {
+    if (photo === null) return null;
+    const drawn = this.waiting.get(photo) ?? null;
+    this.waiting.delete(photo);
+    return drawn;
   }
 
   /** Discard the stroke, or else the open side. @returns {boolean} whether there was either */

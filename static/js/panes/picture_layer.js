@@ -5,6 +5,7 @@
  */
 
 import { linkIsFast } from "../net/link_speed.js";
+import { messageOf } from "../ui/faults.js";
 import { PictureParts } from "./picture_parts.js";
 import { loadBitmap } from "./picture_source.js";
 import { canPreview, sameStretch, StretchedPicture, widthOf } from "./picture_stretch.js";
@@ -27,7 +28,7 @@ export class Picture {
   /** Build the reduced levels, each half the size of the one before. */
   async halve() {
     for (;;) {
-      const last = this.#levels.at(-1);
+      const last = this.#levels[this.#levels.length - 1];
       if (Math.max(last.width, last.height) <= HALVED_ABOVE_PX) return;
       /** @type {ImageBitmapOptions} */
       const half = { resizeWidth: Math.ceil(last.width / 2), resizeHeight: Math.ceil(last.height / 2), resizeQuality: "medium" };
@@ -61,18 +62,26 @@ export const loadPicture = (address) => {
   return picture;
 };
 
+/** @typedef {import("./picture_stretch.js").Stretch} Stretch */
+
 /** The picture of one layer: the newest that has loaded of its subject. */
 export class Slot {
   /** @type {Picture | null} */
   picture = null;
   /** @type {string | null} */
   error = null;
+  /** @type {PictureParts | null} */
   #parts = null;
   #loadingWhole = false;
+  /** @type {string | null} */
   #address = null;
+  /** @type {string | null} */
   #subject = null;
+  /** @type {{picture: Picture, stretch: Stretch}[]} pictures of the subject with other contrasts, the newest first */
   #kept = [];
+  /** @type {StretchedPicture | null} */
   #preview = null;
+  /** @type {{picture: Picture, stretched: StretchedPicture} | null} what the last preview was made of */
   #previewed = null;
   #changed;
 
@@ -98,7 +107,7 @@ export class Slot {
 
   /**
    * @param {string | null} address null for no picture
-   * @param {{subject?: string | null, size?: readonly number[] | null, stretch?: any}} [about] `subject`: what is
+   * @param {{subject?: string | null, size?: readonly number[] | null, stretch?: Stretch | null}} [about] `subject`: what is
    *   pictured; when it changes, the old picture disappears at once. `size` of the exact picture, where its parts can be
    *   loaded. `stretch`: its contrast, where it has one
    */
@@ -119,7 +128,7 @@ export class Slot {
 
   /**
    * Show the picture with another contrast, without loading anything.
-   * @param {any} stretch
+   * @param {Stretch} stretch
    */
   preview(stretch) {
     const usable = this.#kept.filter((one) => canPreview(one.stretch, stretch));
@@ -129,9 +138,8 @@ export class Slot {
     const best = around.length
       ? around.reduce((a, b) => (widthOf(b.stretch) < widthOf(a.stretch) ? b : a))
       : usable.reduce((a, b) => (widthOf(b.stretch) > widthOf(a.stretch) ? b : a));
-    if (this.#previewed?.picture !== best.picture) {
-      this.#previewed = { picture: best.picture, stretched: new StretchedPicture(best.picture, best.stretch) };
-    }
+    const known = this.#previewed?.picture === best.picture ? this.#previewed : null;
+    this.#previewed = known ?? { picture: best.picture, stretched: new StretchedPicture(best.picture, best.stretch) };
     this.#preview = this.#previewed.stretched.to(stretch);
     this.#changed();
   }
@@ -148,6 +156,12 @@ export class Slot {
     this.#kept = [];
   }
 
+  /**
+   * @param {Picture} picture
+   * @param {string} address of the exact one
+   * @param {readonly number[] | null} size of the exact one, if its parts are to be loaded
+   * @param {Stretch | null} stretch
+   */
   #put(picture, address, size, stretch) {
     this.#parts?.stop();
     this.picture = picture;
@@ -172,7 +186,7 @@ export class Slot {
       }
     } catch (error) {
       if (address !== this.#address) return;
-      this.error = error.message;
+      this.error = messageOf(error);
       this.#forget();
     }
     this.#loadingWhole = false;

@@ -3,6 +3,8 @@
  * stretch the measured values. It is a preview; the picture itself follows when the slider is released.
  */
 
+import { drawing } from "../ui/canvas.js";
+
 /** @typedef {{show: string, low: number, high: number, gamma: number, equalise: boolean}} Stretch */
 
 const STRETCHABLE = new Set(["intensity", "raw", "range"]);
@@ -32,7 +34,7 @@ export class StretchedPicture {
   #least;
   #most;
   #image;
-  #canvas;
+  #context;
 
   /**
    * @param {import("./picture_layer.js").Picture} picture
@@ -42,10 +44,9 @@ export class StretchedPicture {
     const share = Math.min(1, Math.sqrt(MOST_PIXELS / (picture.width * picture.height)));
     const bitmap = picture.at(share);
     this.#stretch = stretch;
-    this.#canvas = new OffscreenCanvas(bitmap.width, bitmap.height);
-    const context = this.#canvas.getContext("2d", { willReadFrequently: true });
-    context.drawImage(bitmap, 0, 0);
-    this.#image = context.getImageData(0, 0, bitmap.width, bitmap.height);
+    this.#context = drawing(new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d", { willReadFrequently: true }));
+    this.#context.drawImage(bitmap, 0, 0);
+    this.#image = this.#context.getImageData(0, 0, bitmap.width, bitmap.height);
     this.#read();
     this.width = bitmap.width;
     this.height = bitmap.height;
@@ -115,13 +116,13 @@ export class StretchedPicture {
     bytes.set([11, 12, 15, 255], 4 * EMPTY);
     const pixels = new Uint32Array(this.#image.data.buffer);
     for (let k = 0; k < pixels.length; k += 1) pixels[k] = table[this.#levels[k]];
-    this.#canvas.getContext("2d").putImageData(this.#image, 0, 0);
+    this.#context.putImageData(this.#image, 0, 0);
     return this;
   }
 
   /** @returns {OffscreenCanvas} as `Picture.at` */
   at() {
-    return this.#canvas;
+    return this.#context.canvas;
   }
 }
 

@@ -1,7 +1,7 @@
 /** Shows a match or a pixel that another part of the page refers to, on request, and gives the former view back. */
 
 import { button } from "../ui/controls.js";
-import { element } from "../ui/dom.js";
+import { element, partOf, setText } from "../ui/dom.js";
 import { other } from "./picking.js";
 import { viewShowing } from "./projection.js";
 import { filling, fitted, revealing, showSame } from "./viewport.js";
@@ -85,7 +85,7 @@ export const listenToReveals = (controller) => {
     const pick = offered === null ? null : controller.pick(offered);
     for (const { side, look, back, box } of chips) {
       look.hidden = !pick || !controller.picking.idle || !moves(pick, side);
-      if (!look.hidden) look.querySelector("span").textContent = `Show match ${pick.number}`;
+      if (!look.hidden) setText(partOf(look, "span"), `Show match ${pick.number}`);
       look.title = look.hidden ? "" : `Show match ${pick.number} in both pictures (Enter in the table)`;
       back.hidden = former === null || !controller.picking.idle;
       box.hidden = look.hidden && back.hidden;

@@ -61,12 +61,15 @@ export class ScanSide {
 
   /** @returns {number[]} the ray through a pixel */
   toWorld(uv) {
-    return rayOf(this.lens, uv);
+    const { lens } = this;
+    if (!lens) throw new Error("There is no scan in the pane: strokes begin and end where there is one.");
+    return rayOf(lens, uv);
   }
 
-  /** @returns {number[] | null} the pixel of a ray */
+  /** @returns {number[] | null} the pixel of a ray; null: it is not in front of the view, or there is no scan */
   toPixel(ray) {
-    return pixelOf(this.lens, ray);
+    const { lens } = this;
+    return lens && pixelOf(lens, ray);
   }
 
   /** @returns {{ends: (number[] | null)[], line: number[][] | null}} in pixels */

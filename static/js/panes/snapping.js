@@ -13,7 +13,11 @@ const INTERVAL_MS = 40;
 
 const distance = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
 
-/** @returns {number[]} the point of the line through two others that is nearest to a position */
+/**
+ * @param {number[][]} line two points
+ * @param {readonly number[]} at
+ * @returns {number[]} the point of the line through the two that is nearest to a position
+ */
 const nearestOn = ([a, b], at) => {
   const along = [b[0] - a[0], b[1] - a[1]];
   const share = ((at[0] - a[0]) * along[0] + (at[1] - a[1]) * along[1]) / (along[0] ** 2 + along[1] ** 2);
@@ -22,6 +26,7 @@ const nearestOn = ([a, b], at) => {
 
 /** The edge or corner that was found last, and what it makes of the ends that are being placed. */
 export class Snapping {
+  /** @type {{side: "scan" | "photo", asked: number[][], ends: number[][]} | null} `asked`: for which ends */
   #found = null;
   #request;
 

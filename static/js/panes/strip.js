@@ -3,7 +3,7 @@
  * pane shows, the outline of each photograph, and a shade where none looks. Drag, wheel and arrow keys look around.
  */
 
-import { makeCanvas } from "../ui/canvas.js";
+import { drawing, makeCanvas } from "../ui/canvas.js";
 import { button } from "../ui/controls.js";
 import { element } from "../ui/dom.js";
 import { loadBitmap } from "./picture_source.js";
@@ -53,7 +53,8 @@ export const mountStrip = (body, controller) => {
       const chosen = photo.id === store.shown();
       trace(context, width, photo.points, chosen ? "#ffd34d" : "#e8ecf2", photo.registered ? [] : [5, 4], chosen ? 2 : 1.25);
     }
-    if (side.lens && pane.size[0] > 0) trace(context, width, outlineIn(frameRays(), strip, size).points, colour("--lr-match-2"), [], 2);
+    const { lens } = side;
+    if (lens && pane.size[0] > 0) trace(context, width, outlineIn(frameRays(lens), strip, size).points, colour("--lr-match-2"), [], 2);
     if (aiming) {
       const [x, y] = positionOf(strip, size, aim);
       for (const [tone, thick] of [["rgba(6, 8, 12, 0.8)", 4], [colour("--lr-match-2"), 1.5]]) {
@@ -72,7 +73,7 @@ export const mountStrip = (body, controller) => {
   };
 
   /** The border of what the pane shows, as rays. */
-  const frameRays = () => {
+  const frameRays = (/** @type {import("./projection.js").ScanView} */ lens) => {
     const [width, height] = pane.size;
     const along = Array.from({ length: FRAME_STEPS }, (_, k) => k / FRAME_STEPS);
     const corners = [
@@ -81,7 +82,7 @@ export const mountStrip = (body, controller) => {
       ...along.map((t) => [(1 - t) * width, height]),
       ...along.map((t) => [0, (1 - t) * height]),
     ];
-    return corners.map((xy) => rayOf(side.lens, pane.pixelAt(xy)));
+    return corners.map((xy) => rayOf(lens, pane.pixelAt(xy)));
   };
 
   const { canvas, draw } = makeCanvas(
@@ -109,7 +110,10 @@ export const mountStrip = (body, controller) => {
     canvas.setAttribute("aria-description", said.length ? `Photographs: ${said.join("; ")}` : "No photograph has a pose yet");
   };
 
-  const shownAngles = () => (side.lens && pane.size[0] > 0 ? anglesOf(rayOf(side.lens, middle(pane.viewport, pane.size))) : aim);
+  const shownAngles = () => {
+    const { lens } = side;
+    return lens && pane.size[0] > 0 ? anglesOf(rayOf(lens, middle(pane.viewport, pane.size))) : aim;
+  };
 
   /** Turn the pane to a direction; the picks and what is being drawn are directions, and stay. */
   const lookAt = (angles) => {
@@ -121,7 +125,7 @@ export const mountStrip = (body, controller) => {
     const index = viewTowards(scan.views, ray, side.index, dragging);
     if (index !== side.index) view.set({ scan: { view: index } });
     const uv = side.toPixel(ray);
-    if (uv) pane.place(filling(centredOn(uv, pane.viewport.zoom, pane.size), pane.size, pane.extent), "strip");
+    if (uv && pane.extent) pane.place(filling(centredOn(uv, pane.viewport.zoom, pane.size), pane.size, pane.extent), "strip");
     aiming = true; // now: another view moves the pane, too
     changed();
   };
@@ -279,7 +283,7 @@ const shade = (context, [width, height], covering) => {
   if (covering.length === 0 || covering.some(({ rays }) => rays.length === 0)) return; // none yet, or one that looks all around
   const ratio = window.devicePixelRatio || 1;
   const veil = new OffscreenCanvas(Math.max(1, Math.round(width * ratio)), Math.max(1, Math.round(height * ratio)));
-  const over = veil.getContext("2d");
+  const over = drawing(veil.getContext("2d"));
   over.scale(veil.width / width, veil.height / height);
   over.fillStyle = "rgba(8, 10, 13, 0.55)";
   over.fillRect(0, 0, width, height);

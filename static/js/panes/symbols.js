@@ -1,10 +1,17 @@
 /** Symbols drawn over a picture: strokes with a halo, stamped rings and crosses, match numbers, corners, crosshair. */
 
 import { TIE_FACTOR } from "../state/survey.js";
+import { drawing } from "../ui/canvas.js";
 import { colourOf } from "./colors.js";
 import { toScreen } from "./viewport.js";
 
-/** Stroke a path over a dark halo. */
+/**
+ * Stroke a path over a dark halo.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Path2D} path
+ * @param {{scale: number, halo: string}} look
+ * @param {{colour: string, width?: number, dash?: number[]}} line
+ */
 export const strokeHaloed = (context, path, look, { colour, width = 2, dash = [] }) => {
   const { scale } = look;
   context.setLineDash([]);
@@ -59,7 +66,7 @@ const stampOf = (symbol, scale) => {
   if (!stamps.has(key)) {
     const side = Math.ceil(SIDE_PX * ratio);
     const canvas = new OffscreenCanvas(side, side);
-    const context = canvas.getContext("2d", { willReadFrequently: true });
+    const context = drawing(canvas.getContext("2d", { willReadFrequently: true }));
     context.scale(ratio, ratio);
     drawStamp(context, symbol);
     stamps.set(key, canvas.transferToImageBitmap()); // a canvas would be copied each time that it is drawn

@@ -52,7 +52,7 @@ export const mountToolbar = (controller, pane) => {
     const state = view.get();
     for (const [name, control] of tools) press(control, state.tool === name);
     for (const [name, control] of aids) press(control, state[name] !== false);
-    aids.at(-1)[1].hidden = !controller.store.get(`corners:${controller.store.shown()}`);
+    aids[aids.length - 1][1].hidden = !controller.store.get(`corners:${controller.store.shown()}`);
     pane.body.dataset.tool = state.tool;
   };
   view.on((_, changed) => (changed.has("tool") || changed.has("snap") || changed.has("loupe") || changed.has("marks") || changed.has("corners")) && show());

@@ -9,20 +9,29 @@ import { outsideBy, toPixel } from "./viewport.js";
 const PICTURE_MARGIN_PX = 8;
 const DRAG_PX = 2;
 
+/** @param {Dragged} dragged @param {number} index of an end */
+const movesEnd = (dragged, index) => dragged.index === null || dragged.index === index;
+
 const far = (a, b, px) => Math.hypot(a[0] - b[0], a[1] - b[1]) >= px;
+
+/**
+ * @typedef {"scan" | "photo"} Side
+ * @typedef {import("./pane.js").Pane} Pane
+ * @typedef {{id: string, side: Side, index: number | null, ends: number[][], from: number[], begun: number[],
+ *   moved: boolean}} Dragged a match, or one end of it; `from`: the pixel, `begun`: the place in the pane, where it was
+ *   pressed
+ */
 
 /** The pointer's strokes in both panes. */
 export class Tools {
-  /** @type {{side: string, xy: number[], uv: number[], event: PointerEvent} | null} position of the pointer */
+  /** @type {{side: Side, xy: number[], uv: number[], event: PointerEvent} | null} position of the pointer */
   pointer = null;
-  /** @type {{side: string, from: number[], to: number[]} | null} selection frame, in pixels */
+  /** @type {{side: Side, from: number[], to: number[]} | null} selection frame, in pixels */
   frame = null;
-  /**
-   * @type {{id: string, side: string, index: number | null, ends: number[][], from: number[], begun: number[],
-   *   moved: boolean} | null} `from`: the pixel, `begun`: the place in the pane, where it was pressed
-   */
+  /** @type {Dragged | null} */
   dragged = null;
   #controller;
+  /** @type {{xy: number[], event: PointerEvent} | null} a press on the predicted partner, which may become a drag */
   #accepting = null;
   #listeners = new Set();
   #leaveListeners = new Set();
@@ -35,10 +44,11 @@ export class Tools {
 
   /** Move what is under the pointer to the edge or corner that holds now: a release gives what is shown. */
   settle() {
-    const { pointer } = this;
-    const pane = pointer && this.#controller.panes[pointer.side];
-    if (!pane?.extent) return;
-    if (this.dragged?.side === pane.side) this.#drag(pane, pointer.xy, pointer.uv);
+    const { pointer, dragged } = this;
+    if (!pointer) return;
+    const pane = this.#controller.panes[pointer.side];
+    if (!pane.extent) return;
+    if (dragged?.side === pane.side) this.#drag(dragged, pane, pointer.xy, pointer.uv);
     else if (this.#controller.picking.drawing) this.#controller.picking.move(pane.side, this.#positionAt(pane, pointer.xy, pointer.event));
   }
 
@@ -47,11 +57,12 @@ export class Tools {
     this.#listeners.add(listen);
   }
 
-  /** The picture has moved under the pointer. */
+  /** The picture has moved under the pointer. @param {Pane} pane */
   pictureMoved(pane) {
-    if (this.pointer?.side !== pane.side || !pane.extent) return;
-    this.pointer.uv = pane.pixelAt(this.pointer.xy);
-    for (const listen of this.#listeners) listen(pane, this.pointer.uv);
+    const { pointer } = this;
+    if (pointer?.side !== pane.side || !pane.extent) return;
+    pointer.uv = pane.pixelAt(pointer.xy);
+    for (const listen of this.#listeners) listen(pane, pointer.uv);
   }
 
   /** @returns {"line" | "point" | "select" | "measure"} the current tool; Ctrl or Command selects with any */
@@ -76,11 +87,11 @@ export class Tools {
 
   /** @returns {number[][] | null} unsnapped pixels of the point or line being placed, with its last end at a pixel */
   #ends(pane, uv) {
-    if (this.dragged) return this.dragged.moved ? this.#shifted(pane, uv) : null;
+    if (this.dragged) return this.dragged.moved ? this.#shifted(this.dragged, pane, uv) : null;
     const { picking, view } = this.#controller;
     const { drawing } = picking;
     if (this.frame || !this.pointer || ["select", "measure"].includes(this.#tool(this.pointer.event))) return null;
-    if (drawing?.side === pane.side && drawing.kind === "line") return [drawing.from.uv, uv];
+    if (drawing && drawing.side === pane.side && drawing.kind === "line") return [drawing.from.uv, uv];
     return !drawing && picking.kindFor(pane.side, view.get().tool) === "line" ? null : [uv];
   }
 
@@ -185,20 +196,21 @@ export class Tools {
       this.#draw(pane, began, press);
     }
     if (this.frame) this.frame.to = toPixel(pane.viewport, xy);
-    else if (this.dragged) this.#drag(pane, xy, uv);
+    else if (this.dragged) this.#drag(this.dragged, pane, xy, uv);
     else if (controller.picking.drawing) controller.picking.move(pane.side, this.#positionAt(pane, xy, event));
-    else if (controller.tool !== "measure") this.#hover(pane, xy);
+    else if (controller.tool !== "measure") this.#hover(pane, xy, event);
     const placed = controller.view.get().snap ? this.#ends(pane, uv) : null;
     if (placed) controller.snapping.request(pane, placed);
     else controller.snapping.forget();
     pane.invalidate("live");
   }
 
-  #hover(pane, xy) {
+  /** @param {Pane} pane @param {number[]} xy @param {PointerEvent} event */
+  #hover(pane, xy, event) {
     const controller = this.#controller;
     const hit = hitAt(controller.marks(pane.side), pane.viewport, xy, controller.view.get().selected, controller.look.scale);
     if (controller.view.get().hovered !== (hit?.id ?? null)) controller.view.set({ hovered: hit?.id ?? null });
-    const grabs = Boolean(hit) && (this.#tool(this.pointer.event) === "select" || this.#overSelectedEnd(pane, xy));
+    const grabs = Boolean(hit) && (this.#tool(event) === "select" || this.#overSelectedEnd(pane, xy));
     pane.body.classList.toggle("grabs", grabs);
   }
 
@@ -209,38 +221,48 @@ export class Tools {
     pane.body.focus({ preventScroll: true });
   }
 
-  #drag(pane, xy, uv) {
-    const { dragged } = this;
+  /** @param {Dragged} dragged @param {Pane} pane @param {number[]} xy @param {number[]} uv */
+  #drag(dragged, pane, xy, uv) {
     if (!dragged.moved && !far(dragged.begun, xy, DRAG_PX)) return;
     dragged.moved = true;
-    const ends = this.#moved(pane, uv);
+    const ends = this.#moved(dragged, pane, uv);
     if (ends) this.#controller.pendingMoves.show(dragged.id, dragged.side, ends);
   }
 
-  /** @returns {(number[] | null)[] | null} the ends to show and to save, snapped where snapping finds something */
-  #moved(pane, uv) {
-    const { dragged } = this;
+  /**
+   * @param {Dragged} dragged
+   * @param {Pane} pane
+   * @param {number[]} uv
+   * @returns {number[][] | null} the ends to show and to save, snapped where snapping finds something
+   */
+  #moved(dragged, pane, uv) {
     const { sides, snaps, snapping } = this.#controller;
-    const shifted = this.#shifted(pane, uv);
+    const shifted = this.#shifted(dragged, pane, uv);
     if (!shifted) return null;
     const placed = (snaps && snapping.near(pane, shifted)) || shifted;
-    const moves = (index) => dragged.index === null || dragged.index === index;
-    const ends = dragged.ends.map((end, index) => (moves(index) ? sides[pane.side].toWorld(placed[index]) : end));
-    return ends.every(Boolean) ? ends : null;
+    return dragged.ends.map((end, index) => (movesEnd(dragged, index) ? sides[pane.side].toWorld(placed[index]) : end));
   }
 
-  /** @returns {number[][] | null} pixels of all ends of the dragged match, unsnapped */
-  #shifted(pane, uv) {
-    const { dragged } = this;
-    const ends = dragged.ends.map((end) => this.#controller.sides[pane.side].toPixel(end));
-    if (!ends.every(Boolean)) return null;
-    const by = [uv[0] - dragged.from[0], uv[1] - dragged.from[1]];
-    return ends.map((was, index) => (dragged.index === null || dragged.index === index ? [was[0] + by[0], was[1] + by[1]] : was));
+  /**
+   * @param {Dragged} dragged
+   * @param {Pane} pane
+   * @param {number[]} uv
+   * @returns {number[][] | null} pixels of all ends of the dragged match, unsnapped; null: one of them is out of view
+   */
+  #shifted(dragged, pane, uv) {
+    const ends = [];
+    for (const [index, end] of dragged.ends.entries()) {
+      const was = this.#controller.sides[pane.side].toPixel(end);
+      if (!was) return null;
+      ends.push(movesEnd(dragged, index) ? [was[0] + uv[0] - dragged.from[0], was[1] + uv[1] - dragged.from[1]] : was);
+    }
+    return ends;
   }
 
   release(pane, xy, event) {
     const controller = this.#controller;
     controller.suspended = event.shiftKey;
+    if (!pane.extent) return this.cancel(pane); // what was pressed in is gone
     const { dragged, frame } = this;
     if (controller.measuring.pressed) {
       controller.measuring.set(pane.side, controller.positionAt(pane.side, pane.pixelAt(xy), event.timeStamp));
@@ -251,7 +273,7 @@ export class Tools {
       this.frame = null;
       controller.select(new Set([...controller.view.get().selected, ...within(controller.marks(pane.side), frame.from, frame.to)]));
     } else if (dragged) {
-      const ends = dragged.moved && this.#moved(pane, pane.pixelAt(xy));
+      const ends = dragged.moved && this.#moved(dragged, pane, pane.pixelAt(xy));
       this.dragged = null;
       if (ends) controller.pendingMoves.commit(dragged.id, dragged.side, ends);
     } else if (controller.picking.drawing) {
@@ -259,7 +281,7 @@ export class Tools {
       const snapped = ghost?.map((end) => controller.sides[pane.side].toWorld(end)) ?? null;
       controller.handle(controller.picking.release(pane.side, this.#positionAt(pane, xy, event), snapped));
     }
-    pane.invalidate("live");
+    return pane.invalidate("live");
   }
 
   /** Cancel the stroke: a second finger has come, or the system has taken the pointer. */
@@ -272,8 +294,9 @@ export class Tools {
 
   /** Cancel a drag or a frame, on Esc. @returns {boolean} whether there was one */
   abandon() {
-    if (!this.dragged && !this.frame) return false;
-    this.cancel(this.#controller.panes[(this.dragged ?? this.frame).side]);
+    const begun = this.dragged ?? this.frame;
+    if (!begun) return false;
+    this.cancel(this.#controller.panes[begun.side]);
     return true;
   }
 

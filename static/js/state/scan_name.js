@@ -16,6 +16,6 @@ export const cloudNames = (scan) =>
 export const listed = (names) => {
   const shown = names.slice(0, MOST_NAMED);
   const rest = names.length - shown.length;
-  if (rest) shown.push(rest === 1 ? names.at(-1) : `${rest} more`);
+  if (rest) shown.push(rest === 1 ? names[names.length - 1] : `${rest} more`);
   return shown.length > 1 ? `${shown.slice(0, -1).join(", ")} and ${shown.at(-1)}` : shown[0];
 };

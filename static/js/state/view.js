@@ -102,6 +102,7 @@ class View {
   #state = merged(defaults(), stored());
   #listeners = new Set();
   #saving = 0;
+  #left = false; // another project is about to be shown
 
   /** @returns {Readonly<ViewState>} the state, not to be modified in place */
   get() {
@@ -139,7 +140,7 @@ class View {
   exchange(from, to) {
     this.#saveNow();
     clearTimeout(this.#saving);
-    this.#saving = null;
+    this.#left = true;
     try {
       sessionStorage.setItem(`${KEY}:${from}`, sessionStorage.getItem(KEY) ?? "{}");
       const kept = sessionStorage.getItem(`${KEY}:${to}`);
@@ -151,7 +152,7 @@ class View {
   }
 
   #save() {
-    if (this.#saving === null) return; // another project is about to be shown
+    if (this.#left) return;
     clearTimeout(this.#saving);
     this.#saving = setTimeout(() => this.#saveNow(), 200);
   }

@@ -11,12 +11,24 @@ const themeColours = () => {
 };
 
 /**
+ * @template Context
+ * @param {Context | null} context what `getContext` has returned
+ * @returns {Context}
+ * @throws {Error} if there is none: the browser has no memory for it
+ */
+export const drawing = (context) => {
+  if (context === null) throw new Error("The browser has no memory for another picture: close other tabs, then reload the page.");
+  return context;
+};
+
+/**
  * @param {Record<string, any>} properties of the canvas
  * @param {(context: CanvasRenderingContext2D, width: number, height: number, colour: (name: string) => string,
  *         em: number) => void} paint draws in CSS pixels
  * @returns {{canvas: HTMLCanvasElement, draw: () => void}} `draw` redraws in the next frame
  */
 export const makeCanvas = (properties, paint) => {
+  /** @type {HTMLCanvasElement} */
   const canvas = element("canvas", properties);
   const draw = inNextFrame(() => {
     const { clientWidth: width, clientHeight: height } = canvas;
@@ -24,7 +36,7 @@ export const makeCanvas = (properties, paint) => {
     const density = devicePixelRatio || 1;
     const [across, down] = [Math.round(width * density), Math.round(height * density)];
     if (canvas.width !== across || canvas.height !== down) Object.assign(canvas, { width: across, height: down });
-    const context = canvas.getContext("2d");
+    const context = drawing(canvas.getContext("2d"));
     context.setTransform(density, 0, 0, density, 0, 0);
     context.clearRect(0, 0, width, height);
     const style = getComputedStyle(canvas);

@@ -1,7 +1,7 @@
 /** A modal dialog with a head, a body and a close button. */
 
 import { button } from "./controls.js";
-import { element, newId } from "./dom.js";
+import { byId, element, newId } from "./dom.js";
 
 /**
  * @param {string} title
@@ -24,6 +24,6 @@ export const makeDialog = (title, { kind = "" } = {}, ...children) => {
     body,
   );
   dialog.addEventListener("click", (event) => event.target === dialog && close()); // a click on the backdrop
-  document.getElementById("floating").append(dialog);
+  byId("floating").append(dialog);
   return { dialog, body, open: () => dialog.open || dialog.showModal(), close };
 };

@@ -58,6 +58,23 @@ export const setAttribute = (target, name, value) => {
   else if (target.getAttribute(name) !== String(value)) target.setAttribute(name, String(value));
 };
 
+/**
+ * Find an element that is there by construction: it is in index.html, or the page has made it.
+ * @param {ParentNode} parent
+ * @param {string} selector
+ * @returns {HTMLElement}
+ * @throws {Error} if there is none
+ */
+export const partOf = (parent, selector) => {
+  /** @type {HTMLElement | null} */
+  const found = parent.querySelector(selector);
+  if (!found) throw new Error(`The page has no element ${selector}, so its parts are of different versions: reload the page.`);
+  return found;
+};
+
+/** @param {string} id @returns {HTMLElement} as `partOf`, of the whole page */
+export const byId = (id) => partOf(document, `#${id}`);
+
 let count = 0;
 /** @returns {string} an id that is unique in the page */
 export const newId = (prefix) => `${prefix}-${++count}`;

@@ -1,5 +1,7 @@
 /** The pictures that the page itself requests, before its scripts. */
 
+import { byId } from "./dom.js";
+
 /** @returns {Promise<void>} resolves once they have arrived or failed: what is larger must not slow them down */
 export const whenFirstPicturesArrived = async () => {
   const arrived = (picture) =>
@@ -21,7 +23,7 @@ const whenReplaced = () =>
       done();
     };
     const observer = new MutationObserver(look);
-    observer.observe(document.getElementById("panes"), { childList: true, subtree: true });
+    observer.observe(byId("panes"), { childList: true, subtree: true });
     look();
   });
 

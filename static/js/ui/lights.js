@@ -10,4 +10,4 @@ const LIGHTS = {
 };
 
 /** @param {string | undefined} light of a summary. @returns {{sign: string, level: string}} */
-export const lightOf = (light) => LIGHTS[light] ?? { sign: "dot", level: "none" };
+export const lightOf = (light) => LIGHTS[light ?? ""] ?? { sign: "dot", level: "none" };

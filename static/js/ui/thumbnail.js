@@ -12,7 +12,7 @@ const observer = new IntersectionObserver(
       if (!isIntersecting) continue;
       const picture = /** @type {HTMLImageElement} */ (target);
       observer.unobserve(picture);
-      picture.src = picture.dataset.src;
+      picture.src = picture.dataset.src ?? "";
     }
   },
   { rootMargin: AHEAD },

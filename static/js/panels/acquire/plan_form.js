@@ -6,6 +6,7 @@ import { changePlan, isActive, onPlan, planNow, setFaults, setPlan } from "../..
 import { view } from "../../state/view.js";
 import { button, fill } from "../../ui/controls.js";
 import { element, setText } from "../../ui/dom.js";
+import { messageOf } from "../../ui/faults.js";
 import { notice } from "../../ui/notices.js";
 import { throttled } from "../../ui/throttle.js";
 import { numbersRow, withFaults } from "./plan_rows.js";
@@ -91,7 +92,7 @@ export const mountPlanForm = () => {
       if (plan === null || typeof plan !== "object" || Array.isArray(plan)) throw new Error("it is no object");
       setPlan(plan);
     } catch (error) {
-      notice(`${chosen.name} is no plan: ${error.message}`, "bad");
+      notice(`${chosen.name} is no plan: ${messageOf(error)}`, "bad");
     }
   });
   const save = () => {
@@ -137,7 +138,7 @@ export const mountPlanForm = () => {
     try {
       found = await ask("acquire_check", { plan: planNow() });
     } catch (error) {
-      found = { faults: [{ field: "", said: error.message }], forecast: null };
+      found = { faults: [{ field: "", said: messageOf(error) }], forecast: null };
     }
     setFaults(found.faults);
     const elsewhere = found.faults.filter(({ field }) => !PLACED.test(field));

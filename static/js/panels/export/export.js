@@ -8,6 +8,7 @@ import { progressNow } from "../../state/progress.js";
 import { view } from "../../state/view.js";
 import { button, fill } from "../../ui/controls.js";
 import { element, newId, setAttribute, setChildren, setText } from "../../ui/dom.js";
+import { fieldOf, messageOf } from "../../ui/faults.js";
 import { icon } from "../../ui/icons.js";
 import { notice } from "../../ui/notices.js";
 import { throttled } from "../../ui/throttle.js";
@@ -224,7 +225,7 @@ export const mountExport = () => {
   /** @returns {import("../../protocol.js").Commands["export"]} */
   const wanted = () => ({
     targets: chosen(),
-    ...(ofShown() ? { photos: [store.shown()].filter(Boolean) } : {}),
+    ...(ofShown() ? { photos: [store.shown()].filter((photo) => photo !== null) } : {}),
     frame: frame.value || "scanner",
     full: full.checked,
     crop: crop.checked ? "photo" : "none",
@@ -252,7 +253,7 @@ export const mountExport = () => {
       started = (await ask("export", { ...wanted(), ...(into ? { folder: into, force: force.checked } : {}) })).job;
     } catch (error) {
       saves = "";
-      complain(error.message, error.field);
+      complain(messageOf(error), fieldOf(error));
       return;
     }
     if (into) notice(`Writing to ${into}.`);
@@ -307,7 +308,7 @@ export const mountExport = () => {
       failed = "";
     } catch (error) {
       table = null;
-      failed = error.message;
+      failed = messageOf(error);
     }
     show();
   }, EVERY_MS);

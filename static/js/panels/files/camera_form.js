@@ -4,7 +4,8 @@ import { ask } from "../../net/connection.js";
 import { store } from "../../net/store.js";
 import { sendFile } from "../../net/uploads.js";
 import { button } from "../../ui/controls.js";
-import { element, newId, setAttribute, setChildren, setText } from "../../ui/dom.js";
+import { element, newId, partOf, setAttribute, setChildren, setText } from "../../ui/dom.js";
+import { fieldOf, messageOf } from "../../ui/faults.js";
 import { sentences } from "../../ui/numbers.js";
 import { popoverOf } from "../../ui/popover.js";
 
@@ -120,7 +121,7 @@ export const mountCameraForm = (opener) => {
       await ask("set_camera", { photo: store.shown(), ...camera });
       done();
     } catch (error) {
-      fail(sentences([error.message]), fields[error.field]);
+      fail(sentences([messageOf(error)]), fields[fieldOf(error)]);
     }
   };
   form.addEventListener("submit", (event) => {
@@ -136,7 +137,7 @@ export const mountCameraForm = (opener) => {
       await sendFile(chosen, { what: "camera", photo: store.shown() }).finished;
       done();
     } catch (error) {
-      fail(error.message);
+      fail(messageOf(error));
     }
   });
 
@@ -171,7 +172,7 @@ export const mountCameraForm = (opener) => {
 
 /** Move the form over the picture that it is about, off the controls of the scan, where there is room. */
 const overPhoto = (panel) => {
-  const { left, width } = document.querySelector("#photo-pane .pane-body").getBoundingClientRect();
+  const { left, width } = partOf(document, "#photo-pane .pane-body").getBoundingClientRect();
   if (width < FORM_PX || panel.style.left === "auto" || Number.parseFloat(panel.style.left) >= left) return;
   panel.style.setProperty("left", `${left + MARGIN_PX}px`);
 };

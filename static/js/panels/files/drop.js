@@ -5,11 +5,14 @@ import { icon } from "../../ui/icons.js";
 import { notice } from "../../ui/notices.js";
 import { addFiles } from "./files.js";
 
-const hasFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes("Files");
+/** @param {DragEvent} event @returns {DataTransfer | null} what is dragged, if it is files */
+const filesOf = ({ dataTransfer }) => (dataTransfer && [...dataTransfer.types].includes("Files") ? dataTransfer : null);
 
-/** @returns {Set<string>} names of dropped folders, which look like unreadable files */
-const foldersOf = ({ items }) =>
-  new Set([...items].map((item) => item.webkitGetAsEntry?.()).filter((entry) => entry?.isDirectory).map(({ name }) => name));
+/** @param {DataTransfer} dropped @returns {Set<string>} names of dropped folders, which look like unreadable files */
+const foldersOf = ({ items }) => {
+  const entries = [...items].map((item) => item.webkitGetAsEntry?.());
+  return new Set(entries.flatMap((entry) => (entry?.isDirectory ? entry.name : [])));
+};
 
 /** Accept dropped files. @param {HTMLElement} floating contains the explanation */
 export const acceptDrops = (floating) => {
@@ -35,19 +38,22 @@ export const acceptDrops = (floating) => {
     document.body.classList.toggle("dropping", shown);
     if (!shown) depth = 0;
   };
-  addEventListener("dragenter", (event) => hasFiles(event) && (event.preventDefault(), (depth += 1), show(true)));
-  addEventListener("dragleave", (event) => hasFiles(event) && --depth <= 0 && show(false));
-  addEventListener(
-    "dragover",
-    (event) => hasFiles(event) && (event.preventDefault(), (event.dataTransfer.dropEffect = "copy")),
-  );
+  addEventListener("dragenter", (event) => filesOf(event) && (event.preventDefault(), (depth += 1), show(true)));
+  addEventListener("dragleave", (event) => filesOf(event) && --depth <= 0 && show(false));
+  addEventListener("dragover", (event) => {
+    const dragged = filesOf(event);
+    if (!dragged) return;
+    event.preventDefault();
+    dragged.dropEffect = "copy";
+  });
   addEventListener("drop", (event) => {
-    if (!hasFiles(event)) return;
+    const dropped = filesOf(event);
+    if (!dropped) return;
     event.preventDefault();
     show(false);
-    const folders = foldersOf(event.dataTransfer);
+    const folders = foldersOf(dropped);
     for (const name of folders) notice(`${name} is a folder: drop the files in it.`, "warn");
-    const files = [...event.dataTransfer.files].filter(({ name }) => !folders.has(name));
+    const files = [...dropped.files].filter(({ name }) => !folders.has(name));
     if (files.length) addFiles(files);
   });
 };

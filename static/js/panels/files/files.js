@@ -6,6 +6,7 @@ import { sendFile } from "../../net/uploads.js";
 import { button } from "../../ui/controls.js";
 import { makeDialog } from "../../ui/dialog.js";
 import { element, newId, setChildren, setText } from "../../ui/dom.js";
+import { messageOf, wasCancelled } from "../../ui/faults.js";
 import { icon } from "../../ui/icons.js";
 import { notice } from "../../ui/notices.js";
 import { bytes } from "../../ui/numbers.js";
@@ -29,8 +30,8 @@ const isLeft = ({ state }) => state !== "opened" && state !== "kept";
 
 /**
  * @typedef {{scan?: "replace" | "frames" | "stations" | null}} Landing what becomes of scans
- * @typedef {ReturnType<typeof makeDialog> & {expected: string | null, add: (added: Iterable<File>) => void,
- *   expect: (what: string | null) => void}} FilesDialog `expected`: type of file that it was opened for
+ * @typedef {ReturnType<typeof makeDialog> & {add: (added: Iterable<File>) => void, expect: (what: string | null) => void}}
+ *   FilesDialog `expect`: says which type of file it is opened for
  */
 
 /** @type {FilesDialog | null} */
@@ -38,9 +39,13 @@ let files = null;
 
 /** One file of a drop: due, being sent, sent, opened or refused. */
 class FileEntry {
-  constructor(file, removed) {
-    /** @type {File} */
+  /**
+   * @param {File} file
+   * @param {{removed: (entry: FileEntry) => void, isSeen: () => boolean}} list `isSeen`: whether its rows are in sight
+   */
+  constructor(file, { removed, isSeen }) {
     this.file = file;
+    this.isSeen = isSeen;
     this.state = "due";
     /** @type {string | null} */
     this.id = null;
@@ -74,8 +79,9 @@ class FileEntry {
 
   refuse(error) {
     this.state = "refused";
-    this.setStatus(error.message, error.name === "AbortError" ? "warn" : "bad");
-    if (!files.dialog.open && error.name !== "AbortError") notice(error.message, "bad");
+    const cancelled = wasCancelled(error);
+    this.setStatus(messageOf(error), cancelled ? "warn" : "bad");
+    if (!cancelled && !this.isSeen()) notice(messageOf(error), "bad");
   }
 
   /** Upload the file; what it becomes is decided when all are there. */
@@ -116,8 +122,9 @@ class FileEntry {
 /**
  * The files of the served folder; scans can be ticked and opened together.
  * @param {(paths: string[]) => Promise<boolean>} openScans
+ * @param {() => void} close closes the dialog
  */
-const servedList = (openScans) => {
+const servedList = (openScans, close) => {
   const list = element("ul", { class: "served-list" });
   const title = element("h3", {});
   const ticked = new Set();
@@ -153,7 +160,7 @@ const servedList = (openScans) => {
         : await request("open_served", { path, what: kind, photo: NEEDS_PHOTO.has(kind) ? store.shown() : undefined });
       opener.disabled = false;
       if (opened) setText(opener.querySelector("span"), "Open again");
-      if (opened && store.get("scan") && store.photo()) files.close();
+      if (opened && store.get("scan") && store.photo()) close();
     };
     const usable = OPENABLE.has(kind);
     const opener = button({
@@ -192,7 +199,10 @@ const servedList = (openScans) => {
 };
 
 const build = () => {
+  /** @type {FileEntry[]} */
   const waiting = [];
+  /** @type {string | null} type of file that the dialog was opened for */
+  let expected = null;
   const list = element("ul", { class: "file-list", "aria-label": "Files to open" });
   const input = element(
     "input",
@@ -225,7 +235,7 @@ const build = () => {
   };
 
   /** What becomes of scans without being asked: the dialog was opened for that. */
-  const intended = () => /** @type {Landing} */ (files.expected === "frames" && store.get("scan") ? { scan: "frames" } : {});
+  const intended = () => /** @type {Landing} */ (expected === "frames" && store.get("scan") ? { scan: "frames" } : {});
 
   /** Open uploaded files; those that lack something stay in the list of waiting ones. */
   const openTogether = async (ids, choice = {}) => {
@@ -249,13 +259,13 @@ const build = () => {
     }
     changed();
     if (waiting.some(isLeft) || answer.waiting.length || answer.refused.length) {
-      if (answer.waiting.length) files.open();
+      if (answer.waiting.length) made.open();
       return;
     }
     waiting.length = 0;
     changed();
     const offers = answer.opened.some(({ kind }) => kind === "scan") && offeredPictures().length > 0;
-    if (answer.opened.length && !offers) files.close();
+    if (answer.opened.length && !offers) made.close();
   };
 
   /** Open scans of the served folder. @returns {Promise<boolean>} whether they were opened */
@@ -274,10 +284,10 @@ const build = () => {
     });
   };
   const addFrames = () => {
-    files.expect("frames");
+    expect("frames");
     input.click();
   };
-  const served = servedList(openServed);
+  const served = servedList(openServed, () => made.close());
 
   const made = makeDialog(
     "Open files",
@@ -309,11 +319,11 @@ const build = () => {
   };
   const add = (added) => {
     for (const old of waiting.filter((one) => !isLeft(one))) removed(old);
-    waiting.push(...[...added].map((file) => new FileEntry(file, removed)));
+    waiting.push(...[...added].map((file) => new FileEntry(file, { removed, isSeen: () => made.dialog.open })));
     sendAll();
   };
   const expect = (what) => {
-    files.expected = what;
+    expected = what;
     const limit = store.get("limits")?.upload_bytes;
     const most = limit ? ` Up to ${bytes(limit)} each.` : "";
     setText(zone.querySelector(".drop-title"), TITLES[what] ?? "Drop a scan and its photographs here");
@@ -324,7 +334,7 @@ const build = () => {
     add(input.files);
     input.value = "";
   });
-  return { ...made, expected: null, add, expect };
+  return { ...made, add, expect };
 };
 
 /**
@@ -345,6 +355,7 @@ export const addFiles = (dropped) => {
     notice("This page is read-only: files can only be opened with the link that permits editing.", "warn");
     return;
   }
-  if (!files?.dialog.open) openFiles();
+  files ??= build();
+  if (!files.dialog.open) openFiles();
   files.add(dropped);
 };

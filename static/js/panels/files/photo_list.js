@@ -108,7 +108,7 @@ export const mountPhotoList = () => {
     const text = JSON.stringify([photos, store.shown()]);
     if (!panel.matches(":popover-open") || text === drawn) return;
     const active = /** @type {HTMLElement | null} */ (document.activeElement);
-    const focused = list.contains(active) ? active.dataset.photo : null;
+    const focused = active && list.contains(active) ? active.dataset.photo : null;
     setChildren(list, ...photos.map((photo) => entry(photo, () => panel.hidePopover())));
     drawn = text;
     if (focused) list.querySelector(`[data-photo="${CSS.escape(focused)}"]`)?.focus();

@@ -3,7 +3,7 @@
 import { store } from "../../net/store.js";
 import { cloudNames, scanName } from "../../state/scan_name.js";
 import { button } from "../../ui/controls.js";
-import { element, setText } from "../../ui/dom.js";
+import { element, partOf, setText } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
 import { counted } from "../../ui/numbers.js";
 
@@ -45,7 +45,7 @@ export const scanClouds = (add) => {
  */
 export const mountFramesButton = (head, add) => {
   const more = button({ label: "Add frames", text: "Frames", icon: "plus", kind: "pane-button frames-button edits", act: add });
-  head.querySelector(".pane-zooms").before(more);
+  partOf(head, ".pane-zooms").before(more);
   const show = () => {
     const scan = store.get("scan");
     const several = scan?.files?.length > 1;

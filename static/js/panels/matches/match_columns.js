@@ -115,7 +115,7 @@ export const COLUMNS = [
       "line are used",
     value: (row) => row.used,
     text: samplesText,
-    warns: (row) => row.used !== null && row.used < row.sampled / 2,
+    warns: (row) => row.used !== null && row.used < (row.sampled ?? 0) / 2,
     width: "minmax(0, 1fr)",
     figures: true,
     hidden: "narrowest",
@@ -168,7 +168,7 @@ export const COLUMNS = [
   },
 ];
 
-/** What is left out in a table of each width. */
+/** @type {Record<string, (string | undefined)[]>} what is left out in a table of each width */
 const HIDDEN = { wide: [], narrow: ["narrow"], narrowest: ["narrow", "narrowest"] };
 
 /** @returns {Record<string, string>} CSS custom properties: the grid's tracks for each width of the table */
@@ -192,7 +192,7 @@ export const classOf = ({ id, figures, hidden }) =>
 export const makeCell = (column) => {
   const { text, control, warns } = column;
   const cell = element("div", { class: classOf(column), role: "gridcell" });
-  const parts = control ? control() : { content: [], show: (row) => setText(cell, text(row)) };
+  const parts = control ? control() : { content: [], show: (row) => setText(cell, text?.(row) ?? "") };
   cell.append(...parts.content);
   const show = (row) => {
     parts.show(row);
@@ -208,7 +208,7 @@ export const makeCell = (column) => {
  * @returns {Row[]}
  */
 export const sorted = (rows, { by, descending }) => {
-  const { value } = COLUMNS.find(({ id }) => id === by) ?? COLUMNS.find(({ id }) => id === "number");
+  const value = COLUMNS.find(({ id }) => id === by)?.value ?? ((row) => row.number);
   const sign = descending ? -1 : 1;
   return [...rows].sort((a, b) => {
     const [left, right] = [value(a), value(b)];

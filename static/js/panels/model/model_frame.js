@@ -3,6 +3,7 @@
 import { store } from "../../net/store.js";
 import { whenPanesPainted } from "../../ui/first_pictures.js";
 
+const UNREACHED = "The 3-D view cannot be reached: reload the page."; // the browser's error page is not accessible
 const TYPING = "input, textarea, select, [contenteditable], [role=textbox]";
 
 /** Show that the focus is inside the frame, which CSS cannot detect. */
@@ -50,12 +51,13 @@ export const mountModelFrame = (frame, { loaded, failed }) => {
   });
   frame.addEventListener("load", () => {
     try {
-      const { contentType, body } = frame.contentDocument;
-      failed(contentType === "text/plain" ? body.textContent.trim() : "");
+      const { contentDocument: shown } = frame;
+      if (!shown) return failed(UNREACHED);
+      failed(shown.contentType === "text/plain" ? (shown.body.textContent ?? "").trim() : "");
       forwardKeys(frame);
-      showFocus(frame);
+      return showFocus(frame);
     } catch {
-      failed("The 3-D view cannot be reached: reload the page."); // the browser's error page is not accessible
+      return failed(UNREACHED);
     }
   });
   whenPanesPainted().then(() => {

@@ -3,6 +3,7 @@
 import { store } from "../../net/store.js";
 import { isRunning } from "../../state/pipeline.js";
 import { simplexRun } from "../../state/simplex_run.js";
+import { messageOf } from "../../ui/faults.js";
 import { whenPanesPainted } from "../../ui/first_pictures.js";
 import { blockAddress, layerAddress, meshAddress, ModelParts, pictureAddress, textureAddress } from "./model_parts.js";
 import { ModelSurface } from "./model_surface.js";
@@ -23,6 +24,8 @@ export const usableTexture = (model) =>
 export const blendable = (model) => model.choices.filter(({ value, usable }) => usable && value !== usableTexture(model));
 
 /**
+ * @typedef {{mesh: string, texture: string, second: string, layer?: {mesh: string, picture: string}}} Stage addresses of
+ *   what is drawn
  * @typedef {{state: "empty" | "loading" | "drawn", got: number, total: number, error: string, legend: any, second: any,
  *   mixed: boolean, whole: boolean}} ModelState `second`: the legend of the texture that is mixed in; `whole`: as fine as it will be
  */
@@ -32,12 +35,16 @@ export class ModelLoader {
   #surface;
   #software;
   #listeners = new Set();
+  /** @type {{goal: Stage, abort: AbortController} | null} */
   #running = null;
+  /** @type {string | null} */
   #scan = null;
   #retryAt = 0;
   #viewpoint = "";
   #looked = "";
+  /** @type {AbortController | null} */
   #closer = null;
+  /** @type {Stage | null} */
   #drawn = null;
   /** @type {{address: string, bitmap: ImageBitmap | null} | null} the photograph that slides over the surface */
   #sliding = null;
@@ -77,6 +84,7 @@ export class ModelLoader {
   #slidingPicture(photo) {
     const address = pictureAddress(photo);
     if (this.#sliding?.address === address) return this.#sliding.bitmap;
+    /** @type {{address: string, bitmap: ImageBitmap | null}} */
     const sliding = { address, bitmap: null };
     this.#sliding = sliding;
     this.#surface.bitmapOf(address).then(
@@ -128,7 +136,7 @@ export class ModelLoader {
     const model = store.get("model");
     if (!scan || !model || store.get("scan").error) return;
     const stages = this.#stages(scan, model);
-    const goal = stages.at(-1);
+    const goal = stages[stages.length - 1];
     if (this.#running) {
       if (same(this.#running.goal, goal)) return;
       this.#running.abort.abort();
@@ -160,8 +168,8 @@ export class ModelLoader {
       const blocks = await Promise.all(
         names.map(async (name) => ({ name, arrays: await this.#parts.block(blockAddress(scan, name), options) })),
       );
-      if (abort.signal.aborted || !same(this.#drawn, this.#stages(scan, model).at(-1)) || this.#surface.hasLayer) return;
-      this.#surface.setBlocks(blocks.filter(({ arrays }) => arrays));
+      if (abort.signal.aborted || !same(this.#drawn, this.#stages(scan, model).at(-1) ?? null) || this.#surface.hasLayer) return;
+      this.#surface.setBlocks(blocks.flatMap(({ name, arrays }) => (arrays ? [{ name, arrays }] : [])));
     } catch {
       // the whole surface stays; the next movement tries again
     }
@@ -178,7 +186,7 @@ export class ModelLoader {
     this.#tell({ state: scan ? "loading" : "empty", error: "", legend: null, second: null, mixed: false, whole: false });
   }
 
-  /** @returns {{mesh: string, texture: string, second: string, layer?: any}[]} what to draw, one after the other */
+  /** @returns {Stage[]} what to draw, one after the other */
   #stages(scan, model) {
     const kind = usableTexture(model);
     const blend = blendable(model).some(({ value }) => value === this.#blend) ? this.#blend : "";
@@ -236,7 +244,7 @@ export class ModelLoader {
       if (!still()) return;
       this.#retryAt = performance.now() + RETRY_MS;
       this.#meter.clear();
-      this.#tell({ error: error.message });
+      this.#tell({ error: messageOf(error) });
     } finally {
       if (still()) this.#running = null;
     }
@@ -247,5 +255,6 @@ export class ModelLoader {
   }
 }
 
+/** @param {Stage | null} a @param {Stage | null} b */
 const same = (a, b) =>
-  a !== null && b !== null && a.layer?.mesh === b.layer?.mesh && ["mesh", "texture", "second"].every((name) => a[name] === b[name]);
+  a !== null && b !== null && a.layer?.mesh === b.layer?.mesh && a.mesh === b.mesh && a.texture === b.texture && a.second === b.second;

@@ -4,7 +4,7 @@ import { connectionState, onConnection } from "../../net/connection.js";
 import { request } from "../../net/requests.js";
 import { store } from "../../net/store.js";
 import { button, foldOut, tickBox } from "../../ui/controls.js";
-import { element, setAttribute, setChildren } from "../../ui/dom.js";
+import { element, partOf, setAttribute, setChildren } from "../../ui/dom.js";
 import { mountModelBlend } from "./model_blend.js";
 import { mountModelCover } from "./model_cover.js";
 import { mountModelFrame } from "./model_frame.js";
@@ -125,8 +125,7 @@ export const toggleMarks = () => {
  * @returns {{body: HTMLElement, frame: HTMLIFrameElement, surface: import("./model_surface.js").ModelSurface}}
  */
 export const mountModelPane = (pane) => {
-  /** @type {HTMLElement} */
-  const body = pane.querySelector(".pane-body");
+  const body = partOf(pane, ".pane-body");
   const frame = element("iframe", { class: "model-frame", title: "3-D model", allow: "fullscreen" });
   const empty = element("p", { class: "pane-empty", hidden: true });
   const loader = new ModelLoader(frame, drawsInSoftware);
@@ -135,7 +134,7 @@ export const mountModelPane = (pane) => {
   const blend = mountModelBlend(loader);
   const chip = element("p", { class: "model-loading", role: "status", hidden: true });
   body.append(frame, cover.element, mountPhotoSheet(loader), blend.bar, legend.element, chip, empty, placingBar());
-  pane.querySelector(".pane-controls").append(viewpoints(), textureSelect(), ...display(legend, blend.row));
+  partOf(pane, ".pane-controls").append(viewpoints(), textureSelect(), ...display(legend, blend.row));
   mountModelFrame(frame, { loaded: (got, total) => loader.count("viewer", got, total), failed: cover.fail });
   mountSoftwareHint(body);
   loader.onChange(({ state, got, total, error, whole, mixed }) => {

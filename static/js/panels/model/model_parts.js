@@ -40,17 +40,18 @@ const download = async (address, { signal, progress }) => {
   const answer = await fetch(address, { signal });
   if (!answer.ok) throw new Error((await answer.text()).trim());
   const total = Number(answer.headers.get("content-length"));
+  /** @type {Uint8Array[]} */
   const pieces = [];
   let got = 0;
   progress(0, total);
-  for (const reader = answer.body.getReader(); ;) {
+  for (const reader = answer.body?.getReader(); reader;) {
     const { done, value } = await reader.read();
     if (done) break;
     pieces.push(value);
     got += value.length;
     progress(got, Math.max(got, total));
   }
-  return { blob: new Blob(pieces, { type: answer.headers.get("content-type") }), headers: answer.headers };
+  return { blob: new Blob(pieces, { type: answer.headers.get("content-type") ?? "" }), headers: answer.headers };
 };
 
 const integers = (bytes, start, count) => {
@@ -110,7 +111,11 @@ export class ModelParts {
   #meshes = new Map();
   #textures = new Map();
   #blocks = new Map();
-  #layer = null; // the latest: the largest that the page keeps
+  /**
+   * @type {{address: {mesh: string, picture: string}, found: {arrays: MeshArrays, blob: Blob} | null} | null} the latest:
+   *   the largest that the page keeps
+   */
+  #layer = null;
 
   /** @returns {Promise<MeshArrays>} */
   async mesh(address, options) {

@@ -5,8 +5,8 @@
  */
 
 import { fadeNewMarks, meshIn } from "./model_marks.js";
+import { AS_IT_IS, decoded, discard, geometryOf, mix, pictured, unmix } from "./model_nodes.js";
 import { cellsInView, facesBeside, firstPlace, placeUnder } from "./model_view.js";
-import { largestTexture } from "./software_drawing.js";
 
 const NODE = "/model";
 const LAYER = "photo layer";
@@ -14,57 +14,40 @@ const BLOCK = "block";
 const SLIDE = "sliding photograph";
 const BELOW_SLIDE = 0.3; // brightness
 const SHEET = "photograph before its camera";
-/** Two textures are mixed as they are seen, in encoded values: halfway between black and white is the middle gray. */
-const MIXED = "#include <map_fragment>\n" +
-  "vec3 lrOther = diffuse * texture2D(lrSecond, vMapUv).rgb;\n" +
-  "diffuseColor.rgb = pow(mix(pow(diffuseColor.rgb, vec3(1.0 / 2.2)), pow(lrOther, vec3(1.0 / 2.2)), lrShare), vec3(2.2));";
 const OVER_ALL = 1000; // order of drawing
 const BOTH_SIDES = 2; // of three.js: DoubleSide
 const [REPEAT, TRILINEAR] = [1000, 1008]; // of three.js: RepeatWrapping, LinearMipmapLinearFilter
 const CLICK = "ScenePointerMessage"; // of viser
 const PICKED_PX = 0.5; // standard deviation of a click along each axis
 
-/** Arrays of another window are not recognised by the library inside the frame: they are copied into its own. */
-const geometryOf = (like, arrays, inner) => {
-  const Attribute = like.attributes.position.constructor;
-  const geometry = new like.constructor();
-  geometry.setAttribute("position", new Attribute(new inner.Float32Array(arrays.positions), 3));
-  geometry.setAttribute("uv", new Attribute(new inner.Float32Array(arrays.uv), 2));
-  geometry.setIndex(new Attribute(new inner.Uint32Array(arrays.faces), 1));
-  geometry.computeBoundingSphere();
-  return geometry;
-};
-
-/** @type {ImageBitmapOptions} */
-const AS_IT_IS = { premultiplyAlpha: "none", colorSpaceConversion: "none" };
-
-/** @returns {Promise<ImageBitmap>} the picture, reduced to what the graphics card takes */
-const decoded = async (inner, blob) => {
-  const whole = await inner.createImageBitmap(blob, AS_IT_IS);
-  const longest = Math.max(whole.width, whole.height);
-  const most = largestTexture();
-  if (longest <= most) return whole;
-  const [width, height] = [whole.width, whole.height].map((n) => Math.max(1, Math.floor((n * most) / longest)));
-  const sizes = { resizeWidth: width, resizeHeight: height, resizeQuality: "high" };
-  const small = await inner.createImageBitmap(whole, { ...AS_IT_IS, ...sizes });
-  whole.close();
-  return small;
-};
+/**
+ * @typedef {import("./model_nodes.js").Node} Node
+ * @typedef {import("./model_nodes.js").Inner} Inner
+ * @typedef {import("./model_nodes.js").Triangles} Triangles
+ * @typedef {import("./model_parts.js").MeshArrays} MeshArrays
+ */
 
 /** The window of viser's page, with what it exposes. */
 export class ModelSurface {
   #frame;
+  /** @type {Node} null: nothing is drawn */
   #mesh = null;
+  /** @type {{arrays: MeshArrays, faces: Uint32Array} | null} what is drawn of the surface */
   #own = null;
+  /** @type {Node} */
   #layer = null;
+  /** @type {{node: Node, bitmap: ImageBitmap, arrays: MeshArrays} | null} */
   #slide = null;
+  /** @type {{node: Node, arrays: MeshArrays}[]} */
   #blocks = [];
+  /** @type {{node: Node, bitmap: ImageBitmap, arrays: Triangles} | null} */
   #sheet = null;
   /** @type {{map: any, share: {value: number}} | null} the texture that is mixed into that of the surface */
   #second = null;
   #share = 0.5;
   /** @type {((ndc: number[]) => void) | null} takes clicks in place of the workbench */
   #takesClicks = null;
+  /** @type {((message: any) => void) | null} */
   #send = null;
 
   /** @param {HTMLIFrameElement} frame */
@@ -79,20 +62,28 @@ export class ModelSurface {
 
   /** @returns {boolean} whether what was drawn last is still there: viser makes new objects when it reconnects */
   get intact() {
-    return this.#mesh !== null && this.#find() === this.#mesh;
+    return this.#drawn !== null;
+  }
+
+  /** @returns {Node} what was drawn last, or null */
+  get #drawn() {
+    return this.#mesh !== null && this.#find() === this.#mesh ? this.#mesh : null;
   }
 
   /**
    * Draw a mesh with a texture, in place of the last ones.
-   * @param {import("./model_parts.js").MeshArrays} arrays
+   * @param {MeshArrays} arrays
    * @param {Blob} picture
    * @param {() => boolean} still whether it is still wanted once the picture is decoded
    * @param {Blob | null} second another texture, which is mixed in as `share` says
    * @returns {Promise<boolean>} whether it was drawn
    */
   async draw(arrays, picture, still, second = null) {
-    const inner = this.#frame.contentWindow;
-    const [bitmap, other] = await Promise.all([picture, second].map((blob) => blob && inner.createImageBitmap(blob, AS_IT_IS)));
+    const inner = this.#inner;
+    const [bitmap, other] = await Promise.all([
+      inner.createImageBitmap(picture, AS_IT_IS),
+      second && inner.createImageBitmap(second, AS_IT_IS),
+    ]);
     const mesh = this.#find();
     if (!mesh || !still()) return false;
     this.#dropLayer();
@@ -108,28 +99,23 @@ export class ModelSurface {
 
   /**
    * Draw the photograph over the surface, where the camera sees it.
-   * @param {{arrays: import("./model_parts.js").MeshArrays, blob: Blob} | null} found null: the camera sees nothing
+   * @param {{arrays: MeshArrays, blob: Blob} | null} found null: the camera sees nothing
    * @param {() => boolean} still whether it is still wanted once the picture is decoded
    * @returns {Promise<boolean>} whether it was drawn
    */
   async drawLayer(found, still) {
-    const inner = this.#frame.contentWindow;
+    const inner = this.#inner;
     const bitmap = found && (await decoded(inner, found.blob));
     const mesh = this.#find();
     if (!mesh || mesh !== this.#mesh || !still()) return false;
     this.#dropLayer();
     this.setBlocks([]); // it lies on the surface of the whole scan
-    if (!found) return true;
-    const material = mesh.material.clone();
-    material.map = mesh.material.map.clone();
-    material.map.source = new mesh.material.map.source.constructor(bitmap);
+    if (!found || !bitmap) return true;
+    // in front of the surface that it lies on
+    const material = pictured(mesh, bitmap, { polygonOffset: true, polygonOffsetFactor: -1, polygonOffsetUnits: -4 });
     material.map.wrapS = REPEAT; // triangles across the seam of a panorama
     material.map.minFilter = TRILINEAR;
     material.map.generateMipmaps = true;
-    material.map.needsUpdate = true;
-    material.polygonOffset = true; // in front of the surface that it lies on
-    material.polygonOffsetFactor = -1;
-    material.polygonOffsetUnits = -4;
     const layer = new mesh.constructor(geometryOf(mesh.geometry, found.arrays, inner), material);
     layer.name = LAYER;
     layer.raycast = () => {}; // clicks are the surface's
@@ -186,25 +172,26 @@ export class ModelSurface {
   }
 
   /** @returns {{place: number[], sigma: number} | null} what is under a place of the picture, see `placeUnder` */
-  placeUnder(ndc) {
+  placeUnder(/** @type {number[]} */ ndc) {
     const { look } = this;
-    const { innerWidth, innerHeight } = this.#frame.contentWindow;
-    return look && placeUnder(this.#surfaces, look, ndc, [innerWidth, innerHeight].map((length) => (2 * PICKED_PX) / length));
+    if (!look) return null;
+    const { innerWidth, innerHeight } = this.#inner;
+    return placeUnder(this.#surfaces, look, ndc, [innerWidth, innerHeight].map((length) => (2 * PICKED_PX) / length));
   }
 
   /** @returns {number[] | null} where a ray of the scanner meets the surface, m */
-  placeOn(ray) {
+  placeOn(/** @type {number[]} */ ray) {
     return firstPlace(this.#surfaces, [0, 0, 0], ray);
   }
 
   /** @returns {number[] | null} CSS pixels of the frame where a place (x, y, z) is seen; null: it is behind the eye */
-  onScreen(place) {
+  onScreen(/** @type {number[]} */ place) {
     const camera = this.#viewer?.camera;
     if (!camera || !this.intact) return null;
     const at = camera.position.clone().fromArray(place).applyMatrix4(this.#mesh.matrixWorld);
     if (at.clone().applyMatrix4(camera.matrixWorldInverse).z >= 0) return null;
     const { x, y } = at.project(camera);
-    const { innerWidth, innerHeight } = this.#frame.contentWindow;
+    const { innerWidth, innerHeight } = this.#inner;
     return [((x + 1) / 2) * innerWidth - 0.5, ((1 - y) / 2) * innerHeight - 0.5];
   }
 
@@ -222,15 +209,16 @@ export class ModelSurface {
     const viewer = this.#viewer;
     if (!viewer || viewer.sendMessage === this.#send) return;
     const send = viewer.sendMessage;
-    this.#send = (message) => {
+    /** @param {any} message */
+    const sendOthers = (message) => {
       if (message.type !== CLICK || !this.#takesClicks) return send(message);
       const [u, v] = message.screen_pos[0];
       return this.#takesClicks([2 * u - 1, 1 - 2 * v]);
     };
-    viewer.sendMessage = this.#send;
+    viewer.sendMessage = this.#send = sendOthers;
   }
 
-  /** Show that a click sets a point, or not. */
+  /** Show that a click sets a point, or not. @param {boolean} on */
   set aims(on) {
     const { canvas } = this.#viewer ?? {};
     if (canvas) canvas.style.cursor = on ? "crosshair" : "pointer";
@@ -238,50 +226,44 @@ export class ModelSurface {
 
   /**
    * Draw blocks of the surface in place of what the whole surface shows there.
-   * @param {{name: string, arrays: import("./model_parts.js").MeshArrays}[]} blocks
+   * @param {{name: string, arrays: MeshArrays}[]} blocks
    */
   setBlocks(blocks) {
-    if (!this.intact || (blocks.length === 0 && this.#blocks.length === 0)) return;
+    const mesh = this.#drawn;
+    const own = this.#own;
+    if (!mesh || !own || (blocks.length === 0 && this.#blocks.length === 0)) return;
     this.#dropBlocks();
-    const inner = this.#frame.contentWindow;
-    const mesh = this.#mesh;
+    const inner = this.#inner;
     for (const { arrays } of blocks) {
       const block = new mesh.constructor(geometryOf(mesh.geometry, arrays, inner), mesh.material); // its texture, too
       block.name = BLOCK;
       mesh.add(block);
       this.#blocks.push({ node: block, arrays });
     }
-    this.#setFaces(facesBeside(this.#own.arrays, blocks.map(({ name }) => name)));
+    this.#setFaces(own, facesBeside(own.arrays, blocks.map(({ name }) => name)));
     this.#viewer.requestRender();
   }
 
   /** @param {string} address of a picture @returns {Promise<ImageBitmap>} for `slide` */
   async bitmapOf(address) {
-    const inner = this.#frame.contentWindow;
-    return decoded(inner, await (await fetch(address)).blob());
+    return decoded(this.#inner, await (await fetch(address)).blob());
   }
 
   /**
    * Throw a photograph onto the surface from a camera that moves, over whatever is drawn there.
    * @param {ImageBitmap} bitmap of this window; the same one as long as it is the same photograph
-   * @param {(surface: import("./model_parts.js").MeshArrays) => {uv: Float32Array, faces: Uint32Array}} thrown
+   * @param {(surface: MeshArrays) => {uv: Float32Array, faces: Uint32Array}} thrown
    */
   slide(bitmap, thrown) {
-    if (!this.intact || !this.#own) return;
+    const mesh = this.#drawn;
+    if (!mesh || !this.#own) return;
     const inner = this.#inner;
-    const mesh = this.#mesh;
     const { arrays } = this.#own;
     const { uv, faces } = thrown(arrays);
     if (this.#slide && (this.#slide.bitmap !== bitmap || this.#slide.arrays !== arrays)) this.endSlide();
     if (!this.#slide) {
-      const material = mesh.material.clone();
-      material.map = mesh.material.map.clone();
-      material.map.source = new mesh.material.map.source.constructor(bitmap);
-      material.map.needsUpdate = true;
+      const material = pictured(mesh, bitmap, { polygonOffset: true, polygonOffsetFactor: -2, polygonOffsetUnits: -8 });
       material.color.setScalar(1);
-      material.polygonOffset = true;
-      material.polygonOffsetFactor = -2;
-      material.polygonOffsetUnits = -8;
       const node = new mesh.constructor(geometryOf(mesh.geometry, { ...arrays, uv, faces }, inner), material);
       node.name = SLIDE;
       node.raycast = () => {};
@@ -303,10 +285,7 @@ export class ModelSurface {
     if (!this.#slide) return;
     const { node } = this.#slide;
     node.parent?.material.color.setScalar(1);
-    node.removeFromParent();
-    node.geometry.dispose();
-    node.material.map.dispose();
-    node.material.dispose();
+    discard(node);
     this.#slide = null;
     if (this.#layer) this.#layer.visible = true;
     this.#viewer?.requestRender();
@@ -322,28 +301,24 @@ export class ModelSurface {
   /**
    * Draw a picture over everything, on a sheet that stands before its camera.
    * @param {ImageBitmap} bitmap of this window; the same one as long as it is the same photograph
-   * @param {{positions: Float32Array, uv: Float32Array, faces: Uint32Array}} arrays the same ones as long as it stands there
+   * @param {Triangles} arrays the same ones as long as it stands there
    * @param {number} opacity 0 to 1
    */
   drawSheet(bitmap, arrays, opacity) {
-    if (!this.intact) return;
+    const mesh = this.#drawn;
+    if (!mesh) return;
     const known = this.#sheet;
-    if (known && (known.bitmap !== bitmap || known.arrays !== arrays || known.node.parent !== this.#mesh)) this.endSheet();
+    if (known && (known.bitmap !== bitmap || known.arrays !== arrays || known.node.parent !== mesh)) this.endSheet();
     if (!this.#sheet) {
-      const mesh = this.#mesh;
-      const material = mesh.material.clone();
-      material.map = mesh.material.map.clone();
-      material.map.source = new mesh.material.map.source.constructor(bitmap);
-      material.map.needsUpdate = true;
+      const material = pictured(mesh, bitmap, { transparent: true, depthTest: false, depthWrite: false, side: BOTH_SIDES });
       material.color.setScalar(1);
-      Object.assign(material, { transparent: true, depthTest: false, depthWrite: false, side: BOTH_SIDES });
-      const node = new mesh.constructor(geometryOf(mesh.geometry, arrays, this.#frame.contentWindow), material);
+      const node = new mesh.constructor(geometryOf(mesh.geometry, arrays, this.#inner), material);
       node.name = SHEET;
       node.renderOrder = OVER_ALL;
       node.raycast = () => {};
       mesh.add(node);
       this.#sheet = { node, bitmap, arrays };
-    } else if (known.node.material.opacity === opacity) return;
+    } else if (this.#sheet.node.material.opacity === opacity) return;
     this.#sheet.node.material.opacity = opacity;
     this.#viewer.requestRender();
   }
@@ -351,11 +326,7 @@ export class ModelSurface {
   /** Remove the sheet. */
   endSheet() {
     if (!this.#sheet) return;
-    const { node } = this.#sheet;
-    node.removeFromParent();
-    node.geometry.dispose();
-    node.material.map.dispose();
-    node.material.dispose();
+    discard(this.#sheet.node);
     this.#sheet = null;
     this.#viewer?.requestRender();
   }
@@ -376,28 +347,32 @@ export class ModelSurface {
   /** Let new marks fade with their distance. */
   fadeMarks() {
     const viewer = this.#viewer;
-    if (viewer && fadeNewMarks(viewer, this.#frame.contentWindow.devicePixelRatio)) viewer.requestRender();
+    if (viewer && fadeNewMarks(viewer, this.#inner.devicePixelRatio)) viewer.requestRender();
   }
 
-  /** @returns {any} the window of viser's page, with what it exposes and its own types of arrays */
+  /** @returns {Inner} */
   get #inner() {
-    return this.#frame.contentWindow;
+    const inner = /** @type {Inner | null} */ (this.#frame.contentWindow);
+    if (!inner) throw new Error("The frame of the 3-D view is not in the page: reload the page.");
+    return inner;
   }
 
   /** @returns {any} what viser's page exposes, or null */
   get #viewer() {
     try {
-      return this.#inner?.__viserMutable ?? null;
+      return this.#inner.__viserMutable ?? null;
     } catch {
-      return null; // the frame shows the browser's error page, which is not accessible
+      return null; // the frame shows the browser's error page, which is not accessible, or is not there yet
     }
   }
 
+  /** @returns {Node} the mesh that viser keeps for the surface, or null */
   #find() {
     const mesh = meshIn(this.#viewer?.nodeRefFromName?.[NODE]);
     return mesh?.isMesh && mesh.material.map ? mesh : null;
   }
 
+  /** @param {Node} mesh @param {ImageBitmap} bitmap */
   #setTexture(mesh, bitmap) {
     const before = mesh.material.map;
     const map = before.clone();
@@ -411,6 +386,7 @@ export class ModelSurface {
     before.dispose();
   }
 
+  /** @param {Node} mesh @param {ImageBitmap | null} bitmap */
   #setSecond(mesh, bitmap) {
     const { material } = mesh;
     const before = this.#second;
@@ -421,22 +397,13 @@ export class ModelSurface {
       map.needsUpdate = true;
       const second = { map, share: { value: this.#share } };
       this.#second = second;
-      material.onBeforeCompile = (shader) => {
-        shader.uniforms.lrSecond = { value: second.map };
-        shader.uniforms.lrShare = second.share;
-        shader.fragmentShader = shader.fragmentShader
-          .replace("void main()", "uniform sampler2D lrSecond;\nuniform float lrShare;\nvoid main()")
-          .replace("#include <map_fragment>", MIXED);
-      };
-      material.customProgramCacheKey = () => "two textures";
-    } else if (before) {
-      delete material.onBeforeCompile; // its class's, which does nothing
-      delete material.customProgramCacheKey;
-    }
+      mix(material, second);
+    } else if (before) unmix(material);
     material.needsUpdate = true;
     before?.map.dispose();
   }
 
+  /** @param {Node} mesh @param {MeshArrays} arrays @param {Inner} inner */
   #setGeometry(mesh, arrays, inner) {
     const before = mesh.geometry;
     const geometry = geometryOf(before, arrays, inner);
@@ -446,8 +413,9 @@ export class ModelSurface {
     before.dispose();
   }
 
-  #setFaces(faces) {
-    this.#own.faces = faces;
+  /** @param {{faces: Uint32Array}} own @param {Uint32Array} faces */
+  #setFaces(own, faces) {
+    own.faces = faces;
     const { geometry } = this.#mesh;
     const { index } = geometry;
     geometry.setIndex(new index.constructor(new (this.#inner.Uint32Array)(faces), 1));
@@ -460,22 +428,22 @@ export class ModelSurface {
       node.geometry.dispose();
     }
     this.#blocks = [];
-    if (this.intact && this.#own) this.#setFaces(this.#own.arrays.faces);
+    if (this.intact && this.#own) this.#setFaces(this.#own, this.#own.arrays.faces);
   }
 
   #dropLayer() {
     if (!this.#layer) return;
-    this.#layer.removeFromParent();
-    this.#layer.geometry.dispose();
-    this.#layer.material.map.dispose();
-    this.#layer.material.map.source.data.close();
-    this.#layer.material.dispose();
+    const { source } = this.#layer.material.map;
+    discard(this.#layer);
+    source.data.close();
     this.#layer = null;
   }
 
+  /** @param {number} count @returns {Promise<void>} */
   #nextFrames(count) {
-    const inner = this.#frame.contentWindow;
+    const inner = this.#inner;
     return new Promise((resolve) => {
+      /** @param {number} left */
       const step = (left) => (left ? inner.requestAnimationFrame(() => step(left - 1)) : resolve());
       step(count);
     });

@@ -35,7 +35,8 @@ const distance = (a, b) => Math.hypot(...a.map((value, k) => value - b[k]));
  */
 export const mountPhotoSheet = ({ surface }) => {
   let opacity = 0;
-  let known = { sheet: null, arrays: null };
+  /** @type {{sheet: any, arrays: ReturnType<typeof sheetArrays>} | null} the triangles of the sheet that was seen last */
+  let known = null;
   /** @type {{address: string, bitmap: ImageBitmap | null}} */
   let picture = { address: "", bitmap: null };
   const share = slider({
@@ -49,6 +50,7 @@ export const mountPhotoSheet = ({ surface }) => {
   const bar = element("div", { class: "photo-sheet", role: "group", "aria-label": "Opacity of the photograph", hidden: true }, share.row);
 
   const load = (address) => {
+    /** @type {typeof picture} */
     const wanted = { address, bitmap: null };
     picture.bitmap?.close();
     picture = wanted;
@@ -72,7 +74,7 @@ export const mountPhotoSheet = ({ surface }) => {
       surface.endSheet();
       return;
     }
-    if (known.sheet !== sheet) known = { sheet, arrays: sheetArrays(sheet) };
+    if (!known || known.sheet !== sheet) known = { sheet, arrays: sheetArrays(sheet) };
     const address = pictureAddress(photo);
     if (picture.address !== address) {
       surface.endSheet();

@@ -34,7 +34,7 @@ const curve = (points, { factor, unit, title, wanted, smallest }) => {
     shape("text", { x: at, y: up, "text-anchor": anchor, ...(turned ? { transform: turned } : {}) }, words);
   const of = (size) => `${sizeText(size * factor)} ${unit}`;
   const inside = smallest !== null && Math.log(smallest) >= low && Math.log(smallest) <= high;
-  const [first, middle, last] = [points[0], points[Math.floor(points.length / 2)], points.at(-1)];
+  const [first, middle, last] = [points[0], points[Math.floor(points.length / 2)], points[points.length - 1]];
   const said = smallest === null
     ? `No error of up to ${of(last[0])} would be found nine times in ten.`
     : `${of(smallest)} would be found with a probability of ${percent(wanted)}.`;

@@ -15,11 +15,10 @@ const ROOM = 1.15;
  * @returns {Stem[]}
  */
 export const stemsOf = (rows, by) =>
-  rows
-    .map(({ id, number, on, inlier, agrees, depth_m, px }) => (
-      { id, number, on, inlier, agrees, value: by === "depth" ? depth_m : px }
-    ))
-    .filter(({ value }) => value !== null && Number.isFinite(value));
+  rows.flatMap(({ id, number, on, inlier, agrees, depth_m, px }) => {
+    const value = by === "depth" ? depth_m : px;
+    return value !== null && Number.isFinite(value) ? [{ id, number, on, inlier, agrees, value }] : [];
+  });
 
 /** @returns {number} rounded to two significant figures */
 export const rounded = (value) => (value > 0 ? Number(value.toPrecision(2)) : 0);

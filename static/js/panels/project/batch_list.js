@@ -73,10 +73,10 @@ export const batchList = ({ ask, open }) => {
       filters[at].hidden = !found.counts[each] && outcome !== each;
       press(filters[at], outcome === each);
     });
-    const focused = [...rows.keys()].find((id) => rows.get(id).contains(document.activeElement));
+    const focused = [...rows].find(([, each]) => each.contains(document.activeElement))?.[0];
     rows = new Map(found.jobs.map((job) => [job.id, row(job, open)]));
     setChildren(list, ...rows.values());
-    rows.get(focused)?.querySelector("button").focus();
+    if (focused) rows.get(focused)?.querySelector("button")?.focus();
     const more = found.matching - found.jobs.length;
     setText(shown, found.matching === 0 ? "No job matches." : more > 0 ? `and ${more} more: search for a name or a reason` : "");
   };

@@ -4,7 +4,8 @@ import { ask as command } from "../../net/connection.js";
 import { store } from "../../net/store.js";
 import { button } from "../../ui/controls.js";
 import { makeDialog } from "../../ui/dialog.js";
-import { element, newId, setChildren, setText } from "../../ui/dom.js";
+import { element, newId, partOf, setChildren, setText } from "../../ui/dom.js";
+import { messageOf } from "../../ui/faults.js";
 import { icon } from "../../ui/icons.js";
 import { confirmation } from "../files/confirmation.js";
 import { batchList } from "./batch_list.js";
@@ -12,7 +13,7 @@ import { batchList } from "./batch_list.js";
 const MOST_LETTERS = 80;
 const DATE = new Intl.DateTimeFormat(undefined, { dateStyle: "medium", timeStyle: "short" });
 
-/** @type {(ReturnType<typeof makeDialog> & {isFirst?: boolean, refresh: () => void}) | null} */
+/** @type {{open: () => void, refresh: () => Promise<void>} | null} */
 let page = null;
 
 const dated = (edited) => (edited ? DATE.format(new Date(edited)) : "");
@@ -34,7 +35,7 @@ const fieldForm = ({ label, placeholder, submit, act, ...rest }) => {
   return form;
 };
 
-const card = (project, { open, change }) => {
+const card = (project, { open, change, close }) => {
   const { id, name, folder, state, edited, missing, current, picture } = project;
   const opener = element(
     "button",
@@ -42,7 +43,7 @@ const card = (project, { open, change }) => {
       type: "button",
       class: "project-card-open",
       disabled: missing,
-      on: { click: () => (current ? page.close() : open("open_project", { wanted: id })) },
+      on: { click: () => (current ? close() : open("open_project", { wanted: id })) },
     },
     picture
       ? element("img", { src: `picture/project/${id}?rev=${encodeURIComponent(edited)}`, alt: "", loading: "lazy" })
@@ -84,14 +85,14 @@ const build = (chooseFiles) => {
   };
   /** Send a command; a refusal is shown in the page, since notices lie behind it. */
   const tried = async (name, fields) => {
-    page.body.inert = true;
+    dialog.body.inert = true;
     try {
       return await command(name, fields);
     } catch (error) {
-      say(error.message, "form-wrong");
+      say(messageOf(error), "form-wrong");
       return null;
     } finally {
-      page.body.inert = false;
+      dialog.body.inert = false;
     }
   };
   const open = async (name, fields = {}) => {
@@ -101,7 +102,7 @@ const build = (chooseFiles) => {
     say("");
     if (answer.batch) refresh();
     else if (answer.asks) ask(answer.asks, () => open(name, { ...fields, sure: true }));
-    else if (answer.opened === store.get("project")?.id) page.close();
+    else if (answer.opened === store.get("project")?.id) dialog.close();
   };
   const change = async (name, wanted, done) => {
     if (!(await tried(name, { wanted }))) return;
@@ -111,7 +112,7 @@ const build = (chooseFiles) => {
   const refresh = async () => {
     const answer = await tried("list_projects", {});
     if (!answer) return;
-    setChildren(cards, ...answer.projects.map((project) => card(project, { open, change })));
+    setChildren(cards, ...answer.projects.map((project) => card(project, { open, change, close: dialog.close })));
     none.hidden = answer.projects.length > 0;
     folder.hidden = !answer.anywhere;
     batch.part.hidden = !answer.batch;
@@ -122,7 +123,7 @@ const build = (chooseFiles) => {
     try {
       return await command(name, fields);
     } catch (error) {
-      say(error.message, "form-wrong");
+      say(messageOf(error), "form-wrong");
       return null;
     }
   };
@@ -169,20 +170,19 @@ const build = (chooseFiles) => {
     none,
     cards,
   );
-  page = { ...dialog, isFirst: false, refresh };
-  page.dialog.addEventListener("cancel", (event) => isStart() && event.preventDefault());
-  page.dialog.addEventListener("close", () => isStart() && page.open()); // a second Escape cannot be prevented
-  /** @type {HTMLButtonElement} */
-  const closer = page.dialog.querySelector(".dialog-head button");
+  dialog.dialog.addEventListener("cancel", (event) => isStart() && event.preventDefault());
+  dialog.dialog.addEventListener("close", () => isStart() && dialog.open()); // a second Escape cannot be prevented
+  const closer = partOf(dialog.dialog, ".dialog-head button");
+  let wasStart = false;
   const show = () => {
     closer.hidden = isStart();
-    page.dialog.classList.toggle("first", isStart());
-    if (page.dialog.open && page.isFirst && !isStart()) page.close();
-    page.isFirst = isStart();
+    dialog.dialog.classList.toggle("first", isStart());
+    if (dialog.dialog.open && wasStart && !isStart()) dialog.close();
+    wasStart = isStart();
   };
   store.watch(["project"], show);
   show();
-  return page;
+  return { open: dialog.open, refresh };
 };
 
 /** Show the projects. @param {() => void} chooseFiles opens the dialog for files */

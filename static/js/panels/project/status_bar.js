@@ -28,13 +28,16 @@ const LONG_S = 2;
 
 const rangeText = (range) => (range === undefined ? "" : range === null ? "no return" : `${fixed(range, 3)} m`);
 
-/** @param {import("../../state/view.js").ViewState["readout"]} readout @returns {string} */
+/** @returns {value is number} */
+const isNumber = (value) => typeof value === "number" && Number.isFinite(value);
+
+/** @param {NonNullable<import("../../state/view.js").ViewState["readout"]>} readout @returns {string} */
 const readoutText = ({ uv, range_m: range, intensity, edge, zoom }) =>
   [
     `u ${fixed(uv[0], 2)}  v ${fixed(uv[1], 2)}`,
     edge ? `edge: ${fixed(edge.near_m, 2)} m, behind it ${fixed(edge.far_m, 2)} m` : rangeText(range),
-    Number.isFinite(intensity) ? `intensity ${fixed(intensity, 2)}` : "",
-    Number.isFinite(zoom) ? `×${fixed(zoom, zoom < 10 ? 2 : 0)}` : "",
+    isNumber(intensity) ? `intensity ${fixed(intensity, 2)}` : "",
+    isNumber(zoom) ? `×${fixed(zoom, zoom < 10 ? 2 : 0)}` : "",
   ].filter(Boolean).join(" · ");
 
 /** The verdict on the shown pose in one line. */

@@ -141,7 +141,8 @@ export const mountPhotographs = () => {
     const key = JSON.stringify([rows, survey, store.shown(), [...chosen], store.readOnly]);
     if (key === drawn) return;
     drawn = key;
-    const focused = list.contains(document.activeElement) ? document.activeElement.getAttribute("aria-label") ?? document.activeElement.textContent : null;
+    const { activeElement: active } = document;
+    const focused = active && list.contains(active) ? active.getAttribute("aria-label") ?? active.textContent : null;
     setChildren(list, ...rows.map(row));
     if (focused)
       [...list.querySelectorAll("input, button")].find((each) => (each.getAttribute("aria-label") ?? each.textContent) === focused)?.focus();

@@ -7,6 +7,7 @@ import { isRunning } from "../../state/pipeline.js";
 import { isRegistered, placeText, sigmaText, stateText, stationName, stationsNow } from "../../state/stations.js";
 import { button, fill } from "../../ui/controls.js";
 import { element, setChildren, setText } from "../../ui/dom.js";
+import { messageOf, wasCancelled } from "../../ui/faults.js";
 import { notice } from "../../ui/notices.js";
 
 const FIELDS = [["x", "x, m"], ["y", "y, m"], ["z", "z, m"], ["yaw_deg", "turn, °"]];
@@ -58,7 +59,7 @@ export const mountStations = () => {
           progress: (share) => setText(said, share < 1 ? `Sending ${each.name}: ${Math.round(100 * share)} %` : `Reading ${each.name} …`),
         }).finished;
       } catch (error) {
-        if (error.name !== "AbortError") notice(error.message, "bad");
+        if (!wasCancelled(error)) notice(messageOf(error), "bad");
       }
     }
     show();
@@ -197,7 +198,7 @@ export const mountStations = () => {
     const survey = store.get("survey");
     const placed = !pairs.length && survey?.scans.length > 1 ? survey.scans : [];
     const key = JSON.stringify([all, pairs, loops, reasons, checks, stale, placed, survey?.since, [...hidden()], [...open], store.readOnly]);
-    if (key === drawn || list.contains(document.activeElement) && document.activeElement.matches("input[type=number]")) return;
+    if (key === drawn || list.contains(document.activeElement) && document.activeElement?.matches("input[type=number]")) return;
     drawn = key;
     const focused = document.activeElement?.getAttribute("aria-label");
     setChildren(list, ...all.map(row));
