@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -108,7 +108,7 @@ class SurveyJobs:
             context: the job.
         """
         from ladarreg_core.batches.photos.cache import ContentCache
-        from ladarreg_core.export.outputs.project_survey import survey_of_project
+        from ladarreg_core.export.outputs.project_survey import survey_of_project, with_names
         from ladarreg_core.survey.adjust import solve_survey
         from ladarreg_core.survey.registrations import photo_registration
 
@@ -118,7 +118,11 @@ class SurveyJobs:
             raise OptionError(f"no photograph can take part. {taking.sentence}")
         survey = survey_of_project(document, self._workspace.session.folder, {one.id for one in taking.photos})
         options = document.settings.register_options
-        solved = solve_survey(survey, options=options, cache=ContentCache.of_user(), report=context.progress)
+
+        def report(progress: Progress) -> None:
+            context.progress(replace(progress, label=with_names(progress.label, document)))
+
+        solved = solve_survey(survey, options=options, cache=ContentCache.of_user(), report=report)
         shown = survey.scans[0].id
         if not solved.adjustment.scans[shown].accepted:
             raise OptionError("the scan that is shown has no place among the others; register the stations first")
@@ -164,7 +168,7 @@ class SurveyJobs:
         lost: Collection[str],
     ) -> None:
         """Commit the result; photographs beside a scan that is lost, with no place, return to the first one."""
-        from ladarreg_core.export.outputs.project_survey import adjusted_entry
+        from ladarreg_core.export.outputs.project_survey import adjusted_entry, with_names
 
         poses = {}
         for name, one in found.items():
@@ -173,7 +177,9 @@ class SurveyJobs:
         kept = poses | {one.id: one.pose for one in before.photos if one.part == "held" and one.pose is not None}
         adjustment = solved.adjustment
         taken_out = {
-            name: one.reasons for name, one in adjustment.photos.items() if one.moved_others_sigmas is not None
+            name: tuple(with_names(reason, before) for reason in one.reasons)
+            for name, one in adjustment.photos.items()
+            if one.moved_others_sigmas is not None
         }
 
         def edited(photo: PhotoEntry) -> PhotoEntry:

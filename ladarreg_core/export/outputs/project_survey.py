@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
@@ -148,7 +149,8 @@ def adjusted_entry(document: Document, adjustment: Adjustment, poses: Mapping[st
         ),
         photos={
             name: AdjustedPhotoEntry(
-                verdict=one.verdict, accepted=one.accepted, reasons=tuple(one.reasons), ties=one.ties,
+                verdict=one.verdict, accepted=one.accepted,
+                reasons=tuple(with_names(reason, document) for reason in one.reasons), ties=one.ties,
                 ties_left_out=one.ties_left_out, median_px=_finite(one.median_px), partners=tuple(one.partners),
                 camera=one.camera_id, sigma_m=_finite(one.sigma_position_m) if one.accepted else None,
                 sigma_rad=_finite(one.sigma_angle_rad) if one.accepted else None,
@@ -164,12 +166,14 @@ def adjusted_entry(document: Document, adjustment: Adjustment, poses: Mapping[st
         chi2_per_dof=_finite(adjustment.chi2_per_dof),
         ties=_ties(adjustment),
         drawn={
-            one.id: AdjustedTieEntry(agrees=one.agrees, residual_px=_finite(one.residual_px), reason=one.reason)
+            one.id: AdjustedTieEntry(
+                agrees=one.agrees, residual_px=_finite(one.residual_px), reason=with_names(one.reason, document)
+            )
             for one in adjustment.ties
         },
         drawn_lines={
             one.id: AdjustedLineEntry(
-                agrees=one.agrees, reason=one.reason,
+                agrees=one.agrees, reason=with_names(one.reason, document),
                 residuals_px={
                     photo: px for photo, px in zip(one.photos, one.residuals_px, strict=True) if np.isfinite(px)
                 },
@@ -178,6 +182,12 @@ def adjusted_entry(document: Document, adjustment: Adjustment, poses: Mapping[st
         },
         sigma_px=_finite(adjustment.sigma_px) if any(one.ties for one in adjustment.photos.values()) else None,
     )  # fmt: skip
+
+
+def with_names(text: str, document: Document) -> str:
+    """Return what a survey says of photographs, with the names of their files in place of their ids."""
+    names = {one.id: one.source.name for one in document.photos}
+    return re.sub(r"\bp\d+\b", lambda found: names.get(found[0], found[0]), text)
 
 
 def _ties(adjustment: Adjustment) -> StoredArrays | None:

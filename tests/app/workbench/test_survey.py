@@ -9,9 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ladarreg.jobs.runner import JobContext
 from PIL import Image
 
-from ladarreg_core.export.outputs.project_survey import survey_of_project
+from ladarreg_core.export.outputs.project_survey import survey_of_project, with_names
+from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.simulate.sample import sample_survey_folder
 from testing.scenes.shared_places import shared_places
 from testing.workbench.workbench_driver import WorkbenchDriver, kept_bench, open_bench, registered
@@ -70,6 +72,23 @@ def test_an_adjustment_is_one_step_of_the_history(bench: WorkbenchDriver) -> Non
     bench.do("undo")
     assert bench.slice("survey") is None
     assert bench.workbench.session.document.photo("p1") == before
+
+
+def test_what_is_said_of_photographs_names_their_files(bench: WorkbenchDriver, monkeypatch: pytest.MonkeyPatch) -> None:
+    document = bench.workbench.session.document
+    name = document.photos[1].source.name
+    assert with_names("p1 and p2 on scan 1, p77, 3 px", document) == f"photo.png and {name} on scan 1, p77, 3 px"
+    labels: list[str] = []
+    really = JobContext.progress
+
+    def progress(context: JobContext, told: Progress) -> None:
+        labels.append(told.label)
+        really(context, told)
+
+    monkeypatch.setattr(JobContext, "progress", progress)
+    done(bench, "adjust")
+    assert "reading photo.png" in labels
+    assert not [label for label in labels if "p1" in label]
 
 
 def test_an_adjustment_is_out_of_date_once_a_photograph_has_another_pose(bench: WorkbenchDriver) -> None:
