@@ -3,6 +3,8 @@
 Every topic is one uncompressed chunk with its schema, its channel and one message. A summary with the same schemas and
 channels, an index of the chunks and statistics stands at the end, as readers that do not scan a file need it.
 
+It is written here because the writer of the package `mcap` takes each message whole: a cloud would be in memory twice.
+
 Source: the MCAP format specification, version 0.
 """
 
