@@ -233,6 +233,11 @@ class ExportJobs:
         is_shown = known is not None and entry.pose is not None and known.pose == _name_of(entry.pose)
         return dict(known.targets) if known is not None and is_shown else {}
 
+    @property
+    def record(self) -> object:
+        """What was exported; as long as it is the same object, `exported` is the same."""
+        return self._known_exports()
+
     def check_folder(self, folder: Path, document: Document, *, force: bool) -> None:
         """Refuse a folder that must not be written or replaced.
 

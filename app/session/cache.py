@@ -43,6 +43,8 @@ class BoundedCache(Generic[T]):
         self._total = 0  # kept, since adding up thousands of sizes with every value would take longer than making it
         self._clock = clock or count().__next__
         self._lock = threading.Lock()
+        self.changes = 0
+        """How often values have come or gone."""
 
     def __contains__(self, key: Hashable) -> bool:
         return key in self._entries
@@ -68,6 +70,7 @@ class BoundedCache(Generic[T]):
     def put(self, key: Hashable, value: T) -> int:
         """Store a value; drop the least recently used ones that exceed the limits, and return how many."""
         with self._lock:
+            self.changes += 1
             if self._values_grow:
                 for name, (one, _) in self._entries.items():
                     self._keep(name, one)
@@ -82,6 +85,7 @@ class BoundedCache(Generic[T]):
     def clear(self) -> None:
         """Drop everything."""
         with self._lock:
+            self.changes += 1
             self._entries.clear()
             self._used_at.clear()
             self._total = 0
@@ -103,6 +107,7 @@ class BoundedCache(Generic[T]):
         self._total += self._entries[key][1] - before
 
     def _drop_oldest(self) -> int:
+        self.changes += 1
         key, (_, size) = self._entries.popitem(last=False)
         del self._used_at[key]
         self._total -= size

@@ -422,6 +422,11 @@ class Loader:
         cached = self.known("assessment", id(pose))
         return None if cached is None else cached[1]
 
+    @property
+    def assessment_changes(self) -> int:
+        """How often assessments have come or gone: as long as it is the same, `known_assessment` is."""
+        return self._cache["assessment"].changes
+
     def agreeing(self, pose: PoseEntry) -> dict[str, bool]:
         """Return which of the picks of a pose agree with the robust estimator.
 

@@ -319,6 +319,8 @@ class Workbench:
         shown = self.selection.photo_of(client)
         alone, opened = self.clients.is_alone(client), self._opening_message()
         start = self.is_scratch and self.is_empty
+        document = self.session.document
+        parts = self._slices.get(self._shown_parts(shown), partial(self.model_parts.slice, document, shown))
         return {
             "project": {**project_slice(self.session, client.author, alone=alone, start=start), "opened": opened},
             "shown": shown.id if shown else None,
@@ -326,8 +328,9 @@ class Workbench:
             "beside": self._scan_slice(shown) if shown and shown.station else None,
             "smoothing": self.smoothing.slice(client, shown.station if shown else ""),
             "people": self.clients.slice(client, self._photo_id_of),
-            "model": client.model.slice()
-            | self._slices.get(self._shown_parts(shown), partial(self.model_parts.slice, self.session.document, shown)),
+            "model": self._slices.get(
+                ("own model", client.model, parts), lambda choice=client.model: choice.slice() | parts
+            ),
         }
 
     def _open_panorama(self, path: Path, client: Client) -> None:

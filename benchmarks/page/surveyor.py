@@ -71,10 +71,9 @@ class Surveyor:
         page = self.page
         page.get_by_role("button", name="connected").wait_for()
         with page.expect_file_chooser() as chooser:
-            page.get_by_role("button", name="Open a scan").click()
-            page.get_by_role("button", name="Choose files…").click()
+            self.clicks(page.get_by_role("button", name="Choose files…"), "Choose files")
         chooser.value.set_files(files)
-        self.actions += ["Open a scan", "Choose files", "all files of the job"]
+        self.actions.append("all files of the job")
         self.clicks(page.get_by_role("button", name="Stations", exact=True), "they are stations")
         page.wait_for_function(
             f"document.querySelector('.photo-button')?.textContent.includes('/{len(files) - STATIONS}')"

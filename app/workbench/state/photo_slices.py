@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,20 @@ if TYPE_CHECKING:
     from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
 
     from ...jobs.registry import JobRegistry
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """The slices of a photograph, and what they rest on."""
+
+    entry: PhotoEntry
+    is_seen: bool
+    rests_on: tuple[object, ...]
+    listed: dict[str, Any]
+    """Its entry of the slice `photos`."""
+    slices: dict[str, Any]
+    in_survey: tuple[object, ...]
+    """What its row of the slice `survey` rests on; the same object as long as it is the same."""
 
 
 class PhotoSlices:
@@ -33,7 +48,8 @@ class PhotoSlices:
         self._loader, self._jobs = loader, jobs
         self._pick_entries = ListCache(pick_entry)
         self._slices = IdentityCache()
-        self._known: dict[str, tuple[tuple[object, ...], dict[str, Any], dict[str, Any]]] = {}
+        self._known: dict[str, _Known] = {}
+        self._all_rest_on: tuple[object, ...] = ()
         self._poses_of: tuple[Sequence[PhotoEntry], tuple[PoseEntry | None, ...]] = (), ()
 
     def all(self, document: Document, looked_at: Collection[str]) -> dict[str, Any]:
@@ -46,16 +62,29 @@ class PhotoSlices:
         seen = {"", *(entry.station for entry in document.photos if entry.id in looked_at)}
         listed: list[dict[str, Any]] = []
         found: dict[str, Any] = {"photos": listed}
+        all_rest_on = (
+            document.scan, document.stations, document.adjusted, self._jobs.exports.record,
+            str(self._loader.assessment_changes),
+        )  # fmt: skip
+        is_same = _same(self._all_rest_on, all_rest_on)
         before, self._known = self._known, {}
+        parts = []
         for entry in document.photos:
-            known = self._of(document, entry, is_seen=entry.station in seen, before=before.get(entry.id))
-            listed.append(known[1])
-            found.update(known[2])
+            is_seen, known = entry.station in seen, before.get(entry.id)
+            if known is None or not is_same or known.entry is not entry or known.is_seen != is_seen:
+                known = self._of(document, entry, is_seen=is_seen, before=known)
+            if "error" not in known.listed:  # a file that has gone may come back
+                self._known[entry.id] = known
+            parts.append(known.in_survey)
+            listed.append(known.listed)
+            found.update(known.slices)
             found[f"solving:{entry.id}"] = self._jobs.solving(entry.id)
             found[f"corners:{entry.id}"] = self._jobs.corners(entry.id)
             found[f"self_test:{entry.id}"] = self._jobs.self_test(entry.id)
             found[f"audit:{entry.id}"] = self._jobs.audited(entry)
-        found["survey"] = self._survey(document)
+        found["survey"] = self._survey(document, parts)
+        # What was looked up may have changed what is known of later photographs.
+        self._all_rest_on = (*all_rest_on[:-1], str(self._loader.assessment_changes))
         return found
 
     def poses(self, document: Document) -> Sequence[PoseEntry | None]:
@@ -73,22 +102,23 @@ class PhotoSlices:
         entry: PhotoEntry,
         *,
         is_seen: bool,
-        before: tuple[tuple[object, ...], dict[str, Any], dict[str, Any]] | None,
-    ) -> tuple[tuple[object, ...], dict[str, Any], dict[str, Any]]:
-        """Return what a photograph's slices rest on, its entry of `photos`, and its slices."""
+        before: _Known | None,
+    ) -> _Known:
+        """Return a photograph's slices; those of before, where all that they rest on is the same."""
         exported = self._jobs.exports.exported(entry)
         rests_on = (
             entry, document.scan, document.stations, document.adjusted, is_seen, str(exported),
             *(self._loader.known_assessment(pose) for pose in entry.poses),
         )  # fmt: skip
-        if before is not None and _same(before[0], rests_on):
-            found = before
-        else:
-            listed = photo_slice(self._loader, document, entry)
-            found = rests_on, listed, self._made(document, entry, exported, is_seen=is_seen)
-        if "error" not in found[1]:  # a file that has gone may come back
-            self._known[entry.id] = found
-        return found
+        if before is not None and _same(before.rests_on, rests_on):
+            return before
+        listed = photo_slice(self._loader, document, entry)
+        stale = listed.get("stale") if "error" not in listed else self._is_stale(document, entry)
+        in_survey = entry.source, entry.part, entry.pose, entry.camera_held, str(bool(stale))
+        if before is not None and _same(before.in_survey, in_survey):
+            in_survey = before.in_survey
+        made = self._made(document, entry, exported, is_seen=is_seen)
+        return _Known(entry, is_seen, rests_on, listed, made, in_survey)
 
     def _made(
         self, document: Document, entry: PhotoEntry, exported: dict[str, Any], *, is_seen: bool
@@ -121,21 +151,16 @@ class PhotoSlices:
         key = (beside.clouds, beside.ranges, entry.shown_stage, assessed, entry.picks, *entry.poses)
         return self._slices.get(key, partial(poses_slice, entry, stage_of))
 
-    def _survey(self, document: Document) -> dict[str, Any] | None:
+    def _survey(self, document: Document, parts: Sequence[tuple[object, ...]]) -> dict[str, Any] | None:
         if document.adjusted is None:
             return None
-        stale = {entry.id: self._is_stale(document, entry) for entry in document.photos}
-        parts = (
-            (entry.source, entry.part, entry.pose, entry.camera_held, str(stale[entry.id])) for entry in document.photos
+        stale = {entry.id: part[-1] == str(True) for entry, part in zip(document.photos, parts, strict=True)}
+        places = document.adjusted, document.scan, document.stations, document.ties, document.lines
+        return self._slices.get(
+            ("survey", *places, *parts), partial(survey_slice, document, lambda entry: stale[entry.id])
         )
-        places = document.adjusted, document.scan, document.stations, document.ties
-        key = ("survey", *places, *(each for part in parts for each in part))
-        return self._slices.get(key, partial(survey_slice, document, lambda entry: stale[entry.id]))
 
     def _is_stale(self, document: Document, entry: PhotoEntry) -> bool:
-        known = self._known.get(entry.id)
-        if known is not None:
-            return bool(known[1].get("stale"))
         return entry.pose is not None and bool(self._loader.stale(document, entry, entry.pose))
 
 

@@ -18,6 +18,7 @@ from ...argument_names import as_fields
 from ...jobs.inputs import Workspace
 from ...jobs.runner import JobContext, JobRunner
 from ...jobs.stations import StationJobs
+from ...session.cache import IdentityCache
 from ...session.session import Session
 
 if TYPE_CHECKING:
@@ -44,6 +45,7 @@ class Stations:
     def __init__(self, workspace: Workspace, runner: JobRunner) -> None:
         self._workspace, self._runner = workspace, runner
         self._jobs = StationJobs(workspace)
+        self._slices = IdentityCache()
 
     @property
     def session(self) -> Session:
@@ -55,9 +57,15 @@ class Stations:
         document = self.session.document
         if document.scan is None or not document.stations:
             return None
+        checks = () if document.survey is None else document.survey.checks
+        stale = ",".join(str(k) for k, check in enumerate(checks) if self._is_stale(check))
+        rests_on = document.scan, document.stations, document.survey, document.adjusted, stale
+        return self._slices.get(("stations", *rests_on), partial(self._made, document, document.scan))
+
+    def _made(self, document: Document, scan: Source) -> dict[str, Any]:
         survey = document.survey
         names = {} if survey is None else dict(enumerate(one["name"] for one in survey.fields["stations"]))
-        listed = [_station(document, None, document.scan, None)]
+        listed = [_station(document, None, scan, None)]
         for number, station in enumerate(document.stations):
             listed.append(_station(document, station, station.source, COLORS[number % len(COLORS)]))
         found: dict[str, Any] = {
