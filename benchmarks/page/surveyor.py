@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 SCENES = ("office", "boxes", "desk", "people")
 PHOTOS, STATIONS = 12, 2
 _MAX_ACTIONS = 12
+_PATIENCE_MS = 1_800_000
 _SIZES = ((1440, 900), (1920, 1080), (1280, 720), (768, 1024))
 _RIGHT_PX = 1.0
 """Displacement of the laser's points in a photograph up to which its pose is right, px, the median."""
@@ -47,6 +48,7 @@ class Surveyor:
     def __init__(self, tab: Tab, shots: Path | None) -> None:
         self.tab, self.page, self.shots = tab, tab.page, shots
         self.actions: list[str] = []
+        self.page.set_default_timeout(_PATIENCE_MS)
 
     def clicks(self, what: Locator, name: str) -> None:
         """Click something, as soon as that is possible."""
