@@ -15,6 +15,7 @@ from ladarreg_core.export.outputs.saved_results import missing_scans, recorded_s
 from ladarreg_core.formats.documents.own_results import edited_note
 from ladarreg_core.project import edits, tie_edits
 from ladarreg_core.project.document import CameraGiven
+from ladarreg_core.project.drawn import ScanLineEntry
 from ladarreg_core.project.history import NOBODY
 from ladarreg_core.project.source import Source
 
@@ -160,24 +161,42 @@ def add_survey(workbench: Workbench, survey: Survey, reading: Reading, check: Ca
 
 
 def _add_ties(workbench: Workbench, survey: Survey) -> None:
-    """Take over the ties that were drawn, those that the project does not have yet."""
+    """Take over the ties and lines that were drawn, those that the project does not have yet."""
+    from ladarreg_core.project.station_edits import scans_of
+
     session = workbench.session
     entries = {session.folder.source_path(one.source.path): one.id for one in session.document.photos}
     ids = {one.id: entries.get(Path(os.path.abspath(str(one.source)))) for one in survey.photos}
     there = {(one.photos, one.uv) for one in session.document.ties}
+    lines_there = {(one.photos, one.uv) for one in session.document.lines}
     new = [
         (photos, one) for one in survey.ties
         if None not in (photos := (ids[one.photos[0]], ids[one.photos[1]])) and (photos, one.uv) not in there
     ]  # fmt: skip
-    if not new:
+    new_lines = [
+        (photos, one) for one in survey.lines
+        if None not in (photos := tuple(ids[name] for name in one.photos)) and (photos, one.uv) not in lines_there
+    ]  # fmt: skip
+    if not new and not new_lines:
         return
+    known = {(session.folder.source_path(one.path), one.index): one for one in scans_of(session.document)}
+    sources = {one.id: known.get((Path(os.path.abspath(str(one.source))), one.index)) for one in survey.scans}
 
     def edit(document: Document) -> Document:
         for photos, one in new:
             document, _ = tie_edits.with_tie(document, photos, one.uv, one.sigma_px)
+        for shown, line in new_lines:
+            scan = line.in_scan
+            source = None if scan is None else sources[scan.scan]
+            in_scan = None
+            if scan is not None and source is not None:
+                in_scan = ScanLineEntry(source=source, xyz=scan.xyz, sigma_m=scan.sigma_m)
+            document, _ = tie_edits.with_line(document, shown, line.uv, line.sigma_px, in_scan)
         return document
 
-    session.commit("Draw a tie" if len(new) == 1 else f"Draw {len(new)} ties", edit, author=NOBODY)
+    said = [f"{len(those)} {what}{'' if len(those) == 1 else 's'}"
+            for those, what in ((new, "tie"), (new_lines, "line")) if those]  # fmt: skip
+    session.commit(f"Draw {' and '.join(said)}", edit, author=NOBODY)
 
 
 def _open(workbench: Workbench, clouds: Sequence[Path], how: HowScans, reading: Reading) -> None:

@@ -55,7 +55,7 @@ from .state.slices import (
 )
 from .state.smoothing import Smoothing
 from .state.stations import Stations
-from .state.survey import drawn_ties_slice
+from .state.survey import drawn_lines_slice, drawn_ties_slice
 
 if TYPE_CHECKING:
     from ladarreg_core.project.document import Document, PhotoEntry
@@ -308,6 +308,9 @@ class Workbench:
             "measurements": self._measurement_entries.get("", document.measurements),
             "drawn_ties": self._slices.get(
                 ("drawn ties", document.ties, document.adjusted), partial(drawn_ties_slice, document)
+            ),
+            "drawn_lines": self._slices.get(
+                ("drawn lines", document.lines, document.adjusted), partial(drawn_lines_slice, document)
             ),
             "progress": progress_slice(loader, document, None, exported={}),
             "limits": {"upload_bytes": self.limits.upload_bytes, "photos": MAX_PHOTOS},

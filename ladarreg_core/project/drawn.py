@@ -63,6 +63,8 @@ class LineEntry(msgspec.Struct, frozen=True, kw_only=True):
 class AdjustedLineEntry(msgspec.Struct, frozen=True, kw_only=True):
     """What an adjustment said of a line that was drawn."""
 
+    line: LineEntry
+    """The line as it was then."""
     agrees: bool
     """Whether all of it was kept."""
     residuals_px: dict[str, float] = {}

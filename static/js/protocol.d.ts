@@ -24,6 +24,7 @@ export interface Commands {
   check_at_stations: Record<string, never>;
   discard_files: { files: string[] };
   discard_smoothing: Record<string, never>;
+  draw_line: { photo: string; uv: number[][]; line?: string | null; sigma_px?: number };
   duplicate_project: { wanted: string };
   export: { targets?: string[] | null; photos?: string[] | null; frame?: "scanner" | "world"; full?: boolean; crop?: "none" | "photo"; last_solved?: boolean; folder?: string | null; force?: boolean };
   export_targets: { targets?: string[] | null; photos?: string[] | null; frame?: "scanner" | "world"; full?: boolean; crop?: "none" | "photo"; last_solved?: boolean };
@@ -33,6 +34,7 @@ export interface Commands {
   hold_camera: { camera: string; held: boolean };
   hover_pick: { pick?: string | null };
   job_control: { action: string; value?: number | null; job?: string | null };
+  line_ends_as_ties: { line: string };
   list_jobs: { outcome?: "failed" | "refused" | "waiting" | "accepted" | null; words?: string };
   list_projects: Record<string, never>;
   list_served: Record<string, never>;
@@ -56,6 +58,7 @@ export interface Commands {
   register_all: { photos?: string[] | null };
   register_stations: { poses?: "keep" | "refine" | "search" };
   reject: { photo: string; above: number; by?: "depth" | "px" };
+  remove_lines: { lines: string[] };
   remove_measurements: { measurements: string[] };
   remove_photo: { photo: string };
   remove_picks: { photo: string; picks: string[] };

@@ -1,4 +1,4 @@
-"""Places that two photographs of the sample survey both show, from the true poses and the laser's surface."""
+"""Places and lines that photographs of the sample survey share, from the true poses and the laser's surface."""
 
 from __future__ import annotations
 
@@ -30,19 +30,63 @@ class SharedPlaces:
     """(N, 2, 2)."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SharedLines:
+    """Three photographs of the sample survey, and two places in each of the same straight lines."""
+
+    names: tuple[str, ...]
+    cameras: tuple[Camera, ...]
+    poses: tuple[Rigid, ...]
+    uv: Matrix
+    """(N, 3, 2, 2); other places of a line in each photograph."""
+
+
+def _photographs() -> tuple[lr.Scan, dict[str, Camera], dict[str, Rigid]]:
+    folder = sample_survey_folder()
+    truth = json.loads((folder / "truth.json").read_text())["camera_from_world"]
+    names = [name for name in truth if name.startswith("IMG") and truth[name] is not None]
+    poses = {name: Rigid.from_matrix(truth[name]) for name in names}
+    cameras = {name: sample_cameras()[number % 2] for number, name in enumerate(names)}  # of two cameras in turn
+    return lr.read_scan(folder / "station1.npz"), cameras, poses
+
+
+@cache
+def shared_lines(count: int = 6) -> SharedLines:
+    """Return lines between places of the first scan that the three photographs show which share most of it."""
+    scan, cameras, poses = _photographs()
+    points = scan.points[scan.valid][::40].astype(np.float64)
+    shown, visible = {}, {}
+    for name, pose in poses.items():
+        shown[name] = cameras[name].project(pose @ points)
+        inside = cameras[name].contains(shown[name], border=5)
+        there = laser_points(scan, cameras[name], pose, np.nan_to_num(shown[name])).xyz
+        visible[name] = inside & (np.linalg.norm(there - points, axis=1) < 0.02)
+    names = max(combinations(poses, 3), key=lambda three: int(np.all([visible[one] for one in three], axis=0).sum()))
+    common = points[np.all([visible[one] for one in names], axis=0)]
+    rng, lines = np.random.default_rng(5), []
+    while len(lines) < count:
+        first, second = common[rng.choice(len(common), 2, replace=False)]
+        at = rng.uniform([0.0, 0.75], [0.25, 1.0], (len(names), 2))
+        uv = np.array([
+            cameras[name].project(poses[name] @ (first + own[:, None] * (second - first)))
+            for name, own in zip(names, at, strict=True)
+        ])  # fmt: skip
+        normals = [np.cross(first - poses[name].centre, second - first) for name in names]
+        apart = [np.linalg.norm(np.cross(a, b)) / np.linalg.norm(a) / np.linalg.norm(b)
+                 for a, b in combinations(normals, 2)]  # fmt: skip
+        if np.linalg.norm(uv[:, 1] - uv[:, 0], axis=1).min() > 80 and max(apart) > np.sin(np.radians(10)):
+            lines.append(uv)
+    return SharedLines(
+        names, tuple(cameras[one] for one in names), tuple(poses[one] for one in names), np.array(lines)
+    )  # fmt: skip
+
+
 @cache
 def shared_places() -> SharedPlaces:
     """Return the two photographs of the sample survey that share most of the first scan."""
-    folder = sample_survey_folder()
-    truth = json.loads((folder / "truth.json").read_text())
-    scan = lr.read_scan(folder / "station1.npz")
-    names = [name for name in truth["camera_from_world"] if name.startswith("IMG")]
-    cameras, poses = {}, {}
-    for number, name in enumerate(names):  # of two cameras in turn
-        cameras[name] = sample_cameras()[number % 2]
-        poses[name] = Rigid.from_matrix(truth["camera_from_world"][name])
+    scan, cameras, poses = _photographs()
     best: SharedPlaces | None = None
-    for one, other in combinations(names, 2):
+    for one, other in combinations(poses, 2):
         camera = cameras[one]
         grid = np.stack(np.meshgrid(np.arange(40, camera.width - 40, 25), np.arange(40, camera.height - 40, 25)), -1)
         uv = grid.reshape(-1, 2).astype(np.float64)

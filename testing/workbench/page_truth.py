@@ -129,7 +129,8 @@ def page_contradictions(
         figures = [*(f"{_fixed(each, 3)} m" for each in lengths), *(f"{_fixed(degrees(each), 2)}°" for each in angles)]
         constants = [*constants, *figures]
     found = _Comparison(facts, slices).everything(constants)
-    found += page_survey(facts, slices.get("photos") or [], slices.get("survey"), slices.get("drawn_ties") or [])
+    drawn = sum(len(slices.get(name) or []) for name in ("drawn_ties", "drawn_lines"))
+    found += page_survey(facts, slices.get("photos") or [], slices.get("survey"), drawn)
     found += page_smoothing(facts, slices.get("smoothing") or {})
     measurements = (slices.get(name) or [] for name in ("measurements", "measured"))
     found += page_measurements(facts, *measurements, slices.get("stations"))

@@ -9,13 +9,13 @@ _NO_PHOTOGRAPH = "Add photographs"
 
 
 def page_survey(
-    facts: dict[str, Any], photos: list[dict[str, Any]], survey: dict[str, Any] | None, drawn_ties: list[dict[str, Any]]
+    facts: dict[str, Any], photos: list[dict[str, Any]], survey: dict[str, Any] | None, drawn: int
 ) -> list[str]:
-    """Return where the page says something else of the photographs than the slices."""
+    """Return where the page says something else of the photographs than the slices; `drawn`: ties and lines."""
     said = facts["survey"]
     accepted = sum(photo["state"] == "accepted" for photo in photos)
     compared = [
-        ("ties", said["ties"], f"Ties {len(drawn_ties)}" if drawn_ties else "Ties"),
+        ("ties", said["ties"], f"Ties {drawn}" if drawn else "Ties"),
         ("count", said["count"], f"{accepted} of {len(photos)} accepted" if photos else ""),
         ("rows", said["rows"], [_row(photo, _of(photo, survey)) for photo in photos]),
         ("summary", said["summary"].startswith(_summary(photos, survey)), True),

@@ -180,6 +180,12 @@ SOUND: dict[str, list[dict[str, Any]]] = {
         {"photos": ["p1", "p2"], "uv": [[120, 80], [130, 90]]},
     ],
     "remove_ties": [{"ties": ["t1"]}],
+    "draw_line": [
+        {"photo": "p1", "uv": [[300.0, 200.5], [310, 290]], "sigma_px": 0.5},
+        {"photo": "p2", "uv": [[120, 80], [130, 190]], "line": "l1"},
+    ],
+    "line_ends_as_ties": [{"line": "l1"}],
+    "remove_lines": [{"lines": ["l1"]}],
     "hold_camera": [{"camera": "camera-1", "held": True}],
     "refine": [{"photo": "p1", "camera_from_scanner": [[1, 0, 0, 9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}],
     "job_control": [{"action": "speed", "value": 3}],

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from ladarreg_core.simulate.sample import sample_survey_folder
+from testing.scenes.shared_places import shared_lines
 from testing.workbench.operator import Operator, at_work
 from testing.workbench.shared import SharedWorkbench
 
@@ -43,21 +44,22 @@ def test_photographs_are_adjusted_and_taken_back(operator: Operator) -> None:
     part.get_by_text("1 of 1 accepted").wait_for()
 
 
+SIDES = ("first", "second", "third")
 PAINTED = (
-    "() => [...document.querySelectorAll('.tie-picture')].every((c) => c.width && c.getContext('2d')"
-    ".getImageData(c.width / 2, c.height / 2, 1, 1).data[3] === 255)"
+    "() => [...document.querySelectorAll('.tie-side:not([hidden]) .tie-picture')].every((c) => c.width &&"
+    " c.getContext('2d').getImageData(c.width / 2, c.height / 2, 1, 1).data[3] === 255)"
 )
-"""Whether both pictures of the dialog are there: a canvas is painted."""
+"""Whether all pictures of the dialog are there: a canvas is painted."""
 
 
 def open_ties(operator: Operator) -> tuple[Locator, list[Locator]]:
-    """Open the dialog in which ties are drawn; return it with its two pictures."""
+    """Open the dialog in which ties are drawn; return it with its pictures."""
     operator.open()
     operator.step("Survey")
     page = operator.page
     page.get_by_role("region", name="All photographs").get_by_role("button", name="Draw ties").click()
     dialog = page.get_by_role("dialog", name="Ties drawn by hand")
-    pictures = [dialog.get_by_role("img", name=f"{side} photograph") for side in ("first", "second")]
+    pictures = [dialog.get_by_role("img", name=f"{side} photograph") for side in SIDES]
     page.wait_for_function(PAINTED)
     return dialog, pictures
 
@@ -70,7 +72,7 @@ def test_a_tie_is_drawn_in_two_photographs_listed_and_removed(
     with at_work(browser, workbench.server, request) as operator:
         page = operator.page
         dialog, pictures = open_ties(operator)
-        first, second = (picture.bounding_box() for picture in pictures)
+        first, second = (picture.bounding_box() for picture in pictures[:2])
         assert first is not None
         assert second is not None
         scale = min(first["width"] / 576, first["height"] / 384)
@@ -114,7 +116,7 @@ def test_a_tie_is_continued_into_a_third_photograph(
     with at_work(browser, workbench.server, request) as operator:
         page = operator.page
         dialog, pictures = open_ties(operator)
-        for picture in pictures:  # the middle of both
+        for picture in pictures[:2]:  # the middle of both
             picture.focus()
             page.keyboard.press("Enter")
         operator.wait(lambda: len(operator.slice("drawn_ties")) == 1, "the first tie")
@@ -138,3 +140,67 @@ def test_a_tie_is_continued_into_a_third_photograph(
         page.keyboard.press("Escape")
         page.get_by_role("button", name=re.compile("Undo")).first.click()
         operator.wait(lambda: [one["id"] for one in operator.slice("drawn_ties")] == ["t1"], "one step each")
+
+
+def test_a_line_is_drawn_in_three_photographs(
+    browser: Browser, workbench: SharedWorkbench, request: pytest.FixtureRequest
+) -> None:
+    shared = shared_lines()
+    folder = sample_survey_folder()
+    workbench.open_files([folder / "station1.npz", *(folder / f"{name}.jpg" for name in shared.names)]).socket.close()
+    with at_work(browser, workbench.server, request) as operator:
+        page = operator.page
+        dialog, pictures = open_ties(operator)
+        assert not pictures[2].is_visible(), "a tie is of two photographs"
+        dialog.get_by_role("button", name="Lines", exact=True).click()
+        page.wait_for_function(PAINTED)
+        by_name = {photo["name"]: photo for photo in operator.slice("photos")}
+        for name, side in zip(shared.names, SIDES, strict=True):
+            select = dialog.get_by_role("combobox", name=f"The {side} photograph")
+            select.select_option(by_name[f"{name}.jpg"]["id"])
+        page.wait_for_function(PAINTED)
+
+        def click(number: int, uv: list[float]) -> None:
+            box, photo = pictures[number].bounding_box(), by_name[f"{shared.names[number]}.jpg"]
+            assert box is not None
+            scale = min(box["width"] / photo["width"], box["height"] / photo["height"])
+            middle = ((photo["width"] - 1) / 2, (photo["height"] - 1) / 2)
+            left, top = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+            page.mouse.click(left + scale * (uv[0] - middle[0]), top + scale * (uv[1] - middle[1]))
+
+        def draw(number: int, ends: list[list[float]]) -> None:
+            click(number, ends[0])
+            dialog.get_by_text(f"Now click another place of the same edge in the {SIDES[number]} photograph").wait_for()
+            click(number, ends[1])
+
+        hints = (
+            "Line 1 is drawn in 1 photograph: click two places of the same edge in two others.",
+            "Line 1 is drawn in 2 photographs, which alone say nothing: draw it in a third.",
+            "Line 1 is drawn in 3 photographs: draw it in a further one, or begin another",
+        )
+        for number, hint in enumerate(hints):
+            draw(number, shared.uv[0, number].tolist())
+            dialog.get_by_text(hint).wait_for()
+        (line,) = operator.slice("drawn_lines")
+        assert line["photos"] == [by_name[f"{name}.jpg"]["id"] for name in shared.names]
+        assert np.abs(np.array(line["uv"]) - shared.uv[0]).max() < 3, "within a pixel of the screen"
+        row = dialog.get_by_role("listitem").filter(has_text="Line 1")
+        assert "not adjusted yet" in (row.text_content() or "")
+        operator.shot("lines")
+
+        draw(0, shared.uv[1, 0].tolist())  # where line 1 is drawn already: another one
+        draw(1, shared.uv[1, 1].tolist())
+        operator.wait(lambda: [len(one["photos"]) for one in operator.slice("drawn_lines")] == [3, 2], "a second line")
+        pair = dialog.get_by_role("listitem").filter(has_text="Line 2")
+        assert "in two photographs, which alone say nothing: draw it in a third" in (pair.text_content() or "")
+        pair.get_by_role("button", name="Keep the ends of line 2 as ties").click()
+        operator.wait(lambda: len(operator.slice("drawn_ties")) == 2, "its ends are two ties")
+        operator.wait(lambda: len(operator.slice("drawn_lines")) == 1, "in place of the line")
+        operator.shot("lines-ends-as-ties")
+        dialog.get_by_role("button", name="Line 1", exact=False).first.click()
+        dialog.get_by_role("button", name="Remove line 1").click()
+        operator.wait(lambda: not operator.slice("drawn_lines"), "the line is gone")
+        page.keyboard.press("Escape")
+        page.get_by_role("button", name=re.compile("Undo")).first.click()
+        operator.wait(lambda: len(operator.slice("drawn_lines")) == 1, "what was removed is back")
+        assert page.get_by_role("button", name="Draw ties").text_content() == "Ties 3"

@@ -50,7 +50,7 @@ def survey_slice(document: Document, is_stale: Callable[[PhotoEntry], bool]) -> 
         "chi2_per_dof": adjusted.chi2_per_dof,
         "sigma_px": adjusted.sigma_px,
         "since": _since(
-            len(changed), later, out, _drawn_since(adjusted, document),
+            len(changed), later, out, _drawn_since(adjusted, document), _lines_since(adjusted, document),
             scans_changed={one.source for one in adjusted.scans} != set(scans_of(document)),
         ),
     }  # fmt: skip
@@ -85,6 +85,24 @@ def drawn_ties_slice(document: Document) -> list[dict[str, Any]]:
         }
         for tie, first in zip(document.ties, firsts, strict=True)
     ]  # fmt: skip
+
+
+def drawn_lines_slice(document: Document) -> list[dict[str, Any]]:
+    """Return the slice `drawn_lines`: the lines that were drawn, and what the last adjustment said of each as it is."""
+    said = {} if document.adjusted is None else document.adjusted.drawn_lines
+    rows = []
+    for line in document.lines:
+        found = said.get(line.id)
+        if found is not None and found.line != line:
+            found = None
+        rows.append({
+            "id": line.id, "photos": list(line.photos), "uv": [[list(end) for end in ends] for ends in line.uv],
+            "sigma_px": line.sigma_px, "in_scan": line.in_scan is not None,
+            "agrees": None if found is None else found.agrees,
+            "residuals_px": {} if found is None else found.residuals_px,
+            "reason": "" if found is None else as_fields(found.reason),
+        })  # fmt: skip
+    return rows
 
 
 def _photo(adjusted: Adjusted, entry: PhotoEntry, *, stale: bool) -> dict[str, Any]:
@@ -160,7 +178,18 @@ def _drawn_since(adjusted: Adjusted, document: Document) -> int:
     return len(drawn) + len(set(adjusted.drawn) - there)
 
 
-def _since(changed: int, later: list[str], out: int, ties: int, *, scans_changed: bool) -> str:
+def _lines_since(adjusted: Adjusted, document: Document) -> int:
+    """Return how many lines were drawn, changed or removed since."""
+    now = {line.id: line for line in document.lines}
+    drawn = [
+        line for line in now.values()
+        if line.id not in adjusted.drawn_lines and len(set(line.photos) & set(adjusted.photos)) >= 2
+    ]  # fmt: skip
+    changed = [name for name, said in adjusted.drawn_lines.items() if now.get(name) != said.line]
+    return len(drawn) + len(changed)
+
+
+def _since(changed: int, later: list[str], out: int, ties: int, lines: int, *, scans_changed: bool) -> str:
     """Return what has changed since, as a sentence; empty: nothing."""
     causes = []
     if scans_changed:
@@ -173,6 +202,8 @@ def _since(changed: int, later: list[str], out: int, ties: int, *, scans_changed
         causes.append(f"{out} photograph{' was' if out == 1 else 's were'} taken out")
     if ties:
         causes.append(f"{ties} tie{' was' if ties == 1 else 's were'} drawn or removed")
+    if lines:
+        causes.append(f"{lines} line{' was' if lines == 1 else 's were'} drawn or removed")
     if not causes:
         return ""
     return f"{', '.join(causes)[:1].upper()}{', '.join(causes)[1:]} since: adjust again."

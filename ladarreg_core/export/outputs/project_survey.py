@@ -136,7 +136,7 @@ def adjusted_entry(document: Document, adjustment: Adjustment, poses: Mapping[st
         adjustment: the solution of `survey_of_project`.
         poses: the entries of the poses that it gave or that were held, by the ids of the photographs.
     """
-    scans = scans_of(document)
+    scans, lines = scans_of(document), {one.id: one for one in document.lines}
     return Adjusted(
         scans=tuple(
             AdjustedScanEntry(
@@ -173,7 +173,7 @@ def adjusted_entry(document: Document, adjustment: Adjustment, poses: Mapping[st
         },
         drawn_lines={
             one.id: AdjustedLineEntry(
-                agrees=one.agrees, reason=with_names(one.reason, document),
+                line=lines[one.id], agrees=one.agrees, reason=with_names(one.reason, document),
                 residuals_px={
                     photo: px for photo, px in zip(one.photos, one.residuals_px, strict=True) if np.isfinite(px)
                 },

@@ -1,12 +1,16 @@
-/** Two photographs side by side, in which ties are drawn: a click in one, and a click at the same place in the other. */
+/**
+ * Photographs side by side, in which ties are drawn: a click in one, and a click at the same place in the other; or the
+ * same straight edge in three or more, two clicks in each.
+ */
 
 import { request } from "../net/requests.js";
 import { makeCanvas } from "../ui/canvas.js";
-import { button, fill } from "../ui/controls.js";
+import { button, fill, press as showPressed } from "../ui/controls.js";
 import { makeDialog } from "../ui/dialog.js";
 import { element, setAttribute, setChildren, setText } from "../ui/dom.js";
 import { fixed } from "../ui/numbers.js";
 import { readLook } from "./colors.js";
+import { ENOUGH, lineHint, lineSaid, lineShownIn } from "./tie_lines.js";
 import { fitted, allowed, inside, keptInSight, moved, SMOOTH_BELOW, toPixel, toScreen, wheelFactor, zoomedAbout } from "./viewport.js";
 
 const MARK_PX = 7;
@@ -15,21 +19,29 @@ const SNAP_PX = 10; // a click so near a mark means the place that it marks
 const KEY_ZOOM = 1.25;
 const STEPS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const FAST = 10; // with Shift
+const LEAST_LINE_PX = 5; // as the server: a shorter line has no direction, and a second click so near is a mistake
+const MIDDLE = [0.2, 0.8]; // part of a line that a click selects; at its ends, other edges begin
 const SIGMA = { least: 0.1, most: 20, usual: 1 }; // px
 
 /** @returns {string} the address of a photograph's whole picture */
 const addressOf = ({ id, rev }) => `picture/photo/${encodeURIComponent(id)}?rev=${encodeURIComponent(rev ?? id)}&form=quick`;
 
 /**
- * One of the two pictures.
- * @param {{store: import("../net/store.js").Store, name: string, placed: () => void, marks: () => {uv: number[], label: string, bad: boolean, here: boolean}[]}} options
- *   `marks`: of the ties that are kept, in this picture; `here`: the other picture shows them, too
+ * One of the pictures.
+ * @param {{store: import("../net/store.js").Store, name: string, placed: () => void,
+ *   marks: () => {uv: number[], label: string, bad: boolean, here: boolean}[], isLining: () => boolean,
+ *   lines: () => {id: string, ends: number[][], label: string, bad: boolean, selected: boolean}[],
+ *   drawn: (ends: number[][]) => void, select: (id: string) => void}} options
+ *   `marks`: of the ties that are kept, in this picture; `here`: the other picture shows them, too; `lines`: likewise the
+ *   lines; `drawn`: both ends of a further one are placed
  */
-const makePicture = ({ store, name, placed, marks }) => {
+const makePicture = ({ store, name, placed, marks, isLining, lines, drawn, select }) => {
   let viewport = null;
   let photo = null;
   let image = null;
   let uv = null;
+  let begun = null; // the first end of a line
+  let toward = null; // where the pointer is meanwhile
   let cursor = null;
   let press = null;
   const look = readLook();
@@ -53,12 +65,27 @@ const makePicture = ({ store, name, placed, marks }) => {
     context.fillStyle = colour;
     context.fillText(label, x + MARK_PX, y - MARK_PX);
   };
+  const stroke = (context, ends, colour, label, bold = false) => {
+    const [from, to] = ends.map((end) => toScreen(viewport, end));
+    for (const [style, width] of [[look.halo, bold ? 6 : 4], [colour, bold ? 3 : 2]]) {
+      context.strokeStyle = style;
+      context.lineWidth = width;
+      context.beginPath();
+      context.moveTo(...from);
+      context.lineTo(...to);
+      context.stroke();
+    }
+    for (const end of [from, to]) sign(context, end, colour, "");
+    if (label) sign(context, from, colour, label);
+  };
   const { canvas, draw } = makeCanvas({ class: "tie-picture", tabIndex: 0, role: "img", "aria-label": name }, (context, width, height) => {
     if (!image || !photo) return;
     viewport ??= fitted([width, height], [photo.width, photo.height]);
     context.imageSmoothingEnabled = viewport.zoom < SMOOTH_BELOW;
     context.drawImage(image, viewport.x, viewport.y, photo.width * viewport.zoom, photo.height * viewport.zoom);
     for (const { uv: at, label, bad, here } of marks()) sign(context, toScreen(viewport, at), bad ? look.bad : here ? look.matches[1] : look.dim, label);
+    for (const { ends, label, bad, selected } of lines()) stroke(context, ends, selected ? look.ink : bad ? look.bad : look.matches[1], label, selected);
+    if (begun) stroke(context, [begun, toward ?? cursor ?? begun], look.ink, "");
     if (uv) sign(context, toScreen(viewport, uv), look.ink, "");
     if (cursor && document.activeElement === canvas) sign(context, toScreen(viewport, cursor), look.dim, "");
   });
@@ -76,9 +103,42 @@ const makePicture = ({ store, name, placed, marks }) => {
     const [nearest] = open.sort((one, other) => away(one) - away(other));
     return nearest?.uv ?? null;
   };
+  /** The line near a pixel, not near its ends. */
+  const lineAt = (at) => {
+    /** @param {{ends: number[][]}} line */
+    const away = ({ ends: [from, to] }) => {
+      const along = [to[0] - from[0], to[1] - from[1]], length = Math.hypot(...along) || 1;
+      const by = [at[0] - from[0], at[1] - from[1]], share = (by[0] * along[0] + by[1] * along[1]) / length ** 2;
+      const off = Math.abs(by[0] * along[1] - by[1] * along[0]) / length;
+      return share > MIDDLE[0] && share < MIDDLE[1] ? off * viewport.zoom : Infinity;
+    };
+    const near = lines().filter((line) => !line.selected && away(line) < MARK_PX);
+    return near.sort((one, other) => away(one) - away(other))[0] ?? null;
+  };
+  const placeEnd = (at) => {
+    const near = begun ? null : lineAt(at);
+    if (near) select(near.id);
+    else if (!begun) [begun, toward] = [at, null];
+    else if (Math.hypot(at[0] - begun[0], at[1] - begun[1]) >= LEAST_LINE_PX) {
+      const ends = [begun, at];
+      begun = null;
+      drawn(ends);
+    }
+    draw();
+    placed();
+  };
   const place = (at) => {
     if (!photo || store.readOnly) return;
+    if (isLining()) {
+      placeEnd(inside(at, size()));
+      return;
+    }
     uv = marked(at) ?? inside(at, size());
+    draw();
+    placed();
+  };
+  const forget = () => {
+    begun = toward = null;
     draw();
     placed();
   };
@@ -93,6 +153,10 @@ const makePicture = ({ store, name, placed, marks }) => {
     press = { at: positionOf(event), drags: event.button === 1, from: viewport };
   });
   canvas.addEventListener("pointermove", (event) => {
+    if (begun && viewport) {
+      toward = toPixel(viewport, positionOf(event));
+      draw();
+    }
     if (!press?.from) return;
     const by = positionOf(event).map((value, k) => value - press.at[k]);
     press.drags ||= Math.hypot(...by) > DRAG_PX;
@@ -111,11 +175,13 @@ const makePicture = ({ store, name, placed, marks }) => {
     const middle = toPixel(viewport, pane().map((length) => length / 2));
     if (step) {
       const by = (event.shiftKey ? FAST : 1) / Math.min(1, viewport.zoom);
+      toward = null;
       cursor = inside((cursor ?? uv ?? middle).map((value, k) => value + by * step[k]), size());
       draw();
     } else if (event.key === "Enter" || event.key === " ") place(cursor ?? middle);
     else if (event.key === "+" || event.key === "=") zoomBy(KEY_ZOOM, toScreen(viewport, cursor ?? middle));
     else if (event.key === "-") zoomBy(1 / KEY_ZOOM, toScreen(viewport, cursor ?? middle));
+    else if ((event.key === "Backspace" || event.key === "Delete") && begun) forget();
     else if (event.key === "0") show(fitted(pane(), size()));
     else return;
     event.preventDefault();
@@ -130,6 +196,14 @@ const makePicture = ({ store, name, placed, marks }) => {
     get uv() {
       return uv;
     },
+    get begun() {
+      return begun;
+    },
+    /** @param {number[] | null} end the first end of a line; null: none */
+    begin(end) {
+      [begun, toward] = [end, null];
+      draw();
+    },
     /** @param {number[] | null} end the end that is drawn; null: none */
     put(end) {
       uv = end;
@@ -138,7 +212,7 @@ const makePicture = ({ store, name, placed, marks }) => {
     /** Show a photograph; the same one stays as it is. */
     show(wanted) {
       if (wanted?.id === photo?.id && wanted?.rev === photo?.rev) return;
-      [photo, image, viewport, uv, cursor] = [wanted, null, null, null, null];
+      [photo, image, viewport, uv, cursor, begun, toward] = [wanted, null, null, null, null, null, null];
       setAttribute(canvas, "aria-label", wanted ? `${name}: ${wanted.name}` : name);
       draw();
       if (!wanted || wanted.error) return;
@@ -154,18 +228,26 @@ const makePicture = ({ store, name, placed, marks }) => {
 };
 
 const SIDES = ["first", "second"];
+const ALL_SIDES = [...SIDES, "third"];
 
 /**
  * Mount the dialog, which opens while `view` names a photograph to draw ties from.
  * @param {{store: import("../net/store.js").Store, view: any}} page
  */
 export const mountTiePictures = ({ store, view }) => {
-  const chosen = { first: "", second: "" };
+  const chosen = { first: "", second: "", third: "" };
+  let lining = false;
+  let line = ""; // id of the line that is drawn further; empty: none
+  const lines = () => store.get("drawn_lines") ?? [];
+  const lineNow = () => lines().find(({ id }) => id === line) ?? null;
+  /** The sides that are shown: three for lines, if there are so many photographs. */
+  const shownSides = () => (lining && (store.get("photos") ?? []).length > SIDES.length ? ALL_SIDES : SIDES);
   const ofPair = () => (store.get("drawn_ties") ?? []).filter(({ photos }) => photos.includes(chosen.first) && photos.includes(chosen.second));
   const numberOf = (id) => id.slice(1);
   const other = { first: "second", second: "first" };
   /** Of all ties that end in a picture: one of a pair that is not shown can be continued into the other picture. */
   const marksOf = (side) => () => {
+    if (lining) return [];
     const ties = store.get("drawn_ties") ?? [];
     const inOther = new Set(ties.filter(({ photos }) => photos.includes(chosen[other[side]])).map(({ track }) => track));
     const marks = new Map();
@@ -178,10 +260,15 @@ export const mountTiePictures = ({ store, view }) => {
     }
     return [...marks.values()];
   };
-  const pictures = Object.fromEntries(
-    SIDES.map((side) => [side, makePicture({ store, name: `${side} photograph`, placed: () => keep(), marks: marksOf(side) })]),
-  );
-  const selects = Object.fromEntries(SIDES.map((side) => {
+  const linesOf = (side) => () =>
+    !lining ? [] : lines().filter(({ photos }) => photos.includes(chosen[side])).map(({ id, photos, uv, agrees }) => (
+      { id, ends: uv[photos.indexOf(chosen[side])], label: numberOf(id), bad: agrees === false, selected: id === line }
+    ));
+  const pictures = Object.fromEntries(ALL_SIDES.map((side) => [side, makePicture({
+    store, name: `${side} photograph`, placed: () => (lining ? say() : keep()), marks: marksOf(side), isLining: () => lining,
+    lines: linesOf(side), drawn: (ends) => keepLine(side, ends), select: (id) => selectLine(id),
+  })]));
+  const selects = Object.fromEntries(ALL_SIDES.map((side) => {
     const select = element("select", { class: "select small", "aria-label": `The ${side} photograph` });
     select.addEventListener("change", () => {
       chosen[side] = select.value;
@@ -192,15 +279,28 @@ export const mountTiePictures = ({ store, view }) => {
   const sigma = element("input", { type: "number", class: "field small", min: SIGMA.least, max: SIGMA.most, step: 0.1, value: SIGMA.usual, "aria-label": "Standard deviation of each end, px" });
   const hint = element("p", { class: "dim tie-hint", role: "status" });
   const list = element("ul", { class: "tie-list", "aria-label": "Ties drawn by hand" });
+  const sides = Object.fromEntries(ALL_SIDES.map((side) => [
+    side, element("div", { class: "tie-side" }, element("div", { class: "row" }, selects[side], pictures[side].fit), pictures[side].canvas),
+  ]));
+  const setLining = (wanted) => {
+    lining = wanted;
+    line = "";
+    ALL_SIDES.forEach((side) => { pictures[side].put(null); pictures[side].begin(null); });
+    show();
+  };
+  const places = button({ label: "Places", kind: "small", title: "A tie is one place in two photographs", act: () => setLining(false) });
+  const edges = button({ label: "Lines", kind: "small", title: `A line is one straight edge in ${ENOUGH} photographs or more; its ends may differ`, act: () => setLining(true) });
+  const kinds = element("div", { class: "tie-kinds", role: "group", "aria-label": "What is drawn" }, places, edges);
+  const another = button({ label: "New line", kind: "small edits", title: "Begin another line, also where this one is not drawn", act: () => selectLine("") });
   const { dialog, open } = makeDialog(
     "Ties drawn by hand",
     { kind: "tie-dialog" },
     element(
       "div",
       { class: "tie-pictures" },
-      ...SIDES.map((side) => element("div", { class: "tie-side" }, element("div", { class: "row" }, selects[side], pictures[side].fit), pictures[side].canvas)),
+      ...ALL_SIDES.map((side) => sides[side]),
     ),
-    element("div", { class: "row tie-bar" }, hint, element("label", { class: "edits tie-sigma" }, "σ px", sigma)),
+    element("div", { class: "row tie-bar" }, hint, another, kinds, element("label", { class: "edits tie-sigma" }, "σ px", sigma)),
     list,
   );
   dialog.addEventListener("close", () => view.set({ tying: null }));
@@ -210,15 +310,35 @@ export const mountTiePictures = ({ store, view }) => {
     const photos = SIDES.map((side) => chosen[side]);
     if (ends.every(Boolean)) {
       SIDES.forEach((side) => pictures[side].put(null)); // at once: the next click begins another tie
-      const sigma_px = Number(sigma.value) > 0 ? Number(sigma.value) : SIGMA.usual;
-      const made = await request("add_tie", { photos, uv: ends, sigma_px });
+      const made = await request("add_tie", { photos, uv: ends, sigma_px: sigmaPx() });
       const free = SIDES.every((side, k) => !pictures[side].uv && chosen[side] === photos[k]);
       if (!made && free) SIDES.forEach((side, k) => pictures[side].put(ends[k]));
     }
     say();
   };
 
+  const sigmaPx = () => (Number(sigma.value) > 0 ? Number(sigma.value) : SIGMA.usual);
+  const selectLine = (id) => {
+    line = id;
+    show();
+  };
+  /** Keep two places of an edge, of the selected line where the photograph does not show that yet. */
+  const keepLine = async (side, ends) => {
+    const photo = chosen[side], current = lineNow();
+    const further = current && !current.photos.includes(photo) ? current.id : null;
+    const made = await request("draw_line", { photo, uv: ends, line: further, sigma_px: sigmaPx() });
+    if (made) selectLine(made.line);
+    else if (chosen[side] === photo && !pictures[side].begun) pictures[side].begin(ends[0]);
+    say();
+  };
+
   const say = () => {
+    if (lining) {
+      const begun = ALL_SIDES.find((side) => pictures[side].begun) ?? null;
+      const total = (store.get("photos") ?? []).length;
+      setText(hint, lineHint({ readOnly: store.readOnly, photos: total, begun, line: lineNow(), number: numberOf(line) }));
+      return;
+    }
     const begun = pictures.first.uv ? "first" : "second";
     const end = pictures[begun].uv;
     const continued = end && marksOf(begun)().find(({ uv }) => uv[0] === end[0] && uv[1] === end[1]);
@@ -241,38 +361,74 @@ export const mountTiePictures = ({ store, view }) => {
       { class: "tie-row" },
       element("button", {
         type: "button", class: "survey-name", title: "Show its two photographs",
-        on: { click: () => { [chosen.first, chosen.second] = tie.photos; show(); } },
-      }, element("span", { class: "clip" }, `${called}: ${ends.join(" – ")}`)),
+        on: { click: () => { if (lining) setLining(false); [chosen.first, chosen.second] = tie.photos; show(); } },
+      }, element("span", { class: "clip" }, `Tie ${called}: ${ends.join(" – ")}`)),
       element("span", { class: `clip ${tie.agrees === false ? "bad" : "dim"}`, title: said }, said),
       store.readOnly ? null : button({ label: `Remove tie ${number}`, text: "Remove", kind: "small edits", act: () => request("remove_ties", { ties: [tie.id] }) }),
     );
   };
 
+  const showLine = (of) => {
+    line = of.id;
+    const free = (store.get("photos") ?? []).map(({ id }) => id).filter((id) => !of.photos.includes(id));
+    [chosen.first, chosen.second, chosen.third] = [...of.photos, ...free];
+    show();
+  };
+  const lineRow = (of, names) => {
+    const number = numberOf(of.id), said = lineSaid(of);
+    const pair = of.photos.length === SIDES.length && !of.in_scan;
+    return element(
+      "li",
+      { class: "tie-row" },
+      element("button", {
+        type: "button", class: "survey-name", title: "Show its photographs, and draw it in further ones", "aria-pressed": String(of.id === line),
+        on: { click: () => { if (!lining) setLining(true); showLine(of); } },
+      }, element("span", { class: "clip" }, `Line ${number}: ${lineShownIn(of, names)}`)),
+      element("span", { class: `clip ${of.agrees === false ? "bad" : "dim"}`, title: said }, said),
+      store.readOnly ? null : element(
+        "div",
+        { class: "row" },
+        pair ? button({
+          label: `Keep the ends of line ${number} as ties`, text: "Ends as ties", kind: "small edits", act: () => request("line_ends_as_ties", { line: of.id }),
+          title: "If both photographs show the same two ends of the edge: two ties of these, in the order in which they were clicked",
+        }) : null,
+        button({ label: `Remove line ${number}`, text: "Remove", kind: "small edits", act: () => request("remove_lines", { lines: [of.id] }) }),
+      ),
+    );
+  };
+
   const show = () => {
     const photos = store.get("photos") ?? [];
-    const ids = photos.map(({ id }) => id);
+    const ids = photos.map(({ id }) => id), taken = new Set();
+    if (!lineNow()) line = "";
     if (!ids.includes(chosen.first)) chosen.first = store.shown() ?? ids[0] ?? "";
-    if (!ids.includes(chosen.second) || chosen.second === chosen.first) chosen.second = ids.find((id) => id !== chosen.first) ?? "";
-    for (const side of SIDES) {
-      const beside = chosen[other[side]];
-      fill(selects[side], photos.filter(({ id }) => id !== beside || side === "first").map(({ id, name }) => [id, name]), chosen[side]);
-      pictures[side].show(photos.find(({ id }) => id === chosen[side]) ?? null);
+    for (const side of ALL_SIDES) {
+      sides[side].hidden = !shownSides().includes(side);
+      if (!ids.includes(chosen[side]) || taken.has(chosen[side])) chosen[side] = ids.find((id) => !taken.has(id)) ?? "";
+      fill(selects[side], photos.filter(({ id }) => !taken.has(id)).map(({ id, name }) => [id, name]), chosen[side]);
+      taken.add(chosen[side]);
+      pictures[side].show(sides[side].hidden ? null : photos.find(({ id }) => id === chosen[side]) ?? null);
       pictures[side].draw();
     }
+    showPressed(places, !lining);
+    showPressed(edges, lining);
+    another.hidden = !lining || !line;
     const names = new Map(photos.map(({ id, name }) => [id, name]));
     const pair = new Set(ofPair());
     const ties = store.get("drawn_ties") ?? [];
-    setChildren(list, ...[...pair, ...ties.filter((tie) => !pair.has(tie))].map((tie) => row(tie, names)));
+    const rows = [...pair, ...ties.filter((tie) => !pair.has(tie))].map((tie) => row(tie, names));
+    const lineRows = lines().map((of) => lineRow(of, names));
+    setChildren(list, ...(lining ? [...lineRows, ...rows] : [...rows, ...lineRows]));
     sigma.disabled = store.readOnly;
     say();
   };
-  store.watch(["drawn_ties", "photos", "people"], () => dialog.open && show());
+  store.watch(["drawn_ties", "drawn_lines", "photos", "people"], () => dialog.open && show());
   view.on((state, changed) => {
     if (!changed.has("tying") || state.tying === null) return;
     chosen.first = state.tying;
     chosen.second = "";
-    SIDES.forEach((side) => pictures[side].put(null));
+    chosen.third = "";
     open();
-    show();
+    setLining(lining);
   });
 };

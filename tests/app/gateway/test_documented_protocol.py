@@ -17,7 +17,7 @@ from ladarreg_core.results.registration import StageId
 from testing.workbench.protocol_text import DECLARATIONS, declarations, with_rows
 from testing.workbench.workbench_driver import WorkbenchDriver, sample_bench
 
-DATA_KEYED = ("by_pick", "predicted", "lines", "camera_sigmas", "absent", "in_photo")
+DATA_KEYED = ("by_pick", "predicted", "lines", "camera_sigmas", "absent", "in_photo", "residuals_px")
 """Fields whose keys are data: ids of picks, names of parameters."""
 NEVER_HERE = {
     "audit:pID",
@@ -25,6 +25,7 @@ NEVER_HERE = {
     "embedded",
     "partner",
     "corners:pID",
+    "drawn_lines",
     "drawn_ties",
     "self_test:pID",
     "served",

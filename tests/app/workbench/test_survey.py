@@ -6,6 +6,7 @@ import json
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from PIL import Image
 from ladarreg_core.export.outputs.project_survey import survey_of_project, with_names
 from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.simulate.sample import sample_survey_folder
-from testing.scenes.shared_places import shared_places
+from testing.scenes.shared_places import shared_lines, shared_places
 from testing.workbench.workbench_driver import WorkbenchDriver, kept_bench, open_bench, registered
 
 pytestmark = pytest.mark.slow
@@ -120,6 +121,14 @@ def test_a_survey_opens_as_a_project_and_again(tmp_path: Path) -> None:
             {"id": "two", "path": "IMG_0002.jpg", "camera": "exif"},
         ],
         "ties": [{"id": "seen", "photos": ["two", "one"], "uv": [[1.5, 2], [3, 4]], "sigma_px": 0.5}],
+        "lines": [
+            {
+                "id": "edge",
+                "photos": ["two"],
+                "uv": [[[1.5, 2], [30, 4]]],
+                "scan": {"id": "b", "xyz": [[1, 2, 3], [1, 2, 4]]},
+            }
+        ],
     }
     survey = job / "survey.json"
     survey.write_text(json.dumps(fields))
@@ -131,6 +140,13 @@ def test_a_survey_opens_as_a_project_and_again(tmp_path: Path) -> None:
         (tie,) = bench.slice("drawn_ties")
         assert tie["photos"] == [second["id"], first["id"]]
         assert (tie["uv"], tie["sigma_px"], tie["agrees"]) == ([[1.5, 2], [3, 4]], 0.5, None)
+        (line,) = bench.slice("drawn_lines")
+        assert (line["photos"], line["uv"]) == ([second["id"]], [[[1.5, 2], [30, 4]]])
+        assert (line["in_scan"], line["agrees"], line["residuals_px"]) == (True, None, {})
+        project = bench.workbench.session
+        (kept,) = survey_of_project(project.document, project.folder).lines
+        assert kept.in_scan.scan == "station2"
+        assert kept.in_scan.xyz == ((1.0, 2.0, 3.0), (1.0, 2.0, 4.0))
         assert first["camera"]["calibrated"]
         assert first["camera"]["fx"] == 468
         assert not second["camera"]["calibrated"]
@@ -236,4 +252,52 @@ def test_ties_are_drawn_and_taken_back_adjusted_and_a_wrong_one_is_named(tmp_pat
     assert [one.id for one in survey.ties] == right
     bench.do("remove_photo", photo=photos[0])
     assert bench.slice("drawn_ties") == []
+    bench.workbench.close()
+
+
+def test_lines_are_drawn_in_three_photographs_adjusted_and_a_wrong_one_is_named(tmp_path: Path) -> None:
+    job, shared = tmp_path / "job", shared_lines()
+    job.mkdir()
+    for name in ("station1.npz", *(f"{one}.jpg" for one in shared.names)):
+        shutil.copy(sample_survey_folder() / name, job / name)
+    bench = open_bench(tmp_path / "project", job)
+    ids = {Path(photo["name"]).stem: photo["id"] for photo in bench.slice("photos")}
+    photos = [ids[name] for name in shared.names]
+
+    def draw(uv: list[Any]) -> str:
+        made = None
+        for photo, ends in zip(photos, uv, strict=False):
+            made = bench.do("draw_line", line=made, photo=photo, uv=ends, sigma_px=0.5)["line"]
+        assert made is not None
+        return made
+
+    right = [draw(uv) for uv in shared.uv[:4].tolist()]
+    first, second, ((u, v), (s, t)) = shared.uv[4].tolist()
+    wrong = draw([first, second, [[u + 15, v + 15], [s + 25, t + 25]]])
+    pair = draw(shared.uv[5].tolist()[:2])
+    assert [len(one["photos"]) for one in bench.slice("drawn_lines")] == [3, 3, 3, 3, 3, 2]
+    assert bench.slice("history")["entries"][-1]["label"] == f"Draw line {pair[1:]} further"
+    bench.do("undo")
+    assert bench.slice("drawn_lines")[-1]["photos"] == photos[:1]
+    bench.do("redo")
+    assert "3 of 3" in done(bench, "adjust")
+    said = {one["id"]: one for one in bench.slice("drawn_lines")}
+    assert [name for name, one in said.items() if one["agrees"]] == right
+    assert all(set(said[name]["residuals_px"]) == set(photos) for name in right)
+    assert all(max(said[name]["residuals_px"].values()) < 2 for name in right)
+    assert said[wrong]["reason"].startswith("Left out: one of ")
+    assert said[pair]["reason"].startswith("Left out: only two of its photographs are part")
+    assert bench.slice("survey")["since"] == ""
+    bench.do("draw_line", line=pair, photo=photos[2], uv=shared.uv[5, 2].tolist())
+    assert bench.slice("drawn_lines")[-1]["agrees"] is None, "what was said of it is of another line"
+    assert bench.slice("survey")["since"] == "1 line was drawn or removed since: adjust again."
+    assert "exactly two" in bench.refused("line_ends_as_ties", line=pair)
+    bench.do("undo")
+    bench.do("line_ends_as_ties", line=pair)
+    assert [one["id"] for one in bench.slice("drawn_lines")] == [*right, wrong]
+    assert [one["photos"] for one in bench.slice("drawn_ties")] == [photos[:2]] * 2
+    bench.do("remove_lines", lines=[wrong])
+    assert [one["id"] for one in bench.slice("drawn_lines")] == right
+    bench.do("remove_photo", photo=photos[0])
+    assert [one["photos"] for one in bench.slice("drawn_lines")] == [photos[1:]] * 4
     bench.workbench.close()

@@ -121,7 +121,7 @@ export const mountPhotographs = () => {
     setText(registerAll, ids ? `Register ${ids.length}` : "Register all");
     setText(adjust, ids ? `Adjust ${ids.length}` : "Adjust");
     draw.disabled = photos.length < 2;
-    const byHand = store.get("drawn_ties")?.length ?? 0;
+    const byHand = (store.get("drawn_ties")?.length ?? 0) + (store.get("drawn_lines")?.length ?? 0);
     setText(draw, byHand ? `Ties ${byHand}` : "Ties");
     registerAll.title = ids
       ? `Register ${some} from the images, one after the other`
@@ -183,7 +183,7 @@ export const mountPhotographs = () => {
       )),
     );
   };
-  store.watch(["photos", "survey", "drawn_ties", "ties:*", "shown", "scan", "job", "people"], show);
+  store.watch(["photos", "survey", "drawn_ties", "drawn_lines", "ties:*", "shown", "scan", "job", "people"], show);
   const panel = element(
     "section",
     { class: "dock-part survey", "aria-label": "All photographs" },
