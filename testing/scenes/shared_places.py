@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import combinations
@@ -10,12 +11,16 @@ from itertools import combinations
 import numpy as np
 
 import ladarreg_core as lr
-from ladarreg_core.camera import Camera
+from ladarreg_core.camera import Camera, CameraModel
+from ladarreg_core.foundations.arrays import BoolArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.simulate.sample import sample_survey_folder
 from ladarreg_core.survey.least_squares.problem import Matrix
 from ladarreg_core.survey.ties.ties import laser_points
 from testing.scenes.survey_set import sample_cameras
+
+_LEAST_LINE_PX = 80.0
+_LEAST_APART = float(np.sin(np.radians(10)))  # the planes in which photographs see a line
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,30 +60,44 @@ def shared_lines(count: int = 6) -> SharedLines:
     """Return lines between places of the first scan that the three photographs show which share most of it."""
     scan, cameras, poses = _photographs()
     points = scan.points[scan.valid][::40].astype(np.float64)
-    shown, visible = {}, {}
-    for name, pose in poses.items():
-        shown[name] = cameras[name].project(pose @ points)
-        inside = cameras[name].contains(shown[name], border=5)
-        there = laser_points(scan, cameras[name], pose, np.nan_to_num(shown[name])).xyz
-        visible[name] = inside & (np.linalg.norm(there - points, axis=1) < 0.02)
+    visible = {name: shown_by(scan, points, cameras[name], pose) for name, pose in poses.items()}
     names = max(combinations(poses, 3), key=lambda three: int(np.all([visible[one] for one in three], axis=0).sum()))
     common = points[np.all([visible[one] for one in names], axis=0)]
+    own_cameras, own_poses = tuple(cameras[one] for one in names), tuple(poses[one] for one in names)
     rng, lines = np.random.default_rng(5), []
     while len(lines) < count:
-        first, second = common[rng.choice(len(common), 2, replace=False)]
-        at = rng.uniform([0.0, 0.75], [0.25, 1.0], (len(names), 2))
-        uv = np.array([
-            cameras[name].project(poses[name] @ (first + own[:, None] * (second - first)))
-            for name, own in zip(names, at, strict=True)
-        ])  # fmt: skip
-        normals = [np.cross(first - poses[name].centre, second - first) for name in names]
-        apart = [np.linalg.norm(np.cross(a, b)) / np.linalg.norm(a) / np.linalg.norm(b)
-                 for a, b in combinations(normals, 2)]  # fmt: skip
-        if np.linalg.norm(uv[:, 1] - uv[:, 0], axis=1).min() > 80 and max(apart) > np.sin(np.radians(10)):
-            lines.append(uv)
-    return SharedLines(
-        names, tuple(cameras[one] for one in names), tuple(poses[one] for one in names), np.array(lines)
-    )  # fmt: skip
+        found = line_between(common, own_cameras, own_poses, rng)
+        if found is not None:
+            lines.append(found[1])
+    return SharedLines(names, own_cameras, own_poses, np.array(lines))
+
+
+def shown_by(scan: lr.Scan, points: Matrix, camera: CameraModel, pose: Rigid) -> BoolArray:
+    """Return which points (N, 3) of a scan a photograph shows, not near its border."""
+    shown = camera.project(pose @ points)
+    there = laser_points(scan, camera, pose, np.nan_to_num(shown)).xyz
+    return np.asarray(camera.contains(shown, border=5) & (np.linalg.norm(there - points, axis=1) < 0.02))
+
+
+def line_between(
+    common: Matrix, cameras: Sequence[CameraModel], poses: Sequence[Rigid], rng: np.random.Generator
+) -> tuple[Matrix, Matrix] | None:
+    """Return a line between two points of all (N, 3), drawn by lot: its ends (2, 3), and two places (n, 2, 2) of it.
+
+    These are others in each photograph. None: it is short in one, or all see it in nearly the same plane.
+    """
+    first, second = common[rng.choice(len(common), 2, replace=False)]
+    at = rng.uniform([0.0, 0.75], [0.25, 1.0], (len(poses), 2))
+    uv = np.array([
+        camera.project(pose @ (first + own[:, None] * (second - first)))
+        for camera, pose, own in zip(cameras, poses, at, strict=True)
+    ])  # fmt: skip
+    normals = [np.cross(first - pose.centre, second - first) for pose in poses]
+    apart = [
+        np.linalg.norm(np.cross(a, b)) / np.linalg.norm(a) / np.linalg.norm(b) for a, b in combinations(normals, 2)
+    ]
+    long = np.linalg.norm(uv[:, 1] - uv[:, 0], axis=1).min() > _LEAST_LINE_PX
+    return (np.array([first, second]), uv) if long and max(apart) > _LEAST_APART else None
 
 
 @cache
