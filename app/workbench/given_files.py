@@ -174,8 +174,8 @@ def _add_ties(workbench: Workbench, survey: Survey) -> None:
         if None not in (photos := (ids[one.photos[0]], ids[one.photos[1]])) and (photos, one.uv) not in there
     ]  # fmt: skip
     new_lines = [
-        (photos, one) for one in survey.lines
-        if None not in (photos := tuple(ids[name] for name in one.photos)) and (photos, one.uv) not in lines_there
+        (shown, one) for one in survey.lines
+        if None not in (shown := tuple(ids[name] for name in one.photos)) and (shown, one.uv) not in lines_there
     ]  # fmt: skip
     if not new and not new_lines:
         return
@@ -185,13 +185,13 @@ def _add_ties(workbench: Workbench, survey: Survey) -> None:
     def edit(document: Document) -> Document:
         for photos, one in new:
             document, _ = tie_edits.with_tie(document, photos, one.uv, one.sigma_px)
-        for shown, line in new_lines:
+        for those, line in new_lines:
             scan = line.in_scan
             source = None if scan is None else sources[scan.scan]
             in_scan = None
             if scan is not None and source is not None:
                 in_scan = ScanLineEntry(source=source, xyz=scan.xyz, sigma_m=scan.sigma_m)
-            document, _ = tie_edits.with_line(document, shown, line.uv, line.sigma_px, in_scan)
+            document, _ = tie_edits.with_line(document, those, line.uv, line.sigma_px, in_scan)
         return document
 
     said = [f"{len(those)} {what}{'' if len(those) == 1 else 's'}"

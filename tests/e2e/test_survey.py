@@ -185,14 +185,14 @@ def test_a_line_is_drawn_in_three_photographs(
         assert line["photos"] == [by_name[f"{name}.jpg"]["id"] for name in shared.names]
         assert np.abs(np.array(line["uv"]) - shared.uv[0]).max() < 3, "within a pixel of the screen"
         row = dialog.get_by_role("listitem").filter(has_text="Line 1")
-        assert "not adjusted yet" in (row.text_content() or "")
+        row.get_by_text("not adjusted yet").wait_for()
         operator.shot("lines")
 
         draw(0, shared.uv[1, 0].tolist())  # where line 1 is drawn already: another one
         draw(1, shared.uv[1, 1].tolist())
         operator.wait(lambda: [len(one["photos"]) for one in operator.slice("drawn_lines")] == [3, 2], "a second line")
         pair = dialog.get_by_role("listitem").filter(has_text="Line 2")
-        assert "in two photographs, which alone say nothing: draw it in a third" in (pair.text_content() or "")
+        pair.get_by_text("in two photographs, which alone say nothing: draw it in a third").wait_for()
         pair.get_by_role("button", name="Keep the ends of line 2 as ties").click()
         operator.wait(lambda: len(operator.slice("drawn_ties")) == 2, "its ends are two ties")
         operator.wait(lambda: len(operator.slice("drawn_lines")) == 1, "in place of the line")
@@ -203,4 +203,4 @@ def test_a_line_is_drawn_in_three_photographs(
         page.keyboard.press("Escape")
         page.get_by_role("button", name=re.compile("Undo")).first.click()
         operator.wait(lambda: len(operator.slice("drawn_lines")) == 1, "what was removed is back")
-        assert page.get_by_role("button", name="Draw ties").text_content() == "Ties 3"
+        page.get_by_role("button", name="Draw ties").get_by_text("Ties 3").wait_for()

@@ -238,6 +238,8 @@ export const mountTiePictures = ({ store, view }) => {
   const chosen = { first: "", second: "", third: "" };
   let lining = false;
   let line = ""; // id of the line that is drawn further; empty: none
+  let awaited = ""; // id of a line that was just begun, and that the store may not have yet
+  let keeping = Promise.resolve(); // one end after the other, so that quick clicks belong to one line
   const lines = () => store.get("drawn_lines") ?? [];
   const lineNow = () => lines().find(({ id }) => id === line) ?? null;
   /** The sides that are shown: three for lines, if there are so many photographs. */
@@ -323,13 +325,17 @@ export const mountTiePictures = ({ store, view }) => {
     show();
   };
   /** Keep two places of an edge, of the selected line where the photograph does not show that yet. */
-  const keepLine = async (side, ends) => {
-    const photo = chosen[side], current = lineNow();
-    const further = current && !current.photos.includes(photo) ? current.id : null;
-    const made = await request("draw_line", { photo, uv: ends, line: further, sigma_px: sigmaPx() });
-    if (made) selectLine(made.line);
-    else if (chosen[side] === photo && !pictures[side].begun) pictures[side].begin(ends[0]);
-    say();
+  const keepLine = (side, ends) => {
+    const photo = chosen[side], sigma_px = sigmaPx();
+    keeping = keeping.then(async () => {
+      const further = line && !lineNow()?.photos.includes(photo) ? line : null;
+      const made = await request("draw_line", { photo, uv: ends, line: further, sigma_px });
+      if (made) {
+        awaited = made.line;
+        selectLine(made.line);
+      } else if (chosen[side] === photo && !pictures[side].begun) pictures[side].begin(ends[0]);
+      say();
+    });
   };
 
   const say = () => {
@@ -400,7 +406,8 @@ export const mountTiePictures = ({ store, view }) => {
   const show = () => {
     const photos = store.get("photos") ?? [];
     const ids = photos.map(({ id }) => id), taken = new Set();
-    if (!lineNow()) line = "";
+    if (lineNow()) awaited = "";
+    else if (line !== awaited) line = "";
     if (!ids.includes(chosen.first)) chosen.first = store.shown() ?? ids[0] ?? "";
     for (const side of ALL_SIDES) {
       sides[side].hidden = !shownSides().includes(side);

@@ -191,7 +191,7 @@ def test_without_noise_lines_find_the_truth(camera: CameraModel) -> None:
 @pytest.mark.slow
 def test_errors_of_weak_poses_with_lines_are_those_that_the_covariance_states() -> None:
     before, after, held, agree = [], [], [], []
-    for seed in range(40):
+    for seed in range(16):
         rng, true = np.random.default_rng([seed, 4]), _poses()
         start = _beside(true, rng)
         drawn = _drawn(_edges(rng, 8), true, _PINHOLE, rng)
@@ -209,7 +209,7 @@ def test_errors_of_weak_poses_with_lines_are_those_that_the_covariance_states() 
     assert np.mean(agree) > 7.8, agree
     assert turn < 0.85, turn
     assert shift < 0.85, shift
-    assert 0.85 < np.sqrt(np.mean(held)) < 1.1, np.sqrt(np.mean(held))
+    assert 0.8 < np.sqrt(np.mean(held)) < 1.1, np.sqrt(np.mean(held))
 
 
 def test_two_photographs_of_a_line_say_nothing() -> None:
