@@ -2,7 +2,7 @@
 
     python -m benchmarks.survey [--rooms 8] [--first-seed 100] [--photos 12] [--close-ups 4] [--alone] [--journal FILE]
     python -m benchmarks.survey --audit 50 [--first-seed 100]
-    python -m benchmarks.survey --lines 48 [--first-seed 100]
+    python -m benchmarks.survey --lines 24 [--first-seed 100]
 
 Each room is scanned from two stations and photographed by two cameras whose stated focal lengths are 1 to 3 % wrong;
 one photograph is of another room, and close-ups show parts at several times the scale. Errors are of the pose in the
