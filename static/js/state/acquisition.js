@@ -6,34 +6,44 @@ import { throttled } from "../ui/throttle.js";
 
 const KEPT_EVERY_MS = 500;
 
-/** @typedef {{field: string, said: string}} PlanFault */
+/**
+ * @typedef {Record<string, any>} Plan a plan.json, of which the page knows what it shows
+ * @typedef {{field: string, said: string}} PlanFault
+ */
 
+/** @type {Plan | null} */
 let plan = null;
+/** @type {Set<(plan: Plan) => void>} */
 const listeners = new Set();
+/** @type {Set<(faults: PlanFault[]) => void>} */
 const faultListeners = new Set();
 
-/** @returns {any} the plan that is being edited, as plan.json; null before there is one */
+/** @returns {Plan | null} the plan that is being edited; null before there is one */
 export const planNow = () => (plan ??= store.get("acquisition")?.plan ?? null);
 
-const keep = throttled(() => ask("acquire_keep", { plan }), KEPT_EVERY_MS);
+const keep = throttled(async () => {
+  if (plan) await ask("acquire_keep", { plan });
+}, KEPT_EVERY_MS);
 
+/** @param {Plan} next */
 const show = (next) => {
   plan = next;
-  for (const listen of listeners) listen(plan);
+  for (const listen of listeners) listen(next);
 };
 
-/** Replace the plan; every listener is called, and the project keeps it. */
+/** Replace the plan; every listener is called, and the project keeps it. @param {Plan} next */
 export const setPlan = (next) => {
   show(next);
   keep();
 };
 
-/** Begin with a plan, if none is being edited. */
+/** Begin with a plan, if none is being edited. @param {Plan} begun */
 export const offerPlan = (begun) => planNow() || show(begun);
 
-/** Change parts of the plan. */
+/** Change parts of the plan. @param {Plan} patch */
 export const changePlan = (patch) => plan && setPlan({ ...plan, ...patch });
 
+/** @param {(plan: Plan) => void} listen called with each change of it */
 export const onPlan = (listen) => listeners.add(listen);
 
 /** Tell what is wrong with the plan. @param {PlanFault[]} faults */
@@ -49,7 +59,7 @@ export const othersDrive = () => {
   const driver = store.get("acquisition")?.driver;
   const people = store.get("people");
   if (!driver || driver.id === people?.you) return false;
-  return Boolean(people?.clients?.some(({ id }) => id === driver.id));
+  return store.colleagues().some(({ id }) => id === driver.id);
 };
 
 /** @returns {boolean} whether something moves or measures */
@@ -64,21 +74,23 @@ export const canBeStopped = () => !["off", undefined].includes(store.get("acquis
 const OVERVIEW_STEP_DEG = 6;
 
 /**
- * @returns {any} a coarse plan over all that the unit can turn to and a line scanner sees, by which one chooses what is
+ * @returns {Plan | null} a coarse plan over all that the unit can turn to and a line scanner sees, by which one chooses what is
  *   scanned; null for a scanner with a field of view of its own
  */
 export const overviewPlan = () => {
   const { lowest_deg: low, highest_deg: high } = store.get("acquisition")?.devices ?? {};
-  if (!planNow() || planNow().mode !== "sweep" || !low || !high) return null;
+  const edited = planNow();
+  if (edited?.mode !== "sweep" || !low || !high) return null;
   // A line beyond the zenith shows what lies behind: half a turn is a panorama, and more would be seen twice.
   const widest = Math.min(90, -Math.ceil(low[0]), Math.floor(high[0]));
   const end = OVERVIEW_STEP_DEG * Math.floor(widest / OVERVIEW_STEP_DEG);
-  return { ...planNow(), pan_deg: [-end, end, OVERVIEW_STEP_DEG], tilt_deg: [0, 0, 0], settle_s: 0, continuous: false, passes: 1, camera: null };
+  return { ...edited, pan_deg: [-end, end, OVERVIEW_STEP_DEG], tilt_deg: [0, 0, 0], settle_s: 0, continuous: false, passes: 1, camera: null };
 };
 
 /** @returns {import("./progress.js").WorkStep} the tab's state */
 export const acquireStep = () => {
   const now = store.get("acquisition");
+  /** @type {Record<string, string | undefined>} */
   const said = {
     off: "Scan all around with a pan/tilt unit.",
     connecting: "Connecting.",
@@ -88,6 +100,6 @@ export const acquireStep = () => {
     running: `${now?.done} of ${now?.total} pieces${now?.devices?.simulated ? ", simulated" : ""}.`,
     paused: "Paused.",
     fault: now?.said,
-  }[now?.state ?? "off"];
-  return { name: "acquire", label: "Acquire", done: Boolean(now?.complete), missing: "", status: said ?? "" };
+  };
+  return { name: "acquire", label: "Acquire", done: Boolean(now?.complete), missing: "", status: said[now?.state ?? "off"] ?? "" };
 };

@@ -9,7 +9,8 @@ const INTERVAL_MS = 80;
 
 /** Link the page's hovering with that of the 3-D scene, both ways. */
 export const linkHovering = () => {
-  let known = null; // to the scene: what came from it is not sent back
+  /** @type {string | null} to the scene: what came from it is not sent back */
+  let known = null;
   store.onEvent("hover", ({ client, pick }) => {
     if (client !== store.get("people")?.you) return;
     known = pick ?? null;

@@ -23,18 +23,23 @@ export const MEASURES = {
  */
 
 const UNKNOWN = { known: false, value: "", interval: "", notes: [], refusal: "", drawn: null, in_photo: {} };
+/** @type {{from: any[], list: Measurement[]}} the slices, and what they say */
 let made = { from: [null, null], list: [] };
 
 /** @returns {Measurement[]} the same list while nothing has changed */
 export const measurementsNow = () => {
   const from = [store.get("measurements"), store.get("measured")];
   if (from.some((slice, k) => slice !== made.from[k])) {
-    const values = new Map((from[1] ?? []).map((one) => [one.id, one]));
-    const list = (from[0] ?? []).map((one) => ({ ...UNKNOWN, ...one, ...values.get(one.id), known: values.has(one.id) }));
+    /** @type {{id: string, name: string, kind: string, station: string, places: any[]}[]} */
+    const kept = from[0] ?? [];
+    /** @type {({id: string} & Partial<Measurement>)[]} */
+    const measured = from[1] ?? [];
+    const values = new Map(measured.map((one) => [one.id, one]));
+    const list = kept.map((one) => ({ ...UNKNOWN, ...one, ...values.get(one.id), known: values.has(one.id) }));
     made = { from, list };
   }
   return made.list;
 };
 
-/** @returns {Measurement | null} */
+/** @param {string | null} id @returns {Measurement | null} */
 export const measurementOf = (id) => measurementsNow().find((one) => one.id === id) ?? null;

@@ -1,6 +1,6 @@
 /** The steps of the thesis: their jobs, settings and states; and the state of a job. No DOM here. */
 
-import { counted, duration, fixed } from "../ui/numbers.js";
+import { counted, duration, fixed, isNumber } from "../ui/numbers.js";
 
 /**
  * `parts` are the values of `step_of` in the settings; `stage` is the pose that the step produces, `origin` the origin
@@ -129,27 +129,36 @@ export const stepState = (step, { job, last, stages, shown, corners, picks }) =>
   return { state: "none", text: "" };
 };
 
-/** @returns {{state: "done" | "none" | "stale" | "failed" | "unclear", text: string}} the state of the step Verify: what is stored with the shown pose, so that it changes with it */
+/** @type {Record<string, "done" | "failed" | "unclear">} */
+const OF_OUTCOME = { verified: "done", contradicted: "failed", undecidable: "unclear" };
+
+/**
+ * The state of the step Verify: what is stored with the shown pose, so that it changes with it.
+ * @param {any} shown stage
+ * @returns {{state: "done" | "none" | "stale" | "failed" | "unclear", text: string}}
+ */
 const verifyState = (shown) => {
   if (shown?.evidence === "image" && !shown.image) return { state: "done", text: shown.reasons?.[0] ?? "" };
   if (!shown?.image) return { state: "none", text: "" };
   if (shown.stale) return { state: "stale", text: `Out of date: ${shown.stale}` };
-  const state = { verified: "done", contradicted: "failed", undecidable: "unclear" }[shown.image.outcome] ?? "none";
-  return { state, text: shown.image.sentence };
+  return { state: OF_OUTCOME[shown.image.outcome] ?? "none", text: shown.image.sentence };
 };
 
-/** @returns {string} matches that agree, median residual and time of a stage, such as `128 of 134 agree, median 0.42 px, 1.2 s` */
+/**
+ * @param {{matches?: number, inliers?: number, median_px?: number | null, seconds?: number | null}} stage
+ * @returns {string} matches that agree, median residual and time, such as `128 of 134 agree, median 0.42 px, 1.2 s`
+ */
 export const stageSummary = (stage) =>
   [
     stage.matches === undefined ? "" : `${stage.inliers} of ${stage.matches} agree`,
-    Number.isFinite(stage.median_px) ? `median ${fixed(stage.median_px, 2)} px` : "",
+    isNumber(stage.median_px) ? `median ${fixed(stage.median_px, 2)} px` : "",
     stage.seconds ? duration(stage.seconds) : "",
   ].filter(Boolean).join(", ");
 
-/** @returns {number | null} share of a job that is done, 0 to 1; null if unknown */
+/** @param {any} job slice `job` @returns {number | null} share of a job that is done, 0 to 1; null if unknown */
 export const shareDone = (job) => (job && job.total > 0 ? Math.max(0, Math.min(1, job.done / job.total)) : null);
 
-/** @returns {boolean} whether a job is running or paused */
+/** @param {any} job slice `job` @returns {boolean} whether a job is running or paused */
 export const isRunning = (job) => job?.state === "running" || job?.state === "paused";
 
 /**

@@ -9,10 +9,12 @@ import { view } from "./view.js";
 
 const NOTICE = "ladarreg-project-notice";
 
+/** @type {string | null} id */
 let present = null;
 
+/** @param {string} id of the project that is opened @param {string} message */
 const startAfresh = (id, message) => {
-  view.exchange(present, id);
+  if (present) view.exchange(present, id);
   rememberPhoto(null);
   try {
     if (message) sessionStorage.setItem(NOTICE, message);

@@ -2,15 +2,17 @@
 
 const MOST_NAMED = 2;
 
-/** @returns {string} such as "and 3 more", empty for a scan of one file */
-export const othersText = (scan) => (scan?.files?.length > 1 ? `and ${scan.files.length - 1} more` : "");
+/** @typedef {{name?: string, files?: string[]} | null | undefined} Scan a scan, or a station's, as its slice describes it */
 
-/** @returns {string} such as "sweep1.pcd and 3 more" */
+/** @param {Scan} scan @returns {string} such as "and 3 more", empty for a scan of one file */
+export const othersText = (scan) => (scan?.files && scan.files.length > 1 ? `and ${scan.files.length - 1} more` : "");
+
+/** @param {Scan} scan @returns {string} such as "sweep1.pcd and 3 more" */
 export const scanName = (scan) => [scan?.name, othersText(scan)].filter(Boolean).join(" ");
 
-/** @returns {string} all its clouds, for a tooltip; the name alone for a scan of one file */
+/** @param {Scan} scan @returns {string} all its clouds, for a tooltip; the name alone for a scan of one file */
 export const cloudNames = (scan) =>
-  scan?.files?.length > 1 ? `${scan.files.length} clouds of one standpoint: ${scan.files.join(", ")}` : scan?.name ?? "";
+  scan?.files && scan.files.length > 1 ? `${scan.files.length} clouds of one standpoint: ${scan.files.join(", ")}` : scan?.name ?? "";
 
 /** @param {string[]} names @returns {string} such as "a.pcd, b.pcd and 3 more" */
 export const listed = (names) => {

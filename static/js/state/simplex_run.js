@@ -43,7 +43,7 @@ export class SimplexRun {
     return this.#last;
   }
 
-  /** Call `listen()` whenever a frame arrives, another one is shown, or none. */
+  /** Call `listen()` whenever a frame arrives, another one is shown, or none. @param {() => void} listen */
   onChange(listen) {
     this.#listeners.add(listen);
   }
@@ -121,6 +121,7 @@ export class SimplexRun {
     if (shown !== this.current || !this.playing) this.#show(shown);
   }
 
+  /** @param {Frame | null} frame */
   #show(frame) {
     if (!this.playing) clearInterval(this.#timer);
     this.current = frame;

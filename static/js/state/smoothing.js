@@ -21,5 +21,5 @@ export const newRanges = () => previewNow()?.ranges ?? NOTHING;
 /** @returns {NewRange[]} those of them that are of the scan that is shown */
 export const newRangesHere = () => (previewNow()?.station === store.station() ? newRanges() : NOTHING);
 
-/** @returns {boolean} whether a range would be replaced: at a spike, or at an edge if the operator says so */
+/** @param {{edge: boolean}} range @returns {boolean} whether a range would be replaced: at a spike, or at an edge if the operator says so */
 export const isMeant = ({ edge }) => !edge || view.get().smooth_edges;

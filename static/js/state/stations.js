@@ -5,7 +5,7 @@ import { fixed } from "../ui/numbers.js";
 import { scanName } from "./scan_name.js";
 
 /** @typedef {{id: string | null, name: string, index: number, colour: string | null, state: string, sigma_mm: number | null,
- *   sigma_deg: number | null, place: {x: number, y: number, z: number, yaw_deg: number} | null, rough: boolean}} Station */
+ *   sigma_deg: number | null, files?: string[], place: {x: number, y: number, z: number, yaw_deg: number} | null, rough: boolean}} Station */
 
 /** @returns {{stations: Station[], pairs: any[], loops: any[], reasons: string[], checks: any[], stale: boolean,
  *   registered: boolean, done?: boolean, status?: string, missing?: string}} */
@@ -15,24 +15,24 @@ export const stationsNow = () =>
 /** @returns {boolean} whether the stations are registered as they are now */
 export const isRegistered = () => stationsNow().registered && !stationsNow().stale;
 
-/** @returns {string} a station's name; of a file with several scans with the scan's number */
+/** @param {import("./scan_name.js").Scan & {index: number}} station @returns {string} its name; of a file with several scans with the scan's number */
 export const stationName = (station) =>
   station.index ? `${scanName(station)}, scan ${station.index + 1}` : scanName(station);
 
-/** @returns {string} the name of the scan of a station by its id; empty: the project's */
+/** @param {string} id @returns {string} the name of the scan of a station by its id; empty: the project's */
 export const scanOfStation = (id) => {
   const found = stationsNow().stations.find((station) => (station.id ?? "") === id);
   return found ? stationName(found) : scanName(store.get("scan"));
 };
 
-/** Rounded up: a bound of the standard deviation, and never 0. */
+/** Rounded up: a bound of the standard deviation, and never 0. @param {number} value @param {number} digits */
 const bound = (value, digits) => Math.max(Math.ceil(value * 10 ** digits) / 10 ** digits, 10 ** -digits).toFixed(digits);
 
-/** @returns {string} how well a place is known */
+/** @param {{sigma_mm: number | null, sigma_deg: number | null}} place @returns {string} how well it is known */
 export const sigmaText = ({ sigma_mm, sigma_deg }) =>
   sigma_mm === null || sigma_deg === null ? "" : `σ ≤ ${bound(sigma_mm, 1)} mm, ${bound(sigma_deg, 3)}°`;
 
-/** @returns {string} what is known of a station */
+/** @param {Station} station @returns {string} what is known of it */
 export const stateText = (station) => {
   if (station.id === null) return "shown";
   if (station.state === "fixed") return "fixed";
@@ -43,7 +43,7 @@ export const stateText = (station) => {
   return station.state === "out" ? "not registered" : "waiting";
 };
 
-/** @returns {string} where a station stands, from the one that is shown */
+/** @param {Station} station @returns {string} where it stands, from the one that is shown */
 export const placeText = ({ place }) => {
   if (!place) return "";
   const [x, y, z] = [place.x, place.y, place.z].map((value) => fixed(value, 3));

@@ -11,6 +11,7 @@ export const SHOWN = [["all", "All"], ["open", "Not accepted"], ["accepted", "Ac
  *   sigma_m: number | null, ties: number | null, left_out: number, median_px: number | null, part: string, moved: string,
  *   reason: string}} SurveyRow */
 
+/** @param {any} photo entry of slice `photos` @param {boolean} refused by the adjustment @returns {string} */
 const stateOf = (photo, refused) => {
   if (photo.error) return "cannot be read";
   if (!photo.camera) return "focal length unknown";
@@ -19,7 +20,11 @@ const stateOf = (photo, refused) => {
   return photo.part === "held" ? `${state}, held` : state;
 };
 
-/** @returns {SurveyRow} */
+/**
+ * @param {any} photo entry of slice `photos`
+ * @param {any} found the photograph in the slice `survey`, if it is there
+ * @returns {SurveyRow}
+ */
 const rowOf = (photo, found) => {
   const current = found && !found.changed;
   const refused = current && !found.accepted && !photo.light;
@@ -42,9 +47,10 @@ const rowOf = (photo, found) => {
   };
 };
 
-/** What stands for how bad a photograph is: those that are not accepted first, then by residual and uncertainty. */
+/** What stands for how bad a photograph is: those that are not accepted first, then by residual and uncertainty. @param {SurveyRow} row */
 const badness = (row) => [row.accepted ? 0 : 1, row.median_px ?? 0, row.sigma_m ?? 0];
 
+/** @param {SurveyRow} a @param {SurveyRow} b @returns {number} */
 const byBadness = (a, b) => {
   const [first, second] = [badness(a), badness(b)];
   const at = first.findIndex((value, k) => value !== second[k]);
@@ -58,7 +64,9 @@ const byBadness = (a, b) => {
  * @returns {SurveyRow[]}
  */
 export const rowsOf = (photos, survey, { order, filter }) => {
-  const found = new Map((survey?.photos ?? []).map((each) => [each.id, each]));
+  /** @type {{id: string}[]} */
+  const adjusted = survey?.photos ?? [];
+  const found = new Map(adjusted.map((each) => [each.id, each]));
   const rows = photos
     .map((photo) => rowOf(photo, found.get(photo.id)))
     .filter((row) => filter === "all" || row.accepted === (filter === "accepted"));
@@ -80,7 +88,7 @@ export const tiesSaid = (ties, found) => {
   return `In the photograph: ${drawn}, needles ${TIE_FACTOR} × their residuals${found.ties_left_out ? ", crosses where left out" : ""}.`;
 };
 
-/** @returns {string} what the last adjustment says of all */
+/** @param {any} survey slice `survey`, or null @returns {string} what the last adjustment says of all */
 export const summaryOf = (survey) => {
   if (!survey)
     return "Adjust solves all photographs, their cameras and all scans together: photographs hold each other, and what contradicts the rest is taken out.";

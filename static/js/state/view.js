@@ -44,9 +44,13 @@
  *   null: as suits the pictures
  */
 
+/**
+ * @typedef {"scan" | "photo" | "layout"} Nested of several values, which change one by one
+ * @typedef {Partial<Omit<ViewState, Nested>> & {[Name in Nested]?: Partial<ViewState[Name]>}} ViewPatch
+ */
+
 const KEY = "ladarreg-view";
 const TRANSIENT = new Set(["stretching", "hovered", "placement", "offer", "reveal", "reveal_uv", "reveal_place", "smoothed", "smooth_edges", "readout", "hint", "tying"]);
-const NESTED = ["scan", "photo", "layout"];
 
 /** @returns {ViewState} */
 const defaults = () => ({
@@ -82,6 +86,7 @@ const defaults = () => ({
   layout: { left: null, middle: null, dock: null },
 });
 
+/** @returns {ViewPatch} */
 const stored = () => {
   try {
     const found = JSON.parse(sessionStorage.getItem(KEY) ?? "{}");
@@ -91,15 +96,19 @@ const stored = () => {
   }
 };
 
-const merged = (base, patch) => {
-  const result = { ...base, ...patch };
-  for (const name of NESTED) if (patch[name]) result[name] = { ...base[name], ...patch[name] };
-  return result;
-};
+/** @param {ViewState} base @param {ViewPatch} patch @returns {ViewState} */
+const merged = (base, patch) => ({
+  ...base,
+  ...patch,
+  scan: patch.scan ? { ...base.scan, ...patch.scan } : base.scan,
+  photo: patch.photo ? { ...base.photo, ...patch.photo } : base.photo,
+  layout: patch.layout ? { ...base.layout, ...patch.layout } : base.layout,
+});
 
 /** The state with its listeners; `set` is the only way to change it. */
 class View {
   #state = merged(defaults(), stored());
+  /** @type {Set<(state: ViewState, changed: Set<keyof ViewState>) => void>} */
   #listeners = new Set();
   #saving = 0;
   #left = false; // another project is about to be shown
@@ -111,12 +120,13 @@ class View {
 
   /**
    * Change parts of the state; `scan`, `photo` and `layout` may be given in part.
-   * @param {Partial<ViewState> | Record<string, any>} patch
+   * @param {ViewPatch} patch
    */
   set(patch) {
     const before = this.#state;
     this.#state = merged(before, patch);
-    const changed = new Set(Object.keys(patch).filter((name) => before[name] !== this.#state[name]));
+    const names = /** @type {(keyof ViewState)[]} */ (Object.keys(patch));
+    const changed = new Set(names.filter((name) => before[name] !== this.#state[name]));
     if (changed.size === 0) return;
     if ([...changed].some((name) => !TRANSIENT.has(name))) this.#save();
     for (const listen of [...this.#listeners]) listen(this.#state, changed);
@@ -124,7 +134,7 @@ class View {
 
   /**
    * Call `listen(state, changed)` at each change; `changed` is the set of the changed names.
-   * @param {(state: ViewState, changed: Set<string>) => void} listen
+   * @param {(state: ViewState, changed: Set<keyof ViewState>) => void} listen
    * @returns {() => void} removes the listener
    */
   on(listen) {

@@ -3,20 +3,23 @@
 export const NONE = "–";
 const MINUS = "−";
 
+/** @type {(value: unknown) => value is number} whether there is a number to show */
+export const isNumber = (value) => typeof value === "number" && Number.isFinite(value);
+
 /**
  * @param {number | null | undefined} value
  * @param {number} decimals
  * @returns {string} with a typographic minus; a dash if there is no number
  */
 export const fixed = (value, decimals) => {
-  if (value === null || value === undefined || !Number.isFinite(value)) return NONE;
+  if (!isNumber(value)) return NONE;
   const text = value.toFixed(decimals);
   return Number(text) === 0 ? text.replace("-", "") : text.replace("-", MINUS);
 };
 
 /** @returns {string} with three significant figures, and at most four decimals */
 export const short = (value) => {
-  if (value === null || value === undefined || !Number.isFinite(value)) return NONE;
+  if (!isNumber(value)) return NONE;
   const size = Math.abs(value);
   return fixed(value, size >= 100 ? 0 : size >= 10 ? 1 : size >= 1 ? 2 : size >= 0.1 ? 3 : 4);
 };
@@ -33,7 +36,7 @@ export const bytes = (count) => {
 
 /** @returns {string} such as `0.42 s` or `3 min 05 s` */
 export const duration = (seconds) => {
-  if (seconds === null || seconds === undefined || !Number.isFinite(seconds)) return NONE;
+  if (!isNumber(seconds)) return NONE;
   if (seconds < 10) return `${seconds.toFixed(seconds < 1 ? 2 : 1)} s`;
   if (seconds < 60) return `${Math.round(seconds)} s`;
   return `${Math.floor(seconds / 60)} min ${String(Math.round(seconds % 60)).padStart(2, "0")} s`;

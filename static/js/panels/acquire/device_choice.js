@@ -92,6 +92,7 @@ export const makeDeviceChoice = () => {
   /** Exchange the scanner: a line scanner sweeps, others make pieces, and each begins with a fitting plan. */
   scanner.addEventListener("change", () => {
     const plan = planNow();
+    if (!plan) return;
     const pieces = pieceScanner(scanner.value, plan);
     if ((pieces !== null) === (plan.mode === "mosaic")) {
       if (pieces?.kind === plan.scanner.kind || !pieces) change("scanner", pieces ?? { port: scanner.value });

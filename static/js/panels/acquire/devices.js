@@ -80,7 +80,10 @@ export const mountDevices = () => {
     show();
   };
 
-  const begin = () => request("acquire_connect", { plan: planNow() });
+  const begin = async () => {
+    const plan = planNow();
+    if (plan) await request("acquire_connect", { plan });
+  };
 
   const jog = async ([pan, tilt]) => {
     const now = store.get("acquisition");
@@ -97,9 +100,10 @@ export const mountDevices = () => {
   /** The axis turns the other way round: the plan says so, and the unit is connected again with it. */
   const reverse = async () => {
     direction.hidden = true;
-    const signs = [...(planNow().unit.signs ?? [1, 1])];
+    const unit = planNow()?.unit;
+    const signs = [...(unit?.signs ?? [1, 1])];
     signs[turned] *= -1;
-    changePlan({ unit: { ...planNow().unit, signs } });
+    changePlan({ unit: { ...unit, signs } });
     await request("acquire_disconnect");
     await begin();
   };

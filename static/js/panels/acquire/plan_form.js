@@ -49,16 +49,16 @@ export const mountPlanForm = () => {
   const mountRows = [
     numbersRow({
       label: "Position", unit: "m", names: ["forward", "left", "up"], fields: ["mount.xyz_m"],
-      read: (plan) => plan?.mount?.xyz_m, write: (xyz_m) => changePlan({ mount: { ...planNow().mount, xyz_m } }),
+      read: (plan) => plan?.mount?.xyz_m, write: (xyz_m) => changePlan({ mount: { ...planNow()?.mount, xyz_m } }),
     }),
     numbersRow({
       label: "Angles", unit: "°", names: ["roll", "pitch", "yaw"], fields: ["mount.rpy_deg"],
-      read: (plan) => plan?.mount?.rpy_deg, write: (rpy_deg) => changePlan({ mount: { ...planNow().mount, rpy_deg } }),
+      read: (plan) => plan?.mount?.rpy_deg, write: (rpy_deg) => changePlan({ mount: { ...planNow()?.mount, rpy_deg } }),
     }),
   ];
   const base = element("select", { class: "select small", "aria-label": "How the unit stands" });
   base.addEventListener("change", () => {
-    const { base: former, ...mount } = planNow().mount;
+    const { base: former, ...mount } = planNow()?.mount ?? {};
     changePlan({ mount: base.value === "upright" ? mount : { ...mount, base: base.value === "hanging" ? "hanging" : former } });
   });
   const showBase = (plan) => {
@@ -133,10 +133,11 @@ export const mountPlanForm = () => {
   );
 
   const check = throttled(async () => {
-    if (view.get().step !== "acquire" || !planNow() || store.readOnly) return;
+    const plan = planNow();
+    if (view.get().step !== "acquire" || !plan || store.readOnly) return;
     let found;
     try {
-      found = await ask("acquire_check", { plan: planNow() });
+      found = await ask("acquire_check", { plan });
     } catch (error) {
       found = { faults: [{ field: "", said: messageOf(error) }], forecast: null };
     }

@@ -97,13 +97,13 @@ export const mountRun = () => {
 
   /** Show the range of the plan over the picture. */
   const showRange = () => {
-    const { pan_deg: pan, tilt_deg: tilt } = planNow() ?? {};
+    const { pan_deg: pan, tilt_deg: tilt, mode } = planNow() ?? {};
     const good = [pan, tilt].every((axis) => Array.isArray(axis) && axis.length === 3 && axis.every(Number.isFinite));
     range.hidden = !good;
     if (!good) return;
     const [left, right] = [Math.max(pan[0], pan[1]), Math.min(pan[0], pan[1])];
     // The line of a sweep covers all elevations.
-    const [top, bottom] = planNow().mode === "sweep" ? [90, -90] : [Math.max(tilt[0], tilt[1]) + 1, Math.min(tilt[0], tilt[1]) - 1];
+    const [top, bottom] = mode === "sweep" ? [90, -90] : [Math.max(tilt[0], tilt[1]) + 1, Math.min(tilt[0], tilt[1]) - 1];
     const ends = [placeOf(Math.min(left, 180), top), placeOf(Math.max(right, -180), bottom)];
     const [[x0, y0], [x1, y1]] = stance().way > 0 ? ends : ends.reverse();
     const style = { left: x0 / WIDTH, top: y0 / HEIGHT, width: (x1 - x0) / WIDTH, height: (y1 - y0) / HEIGHT };
@@ -122,9 +122,9 @@ export const mountRun = () => {
     overview.setPointerCapture(event.pointerId);
   });
   overview.addEventListener("pointermove", (event) => {
-    if (!from || Math.hypot(event.clientX - from.x, event.clientY - from.y) < LEAST_DRAG_PX) return;
-    const [a, b] = [anglesAt(...from.place), anglesAt(...place(event))];
     const plan = planNow();
+    if (!from || !plan || Math.hypot(event.clientX - from.x, event.clientY - from.y) < LEAST_DRAG_PX) return;
+    const [a, b] = [anglesAt(...from.place), anglesAt(...place(event))];
     const low = now().devices?.lowest_deg ?? [-168, -46];
     const high = now().devices?.highest_deg ?? [168, 30];
     const within = (value, k) => Math.round(10 * Math.min(high[k], Math.max(low[k], value))) / 10;

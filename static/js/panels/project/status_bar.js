@@ -9,7 +9,7 @@ import { button } from "../../ui/controls.js";
 import { element, setAttribute, setChildren, setText } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
 import { lightOf } from "../../ui/lights.js";
-import { duration, fixed } from "../../ui/numbers.js";
+import { duration, fixed, isNumber } from "../../ui/numbers.js";
 import { jobControls } from "../pose/job_controls.js";
 import { openKeys } from "./key_reference.js";
 
@@ -27,9 +27,6 @@ const ENDS = { done: ["info", "dim"], failed: ["bad", "bad"], stopped: ["stop", 
 const LONG_S = 2;
 
 const rangeText = (range) => (range === undefined ? "" : range === null ? "no return" : `${fixed(range, 3)} m`);
-
-/** @returns {value is number} */
-const isNumber = (value) => typeof value === "number" && Number.isFinite(value);
 
 /** @param {NonNullable<import("../../state/view.js").ViewState["readout"]>} readout @returns {string} */
 const readoutText = ({ uv, range_m: range, intensity, edge, zoom }) =>
