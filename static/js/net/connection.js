@@ -18,6 +18,7 @@ const CROWDED = "The workbench serves its maximum number of pages: close one tha
 
 /** @typedef {"connecting" | "connected" | "lost" | "refused" | "full"} ConnectionState */
 
+/** @type {WebSocket | null} */
 let socket = null;
 let wait_ms = FIRST_WAIT_MS;
 let timer = 0;
@@ -25,12 +26,19 @@ let nextId = 1;
 /** @type {ConnectionState} */
 let state = "connecting";
 let reason = "";
-/** What happened before the page was assembled, to be done then; null if nothing has to wait. */
+/** @type {(() => void)[] | null} what happened before the page was assembled, to be done then; null if nothing has to wait */
 let early = null;
-const whenAssembled = (act) => (early ? early.push(act) : act());
+/** @param {() => void} act */
+const whenAssembled = (act) => {
+  if (early) early.push(act);
+  else act();
+};
+/** @type {Map<number, {resolve: (answer: any) => void, reject: (error: Error) => void}>} */
 const unanswered = new Map();
+/** @type {Set<(state: ConnectionState) => void>} */
 const listeners = new Set();
 
+/** @param {ConnectionState} now */
 const setState = (now) => {
   if (now === state) return;
   state = now;
@@ -75,14 +83,16 @@ export const socketAddress = (page = location.href) => {
  *   argument that is wrong, if it is one
  */
 export const ask = (command, args) => {
-  if (state !== "connected") return Promise.reject(new Error(OFFLINE));
+  const current = socket;
+  if (state !== "connected" || !current) return Promise.reject(new Error(OFFLINE));
   const id = nextId++;
   return new Promise((resolve, reject) => {
     unanswered.set(id, { resolve, reject });
-    socket.send(JSON.stringify({ ...args, project: store.get("project")?.id, id, do: command }));
+    current.send(JSON.stringify({ ...args, project: store.get("project")?.id, id, do: command }));
   });
 };
 
+/** @param {any} message a reply */
 const settle = (message) => {
   const waiting = unanswered.get(message.reply);
   if (!waiting) return;
@@ -94,6 +104,7 @@ const settle = (message) => {
   }
 };
 
+/** @param {string} text */
 const receive = (text) => {
   let message;
   try {
@@ -113,10 +124,12 @@ const receive = (text) => {
 /** Reconnect after a gap in the messages: a new connection receives all slices. */
 const reconnect = () => {
   const current = socket;
+  if (!current) return;
   closed(current, true);
   current.close();
 };
 
+/** @param {string} text */
 const setFull = (text) => {
   reason = text || CROWDED;
   setState("full");
@@ -135,6 +148,7 @@ const findReason = async () => {
   }
 };
 
+/** @param {WebSocket} from @param {boolean} opened @param {{code?: number, reason?: string}} [event] */
 const closed = (from, opened, { code = 0, reason: text = "" } = {}) => {
   if (socket !== from) return;
   socket = null;
@@ -147,18 +161,23 @@ const closed = (from, opened, { code = 0, reason: text = "" } = {}) => {
   wait_ms = Math.min(2 * wait_ms, LONGEST_WAIT_MS);
 };
 
-/** @returns {Promise<string>} the text of a message that came compressed; empty if it is damaged, which ends in a new connection */
+/** @param {ArrayBuffer} data @returns {Promise<string>} the text of a message that came compressed; empty if it is damaged, which ends in a new connection */
 const unpacked = (data) =>
   new Response(new Blob([data]).stream().pipeThrough(new DecompressionStream("gzip"))).text().catch(() => "");
 
-/** @returns {(data: string | ArrayBuffer) => void} calls `take(text)` for each message, in the order of the messages */
+/**
+ * @param {(text: string) => void} take
+ * @returns {(data: string | ArrayBuffer) => void} calls `take(text)` for each message, in the order of the messages
+ */
 const inOrder = (take) => {
+  /** @type {Promise<void> | null} */
   let unpacking = null;
   return (data) => {
     if (typeof data === "string" && !unpacking) {
       take(data);
       return;
     }
+    /** @type {Promise<void>} */
     const own = Promise.all([typeof data === "string" ? data : unpacked(data), unpacking]).then(([text]) => {
       if (unpacking === own) unpacking = null;
       take(text);

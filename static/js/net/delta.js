@@ -4,6 +4,7 @@
  * @typedef {{set?: any, gone?: (string | number)[], in?: Record<string, Change>, order?: (string | number)[]}} Change
  */
 
+/** @param {any} item @returns {string | number} */
 const keyOf = (item) => item.id ?? item.n;
 
 /** @param {any[]} before @param {Change} change */

@@ -13,6 +13,7 @@ const random = () => [...crypto.getRandomValues(new Uint8Array(16))].map((byte) 
 const page = random();
 let tab = random();
 
+/** @param {string} key */
 const read = (key) => {
   try {
     return sessionStorage.getItem(key) ?? "";
@@ -21,6 +22,7 @@ const read = (key) => {
   }
 };
 
+/** @param {string} key @param {string} value */
 const write = (key, value) => {
   try {
     sessionStorage.setItem(key, value);

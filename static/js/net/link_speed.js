@@ -4,10 +4,14 @@ const FAST_BYTES_PER_MS = 1000; // 8 Mbit/s: an exact picture of a megabyte take
 const LEAST_BYTES = 8000;
 const RECENT = 6;
 
+/** @type {number[]} bytes per ms */
 let speeds = [];
 
+/** @param {PerformanceEntryList} entries */
 const note = (entries) => {
-  for (const { transferSize, encodedBodySize, responseStart, responseEnd } of entries) {
+  for (const entry of entries) {
+    if (!(entry instanceof PerformanceResourceTiming)) continue;
+    const { transferSize, encodedBodySize, responseStart, responseEnd } = entry;
     // what comes from the browser's cache, or is small, says nothing about the link
     if (encodedBodySize < LEAST_BYTES || transferSize < encodedBodySize) continue;
     // the clock of a page is coarse; a download within one of its ticks is a fast one

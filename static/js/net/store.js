@@ -11,13 +11,18 @@ import { changed as applied } from "./delta.js";
  * @typedef {(value: any, slice: string) => void} SliceListener
  */
 
+/** @param {string} pattern @param {string} name */
 const matches = (pattern, name) => (pattern.endsWith("*") ? name.startsWith(pattern.slice(0, -1)) : pattern === name);
 
 /** Slices by name, with their listeners. */
 export class Store {
+  /** @type {Map<string, any>} */
   #slices = new Map();
+  /** @type {Set<{pattern: string, listen: SliceListener}>} */
   #listeners = new Set();
+  /** @type {Set<{patterns: string[], draw: () => void}>} */
   #watchers = new Set();
+  /** @type {Map<string, Set<(event: any) => void>>} */
   #events = new Map();
 
   /** Number of the newest message with slices; 0 before the first. */
@@ -63,9 +68,9 @@ export class Store {
    * @returns {() => void} removes the listener
    */
   onEvent(kind, listen) {
-    if (!this.#events.has(kind)) this.#events.set(kind, new Set());
-    this.#events.get(kind).add(listen);
-    return () => this.#events.get(kind).delete(listen);
+    const listeners = this.#events.get(kind) ?? new Set();
+    this.#events.set(kind, listeners.add(listen));
+    return () => listeners.delete(listen);
   }
 
   /**
@@ -93,12 +98,13 @@ export class Store {
     return true;
   }
 
-  /** @returns {Record<string, any>} all slices of message 1, and null for those that exist no longer */
+  /** @param {Record<string, any>} slices @returns {Record<string, any>} all slices of message 1, and null for those that exist no longer */
   #all(slices) {
     const removed = [...this.#slices.keys()].filter((name) => !(name in slices));
     return { ...Object.fromEntries(removed.map((name) => [name, null])), ...slices };
   }
 
+  /** @param {Record<string, any>} slices */
   #apply(slices) {
     const changed = Object.keys(slices);
     for (const name of changed) {
@@ -113,10 +119,15 @@ export class Store {
     }
   }
 
+  /** @returns {any[]} the entries of slice `people`; none before the first message */
+  #clients() {
+    return this.get("people")?.clients ?? [];
+  }
+
   /** @returns {any} this page's own entry of slice `people`, or null before the first message */
   me() {
-    const people = this.get("people");
-    return people?.clients.find(({ id }) => id === people.you) ?? null;
+    const you = this.get("people")?.you;
+    return this.#clients().find(({ id }) => id === you) ?? null;
   }
 
   /** @returns {boolean} whether this page may only look */
@@ -126,8 +137,8 @@ export class Store {
 
   /** @returns {any[]} the entries of slice `people` of everybody else */
   colleagues() {
-    const people = this.get("people");
-    return (people?.clients ?? []).filter(({ id }) => id !== people.you);
+    const you = this.get("people")?.you;
+    return this.#clients().filter(({ id }) => id !== you);
   }
 
   /** @returns {string | null} id of the photograph that this page shows */
@@ -140,7 +151,9 @@ export class Store {
    * @returns {any} the entry of slice `photos`, or null
    */
   photo(photo = this.shown()) {
-    return (this.get("photos") ?? []).find((entry) => entry.id === photo) ?? null;
+    /** @type {any[]} */
+    const photos = this.get("photos") ?? [];
+    return photos.find(({ id }) => id === photo) ?? null;
   }
 
   /** @returns {any} the scan that is shown beside the photograph, as slice `scan`: the project's or another station's */
@@ -183,7 +196,9 @@ export class Store {
    */
   stageOf(photo = this.shown()) {
     const poses = this.posesOf(photo);
-    return poses?.stages.find((stage) => stage.stage === poses.shown) ?? null;
+    /** @type {any[]} */
+    const stages = poses?.stages ?? [];
+    return stages.find(({ stage }) => stage === poses.shown) ?? null;
   }
 }
 

@@ -8,10 +8,12 @@ const CONNECTION_LOST =
 
 const NOT_AUTHORISED = "The workbench no longer accepts this page: open its address again, with the token.";
 
+/** @param {string} name @param {number} most bytes @returns {string} */
 const tooLarge = (name, most) =>
   `${name} is larger than the ${bytes(most)} that the workbench accepts: reduce it, ` +
   (store.get("served") ? "or put it into the served folder." : "or start the workbench with the file, or with a larger limit.");
 
+/** @param {XMLHttpRequest} request @returns {any} */
 const answerOf = (request) => {
   try {
     return JSON.parse(request.responseText);
@@ -20,6 +22,7 @@ const answerOf = (request) => {
   }
 };
 
+/** @param {XMLHttpRequest} request @param {string} name of the file @returns {string} */
 const refusal = (request, name) => {
   const error = answerOf(request).error;
   if (error) return error.startsWith(name) ? error : `${name}: ${error}`;

@@ -2,6 +2,7 @@
 
 import { element, newId } from "./dom.js";
 import { icon } from "./icons.js";
+import { opens } from "./popover.js";
 
 /**
  * A button.
@@ -25,12 +26,14 @@ export const button = ({ label, text = label, act, icon: sign, title, kind = "",
     bare ? null : element("span", {}, text),
   );
 
-/** Show whether a toggle button is pressed. */
+/** Show whether a toggle button is pressed. @param {Element} toggle @param {boolean} pressed */
 export const press = (toggle, pressed) => toggle.setAttribute("aria-pressed", String(pressed));
 
 /**
  * Set the value of a select, and its options if they have changed.
+ * @param {HTMLSelectElement} select
  * @param {[string, string][]} options value and label
+ * @param {string} value
  */
 export const fill = (select, options, value) => {
   const key = JSON.stringify(options);
@@ -41,7 +44,11 @@ export const fill = (select, options, value) => {
   if (select.value !== value) select.value = value;
 };
 
-/** @returns {HTMLSelectElement} a select without options yet; see `fill` */
+/**
+ * @param {string} label
+ * @param {(value: string) => void} changed
+ * @returns {HTMLSelectElement} a select without options yet; see `fill`
+ */
 export const choice = (label, changed) => {
   const select = element("select", { class: "pane-select", "aria-label": label, title: label });
   select.addEventListener("change", () => changed(select.value));
@@ -57,8 +64,9 @@ export const choice = (label, changed) => {
 export const slider = ({ label, least, most, step, text, changed, released = () => {} }) => {
   const input = element("input", { type: "range", min: least, max: most, step, "aria-label": label });
   const output = element("output", { class: "pane-value" });
+  /** @param {number} value */
   const show = (value) => {
-    if (Number(input.value) !== value) input.value = value;
+    if (Number(input.value) !== value) input.value = String(value);
     input.setAttribute("aria-valuetext", text(value));
     output.textContent = text(value);
   };
@@ -68,10 +76,15 @@ export const slider = ({ label, least, most, step, text, changed, released = () 
   return { row: element("label", { class: "pane-row" }, element("span", {}, label), input, output), show };
 };
 
-/** @returns {{row: HTMLElement, show: (value: boolean) => void}} a tick box with its label */
+/**
+ * A tick box with its label.
+ * @param {{label: string, changed: (on: boolean) => void}} options
+ * @returns {{row: HTMLElement, show: (value: boolean) => void}}
+ */
 export const tickBox = ({ label, changed }) => {
   const input = element("input", { type: "checkbox" });
   input.addEventListener("change", () => changed(input.checked));
+  /** @param {boolean} value */
   const show = (value) => {
     input.checked = value;
   };
@@ -80,6 +93,9 @@ export const tickBox = ({ label, changed }) => {
 
 /**
  * A button that opens a sheet of controls below itself.
+ * @param {string} label
+ * @param {string} title
+ * @param {...HTMLElement} rows
  * @returns {{opener: HTMLButtonElement, sheet: HTMLElement}}
  */
 export const foldOut = (label, title, ...rows) => {
@@ -88,7 +104,7 @@ export const foldOut = (label, title, ...rows) => {
   opener.popoverTargetElement = sheet;
   opener.setAttribute("aria-haspopup", "dialog");
   sheet.addEventListener("beforetoggle", (event) => {
-    if (event.newState !== "open") return;
+    if (!opens(event)) return;
     const box = opener.getBoundingClientRect();
     sheet.style.setProperty("left", `min(${box.left}px, 100vw - 23rem)`);
     sheet.style.setProperty("top", `${box.bottom + 4}px`);

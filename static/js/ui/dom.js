@@ -1,37 +1,47 @@
 /** Creation and update of elements. Nothing here parses HTML: foreign text can only become text. */
 
 /**
- * Create an element.
- * @param {string} tag
- * @param {Record<string, any>} [properties] `class`, names with a dash and names that are no properties become
- *   attributes; `on` is {event: listener}; null and undefined are skipped
- * @param {...(Node | string | number | null | undefined | false)} children
- * @returns {any}
+ * @typedef {{[Name in keyof HTMLElementEventMap]?: (event: HTMLElementEventMap[Name]) => any}} Listeners
+ * @typedef {{on?: Listeners, [name: string]: any}} Properties
+ * @typedef {Node | string | number | null | undefined | false} Child
  */
-export const element = (tag, properties = {}, ...children) => {
+
+/**
+ * Create an element.
+ * @template {keyof HTMLElementTagNameMap} Tag
+ * @param {Tag} tag
+ * @param {Properties} [properties] `class`, names with a dash and names that are no properties become attributes; `on` is
+ *   {event: listener}; null and undefined are skipped
+ * @param {...(Child | Child[])} children
+ * @returns {HTMLElementTagNameMap[Tag]}
+ */
+export const element = (tag, { on = {}, ...properties } = {}, ...children) => {
   const node = document.createElement(tag);
+  for (const [event, listener] of Object.entries(on)) node.addEventListener(event, /** @type {EventListener} */ (listener));
   for (const [name, value] of Object.entries(properties)) {
     if (value === null || value === undefined) continue;
-    if (name === "on") for (const [event, listener] of Object.entries(value)) node.addEventListener(event, listener);
-    else if (name === "class" || name.includes("-") || !(name in node)) node.setAttribute(name, String(value));
-    else node[name] = value;
+    if (name === "class" || name.includes("-") || !(name in node)) node.setAttribute(name, String(value));
+    else Object.assign(node, { [name]: value });
   }
   node.append(...present(children));
   return node;
 };
 
-const present = (children) => children.flat().filter(
-  (child) => child !== null && child !== undefined && child !== false,
-);
+/** @param {(Child | Child[])[]} children @returns {(Node | string)[]} */
+const present = (children) => children.flat().flatMap((child) => {
+  if (child === null || child === undefined || child === false) return [];
+  return typeof child === "number" ? String(child) : child;
+});
 
 const SVG = "http://www.w3.org/2000/svg";
 
 /**
  * Create an element of a drawing.
- * @param {string} name of SVG
+ * @template {keyof SVGElementTagNameMap} Name
+ * @param {Name} name of SVG
  * @param {Record<string, any>} [attributes]
  * @param {...(Node | string)} children
- * @returns {any}
+ * @returns {SVGElementTagNameMap[Name]}
  */
 export const shape = (name, attributes = {}, ...children) => {
   const node = document.createElementNS(SVG, name);
@@ -43,16 +53,21 @@ export const shape = (name, attributes = {}, ...children) => {
 /**
  * Replace the children of an element.
  * @param {Element} parent
- * @param {...(Node | string | null | undefined | false)} children
+ * @param {...(Child | Child[])} children
  */
 export const setChildren = (parent, ...children) => parent.replaceChildren(...present(children));
 
-/** Set the text only if it differs, so that a screen reader announces it once. */
+/** Set the text only if it differs, so that a screen reader announces it once. @param {Node} target @param {string} text */
 export const setText = (target, text) => {
   if (target.textContent !== text) target.textContent = text;
 };
 
-/** Set an attribute, or remove it if the value is null, undefined or false. */
+/**
+ * Set an attribute, or remove it if the value is null, undefined or false.
+ * @param {Element} target
+ * @param {string} name
+ * @param {string | number | boolean | null | undefined} value
+ */
 export const setAttribute = (target, name, value) => {
   if (value === null || value === undefined || value === false) target.removeAttribute(name);
   else if (target.getAttribute(name) !== String(value)) target.setAttribute(name, String(value));
@@ -76,10 +91,10 @@ export const partOf = (parent, selector) => {
 export const byId = (id) => partOf(document, `#${id}`);
 
 let count = 0;
-/** @returns {string} an id that is unique in the page */
+/** @param {string} prefix @returns {string} an id that is unique in the page */
 export const newId = (prefix) => `${prefix}-${++count}`;
 
-/** @returns {boolean} whether a key press at the target is typed text */
+/** @param {EventTarget | null} target @returns {boolean} whether a key press at the target is typed text */
 export const isTyping = (target) =>
   target instanceof Element &&
   target.closest(

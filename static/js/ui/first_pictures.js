@@ -4,10 +4,12 @@ import { byId } from "./dom.js";
 
 /** @returns {Promise<void>} resolves once they have arrived or failed: what is larger must not slow them down */
 export const whenFirstPicturesArrived = async () => {
-  const arrived = (picture) =>
-    picture.complete ||
-    new Promise((done) => ["load", "error"].forEach((event) => picture.addEventListener(event, done, { once: true })));
-  await Promise.all([...document.querySelectorAll(".first-picture")].map(arrived));
+  /** @type {NodeListOf<HTMLImageElement>} */
+  const pictures = document.querySelectorAll(".first-picture");
+  const arrived = [...pictures].map((picture) => picture.complete || new Promise((done) => {
+    for (const event of ["load", "error"]) picture.addEventListener(event, done, { once: true });
+  }));
+  await Promise.all(arrived);
 };
 
 const PATIENCE_MS = 10_000;
@@ -31,6 +33,7 @@ const whenReplaced = () =>
 const whenFluent = () =>
   new Promise((done) => {
     let fluent = 0, before = performance.now();
+    /** @param {number} now */
     const frame = (now) => {
       fluent = now - before < FLUENT_MS ? fluent + 1 : 0;
       before = now;
@@ -39,6 +42,7 @@ const whenFluent = () =>
     requestAnimationFrame(frame);
   });
 
+/** @type {Promise<void> | null} */
 let painted = null;
 
 /**

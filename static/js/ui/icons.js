@@ -2,6 +2,7 @@
 
 import { shape } from "./dom.js";
 
+/** @type {Record<string, string>} */
 const SHAPES = {
   undo: "M6 3 2.5 6.5 6 10M3 6.5h6.5a4 4 0 0 1 0 8H6",
   redo: "M10 3l3.5 3.5L10 10M13 6.5H6.5a4 4 0 0 0 0 8H10",

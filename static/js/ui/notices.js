@@ -4,6 +4,7 @@ import { button } from "./controls.js";
 import { element } from "./dom.js";
 import { icon } from "./icons.js";
 
+/** @type {Record<string, number>} those that are not here stay */
 const SECONDS = { info: 6, warn: 12 };
 const MOST = 5;
 const ICONS = { info: "info", warn: "warn", bad: "bad" };
@@ -16,7 +17,7 @@ const urgent = element("div", { class: "notice-list", role: "alert", "aria-live"
 /** @returns {HTMLElement} the area in which notices appear */
 export const noticeArea = () => element("div", { class: "notices", role: "region", "aria-label": "Notices" }, urgent, polite);
 
-/** What the shown notices speak of, by their elements. */
+/** @type {Map<HTMLElement, {about: () => unknown, value: string}>} what the shown notices speak of, by their elements */
 const subjects = new Map();
 
 /** Remove the notices whose subject has changed, or that are gone anyway. */
@@ -38,7 +39,7 @@ export const dropOutdated = () => {
 export const notice = (text, level = "info", offer, about) => {
   const kind = ICONS[level] ? level : "info";
   const list = kind === "bad" ? urgent : polite;
-  for (const old of list.children) if (old.dataset.text === text) old.remove();
+  for (const old of list.querySelectorAll("[data-text]")) if (old.getAttribute("data-text") === text) old.remove();
   const shown = element("div", { class: `notice ${kind}` });
   shown.dataset.text = text;
   const close = () => shown.remove();
@@ -50,7 +51,7 @@ export const notice = (text, level = "info", offer, about) => {
   );
   list.append(shown);
   if (about) subjects.set(shown, { about, value: JSON.stringify(about()) });
-  while (list.children.length > MOST) list.firstElementChild.remove();
+  while (list.children.length > MOST) list.firstElementChild?.remove();
   if (!SECONDS[kind]) return;
   let timer = setTimeout(close, 1000 * SECONDS[kind]);
   shown.addEventListener("pointerenter", () => clearTimeout(timer));

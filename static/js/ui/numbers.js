@@ -17,24 +17,24 @@ export const fixed = (value, decimals) => {
   return Number(text) === 0 ? text.replace("-", "") : text.replace("-", MINUS);
 };
 
-/** @returns {string} with three significant figures, and at most four decimals */
+/** @param {number | null | undefined} value @returns {string} with three significant figures, and at most four decimals */
 export const short = (value) => {
   if (!isNumber(value)) return NONE;
   const size = Math.abs(value);
   return fixed(value, size >= 100 ? 0 : size >= 10 ? 1 : size >= 1 ? 2 : size >= 0.1 ? 3 : 4);
 };
 
-/** @returns {string} a number formatted by the server, with a typographic minus */
+/** @param {string | number | null | undefined} text @returns {string} a number formatted by the server, with a typographic minus */
 export const typeset = (text) => String(text ?? NONE).replace(/^-/, MINUS);
 
-/** @returns {string} such as `24.1 MB` */
+/** @param {number} count @returns {string} such as `24.1 MB` */
 export const bytes = (count) => {
   if (count >= 2 ** 30) return `${(count / 2 ** 30).toFixed(1)} GB`;
   if (count >= 2 ** 20) return `${(count / 2 ** 20).toFixed(1)} MB`;
   return count >= 1024 ? `${Math.round(count / 1024)} kB` : `${count} B`;
 };
 
-/** @returns {string} such as `0.42 s` or `3 min 05 s` */
+/** @param {number | null | undefined} seconds @returns {string} such as `0.42 s` or `3 min 05 s` */
 export const duration = (seconds) => {
   if (!isNumber(seconds)) return NONE;
   if (seconds < 10) return `${seconds.toFixed(seconds < 1 ? 2 : 1)} s`;
@@ -42,16 +42,18 @@ export const duration = (seconds) => {
   return `${Math.floor(seconds / 60)} min ${String(Math.round(seconds % 60)).padStart(2, "0")} s`;
 };
 
-/** @returns {string} `1 match`, `3 matches` */
+/** @param {number} count @param {string} one @param {string} [many] @returns {string} `1 match`, `3 matches` */
 export const counted = (count, one, many = `${one}s`) => `${count} ${count === 1 ? one : many}`;
 
+/** @type {Record<string, string>} */
 const GREEK = { alpha: "α", beta: "β", gamma: "γ" };
+/** @type {Record<string, string>} */
 const UNITS = { deg: "°" };
 
-/** @returns {string} name and unit of a parameter, such as `α °` */
+/** @param {{name: string, unit: string}} parameter @returns {string} name and unit of a parameter, such as `α °` */
 export const parameterName = ({ name, unit }) => `${GREEK[name] ?? name} ${UNITS[unit] ?? unit}`;
 
-/** @returns {string} the texts as consecutive sentences, each with a capital letter and a full stop */
+/** @param {unknown[]} texts @returns {string} the texts as consecutive sentences, each with a capital letter and a full stop */
 export const sentences = (texts) =>
   texts
     .map((text) => String(text).trim().replaceAll("chi^2", "χ²"))

@@ -4,7 +4,10 @@ import { element, newId } from "./dom.js";
 
 const MARGIN_PX = 8;
 
-/** Place a panel below its button: aligned left in the left half of the window, else aligned right. */
+/** @param {Event} event of a popover @returns {boolean} whether it opens */
+export const opens = (event) => /** @type {ToggleEvent} */ (event).newState === "open";
+
+/** Place a panel below its button: aligned left in the left half of the window, else aligned right. @param {HTMLElement} panel @param {HTMLElement} opener */
 const place = (panel, opener) => {
   const box = opener.getBoundingClientRect();
   const room = document.documentElement.clientWidth;
@@ -31,8 +34,8 @@ export const popoverOf = (opener, label, ...children) => {
   opener.popoverTargetElement = panel;
   opener.setAttribute("aria-haspopup", "dialog");
   // before it is shown: on a busy page `toggle` is late, and the panel would first appear in the corner
-  panel.addEventListener("beforetoggle", (event) => event.newState === "open" && place(panel, opener));
-  panel.addEventListener("toggle", (event) => opener.setAttribute("aria-expanded", String(event.newState === "open")));
+  panel.addEventListener("beforetoggle", (event) => opens(event) && place(panel, opener));
+  panel.addEventListener("toggle", (event) => opener.setAttribute("aria-expanded", String(opens(event))));
   opener.setAttribute("aria-expanded", "false");
   opener.after(panel);
   return panel;

@@ -22,7 +22,7 @@ export const navigateByArrows = (list) => {
   });
 };
 
-/** Mark the chosen tab. */
+/** Mark the chosen tab. @param {HTMLElement[]} tabs @param {HTMLElement | null | undefined} chosen */
 export const markChosen = (tabs, chosen) => {
   for (const tab of tabs) {
     tab.setAttribute("aria-selected", String(tab === chosen));

@@ -3,12 +3,13 @@
 /**
  * Return a function that calls `act` at most once an interval and never while an earlier call is unfinished. Of several
  * requests in between, only the newest is carried out.
- * @template Argument
- * @param {(argument: Argument) => any} act may be asynchronous; its failure is ignored, since the next request follows
+ * @template {any[]} Given
+ * @param {(...given: Given) => any} act may be asynchronous; its failure is ignored, since the next request follows
  * @param {number} interval_ms
- * @returns {((argument?: Argument) => void) & {forget: () => void}} `forget` drops a request that has not begun
+ * @returns {((...given: Given) => void) & {forget: () => void}} `forget` drops a request that has not begun
  */
 export const throttled = (act, interval_ms) => {
+  /** @type {Given | null} */
   let waiting = null;
   let timer = 0;
   let busy = false;
@@ -17,12 +18,12 @@ export const throttled = (act, interval_ms) => {
   const go = async () => {
     timer = 0;
     if (!waiting || busy) return;
-    const { argument } = waiting;
+    const given = waiting;
     waiting = null;
     busy = true;
     last = performance.now();
     try {
-      await act(argument);
+      await act(...given);
     } catch {
       // the next request replaces this one
     }
@@ -35,8 +36,8 @@ export const throttled = (act, interval_ms) => {
     timer = setTimeout(go, Math.max(0, last + interval_ms - performance.now()));
   };
 
-  const request = (argument) => {
-    waiting = { argument };
+  const request = (/** @type {Given} */ ...given) => {
+    waiting = given;
     plan();
   };
   request.forget = () => {

@@ -26,8 +26,8 @@ const makeOne = (label, upright) => {
   const show = (degrees, low, high) => {
     limits.setAttribute("d", arc(low, high, upright));
     const [x, y] = at(degrees ?? 0, RADIUS - 4, upright);
-    hand.setAttribute("x2", x);
-    hand.setAttribute("y2", y);
+    hand.setAttribute("x2", String(x));
+    hand.setAttribute("y2", String(y));
     setText(value, degrees === null ? "–" : `${degrees.toFixed(2)}°`);
   };
   return { node: element("figure", { class: "dial" }, svg, element("figcaption", {}, element("span", {}, label), value)), show };

@@ -84,7 +84,7 @@ export const mountPlanForm = () => {
   const fault = element("p", { class: "form-wrong", role: "alert", hidden: true });
   const file = element("input", { type: "file", accept: ".json,application/json", hidden: true });
   file.addEventListener("change", async () => {
-    const [chosen] = file.files;
+    const chosen = file.files?.[0];
     file.value = "";
     if (!chosen) return;
     try {

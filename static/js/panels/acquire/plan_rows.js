@@ -42,13 +42,12 @@ export const numbersRow = ({ label, unit, names, fields, read, write }) => {
       values[k] = input.value.trim() === "" ? null : input.valueAsNumber;
       write(values);
     });
-    return element("label", { class: "plan-number" }, element("span", { class: "dim" }, name), input);
+    return input;
   });
   const show = (plan) => {
     shown = plan;
     const values = read(plan) ?? [];
-    for (const [k, each] of inputs.entries()) {
-      const input = each.querySelector("input");
+    for (const [k, input] of inputs.entries()) {
       if (document.activeElement !== input) input.value = values[k] ?? "";
     }
   };
@@ -56,7 +55,7 @@ export const numbersRow = ({ label, unit, names, fields, read, write }) => {
     "div",
     { class: "plan-row" },
     element("label", { for: id }, label),
-    ...inputs,
+    ...inputs.map((input, k) => element("label", { class: "plan-number" }, element("span", { class: "dim" }, names[k]), input)),
     element("span", { class: "dim" }, unit),
   );
   return { row: withFaults(row, fields), show };

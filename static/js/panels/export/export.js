@@ -226,7 +226,7 @@ export const mountExport = () => {
   const wanted = () => ({
     targets: chosen(),
     ...(ofShown() ? { photos: [store.shown()].filter((photo) => photo !== null) } : {}),
-    frame: frame.value || "scanner",
+    frame: frame.value === "world" ? "world" : "scanner",
     full: full.checked,
     crop: crop.checked ? "photo" : "none",
     last_solved: last.checked,

@@ -7,7 +7,7 @@ import { button } from "../../ui/controls.js";
 import { element, newId, partOf, setAttribute, setChildren, setText } from "../../ui/dom.js";
 import { fieldOf, messageOf } from "../../ui/faults.js";
 import { sentences } from "../../ui/numbers.js";
-import { popoverOf } from "../../ui/popover.js";
+import { opens, popoverOf } from "../../ui/popover.js";
 
 const EMPTY = "Fill in one of the three: the 35 mm equivalent, or focal length and sensor width, or pixels.";
 
@@ -130,7 +130,7 @@ export const mountCameraForm = (opener) => {
     if (camera) apply(camera);
   });
   file.addEventListener("change", async () => {
-    const [chosen] = file.files;
+    const chosen = file.files?.[0];
     file.value = "";
     if (!chosen) return;
     try {
@@ -163,7 +163,7 @@ export const mountCameraForm = (opener) => {
   });
   document.addEventListener("close", () => requestAnimationFrame(offerOnce), true); // when the dialog over it closes
   panel.addEventListener("beforetoggle", (event) => {
-    if (/** @type {ToggleEvent} */ (event).newState !== "open") return;
+    if (!opens(event)) return;
     fail("");
     show();
     overPhoto(panel);

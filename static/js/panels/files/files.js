@@ -5,7 +5,7 @@ import { store } from "../../net/store.js";
 import { sendFile } from "../../net/uploads.js";
 import { button } from "../../ui/controls.js";
 import { makeDialog } from "../../ui/dialog.js";
-import { element, newId, setChildren, setText } from "../../ui/dom.js";
+import { element, newId, partOf, setChildren, setText } from "../../ui/dom.js";
 import { messageOf, wasCancelled } from "../../ui/faults.js";
 import { icon } from "../../ui/icons.js";
 import { notice } from "../../ui/notices.js";
@@ -136,21 +136,23 @@ const servedList = (openScans, close) => {
     element("div", { class: "row" }, title, element("span", { class: "row" }, together, again)),
     list,
   );
-  const tick = (path) =>
-    element("input", {
+  const tick = (/** @type {string} */ path) => {
+    const box = element("input", {
       type: "checkbox",
       checked: ticked.has(path),
       "aria-label": `Choose ${path}`,
       on: {
-        change: ({ target }) => {
-          target.checked ? ticked.add(path) : ticked.delete(path);
+        change: () => {
+          box.checked ? ticked.add(path) : ticked.delete(path);
           showTogether();
         },
       },
     });
+    return box;
+  };
   const showTogether = () => {
     together.hidden = ticked.size < 2;
-    setText(together.querySelector("span"), `Open ${ticked.size} scans together`);
+    setText(partOf(together, "span"), `Open ${ticked.size} scans together`);
   };
   const row = (several) => ({ path, size, kind }) => {
     const open = async () => {
@@ -159,7 +161,7 @@ const servedList = (openScans, close) => {
         ? await openScans([path])
         : await request("open_served", { path, what: kind, photo: NEEDS_PHOTO.has(kind) ? store.shown() : undefined });
       opener.disabled = false;
-      if (opened) setText(opener.querySelector("span"), "Open again");
+      if (opened) setText(partOf(opener, "span"), "Open again");
       if (opened && store.get("scan") && store.photo()) close();
     };
     const usable = OPENABLE.has(kind);
@@ -189,13 +191,13 @@ const servedList = (openScans, close) => {
     setChildren(list, ...(served.files.length ? served.files.map(row(scans.length > 1)) : [nothing]));
     showTogether();
   };
-  section.untick = () => {
+  const untick = () => {
     ticked.clear();
     show();
   };
   store.watch(["served", "shown"], show);
   show();
-  return section;
+  return { section, untick };
 };
 
 const build = () => {
@@ -299,7 +301,7 @@ const build = () => {
     waitingList(openTogether),
     scanClouds(addFrames),
     embeddedList(),
-    served,
+    served.section,
   );
   const changed = () => setChildren(list, ...waiting.filter(({ state }) => state !== "kept").map(({ row }) => row));
   const removed = (one) => {
@@ -326,7 +328,7 @@ const build = () => {
     expected = what;
     const limit = store.get("limits")?.upload_bytes;
     const most = limit ? ` Up to ${bytes(limit)} each.` : "";
-    setText(zone.querySelector(".drop-title"), TITLES[what] ?? "Drop a scan and its photographs here");
+    setText(partOf(zone, ".drop-title"), TITLES[what] ?? "Drop a scan and its photographs here");
     setText(hint, `${what === "frames" ? `Frames: ${ABOUT_FRAMES}` : readable()}${most}`);
     input.accept = accepted();
   };

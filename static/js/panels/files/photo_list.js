@@ -111,7 +111,10 @@ export const mountPhotoList = () => {
     const focused = active && list.contains(active) ? active.dataset.photo : null;
     setChildren(list, ...photos.map((photo) => entry(photo, () => panel.hidePopover())));
     drawn = text;
-    if (focused) list.querySelector(`[data-photo="${CSS.escape(focused)}"]`)?.focus();
+    if (!focused) return;
+    /** @type {HTMLElement | null} */
+    const again = list.querySelector(`[data-photo="${CSS.escape(focused)}"]`);
+    again?.focus();
   };
   panel.addEventListener("toggle", () => {
     showList();

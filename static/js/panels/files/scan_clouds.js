@@ -51,7 +51,7 @@ export const mountFramesButton = (head, add) => {
     const several = scan?.files?.length > 1;
     more.hidden = !scan || Boolean(scan.error);
     more.classList.toggle("several", several);
-    setText(more.querySelector("span"), several ? counted(scan.files.length, "cloud") : "Frames");
+    setText(partOf(more, "span"), several ? counted(scan.files.length, "cloud") : "Frames");
     more.title = `${several ? `${cloudNames(scan)}\n` : ""}Add ${ABOUT_FRAMES}`;
   };
   store.watch(["scan"], show);

@@ -52,7 +52,7 @@ export const scanQuestion = () => {
   );
   const show = (shown) => {
     question.hidden = !shown;
-    question.parentElement.classList.toggle("asking", shown);
+    question.parentElement?.classList.toggle("asking", shown);
   };
   let asked = 0;
   /** Say that the scans are being read until they are open, or until it is asked again why they cannot be. */

@@ -3,7 +3,7 @@
 import { request } from "../../net/requests.js";
 import { store } from "../../net/store.js";
 import { button } from "../../ui/controls.js";
-import { element, setChildren, setText } from "../../ui/dom.js";
+import { element, partOf, setChildren, setText } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
 import { bytes } from "../../ui/numbers.js";
 import { labelOf } from "./file_kinds.js";
@@ -92,7 +92,7 @@ export const waitingList = (open) => {
     section.hidden = files.length === 0;
     scans = files.filter(({ kind, lacks }) => kind === "scan" && !lacks.length).map(({ id }) => id);
     together.hidden = scans.length < 2;
-    setText(together.querySelector("span"), `Open ${scans.length} scans together`);
+    setText(partOf(together, "span"), `Open ${scans.length} scans together`);
     setChildren(list, ...files.map((file) => rowOf(file, open)));
   };
   store.watch(["waiting", "photos", "scan"], show);

@@ -5,7 +5,7 @@ import { store } from "../../net/store.js";
 import { progressNow } from "../../state/progress.js";
 import { view } from "../../state/view.js";
 import { button } from "../../ui/controls.js";
-import { element, setAttribute, setText } from "../../ui/dom.js";
+import { element, partOf, setAttribute, setText } from "../../ui/dom.js";
 import { notice } from "../../ui/notices.js";
 import { counted } from "../../ui/numbers.js";
 import { inNextFrame } from "../../ui/throttle.js";
@@ -14,19 +14,29 @@ import { filtered, FILTERS, idsBetween, rowsOf, visibleRange } from "./match_row
 
 const PAGE_ROWS = 10;
 
+/** @typedef {import("./match_rows.js").Row} Row */
+
 /** The elements of one row: made once for a match, then only refreshed. */
 class RowElements {
-  constructor(id) {
+  /** @param {Row} row */
+  constructor(row) {
+    this.row = row;
     this.cells = COLUMNS.map(makeCell);
     this.element = element(
       "div",
-      { class: "row-line", role: "row", id: `match-${id}` },
+      { class: "row-line", role: "row", id: `match-${row.id}` },
       ...this.cells.map(({ cell }) => cell),
     );
-    this.element.dataset.pick = id;
-    this.weight = this.element.querySelector("input.weight");
+    this.element.dataset.pick = row.id;
+    this.weight = partOf(this.element, "input.weight");
   }
 
+  /**
+   * @param {Row} row
+   * @param {{selected: boolean, hovered: boolean, cursor: boolean}} state
+   * @param {number} index
+   * @param {number} top px
+   */
   show(row, { selected, hovered, cursor }, index, top) {
     this.row = row;
     const line = this.element;
@@ -93,13 +103,20 @@ export const mountMatchTable = () => {
     empty,
   );
 
+  /** @type {Row[]} those that pass the filters, in the order of the table */
   let rows = [];
+  /** @type {Row[]} */
   let all = [];
-  let cursor = null; // the row that the arrow keys start from
-  let anchor = null; // the first row of a range
+  /** @type {string | null} the row that the arrow keys start from */
+  let cursor = null;
+  /** @type {string | null} the first row of a range */
+  let anchor = null;
+  /** @type {Map<string, RowElements>} by the ids of the matches */
   const elements = new Map();
 
   const chosen = () => [...view.get().selected].filter((id) => all.some((row) => row.id === id));
+  /** @returns {boolean} whether all of them are disabled */
+  const areDisabled = (/** @type {string[]} */ ids) => ids.every((id) => !all.find((row) => row.id === id)?.on);
   const rowHeight = () => headRow.offsetHeight || 24;
 
   const draw = inNextFrame(() => {
@@ -116,8 +133,8 @@ export const mountMatchTable = () => {
     for (let index = first; index < end; index += 1) {
       const row = rows[index];
       keep.add(row.id);
-      if (!elements.has(row.id)) elements.set(row.id, new RowElements(row.id));
-      const line = elements.get(row.id);
+      const line = elements.get(row.id) ?? new RowElements(row);
+      elements.set(row.id, line);
       line.show(
         row,
         { selected: selected.has(row.id), hovered: hovered === row.id, cursor: cursor === row.id },
@@ -136,8 +153,8 @@ export const mountMatchTable = () => {
     const ids = chosen();
     remove.disabled = switcher.disabled = ids.length === 0;
     remove.title = `Remove ${counted(ids.length, "match", "matches")} (Delete)`;
-    const allDisabled = ids.every((id) => !all.find((row) => row.id === id).on);
-    setText(switcher.querySelector("span"), allDisabled && ids.length ? "Enable" : "Disable");
+    const allDisabled = areDisabled(ids);
+    setText(partOf(switcher, "span"), allDisabled && ids.length ? "Enable" : "Disable");
     switcher.title = `${allDisabled ? "Enable" : "Disable"} ${counted(ids.length, "match", "matches")} (Space)`;
   });
 
@@ -169,7 +186,7 @@ export const mountMatchTable = () => {
     draw();
   };
 
-  const scrollTo = (id) => {
+  const scrollTo = (/** @type {string} */ id) => {
     const index = rows.findIndex((row) => row.id === id);
     if (index < 0) return;
     const height = rowHeight();
@@ -178,8 +195,9 @@ export const mountMatchTable = () => {
     else if ((index + 1) * height > scroller.scrollTop + room) scroller.scrollTop = (index + 1) * height - room;
   };
 
+  /** @param {Iterable<string>} ids @param {string | null} [offer] */
   const select = (ids, offer = null) => view.set({ selected: new Set(ids), end: null, ...(offer ? { offer } : {}) });
-  const pickRow = (id, { shift = false, more = false } = {}) => {
+  const pickRow = (/** @type {string} */ id, { shift = false, more = false } = {}) => {
     const { selected } = view.get();
     cursor = id;
     if (shift && anchor) select(more ? [...selected, ...idsBetween(rows, anchor, id)] : idsBetween(rows, anchor, id));
@@ -200,64 +218,72 @@ export const mountMatchTable = () => {
   };
   const switchSelected = () => {
     const picks = chosen();
-    if (picks.length) requestForPhoto(
-      "switch_picks",
-      { picks, on: picks.every((id) => !all.find((row) => row.id === id).on) },
-    );
+    if (picks.length) requestForPhoto("switch_picks", { picks, on: areDisabled(picks) });
   };
-  const rowAt = (target) => target.closest?.("[data-pick]")?.dataset.pick ?? null;
+  /** @returns {boolean} whether an event is of a certain control */
+  const isOn = (/** @type {Event} */ { target }, /** @type {string} */ selector) =>
+    target instanceof Element && target.closest(selector) !== null;
+  /** @returns {string | null} id of the match of its row */
+  const rowOf = (/** @type {Event} */ { target }) =>
+    (target instanceof Element ? target.closest("[data-pick]")?.getAttribute("data-pick") ?? null : null);
+  /** @returns {HTMLInputElement | null} where a weight is typed */
+  const weightOf = (/** @type {Event} */ { target }) =>
+    (target instanceof HTMLInputElement && target.matches("input.weight") ? target : null);
 
   spacer.addEventListener("click", (event) => {
-    const id = rowAt(event.target);
-    if (!id || event.target.closest("input, .row-check")) return;
+    const id = rowOf(event);
+    if (!id || isOn(event, "input, .row-check")) return;
     pickRow(id, { shift: event.shiftKey, more: event.ctrlKey || event.metaKey });
   });
   spacer.addEventListener(
     "mousedown",
-    (event) => event.shiftKey && !event.target.closest("input") && event.preventDefault(),
+    (event) => event.shiftKey && !isOn(event, "input") && event.preventDefault(),
   );
   spacer.addEventListener("change", (event) => {
-    const id = rowAt(event.target);
-    if (!id) return;
-    if (event.target.type === "checkbox") {
+    const id = rowOf(event);
+    const line = id && elements.get(id);
+    const { target } = event;
+    if (!line || !(target instanceof HTMLInputElement)) return;
+    if (target.type === "checkbox") {
       const { selected } = view.get();
       const picks = selected.has(id) && selected.size > 1 ? chosen() : [id];
-      requestForPhoto("switch_picks", { picks, on: event.target.checked });
+      requestForPhoto("switch_picks", { picks, on: target.checked });
       return;
     }
-    const weight = Number(event.target.value.replace(",", "."));
-    const line = elements.get(id);
+    const weight = Number(target.value.replace(",", "."));
     if (Number.isFinite(weight) && weight > 0) requestForPhoto("set_pick", { pick: id, weight });
     else {
       notice(`The weight of match ${line.row.number} must be a number above zero; it was not changed.`, "bad");
-      event.target.value = String(line.row.weight);
+      target.value = String(line.row.weight);
     }
-    event.target.blur();
+    target.blur();
     draw();
   });
   spacer.addEventListener("keydown", (event) => {
-    if (!event.target.matches("input.weight")) return;
+    const input = weightOf(event);
+    if (!input) return;
     event.stopPropagation();
-    if (event.key === "Escape") event.target.value = String(elements.get(rowAt(event.target)).row.weight);
+    if (event.key === "Escape") input.value = String(elements.get(rowOf(event) ?? "")?.row.weight ?? "");
     if (event.key === "Escape" || event.key === "Enter") {
       event.preventDefault();
-      event.target.blur();
+      input.blur();
       grid.focus({ preventScroll: true });
     }
   });
-  spacer.addEventListener("focusin", (event) => event.target.matches("input.weight") && event.target.select());
-  spacer.addEventListener("pointerover", (event) => view.set({ hovered: rowAt(event.target) }));
+  spacer.addEventListener("focusin", (event) => weightOf(event)?.select());
+  spacer.addEventListener("pointerover", (event) => view.set({ hovered: rowOf(event) }));
   spacer.addEventListener("pointerleave", () => view.set({ hovered: null }));
   scroller.addEventListener("scroll", draw, { passive: true });
   new ResizeObserver(draw).observe(scroller);
 
-  const move = (by, shift) => {
+  const move = (/** @type {number} */ by, /** @type {boolean} */ shift) => {
     if (rows.length === 0) return;
     const at = rows.findIndex((row) => row.id === cursor);
     const next = rows[Math.max(0, Math.min(rows.length - 1, at < 0 ? 0 : at + by))].id;
     pickRow(next, { shift });
     scrollTo(next);
   };
+  /** @type {Record<string, (event: KeyboardEvent) => void>} */
   const keys = {
     ArrowDown: (event) => move(1, event.shiftKey),
     ArrowUp: (event) => move(-1, event.shiftKey),
@@ -268,11 +294,11 @@ export const mountMatchTable = () => {
     Delete: removeSelected,
     Backspace: removeSelected,
     " ": switchSelected,
-    Enter: () => cursor && view.set({ reveal: cursor }),
-    F2: () => cursor && elements.get(cursor)?.weight.focus(),
+    Enter: () => view.set({ reveal: cursor }),
+    F2: () => elements.get(cursor ?? "")?.weight.focus(),
   };
   grid.addEventListener("keydown", (event) => {
-    if (event.target.closest("input, button")) return;
+    if (isOn(event, "input, button")) return;
     const everything = (event.ctrlKey || event.metaKey) && event.key === "a";
     if (!everything && (event.ctrlKey || event.metaKey || event.altKey || !keys[event.key])) return;
     event.preventDefault();

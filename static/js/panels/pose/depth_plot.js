@@ -5,7 +5,7 @@ import { stemColour, store } from "../../net/store.js";
 import { view } from "../../state/view.js";
 import { makeCanvas } from "../../ui/canvas.js";
 import { button } from "../../ui/controls.js";
-import { element, setAttribute, setText } from "../../ui/dom.js";
+import { element, partOf, setAttribute, setText } from "../../ui/dom.js";
 import { counted, fixed, short } from "../../ui/numbers.js";
 import {
   decimalsOf,
@@ -156,7 +156,7 @@ export const mountDepthPlot = () => {
     {
       class: "select small",
       "aria-label": "Unit of the errors",
-      on: { change: () => view.set({ threshold: { ...view.get().threshold, by: unit.value } }) },
+      on: { change: () => view.set({ threshold: { ...view.get().threshold, by: unit.value === "px" ? "px" : "depth" } }) },
     },
     element("option", { value: "depth" }, "depth, m"),
     element("option", { value: "px" }, "pixels"),
@@ -225,7 +225,7 @@ export const mountDepthPlot = () => {
     setText(status, above === null ? "" : `${counted(outliers.size, "match", "matches")} above`);
     apply.disabled = nothing || above === null;
     setText(
-      apply.querySelector("span"),
+      partOf(apply, "span"),
       off > 0 ? `Disable ${off}` : on > 0 ? `Re-enable ${on}` : outliers.size > 0 ? `${outliers.size} disabled` : "Disable none",
     );
     apply.title = nothing ? "No match would change" : [

@@ -58,8 +58,8 @@ export const mountMeasurements = () => {
       readOnly: store.readOnly,
       "aria-label": `Name of ${one.name}`,
       on: {
-        change: (event) => rename(one, event.target),
-        keydown: (event) => event.key === "Enter" && event.target.blur(),
+        change: () => rename(one, name),
+        keydown: (event) => event.key === "Enter" && name.blur(),
         focus: () => view.set({ measurement: one.id }),
       },
     });
@@ -88,7 +88,7 @@ export const mountMeasurements = () => {
   const mark = () => {
     const { measurement } = view.get();
     for (const item of list.children) {
-      const chosen = item.dataset.measurement === measurement;
+      const chosen = item.getAttribute("data-measurement") === measurement;
       if (chosen && !item.classList.contains("chosen")) item.scrollIntoView({ block: "nearest" });
       item.classList.toggle("chosen", chosen);
     }

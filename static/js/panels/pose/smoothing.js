@@ -94,7 +94,7 @@ export const mountSmoothing = () => {
   const mark = () => {
     const { smoothed } = view.get();
     for (const row of rows.children) {
-      row.classList.toggle("chosen", row.dataset.range === smoothed);
+      row.classList.toggle("chosen", row.getAttribute("data-range") === smoothed);
       row.classList.toggle("left-out", row.classList.contains("edge") && !view.get().smooth_edges);
     }
   };

@@ -115,6 +115,7 @@ export const mountStages = () => {
   );
   let drawn = "";
   const scrollToShown = () => {
+    /** @type {HTMLElement | null} */
     const column = body.querySelector("th.shown");
     if (column) body.scrollLeft = Math.max(0, column.offsetLeft + column.offsetWidth - body.clientWidth);
   };

@@ -1,7 +1,7 @@
 /** The jobs of a batch: what failed first, to be filtered and searched; each opens as a project. */
 
 import { button, press } from "../../ui/controls.js";
-import { element, newId, setChildren, setText } from "../../ui/dom.js";
+import { element, newId, partOf, setChildren, setText } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
 import { counted } from "../../ui/numbers.js";
 
@@ -69,7 +69,7 @@ export const batchList = ({ ask, open }) => {
     const total = Object.values(found.counts).reduce((sum, count) => sum + count, 0);
     setText(heading, `Batch ${found.name}: ${counted(total, "job")}${found.runs ? ", not finished" : ""}`);
     Object.keys(OUTCOMES).forEach((each, at) => {
-      setText(filters[at].querySelector("span"), `${found.counts[each]} ${each}`);
+      setText(partOf(filters[at], "span"), `${found.counts[each]} ${each}`);
       filters[at].hidden = !found.counts[each] && outcome !== each;
       press(filters[at], outcome === each);
     });

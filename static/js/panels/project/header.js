@@ -6,7 +6,7 @@ import { isActive, isConnecting } from "../../state/acquisition.js";
 import { jobOn } from "../../state/pipeline.js";
 import { cloudNames, othersText } from "../../state/scan_name.js";
 import { button } from "../../ui/controls.js";
-import { element, setAttribute, setChildren, setText } from "../../ui/dom.js";
+import { element, partOf, setAttribute, setChildren, setText } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
 import { notice } from "../../ui/notices.js";
 import { counted } from "../../ui/numbers.js";
@@ -201,7 +201,7 @@ export const mountHeader = (header) => {
   mountHistory(history);
   mountClients(clients);
   const count = () => {
-    setText(clients.querySelector("span"), clientsText());
+    setText(partOf(clients, "span"), clientsText());
     clients.classList.toggle("following", clientsText().startsWith("Following"));
   };
   store.watch(["people"], count);

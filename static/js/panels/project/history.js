@@ -6,7 +6,7 @@ import { button } from "../../ui/controls.js";
 import { makeDialog } from "../../ui/dialog.js";
 import { element, setChildren } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
-import { popoverOf } from "../../ui/popover.js";
+import { opens, popoverOf } from "../../ui/popover.js";
 
 /** Go to a state, which changes the project for everybody: ask first if others are connected. */
 const goTo = (n, label) => {
@@ -70,10 +70,10 @@ export const mountHistory = (opener) => {
   };
   const show = () => {
     const history = store.get("history") ?? { at: 0, entries: [] };
-    const focused = [...list.querySelectorAll("button")].indexOf(document.activeElement);
+    const focused = [...list.querySelectorAll("button")].findIndex((each) => each === document.activeElement);
     setChildren(list, ...history.entries.toReversed().map((each) => entry(each, history.at)));
     if (focused >= 0) list.querySelectorAll("button")[focused]?.focus();
   };
   store.watch(["history"], () => panel.matches(":popover-open") && show());
-  panel.addEventListener("beforetoggle", (event) => /** @type {ToggleEvent} */ (event).newState === "open" && show());
+  panel.addEventListener("beforetoggle", (event) => opens(event) && show());
 };

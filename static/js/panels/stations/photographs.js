@@ -23,6 +23,17 @@ const HEADS = [
 
 const tiesText = ({ ties, left_out }) => ties === null ? NONE : left_out ? `${ties} · ${left_out} out` : String(ties);
 
+/** @param {{id: string, held: boolean}} camera @returns {HTMLElement} the tick box that holds its intrinsics */
+const holding = (camera) => {
+  const box = element("input", {
+    type: "checkbox",
+    checked: camera.held,
+    "aria-label": `Hold ${camera.id}`,
+    on: { change: () => request("hold_camera", { camera: camera.id, held: box.checked }) },
+  });
+  return element("label", { class: "check edits", title: "Adjustments keep this camera's intrinsics as they are now" }, box, "hold");
+};
+
 /** @returns {HTMLElement} */
 export const mountPhotographs = () => {
   /** Ids of the photographs that are chosen for the work; empty: all. */
@@ -77,8 +88,8 @@ export const mountPhotographs = () => {
       checked: chosen.has(photo.id),
       "aria-label": `Choose ${photo.name}`,
       on: {
-        change: (event) => {
-          event.target.checked ? chosen.add(photo.id) : chosen.delete(photo.id);
+        change: () => {
+          check.checked ? chosen.add(photo.id) : chosen.delete(photo.id);
           show();
         },
       },
@@ -144,8 +155,10 @@ export const mountPhotographs = () => {
     const { activeElement: active } = document;
     const focused = active && list.contains(active) ? active.getAttribute("aria-label") ?? active.textContent : null;
     setChildren(list, ...rows.map(row));
+    /** @type {NodeListOf<HTMLElement>} */
+    const controls = list.querySelectorAll("input, button");
     if (focused)
-      [...list.querySelectorAll("input, button")].find((each) => (each.getAttribute("aria-label") ?? each.textContent) === focused)?.focus();
+      [...controls].find((each) => (each.getAttribute("aria-label") ?? each.textContent) === focused)?.focus();
     heads.hidden = rows.length === 0;
     setText(summary, photos.length ? summaryOf(survey) : "Add photographs: those of one camera, and of one place, hold each other.");
     summary.classList.toggle("bad", Boolean(survey?.since));
@@ -169,17 +182,7 @@ export const mountPhotographs = () => {
           },
           `worst ${camera.worst.name}`,
         ) : null,
-        store.readOnly || camera.focal_px === null ? null : element(
-          "label",
-          { class: "check edits", title: "Adjustments keep this camera's intrinsics as they are now" },
-          element("input", {
-            type: "checkbox",
-            checked: camera.held,
-            "aria-label": `Hold ${camera.id}`,
-            on: { change: (event) => request("hold_camera", { camera: camera.id, held: event.target.checked }) },
-          }),
-          "hold",
-        ),
+        store.readOnly || camera.focal_px === null ? null : holding(camera),
       )),
     );
   };

@@ -11,12 +11,14 @@ import { messageOf, wasCancelled } from "../../ui/faults.js";
 import { notice } from "../../ui/notices.js";
 
 const FIELDS = [["x", "x, m"], ["y", "y, m"], ["z", "z, m"], ["yaw_deg", "turn, °"]];
-/** @type {[string, string][]} */
+/** @type {[NonNullable<Commands["register_stations"]["poses"]>, string][]} */
 const POSES = [["refine", "Refine poses"], ["keep", "Keep poses"], ["search", "Ignore poses"]];
 const SIGNS = { verified: "ok", ambiguous: "warn", refused: "bad", contradicted: "bad", undecidable: "warn" };
 
-/** Controls that give a station a rough place: numbers, from the scan that is shown. */
-const placeForm = (station) => {
+/** @typedef {import("../../net/requests.js").Commands} Commands @typedef {import("../../state/stations.js").Station} Station */
+
+/** Controls that give a station a rough place: numbers, from the scan that is shown. @param {Station} station @param {string} id */
+const placeForm = (station, id) => {
   const place = station.place ?? { x: 0, y: 0, z: 0, yaw_deg: 0 };
   const inputs = FIELDS.map(([field, label]) => {
     const input = element("input", {
@@ -27,18 +29,18 @@ const placeForm = (station) => {
       "aria-label": `${label} of ${stationName(station)}`,
     });
     input.addEventListener("change", () => {
-      const numbers = Object.fromEntries(FIELDS.map(([name], k) => [name, inputs[k][0].valueAsNumber]));
-      if (Object.values(numbers).every(Number.isFinite)) request("place_station", { station: station.id, place: numbers });
+      const numbers = Object.fromEntries(FIELDS.map(([name], k) => [name, inputs[k].input.valueAsNumber]));
+      if (Object.values(numbers).every(Number.isFinite)) request("place_station", { station: id, place: numbers });
     });
-    return [input, label];
+    return { input, label };
   });
   return element(
     "div",
     { class: "station-place", role: "group", "aria-label": `Rough place of ${stationName(station)}` },
-    ...inputs.map(([input, label]) => element("label", { class: "plan-number" }, element("span", { class: "dim" }, label), input)),
+    ...inputs.map(({ input, label }) => element("label", { class: "plan-number" }, element("span", { class: "dim" }, label), input)),
     station.rough
       && button({ label: `Forget the place of ${stationName(station)}`, text: "Forget", kind: "small",
-        act: () => request("place_station", { station: station.id, place: null }) }),
+        act: () => request("place_station", { station: id, place: null }) }),
   );
 };
 
@@ -49,7 +51,7 @@ export const mountStations = () => {
 
   const file = element("input", { type: "file", multiple: true, hidden: true, "aria-hidden": "true", tabindex: -1 });
   file.addEventListener("change", async () => {
-    const files = [...file.files];
+    const files = [...(file.files ?? [])];
     file.value = "";
     for (const each of files) {
       setText(said, `Sending ${each.name} …`);
@@ -80,7 +82,7 @@ export const mountStations = () => {
   const register = button({
     label: "Register",
     kind: "primary small",
-    act: () => request("register_stations", { poses: poses.value }),
+    act: () => request("register_stations", { poses: POSES.find(([value]) => value === poses.value)?.[0] }),
   });
   const check = button({
     label: "Check photographs",
@@ -122,25 +124,33 @@ export const mountStations = () => {
   );
 
   const hidden = () => new Set(store.get("model")?.hidden_stations ?? []);
-  const toggle = (id, shown) => {
+  const toggle = (/** @type {string} */ id, /** @type {boolean} */ shown) => {
     const next = hidden();
     shown ? next.delete(id) : next.add(id);
     request("set_model", { hidden_stations: [...next] });
   };
 
+  /** @param {Station} station @param {string} id @param {string} name */
+  const pointsBox = (station, id, name) => {
+    const box = element("input", {
+      type: "checkbox",
+      class: "station-mark",
+      checked: !hidden().has(id),
+      disabled: !station.place,
+      title: station.place ? "Show its points in the 3-D view" : "Its place is not known yet",
+      "aria-label": `Show the points of ${name}`,
+      on: { change: () => toggle(id, box.checked) },
+    });
+    return box;
+  };
+
+  /** @param {Station} station */
   const row = (station) => {
     const name = stationName(station);
-    const mark = station.id === null
+    const { id } = station;
+    const mark = id === null
       ? element("span", { class: "station-mark", title: "The scan that is shown" })
-      : element("input", {
-        type: "checkbox",
-        class: "station-mark",
-        checked: !hidden().has(station.id),
-        disabled: !station.place,
-        title: station.place ? "Show its points in the 3-D view" : "Its place is not known yet",
-        "aria-label": `Show the points of ${name}`,
-        on: { change: (event) => toggle(station.id, event.target.checked) },
-      });
+      : pointsBox(station, id, name);
     if (station.colour) mark.style.setProperty("--station", station.colour);
     const act = (label, text, run, title, pressed) => button({
       label: `${label} ${name}`, text, kind: "small", title, act: run, disabled: store.readOnly,
@@ -152,20 +162,20 @@ export const mountStations = () => {
       mark,
       element("span", { class: "station-name", title: name }, name),
       element("span", { class: `station-state ${["out", "stated"].includes(station.state) ? "warn" : "dim"}` }, stateText(station)),
-      element("span", { class: "figures dim station-where" }, station.id === null ? "" : placeText(station)),
-      station.id === null
+      element("span", { class: "figures dim station-where" }, id === null ? "" : placeText(station)),
+      id === null
         ? element("span", {})
         : element(
           "span",
           { class: "station-acts edits" },
-          act("Show", "Show", () => request("show_station", { station: station.id }), "Show its scan; photographs are registered to it then, and what was done here is kept"),
+          act("Show", "Show", () => request("show_station", { station: id }), "Show its scan; photographs are registered to it then, and what was done here is kept"),
           act("Place", "Place", () => {
-            open.has(station.id) ? open.delete(station.id) : open.add(station.id);
+            open.has(id) ? open.delete(id) : open.add(id);
             show();
-          }, "Enter roughly where it stands, for a search that is not sure", open.has(station.id)),
-          act("Remove", "Remove", () => request("remove_station", { station: station.id }), "Remove it from the project; this can be undone"),
+          }, "Enter roughly where it stands, for a search that is not sure", open.has(id)),
+          act("Remove", "Remove", () => request("remove_station", { station: id }), "Remove it from the project; this can be undone"),
         ),
-      station.id !== null && open.has(station.id) && !store.readOnly && placeForm(station),
+      id !== null && open.has(id) && !store.readOnly && placeForm(station, id),
     );
   };
 
@@ -202,8 +212,10 @@ export const mountStations = () => {
     drawn = key;
     const focused = document.activeElement?.getAttribute("aria-label");
     setChildren(list, ...all.map(row));
+    /** @type {NodeListOf<HTMLElement>} */
+    const named = list.querySelectorAll("[aria-label]");
     if (focused && !list.contains(document.activeElement))
-      [...list.querySelectorAll("[aria-label]")].find((each) => each.getAttribute("aria-label") === focused)?.focus();
+      [...named].find((each) => each.getAttribute("aria-label") === focused)?.focus();
     setText(whole, !registered
       ? ""
       : stale ? "Stations have come or gone since, or got further clouds: register them again." : reasons.join(" "));
