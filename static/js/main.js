@@ -60,7 +60,7 @@ acceptDrops(floating);
 
 store.on("shown", rememberPhoto);
 /** What a notice on a photograph speaks of: its matches and the verdict on its pose. */
-const subjectOf = (photo) => () => {
+const subjectOf = (/** @type {string} */ photo) => () => {
   const stage = store.stageOf(photo);
   return [store.picksOf(photo), stage?.stage, stage?.summary?.light, stage?.centre];
 };
@@ -76,6 +76,7 @@ store.on("embedded", () => {
 });
 
 /** A running job disappears only if the workbench has stopped. */
+/** @type {{label: string} | null} */
 let running = null;
 store.on("job", (job) => {
   if (running && !job) notice(`${running.label} was interrupted when the workbench stopped: run it again.`, "bad");
@@ -92,7 +93,7 @@ store.watch(["picks:*", "shown"], () => {
 });
 
 /** Show what was opened once for each tab, not again after a reload. */
-const noticeOnce = (text) => {
+const noticeOnce = (/** @type {string} */ text) => {
   try {
     if (!text || sessionStorage.getItem(OPENED) === text) return;
     sessionStorage.setItem(OPENED, text);

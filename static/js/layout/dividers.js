@@ -14,36 +14,43 @@ const LEAST_PICTURE = 0.2;
 const MOST_DOCK_OF_ITSELF = 0.46;
 const STEP = 0.02;
 const LABELS = { left: "Width of the scan pane", middle: "Width of the photograph pane", dock: "Height of the lower panels" };
+/** @type {Record<string, number>} */
 const DIRECTIONS = { ArrowLeft: -1, ArrowRight: 1, ArrowUp: 1, ArrowDown: -1 };
 
 const LEAST_PANE = 0.12;
 const LEAST_DOCK = 0.08;
 const MOST_DOCK = 0.8;
 
+/** @param {number} value @param {number} least @param {number} most */
 const clamp = (value, least, most) => Math.min(most, Math.max(least, value));
+
+/**
+ * @typedef {"left" | "middle" | "dock"} Divider
+ * @typedef {Record<Divider, number>} Shares of the window
+ */
 
 /**
  * Compute the shares at which pictures fill their panes without borders, as large as the window permits.
  * @param {{width: number, height: number}} area of panes and dock, px
  * @param {number} heads height of what is above a picture in its pane, px
  * @param {number[]} aspects width by height of the scan's picture and the photograph
- * @returns {{left: number, middle: number, dock: number}}
+ * @returns {Shares}
  */
 export const sharesFor = ({ width, height }, heads, [scan, photo]) => {
   const pictures = 1 - Math.max(MODEL_SHARE, LEAST_MODEL_PX / width); // share of the width
   const tallest = (1 - EMPTY.dock) * height - heads;
   const high = Math.min(tallest, (pictures * width) / (scan + photo));
-  const share = (aspect) => clamp((aspect * high) / width, LEAST_PICTURE, pictures - LEAST_PICTURE);
+  const share = (/** @type {number} */ aspect) => clamp((aspect * high) / width, LEAST_PICTURE, pictures - LEAST_PICTURE);
   const [left, middle] = [share(scan), share(photo)];
   return { left, middle, dock: clamp(1 - (high + heads) / height, EMPTY.dock, MOST_DOCK_OF_ITSELF) };
 };
 
 /**
  * Compute the shares after moving a divider; every pane keeps a minimum share.
- * @param {{left: number, middle: number, dock: number}} layout shares of the window
- * @param {"left" | "middle" | "dock"} divider between scan and photograph, photograph and model, panes and dock
+ * @param {Shares} layout
+ * @param {Divider} divider between scan and photograph, photograph and model, panes and dock
  * @param {number} to its new position, a share of the width from the left; for the dock, a share of the height
- * @returns {{left: number, middle: number, dock: number}}
+ * @returns {Shares}
  */
 const moved = (layout, divider, to) => {
   const { left, middle, dock } = layout;
@@ -54,9 +61,10 @@ const moved = (layout, divider, to) => {
   return { left: found, middle: both - found, dock };
 };
 
-/** @returns {number} position of a divider, as `moved` takes it */
+/** @param {Shares} layout @param {Divider} divider @returns {number} position of a divider, as `moved` takes it */
 const positionOf = ({ left, middle, dock }, divider) => ({ left, middle: left + middle, dock })[divider];
 
+/** @param {Divider} name @param {HTMLElement} area @param {() => Shares} layoutNow */
 const divider = (name, area, layoutNow) => {
   const level = name === "dock";
   const bar = element("div", {
@@ -69,11 +77,11 @@ const divider = (name, area, layoutNow) => {
     "aria-valuemin": 0,
     "aria-valuemax": 100,
   });
-  const set = (to) => {
+  const set = (/** @type {number} */ to) => {
     const { left, middle, dock } = moved(layoutNow(), name, to);
     view.set({ layout: level ? { dock } : { left, middle } });
   };
-  const shareAt = (event) => {
+  const shareAt = (/** @type {MouseEvent} */ event) => {
     const box = area.getBoundingClientRect();
     return level ? (box.bottom - event.clientY) / box.height : (event.clientX - box.left) / box.width;
   };
@@ -105,7 +113,7 @@ const divider = (name, area, layoutNow) => {
  */
 export const mountDividers = (workbench, panes) => {
   const [scan, photo] = [...panes.children].filter((pane) => pane instanceof HTMLElement);
-  /** @returns {{left: number, middle: number, dock: number}} of those that nobody has moved */
+  /** @returns {Shares} of those that nobody has moved */
   const suited = () => {
     const found = store.scanBeside()?.views?.[view.get().scan.view] ?? store.scanBeside()?.views?.[0];
     const shown = store.photo();
@@ -117,28 +125,26 @@ export const mountDividers = (workbench, panes) => {
     const heads = Math.max(...[scan, photo].map((pane) => pane.clientHeight - partOf(pane, ".pane-body").clientHeight));
     return sharesFor({ width, height }, heads, aspects.map((each) => each || known));
   };
+  /** @returns {Shares} */
   const layoutNow = () => {
-    const chosen = Object.entries(view.get().layout).filter(([, share]) => share !== null);
-    return { ...suited(), ...Object.fromEntries(chosen) };
+    const { left, middle, dock } = view.get().layout;
+    const found = suited();
+    return { left: left ?? found.left, middle: middle ?? found.middle, dock: dock ?? found.dock };
   };
-  const dividers = {
-    left: divider("left", panes, layoutNow),
-    middle: divider("middle", panes, layoutNow),
-    dock: divider("dock", workbench, layoutNow),
-  };
-  scan.after(dividers.left);
-  photo.after(dividers.middle);
-  panes.after(dividers.dock);
+  /** @type {[Divider, HTMLElement, HTMLElement][]} each with the area that it divides, and what it follows */
+  const places = [["left", panes, scan], ["middle", panes, photo], ["dock", workbench, panes]];
+  const dividers = places.map(([name, area, before]) => {
+    const bar = divider(name, area, layoutNow);
+    before.after(bar);
+    return { name, bar };
+  });
   const show = () => {
     const layout = layoutNow();
     for (const [name, share] of Object.entries(layout)) document.documentElement.style.setProperty(
       `--share-${name}`,
       share.toFixed(5),
     );
-    for (const [name, bar] of Object.entries(dividers)) bar.setAttribute(
-      "aria-valuenow",
-      String(Math.round(100 * positionOf(layout, name))),
-    );
+    for (const { name, bar } of dividers) bar.setAttribute("aria-valuenow", String(Math.round(100 * positionOf(layout, name))));
   };
   view.on((_, changed) => changed.has("layout") && show());
   store.watch(["scan", "beside", "photos", "shown"], show);

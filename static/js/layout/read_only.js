@@ -6,11 +6,15 @@ const FIELDS = ".row-line input, .setting input, .setting select, .project-name,
 const ACTS = ["mousedown", "click", "beforeinput", "keydown"];
 const LEAVES = new Set(["Tab", "Escape", "ArrowUp", "ArrowDown", "PageUp", "PageDown", "Home", "End"]);
 
-/** Keep fields from being changed, but not from being read or left. */
+/** Keep fields from being changed, but not from being read or left. @param {Event} event */
 const refuse = (event) => {
-  if (!store.readOnly || !event.target.closest?.(FIELDS)) return;
-  if (event.type === "keydown" && (LEAVES.has(event.key) || event.ctrlKey || event.metaKey) && !event.target.closest("select, [type=number]")) return;
-  if (event.type === "keydown" && event.key === "Tab") return;
+  const { target } = event;
+  if (!store.readOnly || !(target instanceof Element) || !target.closest(FIELDS)) return;
+  if (event instanceof KeyboardEvent) {
+    if (event.key === "Tab") return;
+    const leaves = LEAVES.has(event.key) || event.ctrlKey || event.metaKey;
+    if (event.type === "keydown" && leaves && !target.closest("select, [type=number]")) return;
+  }
   event.preventDefault();
   event.stopPropagation();
 };

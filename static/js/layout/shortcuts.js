@@ -7,7 +7,7 @@ import { canBeStopped } from "../state/acquisition.js";
 import { openKeys } from "../panels/project/key_reference.js";
 import { toggleMarks } from "../panels/model/model_pane.js";
 import { view } from "../state/view.js";
-import { isTyping } from "../ui/dom.js";
+import { isTyping, partOf } from "../ui/dom.js";
 import { notice } from "../ui/notices.js";
 import { toggleMaximised } from "./maximise.js";
 
@@ -34,20 +34,23 @@ const currentPane = () => {
   return /** @type {import("./maximise.js").PaneName | undefined} */ (pane?.id.replace("-pane", "")) ?? null;
 };
 
+/** @param {KeyboardEvent} event @returns {(() => void) | null} what a key with Ctrl or Command does */
 const commands = (event) => {
   const key = event.key.toLowerCase();
   if (key === "s") return reportSaved;
-  const figures = event.target.type === "number" || event.target.inputMode === "decimal";
-  if (isTyping(event.target) && !figures) return null; // the field has its own undo
+  const { target } = event;
+  const figures = target instanceof HTMLInputElement && (target.type === "number" || target.inputMode === "decimal");
+  if (isTyping(target) && !figures) return null; // the field has its own undo
   if (store.readOnly) return null;
   if (key === "z") return event.shiftKey ? () => request("redo") : () => request("undo");
   return key === "y" ? () => request("redo") : null;
 };
 
+/** @param {KeyboardEvent} event @returns {(() => void) | null} what a key alone does */
 const plain = (event) => {
   if (event.key === "?") return openKeys;
   if (event.key === "h" || event.key === "H") {
-    return () => /** @type {HTMLElement} */ (document.querySelector(".history-button")).click();
+    return () => partOf(document, ".history-button").click();
   }
   if (event.key === "m" || event.key === "M") return toggleMarks;
   if (event.key === "f" || event.key === "F") {

@@ -9,6 +9,7 @@ export const mountSwitcher = (workbench) => {
   const buttons = Object.entries(PARTS).map(([name, label]) =>
     element("button", { type: "button", class: "button plain small", on: { click: () => show(name) } }, label),
   );
+  /** @param {string} name */
   const show = (name) => {
     workbench.dataset.only = name;
     buttons.forEach((button, k) => button.setAttribute("aria-pressed", String(Object.keys(PARTS)[k] === name)));

@@ -8,6 +8,7 @@ import { changed as applied } from "./delta.js";
 /**
  * @typedef {{id: string, number: number, kind: "point" | "line", scan: number[][], photo: number[][], on: boolean,
  *            weight: number, origin: string, name?: string}} Pick
+ * @typedef {any} Stage a stage of the slice `poses:pID`: docs/workbench.md describes its fields
  * @typedef {(value: any, slice: string) => void} SliceListener
  */
 
@@ -192,7 +193,7 @@ export class Store {
 
   /**
    * @param {string | null} [photo]
-   * @returns {any} the shown stage of the photograph, or null if there is no pose
+   * @returns {Stage} the shown stage of the photograph, or null if there is no pose
    */
   stageOf(photo = this.shown()) {
     const poses = this.posesOf(photo);

@@ -22,13 +22,16 @@ export const drawing = (context) => {
 };
 
 /**
+ * @typedef {(context: CanvasRenderingContext2D, width: number, height: number, colour: (name: string) => string,
+ *   em: number) => void} Paint draws in CSS pixels
+ */
+
+/**
  * @param {Record<string, any>} properties of the canvas
- * @param {(context: CanvasRenderingContext2D, width: number, height: number, colour: (name: string) => string,
- *         em: number) => void} paint draws in CSS pixels
+ * @param {Paint} paint
  * @returns {{canvas: HTMLCanvasElement, draw: () => void}} `draw` redraws in the next frame
  */
 export const makeCanvas = (properties, paint) => {
-  /** @type {HTMLCanvasElement} */
   const canvas = element("canvas", properties);
   const draw = inNextFrame(() => {
     const { clientWidth: width, clientHeight: height } = canvas;

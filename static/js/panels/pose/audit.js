@@ -13,8 +13,10 @@ const OUTCOMES = {
   undecidable: ["info", "none", "Undecidable: the images verify nothing near it"],
 };
 
+/** @param {number} size */
 const sizeText = (size) => String(Number(size.toPrecision(2)));
 
+/** @param {number} probability */
 const percent = (probability) => `${Math.round(100 * probability)} %`;
 
 /**
@@ -28,11 +30,12 @@ const curve = (points, { factor, unit, title, wanted, smallest }) => {
   const sizes = points.map(([size]) => Math.log(size));
   const [low, high] = [Math.min(...sizes), Math.max(...sizes)];
   const [right, foot] = [WIDTH - RIGHT, HEIGHT - FOOT];
-  const x = (size) => LEFT + ((Math.log(size) - low) / (high - low)) * (right - LEFT);
-  const y = (probability) => foot - probability * (foot - TOP);
+  const x = (/** @type {number} */ size) => LEFT + ((Math.log(size) - low) / (high - low)) * (right - LEFT);
+  const y = (/** @type {number} */ probability) => foot - probability * (foot - TOP);
+  /** @param {number} at @param {number} up @param {string} words @param {string} anchor @param {string} [turned] */
   const text = (at, up, words, anchor, turned = "") =>
     shape("text", { x: at, y: up, "text-anchor": anchor, ...(turned ? { transform: turned } : {}) }, words);
-  const of = (size) => `${sizeText(size * factor)} ${unit}`;
+  const of = (/** @type {number} */ size) => `${sizeText(size * factor)} ${unit}`;
   const inside = smallest !== null && Math.log(smallest) >= low && Math.log(smallest) <= high;
   const [first, middle, last] = [points[0], points[Math.floor(points.length / 2)], points[points.length - 1]];
   const said = smallest === null

@@ -11,6 +11,12 @@ import { fixed, short } from "../../ui/numbers.js";
 import { decimalsOf, marks } from "./depth_scale.js";
 import { jobControls } from "./job_controls.js";
 
+/**
+ * @typedef {import("../../state/simplex_run.js").Frame} Frame
+ * @typedef {import("../../ui/canvas.js").Paint} Paint
+ * @typedef {(index: number) => number} AtStep a place on the horizontal axis
+ */
+
 const DASHES = [[], [], [], [5, 3], [5, 3], [5, 3]];
 const DEGREES = 180 / Math.PI;
 
@@ -26,7 +32,7 @@ const SPEEDS = [5, 20, 60, 240];
 const scaledCurves = (steps) => {
   const last = steps.at(-1)?.parameters ?? [0, 0, 0, 0, 0, 0];
   const offsets = NAMES.map((_, index) => steps.map(({ parameters }) => parameters[index] - last[index]));
-  const largest = (from) => offsets.slice(from, from + 3).flat().reduce(
+  const largest = (/** @type {number} */ from) => offsets.slice(from, from + 3).flat().reduce(
     (most, value) => Math.max(most, Math.abs(value)),
     0,
   );
@@ -35,13 +41,22 @@ const scaledCurves = (steps) => {
   return { curves, reach };
 };
 
-/** @returns {number[]} log10 of the costs; costs that are not positive count as the smallest positive one */
+/**
+ * @param {Frame[]} steps
+ * @returns {number[]} log10 of the costs; costs that are not positive count as the smallest positive one
+ */
 const logCosts = (steps) => {
   const positive = steps.map(({ cost }) => cost).filter((cost) => cost > 0);
   const least = positive.length ? Math.min(...positive) : 1;
   return steps.map(({ cost }) => Math.log10(cost > 0 ? cost : least));
 };
 
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {number[]} values
+ * @param {AtStep} x
+ * @param {(value: number) => number} y
+ */
 const curve = (context, values, x, y) => {
   context.beginPath();
   values.forEach((value, index) => (index ? context.lineTo(x(index), y(value)) : context.moveTo(x(index), y(value))));
@@ -50,18 +65,20 @@ const curve = (context, values, x, y) => {
 
 /** @returns {HTMLElement} */
 export const mountConvergence = () => {
+  /** @param {Frame[]} steps @param {number} left @param {number} right @returns {AtStep} */
   const xOf = (steps, left, right) => {
     const [first, last] = [steps[0]?.iteration ?? 0, steps.at(-1)?.iteration ?? 1];
-    return (index) => left + ((steps[index].iteration - first) / Math.max(1, last - first)) * (right - left);
+    return (/** @type {number} */ index) => left + ((steps[index].iteration - first) / Math.max(1, last - first)) * (right - left);
   };
 
+  /** @type {Paint} */
   const paintSix = (context, width, height, ink, em) => {
     const steps = simplexRun.frames;
     const { curves, reach } = scaledCurves(steps);
     const [left, right, top, bottom] = [em * 0.5, width - em * 1.8, em * 1.4, height - em * 0.4];
-    const y = (value) => (top + bottom) / 2 - (value * (bottom - top)) / 2;
+    const y = (/** @type {number} */ value) => (top + bottom) / 2 - (value * (bottom - top)) / 2;
     context.strokeStyle = ink("--lr-line");
-    curve(context, [0, 0], (index) => [left, right][index], y);
+    curve(context, [0, 0], (index) => (index ? right : left), y);
     context.fillStyle = ink("--lr-dim");
     context.textBaseline = "top";
     context.fillText(
@@ -81,9 +98,17 @@ export const mountConvergence = () => {
     context.setLineDash([]);
     paintCursor(context, steps, x, top, bottom, ink);
   };
-  /** Where the replay is. */
+  /**
+   * Where the replay is.
+   * @param {CanvasRenderingContext2D} context
+   * @param {Frame[]} steps
+   * @param {AtStep} x
+   * @param {number} top
+   * @param {number} bottom
+   * @param {(name: string) => string} ink
+   */
   const paintCursor = (context, steps, x, top, bottom, ink) => {
-    const at = steps.indexOf(simplexRun.current);
+    const at = steps.findIndex((step) => step === simplexRun.current);
     if (at < 0) return;
     context.strokeStyle = ink("--lr-accent");
     context.lineWidth = 1;
@@ -92,13 +117,14 @@ export const mountConvergence = () => {
     context.lineTo(x(at), bottom);
     context.stroke();
   };
+  /** @type {Paint} */
   const paintCost = (context, width, height, ink, em) => {
     const steps = simplexRun.frames;
     const values = logCosts(steps);
     if (values.length < 2) return;
     const [least, most] = [Math.min(...values), Math.max(...values)];
     const [left, right, top, bottom] = [em * 4.4, width - em * 0.5, em * 0.7, height - em * 0.7];
-    const y = (value) => bottom - ((value - least) / (most - least || 1)) * (bottom - top);
+    const y = (/** @type {number} */ value) => bottom - ((value - least) / (most - least || 1)) * (bottom - top);
     context.fillStyle = ink("--lr-dim");
     context.strokeStyle = ink("--lr-line");
     context.textBaseline = "middle";
@@ -107,7 +133,7 @@ export const mountConvergence = () => {
     const decimals = decimalsOf(shown);
     for (const mark of shown) {
       context.fillText(fixed(mark, decimals), left - em * 0.4, y(mark));
-      curve(context, [mark, mark], (index) => [left, right][index], y);
+      curve(context, [mark, mark], (index) => (index ? right : left), y);
     }
     context.strokeStyle = ink("--lr-ink");
     context.lineWidth = 1.4;

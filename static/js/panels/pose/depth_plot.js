@@ -19,20 +19,28 @@ import {
 } from "./depth_scale.js";
 import { rowsOf } from "../matches/match_rows.js";
 
+/** @typedef {import("./depth_scale.js").Stem} Stem @typedef {import("../../ui/canvas.js").Paint} Paint */
+
 const BINS = 31;
 const GRIP_PX = 7;
 const FEW = 40; // up to this number each stem has the colour of its match
+/** @type {Record<string, boolean>} keys that move the threshold */
+const UPWARDS = { ArrowUp: true, ArrowRight: true, ArrowDown: false, ArrowLeft: false };
 const UNITS = { depth: "m", px: "px" };
 
 /** @returns {HTMLElement} */
 export const mountDepthPlot = () => {
+  /** @type {Stem[]} */
   let stems = [];
+  /** @type {Stem[]} */
   let shown = [];
   let inliersOnly = false;
+  /** @type {string | null} */
   let hovering = null;
   let dragging = false;
 
   const by = () => view.get().threshold.by;
+  /** @returns {number | null} */
   const chosen = () => view.get().threshold.above[by()] ?? store.judgedOf()?.thresholds?.[by()] ?? null;
   /** The threshold, with both signs if errors are signed. */
   const thresholds = () => {
@@ -40,12 +48,13 @@ export const mountDepthPlot = () => {
     if (above === null) return [];
     return by() === "depth" ? [above, -above] : [above];
   };
-  const setAbove = (value) => {
+  const setAbove = (/** @type {number} */ value) => {
     if (!(value > 0)) return;
     const { threshold } = view.get();
     view.set({ threshold: { ...threshold, above: { ...threshold.above, [threshold.by]: value } } });
   };
 
+  /** @param {number} height @param {number} em */
   const scale = (height, em) => {
     const most = reach(shown, chosen());
     const signed = by() === "depth";
@@ -56,14 +65,17 @@ export const mountDepthPlot = () => {
       least,
       top,
       bottom,
-      y: (value) => bottom - ((value - least) / (most - least)) * (bottom - top),
-      at: (y) => least + ((bottom - y) / (bottom - top)) * (most - least),
+      y: (/** @type {number} */ value) => bottom - ((value - least) / (most - least)) * (bottom - top),
+      at: (/** @type {number} */ y) => least + ((bottom - y) / (bottom - top)) * (most - least),
     };
   };
-  const left = (em) => em * 4.2;
+  const left = (/** @type {number} */ em) => em * 4.2;
+  /** @param {number} width @param {number} em */
   const room = (width, em) => width - left(em) - em * 0.5;
+  /** @param {number} index @param {number} width @param {number} em */
   const xOf = (index, width, em) => left(em) + ((index + 0.5) / Math.max(1, shown.length)) * room(width, em);
 
+  /** @type {Paint} */
   const paint = (context, width, height, ink, em) => {
     const { y, most, least } = scale(height, em);
     const above = chosen();
@@ -108,6 +120,7 @@ export const mountDepthPlot = () => {
     for (const value of thresholds()) threshold(context, ink, x0, width, y(value));
   };
 
+  /** @type {Paint} */
   const paintHistogram = (context, width, height, ink, em) => {
     const { y, most, least } = scale(height, em);
     const bins = histogram(shown, least, most, BINS);
@@ -171,7 +184,10 @@ export const mountDepthPlot = () => {
   const apply = button({
     label: "Disable",
     kind: "small warn-button edits",
-    act: () => requestForPhoto("reject", { by: by(), above: chosen() }),
+    act: () => {
+      const above = chosen();
+      if (above !== null) requestForPhoto("reject", { by: by(), above });
+    },
   });
   const inliersToggle = button({
     label: "Inliers only",
@@ -241,18 +257,18 @@ export const mountDepthPlot = () => {
     );
     redraw();
   };
-  const rounded3 = (value) => Number(value.toPrecision(3));
+  const rounded3 = (/** @type {number} */ value) => Number(value.toPrecision(3));
 
   const em = () => Number.parseFloat(getComputedStyle(canvas).fontSize);
-  const local = (event) => {
+  const local = (/** @type {MouseEvent} */ event) => {
     const box = canvas.getBoundingClientRect();
     return [event.clientX - box.left, event.clientY - box.top];
   };
-  const overThreshold = (y) => {
+  const overThreshold = (/** @type {number} */ y) => {
     const of = scale(canvas.clientHeight, em());
     return thresholds().some((value) => Math.abs(of.y(value) - y) < GRIP_PX);
   };
-  const stemAt = (x) => {
+  const stemAt = (/** @type {number} */ x) => {
     const index = Math.floor(((x - left(em())) / room(canvas.clientWidth, em())) * shown.length);
     return shown[index] ?? null;
   };
@@ -282,17 +298,19 @@ export const mountDepthPlot = () => {
   });
   canvas.addEventListener("pointerleave", () => hovering && view.set({ hovered: (hovering = null) }));
   canvas.addEventListener("keydown", (event) => {
-    const up = { ArrowUp: true, ArrowRight: true, ArrowDown: false, ArrowLeft: false }[event.key];
-    if (up === undefined || chosen() === null) return;
+    const up = UPWARDS[event.key];
+    const above = chosen();
+    if (up === undefined || above === null) return;
     event.preventDefault();
     event.stopPropagation();
-    setAbove(stepped(chosen(), up, event.shiftKey));
+    setAbove(stepped(above, up, event.shiftKey));
   });
   field.addEventListener("keydown", (event) => {
-    const up = { ArrowUp: true, ArrowDown: false }[event.key];
-    if (up === undefined || chosen() === null) return;
+    const up = event.key === "ArrowUp";
+    const above = chosen();
+    if ((!up && event.key !== "ArrowDown") || above === null) return;
     event.preventDefault();
-    const next = stepped(chosen(), up, event.shiftKey);
+    const next = stepped(above, up, event.shiftKey);
     field.value = String(next);
     setAbove(next);
   });
@@ -306,23 +324,39 @@ export const mountDepthPlot = () => {
   return part;
 };
 
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {number} x0
+ * @param {number} y0
+ * @param {number} x1
+ * @param {number} y1
+ */
 const line = (context, x0, y0, x1, y1) => {
   context.beginPath();
   context.moveTo(x0, y0);
   context.lineTo(x1, y1);
   context.stroke();
 };
+/** @param {CanvasRenderingContext2D} context @param {number} x @param {number} y @param {number} radius */
 const disc = (context, x, y, radius) => {
   context.beginPath();
   context.arc(x, y, radius, 0, 2 * Math.PI);
   context.fill();
 };
+/** @param {CanvasRenderingContext2D} context @param {number} x @param {number} y @param {number} radius */
 const ring = (context, x, y, radius) => {
   context.beginPath();
   context.arc(x, y, radius, 0, 2 * Math.PI);
   context.stroke();
 };
-/** An arrow for an error beyond the axis. */
+/**
+ * An arrow for an error beyond the axis.
+ * @param {CanvasRenderingContext2D} context
+ * @param {number} x
+ * @param {number} y
+ * @param {number} sign
+ * @param {number} size
+ */
 const arrow = (context, x, y, sign, size) => {
   context.beginPath();
   context.moveTo(x - size, y + sign * size);
@@ -330,6 +364,13 @@ const arrow = (context, x, y, sign, size) => {
   context.lineTo(x + size, y + sign * size);
   context.fill();
 };
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {(name: string) => string} ink
+ * @param {number} x0
+ * @param {number} x1
+ * @param {number} y
+ */
 const threshold = (context, ink, x0, x1, y) => {
   context.save();
   context.strokeStyle = ink("--lr-warn");

@@ -20,7 +20,7 @@ export const stemsOf = (rows, by) =>
     return value !== null && Number.isFinite(value) ? [{ id, number, on, inlier, agrees, value }] : [];
   });
 
-/** @returns {number} rounded to two significant figures */
+/** @param {number} value @returns {number} rounded to two significant figures */
 export const rounded = (value) => (value > 0 ? Number(value.toPrecision(2)) : 0);
 
 /**
@@ -30,7 +30,7 @@ export const rounded = (value) => (value > 0 ? Number(value.toPrecision(2)) : 0)
  * @returns {{above: Set<string>, off: number, on: number}} the matches above; how many are disabled, and re-enabled
  */
 export const rejection = (stems, above) => {
-  const beyond = (stem) => above !== null && Math.abs(stem.value) > above;
+  const beyond = (/** @type {Stem} */ stem) => above !== null && Math.abs(stem.value) > above;
   return {
     above: new Set(stems.filter(beyond).map(({ id }) => id)),
     off: stems.filter((stem) => stem.on && beyond(stem)).length,
@@ -69,7 +69,7 @@ export const marks = (least, most, about) => {
   return found;
 };
 
-/** @returns {number} decimals that distinguish the ticks */
+/** @param {number[]} values @returns {number} decimals that distinguish the ticks */
 export const decimalsOf = (values) => {
   if (values.length < 2) return 1;
   return Math.max(0, Math.min(6, -Math.floor(Math.log10(Math.abs(values[1] - values[0])) + 1e-9)));
@@ -92,7 +92,12 @@ export const histogram = (stems, least, most, count) => {
   return bins;
 };
 
-/** @returns {number} the threshold after an arrow key: 2 % more or less, 20 % with Shift */
+/**
+ * @param {number} above
+ * @param {boolean} up
+ * @param {boolean} fast
+ * @returns {number} the threshold after an arrow key: 2 % more or less, 20 % with Shift
+ */
 export const stepped = (above, up, fast) => {
   const factor = fast ? 1.2 : 1.02;
   return Number((up ? above * factor : above / factor).toPrecision(3));

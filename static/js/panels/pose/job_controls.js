@@ -12,7 +12,8 @@ const FULL_SPEED = 0;
 /** Speed of a job that does not state its own, iterations per second. */
 const DEFAULT_SPEED = 60;
 const LIMITED_SPEEDS = [2, 10, DEFAULT_SPEED, 240];
-const SPEEDS = [...LIMITED_SPEEDS.map((speed) => [speed, `${speed} per second`]), [FULL_SPEED, "full speed"]];
+/** @type {[number, string][]} */
+const SPEEDS = [...LIMITED_SPEEDS.map((speed) => /** @type {[number, string]} */ ([speed, `${speed} per second`])), [FULL_SPEED, "full speed"]];
 const KEEPS_BEST = new Set(["simplex", "reject_outliers"]);
 
 /**
@@ -20,6 +21,7 @@ const KEEPS_BEST = new Set(["simplex", "reject_outliers"]);
  * @returns {HTMLElement} hidden while no such job is running
  */
 export const jobControls = ({ kinds = null } = {}) => {
+  /** @param {string} action @param {number} [value] */
   const control = (action, value) => request("job_control", value === undefined ? { action } : { action, value });
   const pause = button({
     label: "Pause",
@@ -42,6 +44,7 @@ export const jobControls = ({ kinds = null } = {}) => {
   );
   speed.value = String(DEFAULT_SPEED);
   const box = element("span", { class: "job-controls edits" }, pause, step, speed, stop);
+  /** @type {string | null} */
   let job = null;
   const show = () => {
     const now = store.get("job");

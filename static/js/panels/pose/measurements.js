@@ -9,9 +9,14 @@ import { view } from "../../state/view.js";
 import { button } from "../../ui/controls.js";
 import { element, setChildren, setText } from "../../ui/dom.js";
 
+/** @typedef {import("../../state/measuring.js").Measurement} Measurement */
+
 const EMPTY = "Choose a kind, and click the points in the scan, in a registered photograph, or on the model.";
 
-/** @returns {string} the interval of a measurement, and where there are several the scan that it was made on */
+/**
+ * @param {Measurement} measurement
+ * @returns {string} the interval of a measurement, and where there are several the scan that it was made on
+ */
 const about = ({ interval, station }) =>
   [interval && `95 %: ${interval}`, stationsNow().stations.length && `on ${scanOfStation(station)}`].filter(Boolean).join(" · ");
 
@@ -44,12 +49,13 @@ export const mountMeasurements = () => {
     element("div", { class: "part-body" }, empty, list),
   );
 
+  /** @param {Measurement} one @param {HTMLInputElement} input */
   const rename = (one, input) => {
     const name = input.value.trim();
     if (name !== one.name) request("rename_measurement", { measurement: one.id, name });
   };
 
-  const row = (one) => {
+  const row = (/** @type {Measurement} */ one) => {
     const name = element("input", {
       type: "text",
       class: "measurement-name",
@@ -94,6 +100,7 @@ export const mountMeasurements = () => {
     }
   };
 
+  /** @type {Measurement[] | null} */
   let drawn = null;
   let named = "";
   const show = () => {

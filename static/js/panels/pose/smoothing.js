@@ -9,6 +9,8 @@ import { element, setChildren, setText } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
 import { counted, fixed, typeset } from "../../ui/numbers.js";
 
+/** @typedef {import("../../state/smoothing.js").NewRange} NewRange */
+
 /** @type {["before" | "after" | "difference", string, string][]} */
 const SHOWN = [
   ["before", "Before", "Show the returns where they are"],
@@ -17,12 +19,12 @@ const SHOWN = [
 ];
 const NEXT = "Draw points on spikes that you see, in the scan and in the photograph, solve, and preview again.";
 
-const signed = (value) => typeset(value > 0 ? `+${fixed(value, 3)}` : fixed(value, 3));
+const signed = (/** @type {number} */ value) => typeset(value > 0 ? `+${fixed(value, 3)}` : fixed(value, 3));
 
 const headOf = () =>
   element("tr", {}, ...["At", "Before, m", "After, m", "Change, m", "1 σ, m"].map((name) => element("th", { scope: "col" }, name)));
 
-const rowOf = (one) => {
+const rowOf = (/** @type {NewRange} */ one) => {
   const [row, column] = one.id.split(".");
   const show = () => {
     const isShown = previewNow()?.photo === store.shown();
@@ -99,7 +101,7 @@ export const mountSmoothing = () => {
     }
   };
 
-  const tell = (shown) => {
+  const tell = (/** @type {import("../../state/smoothing.js").Preview} */ shown) => {
     const ranges = newRanges();
     const spikes = ranges.filter(({ edge }) => !edge).length;
     if (shown.stale) return shown.stale;
@@ -109,6 +111,7 @@ export const mountSmoothing = () => {
     return `${counted(meant, "range")} would be replaced by stereo with ${shown.name}. Found: ${places}.`;
   };
 
+  /** @type {NewRange[] | null} */
   let drawn = null;
   const show = () => {
     const state = store.get("smoothing");

@@ -9,6 +9,9 @@ import { lightOf } from "../../ui/lights.js";
 import { duration, fixed, NONE, parameterName, typeset } from "../../ui/numbers.js";
 import { auditReport } from "./audit.js";
 
+/** @typedef {import("../../net/store.js").Stage} Stage @typedef {[string, (stage: Stage) => string | Node]} Figure */
+
+/** @type {Figure[]} */
 const FIGURES = [
   ["matches that agree", (stage) => (stage.matches === undefined ? NONE : `${stage.inliers} of ${stage.matches}`)],
   ["σ of position", (stage) => stage.summary?.position || NONE],
@@ -18,7 +21,9 @@ const FIGURES = [
   ["time", (stage) => duration(stage.seconds)],
 ];
 
+/** @param {Stage[]} stages @returns {Figure[]} */
 const parameterRows = (stages) => {
+  /** @type {{name: string, unit: string}[]} */
   const names = stages.find(({ parameters }) => parameters?.length)?.parameters ?? [];
   return names.map((named, index) => [
     parameterName(named),
@@ -31,6 +36,7 @@ const parameterRows = (stages) => {
   ]);
 };
 
+/** @param {Stage[]} stages @param {string | null} shown */
 const table = (stages, shown) => {
   const heads = stages.map((stage) => {
     const present = stage.stage === shown;
@@ -69,6 +75,7 @@ const table = (stages, shown) => {
   );
 };
 
+/** @param {{sentence: string, advice?: string, counts?: string}} found slice `self_test:pID` */
 const selfTest = (found) =>
   element(
     "section",

@@ -15,12 +15,18 @@ import { ABOUT_FRAMES } from "../files/scan_clouds.js";
 import { mountSmoothing } from "./smoothing.js";
 
 const FROM_IMAGES = new Set(["auto", "survey", "carried"]);
+/**
+ * @typedef {import("../../net/store.js").Stage} Stage
+ * @typedef {{level: string, sentence: string, what_to_do?: string}} Finding
+ */
+
+/** @type {Record<string, [string, string, string]>} sign, word and CSS class */
 const LEVELS = { good: ["tick", "Good", "ok"], fair: ["warn", "Fair", "warn"], poor: ["bad", "Poor", "bad"] };
 const EMPTY =
   "Once there is a pose, its verdict is shown here: accepted or not, with reasons, six parameters with their " +
   "uncertainty, and suggestions.";
 
-/** Solving from the matches, where a verdict is missing or out of date. */
+/** Solving from the matches, where a verdict is missing or out of date. @param {boolean} enabled */
 const solveButton = (enabled) =>
   button({
     label: "Solve from matches",
@@ -31,7 +37,7 @@ const solveButton = (enabled) =>
     act: () => requestForPhoto("run", { job: "solve" }),
   });
 
-/** Finding the pose in the images alone. */
+/** Finding the pose in the images alone. @param {boolean} enabled */
 const registerButton = (enabled) =>
   button({
     label: "Register automatically",
@@ -42,7 +48,7 @@ const registerButton = (enabled) =>
     act: () => requestForPhoto("run", { job: "auto" }),
   });
 
-/** Asking the images, where a pose rests on its matches alone. */
+/** Asking the images, where a pose rests on its matches alone. @param {boolean} enabled */
 const verifyButton = (enabled) =>
   button({
     label: "Verify",
@@ -66,10 +72,11 @@ const framesButton = () =>
 const exportButton = () =>
   button({ label: "Export", kind: "small", icon: "download", title: "Open the step Export", act: () => view.set({ step: "export" }) });
 
+/** @param {string} label @param {string} stage @param {string} kind */
 const stageButton = (label, stage, kind) =>
   button({ label, kind: `small edits ${kind}`, act: () => requestForPhoto("use_stage", { stage }) });
 
-/** The button of a next step. */
+/** @type {Record<string, (next: {stage: string}, enabled: boolean) => HTMLElement>} the button of a next step */
 const ACTIONS = {
   solve: (_, enabled) => solveButton(enabled),
   verify: (_, enabled) => verifyButton(enabled),
@@ -79,10 +86,15 @@ const ACTIONS = {
   use_stage: ({ stage }) => stageButton("Use the images' pose", stage, "primary"),
 };
 
+/** @param {string} value @param {string} name @param {string} title */
 const figure = (value, name, title) =>
   value ? element("div", { class: "verdict-figure", title }, element("strong", { class: "figures" }, value), element("span", {}, name)) : null;
 
-/** One line with its light, two figures, and the next step. */
+/**
+ * One line with its light, two figures, and the next step.
+ * @param {Stage} stage
+ * @param {{busy: boolean, lacks: string, solving: boolean, why: string}} now
+ */
 const head = (stage, { busy, lacks, solving, why }) => {
   const { light, line, position, pixels, next_step: next, other } = stage.summary;
   const { sign, level } = lightOf(light);
@@ -109,6 +121,7 @@ const head = (stage, { busy, lacks, solving, why }) => {
   );
 };
 
+/** @param {{name: string, unit: string, value: string, sigma?: string}[]} parameters */
 const six = (parameters) =>
   element(
     "dl",
@@ -132,7 +145,7 @@ const six = (parameters) =>
     ),
   );
 
-const finding = (stale) => ({ level, sentence, what_to_do: advice }) => {
+const finding = (/** @type {string} */ stale) => (/** @type {Finding} */ { level, sentence, what_to_do: advice }) => {
   const [sign, word, kind] = stale ? ["dot", "Before", "dim"] : (LEVELS[level] ?? LEVELS.fair);
   return element(
     "li",
@@ -142,8 +155,9 @@ const finding = (stale) => ({ level, sentence, what_to_do: advice }) => {
   );
 };
 
-const advices = (stage) =>
-  (stage.advice ?? []).slice(0, 3).map(({ uv, sentence }) =>
+/** @param {{uv: number[], sentence: string}[]} [advice] */
+const advices = (advice = []) =>
+  advice.slice(0, 3).map(({ uv, sentence }) =>
     element(
       "li",
       { class: "advice" },
@@ -158,6 +172,7 @@ const advices = (stage) =>
     ),
   );
 
+/** @param {Stage} stage */
 const check = (stage) =>
   stage.check &&
   element(
@@ -225,7 +240,7 @@ export const mountVerdict = () => {
       stage.parameters?.length ? six(stage.parameters) : null,
       stage.in_world ? element("p", { class: "dim" }, `In the world: ${stage.in_world}.`) : null,
       stage.uncertainty ? element("p", { class: "dim" }, stage.uncertainty) : null,
-      element("ul", { class: "findings" }, ...advices(stage), check(stage), ...(stage.findings ?? []).map(finding(stage.stale))),
+      element("ul", { class: "findings" }, ...advices(stage.advice), check(stage), ...(stage.findings ?? []).map(finding(stage.stale))),
       ...warnings(limits),
     );
     evidence.addEventListener("toggle", () => (unfolded = evidence.open));
@@ -236,7 +251,7 @@ export const mountVerdict = () => {
   return part;
 };
 
-const warning = (word) => (sentence) =>
+const warning = (/** @type {string} */ word) => (/** @type {string} */ sentence) =>
   element(
     "li",
     { class: "finding warn" },
@@ -244,7 +259,10 @@ const warning = (word) => (sentence) =>
     element("span", {}, sentence),
   );
 
-/** Warnings: excluded matches, and limits of the thesis's methods with these matches (thesis 3.4). */
+/**
+ * Warnings: excluded matches, and limits of the thesis's methods with these matches (thesis 3.4).
+ * @param {{losses: string[], cautions: string[]}} limits
+ */
 const warnings = ({ losses, cautions }) =>
   losses.length + cautions.length
     ? [
