@@ -70,7 +70,7 @@ store.watch(["picks:*", "poses:*", "photos"], dropOutdated);
 /** A scan may bring its own pictures: offer them where the dialog does not. */
 store.on("embedded", () => {
   const count = offeredPictures().length;
-  if (!count || store.get("photos")?.length || document.querySelector("dialog[open]")) return;
+  if (!count || store.photos().length || document.querySelector("dialog[open]")) return;
   const pictures = count === 1 ? "a picture" : `${count} pictures`;
   notice(`The scan contains ${pictures}, which may be used as photographs.`, "info", { label: "Show", act: () => openFiles() });
 });
@@ -115,7 +115,7 @@ const welcome = () => {
     "warn",
     { label: "Show", act: () => openFiles() },
   );
-  const nothing = !store.get("scan") && !(store.get("photos") ?? []).length;
+  const nothing = !store.get("scan") && !store.photos().length;
   const message = projectNotice();
   if (message) notice(message);
   if (nothing && store.get("acquisition")?.offered && !store.readOnly) view.set({ step: "acquire" });

@@ -8,7 +8,9 @@ import { changed as applied } from "./delta.js";
 /**
  * @typedef {{id: string, number: number, kind: "point" | "line", scan: number[][], photo: number[][], on: boolean,
  *            weight: number, origin: string, name?: string}} Pick
- * @typedef {any} Stage a stage of the slice `poses:pID`: docs/workbench.md describes its fields
+ * @typedef {any} Photo an entry of slice `photos`; docs/workbench.md describes the fields of this and the next two
+ * @typedef {any} Stage a stage of slice `poses:pID`
+ * @typedef {any} Job slice `job`, or a job that waits
  * @typedef {(value: any, slice: string) => void} SliceListener
  */
 
@@ -149,12 +151,15 @@ export class Store {
 
   /**
    * @param {string | null} [photo] by default the shown one
-   * @returns {any} the entry of slice `photos`, or null
+   * @returns {Photo} its entry of slice `photos`, or null
    */
   photo(photo = this.shown()) {
-    /** @type {any[]} */
-    const photos = this.get("photos") ?? [];
-    return photos.find(({ id }) => id === photo) ?? null;
+    return this.photos().find(({ id }) => id === photo) ?? null;
+  }
+
+  /** @returns {Photo[]} slice `photos`; empty before it has arrived */
+  photos() {
+    return this.get("photos") ?? [];
   }
 
   /** @returns {any} the scan that is shown beside the photograph, as slice `scan`: the project's or another station's */

@@ -262,7 +262,7 @@ export class Controller {
     this.pendingMoves.dropUnsent();
     const name = store.photo(picking.subject)?.name;
     const drawing = picking.turnTo(store.shown());
-    const photos = (store.get("photos") ?? []).map(({ id }) => id);
+    const photos = store.photos().map(({ id }) => id);
     const lost = picking.forgetPhotosBut(photos);
     this.measuring.forgetPhotosBut(photos);
     if (scanReplaced && picking.forgetScan()) this.notify("The unfinished match was discarded: another scan was opened.");

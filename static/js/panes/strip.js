@@ -34,7 +34,7 @@ export const mountStrip = (body, controller) => {
   let dragging = false;
   const extent = () => store.scanBeside()?.strip ?? null;
   const photos = () =>
-    (store.get("photos") ?? [])
+    store.photos()
       .filter(({ station }) => (station ?? "") === store.station()) // outlines are seen from a photograph's own scanner
       .map(({ id, name }) => ({ id, name, ...(store.get(`outline:${id}`) ?? { rays: null, registered: false }) }))
       .filter(({ rays }) => rays);
@@ -225,7 +225,7 @@ export const mountStrip = (body, controller) => {
   const towards = new Map();
   let shown = null;
   const follow = () => {
-    const known = store.get("photos") ?? [];
+    const known = store.photos();
     for (const { id } of known) {
       const outline = store.get(`outline:${id}`);
       if (outline === undefined) continue;

@@ -243,7 +243,7 @@ export const mountTiePictures = ({ store, view }) => {
   const lines = () => store.get("drawn_lines") ?? [];
   const lineNow = () => lines().find(({ id }) => id === line) ?? null;
   /** The sides that are shown: three for lines, if there are so many photographs. */
-  const shownSides = () => (lining && (store.get("photos") ?? []).length > SIDES.length ? ALL_SIDES : SIDES);
+  const shownSides = () => (lining && store.photos().length > SIDES.length ? ALL_SIDES : SIDES);
   const ofPair = () => (store.get("drawn_ties") ?? []).filter(({ photos }) => photos.includes(chosen.first) && photos.includes(chosen.second));
   const numberOf = (id) => id.slice(1);
   const other = { first: "second", second: "first" };
@@ -341,7 +341,7 @@ export const mountTiePictures = ({ store, view }) => {
   const say = () => {
     if (lining) {
       const begun = ALL_SIDES.find((side) => pictures[side].begun) ?? null;
-      const total = (store.get("photos") ?? []).length;
+      const total = store.photos().length;
       setText(hint, lineHint({ readOnly: store.readOnly, photos: total, begun, line: lineNow(), number: numberOf(line) }));
       return;
     }
@@ -351,7 +351,7 @@ export const mountTiePictures = ({ store, view }) => {
     setText(
       hint,
       store.readOnly ? "Ties are shown only: this link is read-only."
-        : (store.get("photos") ?? []).length < 2 ? "Ties need two photographs: add another."
+        : store.photos().length < 2 ? "Ties need two photographs: add another."
           : !end ? "Click a place in one photograph, then the same place in the other; or a mark, to continue its tie into a further photograph. Wheel: zoom; drag: move."
             : `${continued ? `Tie ${continued.label} is continued. ` : ""}Now click the same place in the ${other[begun]} photograph.`,
     );
@@ -376,7 +376,7 @@ export const mountTiePictures = ({ store, view }) => {
 
   const showLine = (of) => {
     line = of.id;
-    const free = (store.get("photos") ?? []).map(({ id }) => id).filter((id) => !of.photos.includes(id));
+    const free = store.photos().map(({ id }) => id).filter((id) => !of.photos.includes(id));
     [chosen.first, chosen.second, chosen.third] = [...of.photos, ...free];
     show();
   };
@@ -404,7 +404,7 @@ export const mountTiePictures = ({ store, view }) => {
   };
 
   const show = () => {
-    const photos = store.get("photos") ?? [];
+    const photos = store.photos();
     const ids = photos.map(({ id }) => id), taken = new Set();
     if (lineNow()) awaited = "";
     else if (line !== awaited) line = "";

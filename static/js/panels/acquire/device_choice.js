@@ -5,6 +5,8 @@ import { fill } from "../../ui/controls.js";
 import { element } from "../../ui/dom.js";
 import { numbersRow, textRow, withFaults } from "./plan_rows.js";
 
+/** @typedef {import("../../state/acquisition.js").Plan} Plan @typedef {{port: string, said: string}} Port @typedef {[string, string]} Option */
+
 const TWIN = "twin:";
 const TWIN_SCANNER = "twin:scanner";
 const TWIN_CAMERA = "twin:camera";
@@ -25,22 +27,30 @@ const PIECES = {
 };
 /** What a plan for a scanner with a field of view of its own begins with: its pieces overlap at 55 degrees across. */
 
-/** @returns {string} the address of a simulated device in the same room as the simulated unit */
+/**
+ * @param {string} twin
+ * @param {Plan | null} plan
+ * @returns {string} the address of a simulated device in the same room as the simulated unit
+ */
 const beside = (twin, plan) => {
   const [, query = "seed=1"] = (plan?.unit?.port.startsWith(TWIN) ? plan.unit.port : "").split("?");
   return `${twin}?${query}`;
 };
 
-/** @returns {{element: HTMLElement, show: (plan: any, ports: any[], example: any, fixed: boolean) => void}} */
+/** @returns {{element: HTMLElement, show: (plan: Plan | null, ports: Port[], example: Plan | null, fixed: boolean) => void}} */
 export const makeDeviceChoice = () => {
-  const select = (label) => element("select", { class: "select small", "aria-label": label });
+  const select = (/** @type {string} */ label) => element("select", { class: "select small", "aria-label": label });
   const unit = select("Port of the pan/tilt unit");
   const scanner = select("Scanner");
   const camera = select("Camera");
+  /** @type {Plan | null} */
   let example = null;
-  let other = null; // of a plan whose scanner was exchanged: what it said before, for when it is exchanged back
+  /** @type {Plan | null} of a plan whose scanner was exchanged: what it said before, for when it is exchanged back */
+  let other = null;
 
+  /** @param {string} part @param {Plan} patch */
   const change = (part, patch) => changePlan({ [part]: { ...planNow()?.[part], ...patch } });
+  /** @param {string} label @param {HTMLElement} control @param {string[]} fields */
   const withRow = (label, control, fields) =>
     withFaults(element("label", { class: "plan-choice" }, element("span", {}, label), control), fields);
 
@@ -77,10 +87,14 @@ export const makeDeviceChoice = () => {
 
   unit.addEventListener("change", () => {
     const port = unit.value;
-    change("unit", { port, baud: port.startsWith(TWIN) ? example.unit.baud : UNIT_BAUD });
+    change("unit", { port, baud: (port.startsWith(TWIN) && example?.unit.baud) || UNIT_BAUD });
   });
 
-  /** @returns {Record<string, any> | null} the device of a choice that makes pieces; null for a line scanner */
+  /**
+   * @param {string} chosen
+   * @param {Plan} plan
+   * @returns {Record<string, any> | null} the device of a choice that makes pieces; null for a line scanner
+   */
   const pieceScanner = (chosen, plan) => {
     if (chosen === FOLDER) return { kind: "folder", folder: "" };
     if (chosen === TWIN_SCANNER) return { kind: "folder", folder: beside(TWIN_SCANNER, plan) };
@@ -100,8 +114,9 @@ export const makeDeviceChoice = () => {
       return;
     }
     const before = other?.mode === (pieces ? "mosaic" : "sweep") ? other : pieces ? PIECES : example;
+    if (!before) return;
     other = plan;
-    const device = pieces ?? { ...example.scanner, port: scanner.value };
+    const device = pieces ?? { ...example?.scanner, port: scanner.value };
     const { mode, pan_deg, tilt_deg, settle_s, continuous, passes, mount } = before;
     changePlan({ scanner: device, mode, pan_deg, tilt_deg, settle_s, continuous, passes, mount });
   });
@@ -129,14 +144,17 @@ export const makeDeviceChoice = () => {
     pictures.row,
   );
 
+  /** @param {Plan | null} plan @param {Port[]} ports @param {Plan | null} given @param {boolean} fixed */
   const show = (plan, ports, given, fixed) => {
     example = given;
-    const real = ports.map(({ port, said }) => [port, `${port}: ${said}`]);
+    const real = ports.map(({ port, said }) => /** @type {Option} */ ([port, `${port}: ${said}`]));
+    /** @param {HTMLSelectElement} control @param {Option[]} options @param {string} now */
     const fillWith = (control, options, now) => {
       fill(control, options.some(([value]) => value === now) ? options : [...options, [now, now]], now);
       control.disabled = fixed || !plan;
     };
-    const simulated = (part) => (example ? [[example[part].port, "simulated"]] : []);
+    /** @returns {Option[]} */
+    const simulated = (/** @type {"unit" | "scanner"} */ part) => (given ? [[given[part].port, "simulated"]] : []);
     fillWith(unit, [...simulated("unit"), ...real], plan?.unit?.port ?? "");
     const path = plan?.scanner?.kind === "folder" ? plan.scanner.folder ?? "" : null;
     const isTwin = path?.startsWith(TWIN_SCANNER) ?? false;
@@ -145,7 +163,7 @@ export const makeDeviceChoice = () => {
     fillWith(
       scanner,
       [
-        ...simulated("scanner").map(([port]) => [port, "simulated line scanner"]),
+        ...simulated("scanner").map(([port]) => /** @type {Option} */ ([port, "simulated line scanner"])),
         [TWIN_SCANNER, "simulated scanner with a field of view"],
         [TWIN_LIDAR, "simulated spinning lidar"],
         ...real,
@@ -165,7 +183,7 @@ export const makeDeviceChoice = () => {
       [
         ["", "none"],
         [TWIN_CAMERA, "simulated"],
-        ...Array.from({ length: VIDEO_DEVICES }, (_, k) => [String(k), `video device ${k}`]),
+        ...Array.from({ length: VIDEO_DEVICES }, (_, k) => /** @type {Option} */ ([String(k), `video device ${k}`])),
         [FOLDER, "one with software of its own: watch its folder"],
       ],
       !shots ? "" : isVideo ? String(shots.device) : isTwinCamera ? TWIN_CAMERA : FOLDER,

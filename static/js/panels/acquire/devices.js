@@ -12,12 +12,17 @@ import { makeDial } from "./dial.js";
 
 /** @type {[string, string][]} */
 const STEPS_DEG = [["0.1", "0.1°"], ["1", "1°"], ["5", "5°"], ["20", "20°"]];
+/** @type {Record<string, string>} what a state says while it lasts */
+const PASSING = { connecting: "Connecting …", disconnecting: "Disconnecting …" };
 const TWIN = "twin:";
+/** @type {Record<string, number[]>} */
 const ARROWS = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 
 /** @returns {HTMLElement} the panel */
 export const mountDevices = () => {
+  /** @type {import("./device_choice.js").Port[]} */
   let ports = [];
+  /** @type {import("../../state/acquisition.js").Plan | null} */
   let example = null;
   const confirmed = [false, false]; // whether somebody was asked which way pan and tilt turn
 
@@ -85,7 +90,7 @@ export const mountDevices = () => {
     if (plan) await request("acquire_connect", { plan });
   };
 
-  const jog = async ([pan, tilt]) => {
+  const jog = async (/** @type {number[]} */ [pan, tilt]) => {
     const now = store.get("acquisition");
     if (now?.state !== "ready" || othersDrive()) return;
     const size = Number(step.value);
@@ -121,7 +126,7 @@ export const mountDevices = () => {
     take.hidden = !othersDrive();
     setText(driver, now.driver && !off ? (othersDrive() ? `${now.driver.name} drives` : "You drive") : "");
     // What a run has to say stands beside its picture.
-    const passing = { connecting: "Connecting …", disconnecting: "Disconnecting …" }[now.state];
+    const passing = PASSING[now.state];
     setText(said, passing ?? (now.run && connected ? "" : now.said ?? ""));
     said.classList.toggle("bad", off && Boolean(now.said));
     setText(models, connected ? [now.devices.unit, now.devices.scanner].filter(Boolean).join(" · ") : "");

@@ -16,13 +16,17 @@ const FILE = "plan.json";
 const PLACED = /^(pan_deg|tilt_deg|settle_s|continuous|passes|mount\.(xyz_m|rpy_deg|base)|unit(\..+)?|scanner\.(?!$).+|camera(\..+)?)$/;
 /** Fields whose faults stand beside them, here or among the devices; all others are said below the form. */
 
+/** @param {number} seconds */
 const duration = (seconds) =>
   seconds < 90 ? `${seconds} s` : seconds < 5400 ? `${Math.round(seconds / 60)} min` : `${(seconds / 3600).toFixed(1)} h`;
 
-/** @returns {string} what a run will be, in words */
+/**
+ * @param {{stops: number, pieces: number, cells?: number, overlap?: number[] | null, seconds: number} | null} ahead
+ * @returns {string} what a run will be, in words
+ */
 export const forecastText = (ahead) => {
   if (!ahead) return "";
-  const count = (n, what) => `${n.toLocaleString("en")} ${what}${n === 1 ? "" : "s"}`;
+  const count = (/** @type {number} */ n, /** @type {string} */ what) => `${n.toLocaleString("en")} ${what}${n === 1 ? "" : "s"}`;
   const parts = [count(ahead.stops, "stop")];
   if (ahead.pieces !== ahead.stops) parts.push(count(ahead.pieces, "piece"));
   if (ahead.cells) parts.push(`about ${count(ahead.cells, "cell")}`);
@@ -61,7 +65,7 @@ export const mountPlanForm = () => {
     const { base: former, ...mount } = planNow()?.mount ?? {};
     changePlan({ mount: base.value === "upright" ? mount : { ...mount, base: base.value === "hanging" ? "hanging" : former } });
   });
-  const showBase = (plan) => {
+  const showBase = (/** @type {import("../../state/acquisition.js").Plan | null} */ plan) => {
     const stated = plan?.mount?.base ?? "upright";
     /** @type {[string, string][]} */
     const leans = Array.isArray(stated) ? [["leaning", `leaning: ${stated.join(", ")}°`]] : [];
@@ -141,11 +145,13 @@ export const mountPlanForm = () => {
     } catch (error) {
       found = { faults: [{ field: "", said: messageOf(error) }], forecast: null };
     }
-    setFaults(found.faults);
-    const elsewhere = found.faults.filter(({ field }) => !PLACED.test(field));
+    /** @type {import("../../state/acquisition.js").PlanFault[]} */
+    const faults = found.faults;
+    setFaults(faults);
+    const elsewhere = faults.filter(({ field }) => !PLACED.test(field));
     fault.hidden = elsewhere.length === 0;
     setText(fault, elsewhere.map(({ said }) => said).join("; "));
-    mountPart.open ||= found.faults.some(({ field }) => field.startsWith("mount."));
+    mountPart.open ||= faults.some(({ field }) => field.startsWith("mount."));
     setText(ahead, forecastText(found.forecast));
   }, EVERY_MS);
 

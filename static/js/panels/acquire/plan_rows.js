@@ -3,6 +3,8 @@
 import { onFaults } from "../../state/acquisition.js";
 import { element, newId, setText } from "../../ui/dom.js";
 
+/** @typedef {import("../../state/acquisition.js").Plan} Plan */
+
 /**
  * Give a row the line below it that says what is wrong with its fields.
  * @param {HTMLElement} row
@@ -27,12 +29,13 @@ export const withFaults = (row, fields) => {
 
 /**
  * A row of numbers.
- * @param {{label: string, unit: string, names: string[], fields: string[], read: (plan: any) => any[] | null | undefined,
+ * @param {{label: string, unit: string, names: string[], fields: string[], read: (plan: Plan | null) => any[] | null | undefined,
  *   write: (values: (number | null)[]) => void}} options `names` of the numbers; `fields` as for `withFaults`
- * @returns {{row: HTMLElement, show: (plan: any) => void}}
+ * @returns {{row: HTMLElement, show: (plan: Plan | null) => void}}
  */
 export const numbersRow = ({ label, unit, names, fields, read, write }) => {
   const id = newId("plan");
+  /** @type {Plan | null} */
   let shown = null;
   const inputs = names.map((name, k) => {
     const input = element("input", { type: "number", class: "number short", step: "any", "aria-label": `${label}, ${name}` });
@@ -44,7 +47,7 @@ export const numbersRow = ({ label, unit, names, fields, read, write }) => {
     });
     return input;
   });
-  const show = (plan) => {
+  const show = (/** @type {Plan | null} */ plan) => {
     shown = plan;
     const values = read(plan) ?? [];
     for (const [k, input] of inputs.entries()) {
@@ -63,13 +66,13 @@ export const numbersRow = ({ label, unit, names, fields, read, write }) => {
 
 /**
  * A row with a text.
- * @param {{label: string, hint: string, fields: string[], read: (plan: any) => string, write: (text: string) => void}} options
- * @returns {{row: HTMLElement, show: (plan: any) => void}}
+ * @param {{label: string, hint: string, fields: string[], read: (plan: Plan | null) => string, write: (text: string) => void}} options
+ * @returns {{row: HTMLElement, show: (plan: Plan | null) => void}}
  */
 export const textRow = ({ label, hint, fields, read, write }) => {
   const input = element("input", { type: "text", class: "text", placeholder: hint, spellcheck: false, autocomplete: "off" });
   input.addEventListener("change", () => write(input.value.trim()));
-  const show = (plan) => {
+  const show = (/** @type {Plan | null} */ plan) => {
     if (document.activeElement !== input) input.value = read(plan) ?? "";
   };
   return { row: withFaults(element("label", { class: "plan-choice" }, element("span", {}, label), input), fields), show };

@@ -6,9 +6,12 @@ import { changePlan, isActive, onPlan, othersDrive, overviewPlan, planNow } from
 import { button } from "../../ui/controls.js";
 import { element, setChildren, setText } from "../../ui/dom.js";
 
+/** @typedef {{name: string, done: number, total: number, complete: boolean, photos: number}} Run an entry of the slice's runs */
+
 const [WIDTH, HEIGHT] = [720, 360];
 const LEAST_DRAG_PX = 6;
 
+/** @param {number} degrees */
 const wrapped = (degrees) => ((((degrees + 180) % 360) + 360) % 360) - 180;
 
 /**
@@ -22,17 +25,23 @@ const stance = () => {
   return { way: up < 0 ? -1 : 1, yaw: wrapped(yaw) };
 };
 
-/** @returns {[number, number]} pan and tilt, degrees, of a place in the picture: the unit's left is positive */
+/**
+ * @param {number} x
+ * @param {number} y
+ * @returns {[number, number]} pan and tilt, degrees, of a place in the picture: the unit's left is positive
+ */
 const anglesAt = (x, y) => {
   const { way, yaw } = stance();
   const pan = way * (180 - (x / WIDTH) * 360 - yaw);
   return [yaw ? wrapped(pan) : pan, way * (90 - (y / HEIGHT) * 180)];
 };
+/** @param {number} pan @param {number} tilt */
 const placeOf = (pan, tilt) => {
   const { way, yaw } = stance();
   return [((180 - yaw - way * pan) / 360) * WIDTH, ((90 - way * tilt) / 180) * HEIGHT];
 };
 
+/** @param {number} seconds */
 const leftText = (seconds) =>
   seconds < 1 ? "" : seconds < 90 ? `${seconds} s left` : `${Math.round(seconds / 60)} min left`;
 
@@ -59,7 +68,10 @@ export const mountRun = () => {
     text: "Overview",
     kind: "small",
     title: "A coarse sweep, over whose picture you drag what is to be scanned",
-    act: () => request("acquire_start", { plan: overviewPlan() }),
+    act: () => {
+      const plan = overviewPlan();
+      if (plan) request("acquire_start", { plan });
+    },
   });
   const pause = button({ label: "Pause", icon: "pause", kind: "small", act: () => request("acquire_pause") });
   const resume = button({ label: "Resume", icon: "play", kind: "primary small", act: () => request("acquire_resume") });
@@ -93,6 +105,7 @@ export const mountRun = () => {
   );
 
   const now = () => store.get("acquisition") ?? { state: "off" };
+  /** @param {string | null} run */
   const begin = (run) => request("acquire_start", run ? { resume: run } : { plan: planNow() });
 
   /** Show the range of the plan over the picture. */
@@ -110,10 +123,12 @@ export const mountRun = () => {
     for (const [name, share] of Object.entries(style)) range.style.setProperty(name, `${100 * share}%`);
   };
 
+  /** @type {{x: number, y: number, place: [number, number]} | null} where dragging began */
   let from = null;
-  const place = (event) => {
+  /** @returns {[number, number]} */
+  const place = (/** @type {MouseEvent} */ event) => {
     const box = overview.getBoundingClientRect();
-    const share = (value, low, size) => Math.min(1, Math.max(0, (value - low) / size));
+    const share = (/** @type {number} */ value, /** @type {number} */ low, /** @type {number} */ size) => Math.min(1, Math.max(0, (value - low) / size));
     return [share(event.clientX, box.left, box.width) * WIDTH, share(event.clientY, box.top, box.height) * HEIGHT];
   };
   overview.addEventListener("pointerdown", (event) => {
@@ -127,8 +142,8 @@ export const mountRun = () => {
     const [a, b] = [anglesAt(...from.place), anglesAt(...place(event))];
     const low = now().devices?.lowest_deg ?? [-168, -46];
     const high = now().devices?.highest_deg ?? [168, 30];
-    const within = (value, k) => Math.round(10 * Math.min(high[k], Math.max(low[k], value))) / 10;
-    const axis = (k, step) => {
+    const within = (/** @type {number} */ value, /** @type {number} */ k) => Math.round(10 * Math.min(high[k], Math.max(low[k], value))) / 10;
+    const axis = (/** @type {number} */ k, /** @type {number | undefined} */ step) => {
       const [first, last] = [within(Math.min(a[k], b[k]), k), within(Math.max(a[k], b[k]), k)];
       return [first, last, Math.abs(step || 1)];
     };
@@ -142,12 +157,14 @@ export const mountRun = () => {
   });
 
   let listed = "";
+  /** @param {Run[]} list @param {boolean} active @param {boolean} ready */
   const showRuns = (list, active, ready) => {
     runs.hidden = active || !list.length;
     const text = JSON.stringify([list, ready, store.readOnly]);
     if (text === listed) return;
     listed = text;
     setChildren(runs, ...list.map((run) => {
+      /** @param {string} label @param {string} verb @param {() => void} act @param {string} title @param {boolean} [disabled] */
       const small = (label, verb, act, title, disabled = false) =>
         button({ label: `${label} ${run.name}`, text: verb, kind: "small", title, act, disabled: disabled || store.readOnly });
       const photos = run.photos === 1 ? "1 photograph" : `${run.photos} photographs`;
@@ -165,8 +182,9 @@ export const mountRun = () => {
     }));
   };
 
+  /** @type {string | null} */
   let shown = null;
-  const showPicture = (rev) => {
+  const showPicture = (/** @type {string | null} */ rev) => {
     if (rev === shown) return;
     shown = rev;
     picture.hidden = !rev;

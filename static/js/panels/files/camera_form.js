@@ -9,11 +9,14 @@ import { fieldOf, messageOf } from "../../ui/faults.js";
 import { sentences } from "../../ui/numbers.js";
 import { opens, popoverOf } from "../../ui/popover.js";
 
+/** @typedef {import("../../net/requests.js").Commands} Commands */
+
 const EMPTY = "Fill in one of the three: the 35 mm equivalent, or focal length and sensor width, or pixels.";
 
 const FORM_PX = 350;
 const MARGIN_PX = 8;
 
+/** @param {string} label @param {string} unit @param {string} example */
 const field = (label, unit, example) => {
   const id = newId("field");
   const input = element("input", {
@@ -37,7 +40,11 @@ const field = (label, unit, example) => {
   };
 };
 
-/** One way to specify the focal length, with its source. */
+/**
+ * One way to specify the focal length, with its source.
+ * @param {string} source
+ * @param {...ReturnType<typeof field>} fields
+ */
 const option = (source, ...fields) =>
   element("fieldset", {}, ...fields.map(({ row }) => row), element("p", { class: "dim field-source" }, source));
 
@@ -48,6 +55,7 @@ export const mountCameraForm = (opener) => {
   const mm = field("Focal length", "mm", "5.6");
   const sensor = field("Sensor width", "mm", "7.3");
   const px = field("Focal length in pixels", "px", "1000");
+  /** @type {Record<string, ReturnType<typeof field>>} */
   const fields = { focal_35mm: film, focal_mm: mm, sensor_mm: sensor, focal_px: px };
   const head = element("p", { class: "form-head" });
   const wrong = element("p", { class: "form-wrong", role: "alert", hidden: true });
@@ -98,6 +106,7 @@ export const mountCameraForm = (opener) => {
     panel.hidePopover();
   };
 
+  /** @param {string} text @param {{input?: HTMLInputElement}} where @returns {null} */
   const refuse = (text, where) => {
     fail(text, where);
     return null;
@@ -116,9 +125,11 @@ export const mountCameraForm = (opener) => {
     if (options.size > 1) return refuse("More than one is filled in: clear all but one.", filled[0][1]);
     return numbers;
   };
-  const apply = async (camera) => {
+  const apply = async (/** @type {Omit<Commands["set_camera"], "photo">} */ camera) => {
+    const photo = store.shown();
+    if (!photo) return;
     try {
-      await ask("set_camera", { photo: store.shown(), ...camera });
+      await ask("set_camera", { photo, ...camera });
       done();
     } catch (error) {
       fail(sentences([messageOf(error)]), fields[fieldOf(error)]);
@@ -170,12 +181,15 @@ export const mountCameraForm = (opener) => {
   });
 };
 
-/** Move the form over the picture that it is about, off the controls of the scan, where there is room. */
+/**
+ * Move the form over the picture that it is about, off the controls of the scan, where there is room.
+ * @param {HTMLElement} panel
+ */
 const overPhoto = (panel) => {
   const { left, width } = partOf(document, "#photo-pane .pane-body").getBoundingClientRect();
   if (width < FORM_PX || panel.style.left === "auto" || Number.parseFloat(panel.style.left) >= left) return;
   panel.style.setProperty("left", `${left + MARGIN_PX}px`);
 };
 
-/** @returns {number} the number in a text with a decimal point or comma; NaN if there is none */
+/** @param {string} text @returns {number} the number in a text with a decimal point or comma; NaN if there is none */
 const numberOf = (text) => Number(text.trim().replace(",", "."));

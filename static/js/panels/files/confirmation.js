@@ -18,6 +18,7 @@ export const confirmation = (label, goOn) => {
     list,
     element("div", { class: "row" }, go, stay),
   );
+  /** @param {string[]} reasons @param {() => void} act */
   const ask = (reasons, act) => {
     setChildren(list, ...reasons.map((reason) => element("li", {}, reason)));
     go.onclick = () => {

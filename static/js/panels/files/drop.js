@@ -33,6 +33,7 @@ export const acceptDrops = (floating) => {
   );
   floating.append(veil);
   let depth = 0;
+  /** @param {boolean} shown */
   const show = (shown) => {
     veil.hidden = !shown || document.querySelector("dialog[open]") !== null;
     document.body.classList.toggle("dropping", shown);

@@ -6,11 +6,20 @@ import { button } from "../../ui/controls.js";
 import { element, setChildren, setText } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
 
-/** @returns {any[]} the pictures that are not yet photographs of the project, and may become some */
-export const offeredPictures = () => (store.get("embedded") ?? []).filter(({ usable, taken }) => usable && !taken);
+/**
+ * @typedef {{index: number, name: string, said: string, usable: boolean, taken: boolean}} Embedded an entry of slice
+ *   `embedded`
+ */
 
-const add = (images) => request("add_embedded", { images });
+/** @returns {Embedded[]} */
+const embedded = () => store.get("embedded") ?? [];
 
+/** @returns {Embedded[]} the pictures that are not yet photographs of the project, and may become some */
+export const offeredPictures = () => embedded().filter(({ usable, taken }) => usable && !taken);
+
+const add = (/** @type {number[]} */ images) => request("add_embedded", { images });
+
+/** @param {Embedded} picture */
 const rowOf = ({ index, name, said, usable, taken }) =>
   element(
     "li",
@@ -30,7 +39,7 @@ export const embeddedList = () => {
   const all = button({ label: "Add all", kind: "small", act: () => add(offeredPictures().map(({ index }) => index)) });
   const section = element("section", { class: "served" }, element("div", { class: "row" }, title, all), list);
   const show = () => {
-    const images = store.get("embedded") ?? [];
+    const images = embedded();
     section.hidden = images.length === 0;
     setText(title, `Pictures in ${store.get("scan")?.name ?? "the scan"}`);
     all.hidden = offeredPictures().length < 2;

@@ -4,6 +4,7 @@ import { store } from "../../net/store.js";
 
 /** @typedef {"scan" | "photo" | "camera" | "matches"} Kind */
 
+/** @returns {{kind: string, label: string, names: string[], extensions: string[]}[]} */
 const formats = () => store.get("formats") ?? [];
 
 /** @param {string} kind @returns {string} its label, in lower case */

@@ -20,15 +20,20 @@ import { waitingList } from "./waiting_files.js";
 const OPENABLE = new Set(["scan", "photo", "camera", "matches"]);
 const NEEDS_PHOTO = new Set(["camera", "matches"]);
 
+/** @type {Record<string, string>} */
 const TITLES = {
   photo: "Drop photographs here",
   scan: "Drop a scan here",
   frames: "Drop further frames of the scan here",
 };
 
+/** @param {{state: string}} file */
 const isLeft = ({ state }) => state !== "opened" && state !== "kept";
 
 /**
+ * @typedef {{opened: {file: string, kind: string}[], refused: {name: string, error: string, file: string}[], waiting: string[]}}
+ *   Opened the reply to `open_files`
+ * @typedef {{path: string, size: number, kind: string}} Served an entry of slice `served`
  * @typedef {{scan?: "replace" | "frames" | "stations" | null}} Landing what becomes of scans
  * @typedef {ReturnType<typeof makeDialog> & {add: (added: Iterable<File>) => void, expect: (what: string | null) => void}}
  *   FilesDialog `expect`: says which type of file it is opened for
@@ -47,8 +52,7 @@ class FileEntry {
     this.file = file;
     this.isSeen = isSeen;
     this.state = "due";
-    /** @type {string | null} */
-    this.id = null;
+    this.id = ""; // until it is uploaded
     this.abort = () => {};
     this.progress = element("progress", { max: 1, value: 0, hidden: true, "aria-label": `Upload of ${file.name}` });
     this.status = element("span", { class: "file-status", role: "status" });
@@ -72,12 +76,12 @@ class FileEntry {
     this.setStatus("Waiting …");
   }
 
-  setStatus(text, level = "") {
+  setStatus(/** @type {string} */ text, level = "") {
     setText(this.status, text);
     this.row.dataset.level = level;
   }
 
-  refuse(error) {
+  refuse(/** @type {unknown} */ error) {
     this.state = "refused";
     const cancelled = wasCancelled(error);
     this.setStatus(messageOf(error), cancelled ? "warn" : "bad");
@@ -107,7 +111,7 @@ class FileEntry {
     this.progress.hidden = true;
   }
 
-  /** Show what became of the file. @param {any} answer reply to `open_files` */
+  /** Show what became of the file. @param {Opened} answer */
   settle({ opened, refused, waiting }) {
     const error = refused.find(({ file }) => file === this.id)?.error;
     const made = opened.find(({ file }) => file === this.id);
@@ -154,7 +158,7 @@ const servedList = (openScans, close) => {
     together.hidden = ticked.size < 2;
     setText(partOf(together, "span"), `Open ${ticked.size} scans together`);
   };
-  const row = (several) => ({ path, size, kind }) => {
+  const row = (/** @type {boolean} */ several) => (/** @type {Served} */ { path, size, kind }) => {
     const open = async () => {
       opener.disabled = true;
       const opened = kind === "scan"
@@ -184,11 +188,13 @@ const servedList = (openScans, close) => {
     const served = store.get("served");
     section.hidden = !served;
     if (!served) return;
+    /** @type {Served[]} */
+    const found = served.files;
     setText(title, `Served folder ${served.label ?? ""}`);
-    const scans = served.files.filter(({ kind }) => kind === "scan").map(({ path }) => path);
+    const scans = found.filter(({ kind }) => kind === "scan").map(({ path }) => path);
     for (const path of ticked) if (!scans.includes(path)) ticked.delete(path);
     const nothing = element("li", { class: "dim" }, "It contains no file that can be opened.");
-    setChildren(list, ...(served.files.length ? served.files.map(row(scans.length > 1)) : [nothing]));
+    setChildren(list, ...(found.length ? found.map(row(scans.length > 1)) : [nothing]));
     showTogether();
   };
   const untick = () => {
@@ -231,7 +237,7 @@ const build = () => {
   const { question, ask } = scanQuestion();
 
   /** Begin a project with files; the page follows it, unless that has to be confirmed. */
-  const beginProject = async (ids, fields = {}) => {
+  const beginProject = async (/** @type {string[]} */ ids, fields = {}) => {
     const answer = await request("new_project", { files: ids, ...fields });
     if (answer?.asks) confirm.ask(answer.asks, () => beginProject(ids, { sure: true }));
   };
@@ -240,7 +246,7 @@ const build = () => {
   const intended = () => /** @type {Landing} */ (expected === "frames" && store.get("scan") ? { scan: "frames" } : {});
 
   /** Open uploaded files; those that lack something stay in the list of waiting ones. */
-  const openTogether = async (ids, choice = {}) => {
+  const openTogether = async (/** @type {string[]} */ ids, choice = {}) => {
     for (const one of waiting) if (ids.includes(one.id)) one.setStatus("Reading …");
     const answer = await request("open_files", { files: ids, ...choice });
     if (!answer) {
@@ -266,12 +272,19 @@ const build = () => {
     }
     waiting.length = 0;
     changed();
-    const offers = answer.opened.some(({ kind }) => kind === "scan") && offeredPictures().length > 0;
-    if (answer.opened.length && !offers) made.close();
+    /** @type {Opened} */
+    const { opened } = answer;
+    const offers = opened.some(({ kind }) => kind === "scan") && offeredPictures().length > 0;
+    if (opened.length && !offers) made.close();
   };
 
-  /** Open scans of the served folder. @returns {Promise<boolean>} whether they were opened */
-  const openServed = async (paths, /** @type {Landing} */ choice = intended()) => {
+  /**
+   * Open scans of the served folder.
+   * @param {string[]} paths
+   * @param {Landing} [choice]
+   * @returns {Promise<boolean>} whether they were opened
+   */
+  const openServed = async (paths, choice = intended()) => {
     const answer = await request("open_served", { paths, what: "scan", ...choice });
     if (!answer?.asks) {
       if (answer) served.untick();
@@ -304,7 +317,7 @@ const build = () => {
     served.section,
   );
   const changed = () => setChildren(list, ...waiting.filter(({ state }) => state !== "kept").map(({ row }) => row));
-  const removed = (one) => {
+  const removed = (/** @type {FileEntry} */ one) => {
     waiting.splice(waiting.indexOf(one), 1);
     changed();
   };
@@ -319,21 +332,21 @@ const build = () => {
     const ids = waiting.filter(({ state }) => state === "sent").map(({ id }) => id);
     if (ids.length) await openTogether(ids, intended());
   };
-  const add = (added) => {
+  const add = (/** @type {Iterable<File>} */ added) => {
     for (const old of waiting.filter((one) => !isLeft(one))) removed(old);
     waiting.push(...[...added].map((file) => new FileEntry(file, { removed, isSeen: () => made.dialog.open })));
     sendAll();
   };
-  const expect = (what) => {
+  const expect = (/** @type {string | null} */ what) => {
     expected = what;
     const limit = store.get("limits")?.upload_bytes;
     const most = limit ? ` Up to ${bytes(limit)} each.` : "";
-    setText(partOf(zone, ".drop-title"), TITLES[what] ?? "Drop a scan and its photographs here");
+    setText(partOf(zone, ".drop-title"), TITLES[what ?? ""] ?? "Drop a scan and its photographs here");
     setText(hint, `${what === "frames" ? `Frames: ${ABOUT_FRAMES}` : readable()}${most}`);
     input.accept = accepted();
   };
   input.addEventListener("change", () => {
-    add(input.files);
+    add(input.files ?? []);
     input.value = "";
   });
   return { ...made, add, expect };

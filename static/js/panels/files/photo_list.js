@@ -13,18 +13,23 @@ import { thumbnail } from "../../ui/thumbnail.js";
 import { mountCameraForm } from "./camera_form.js";
 import { openFiles } from "./files.js";
 
+/** @typedef {import("../../net/store.js").Photo} Photo */
+
+/** @param {Photo} photo */
 const stateOf = (photo) => {
   if (photo.error) return { sign: "bad", word: photo.error, level: "bad" };
   if (!photo.camera) return { sign: "warn", word: "focal length unknown", level: "warn" };
   return { ...lightOf(photo.light), word: photo.light_words ?? "not solved yet" };
 };
 
+/** @param {Photo} photo */
 const aboutOf = (photo) => {
   const notes = photo.camera ? [photo.camera.said, ...(photo.notes ?? [])] : [];
   const state = `${stateOf(photo).word}${photo.stale ? ` (${photo.stale})` : ""}${photo.thermal ? ", thermal" : ""}`;
   return [`${photo.name}: ${state}`, ...notes].filter(Boolean).join("\n");
 };
 
+/** @param {Photo} photo */
 const remove = async (photo) => {
   const removed = await request("remove_photo", { photo: photo.id });
   if (removed) notice(
@@ -34,7 +39,7 @@ const remove = async (photo) => {
   );
 };
 
-/** One photograph in the list. */
+/** One photograph in the list. @param {Photo} photo @param {() => void} close */
 const entry = (photo, close) => {
   const { sign, word, level } = stateOf(photo);
   const words = [word, photo.position && `± ${photo.position}`].filter(Boolean).join(", ");
@@ -71,18 +76,20 @@ const entry = (photo, close) => {
   return element("li", {}, choose, discard);
 };
 
-/** Let the arrow keys, Home and End walk through the list, and Delete remove from it. */
+/** Let the arrow keys, Home and End walk through the list, and Delete remove from it. @param {HTMLElement} list */
 const navigate = (list) => {
   list.addEventListener("keydown", (event) => {
-    const entries = [...list.querySelectorAll(".photo-entry")];
-    const at = entries.indexOf(document.activeElement);
+    /** @type {NodeListOf<HTMLElement>} */
+    const found = list.querySelectorAll(".photo-entry");
+    const entries = [...found];
+    const at = entries.findIndex((each) => each === document.activeElement);
     if (at < 0) return;
-    const next = { ArrowDown: at + 1, ArrowUp: at - 1, Home: 0, End: entries.length - 1 }[event.key];
+    const next = new Map([["ArrowDown", at + 1], ["ArrowUp", at - 1], ["Home", 0], ["End", entries.length - 1]]).get(event.key);
     if (next !== undefined) {
       event.preventDefault();
       entries[(next + entries.length) % entries.length].focus();
     } else if (event.key === "Delete") {
-      const photo = (store.get("photos") ?? []).find(({ id }) => id === entries[at].dataset.photo);
+      const photo = store.photos().find(({ id }) => id === entries[at].dataset.photo);
       if (photo) remove(photo);
     }
   });
@@ -104,7 +111,7 @@ export const mountPhotoList = () => {
   let drawn = "";
 
   const showList = () => {
-    const photos = store.get("photos") ?? [];
+    const photos = store.photos();
     const text = JSON.stringify([photos, store.shown()]);
     if (!panel.matches(":popover-open") || text === drawn) return;
     const active = /** @type {HTMLElement | null} */ (document.activeElement);
@@ -122,7 +129,7 @@ export const mountPhotoList = () => {
   });
 
   const show = () => {
-    const photos = store.get("photos") ?? [], shown = store.photo(), most = store.get("limits")?.photos ?? Infinity;
+    const photos = store.photos(), shown = store.photo(), most = store.get("limits")?.photos ?? Infinity;
     opener.hidden = photos.length === 0;
     first.hidden = photos.length > 0;
     first.classList.toggle("attention", Boolean(store.get("scan")));

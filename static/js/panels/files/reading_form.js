@@ -3,9 +3,13 @@
 import { store } from "../../net/store.js";
 import { element, newId, setText } from "../../ui/dom.js";
 
+/** @param {string} text */
 const numberOf = (text) => (text.trim() === "" ? Number.NaN : Number(text));
 
-/** What was typed, by the kind of a field; null if that is wrong. */
+/** @type {Record<string, string>} */
+const UNITS = { k: "K", c: "C", none: "none" };
+
+/** @type {Record<string, (text: string) => unknown>} what was typed, by the kind of a field; null if that is wrong */
 const READ = {
   whole: (text) => (/^\d+$/u.test(text) ? Number(text) : null),
   coordinates: (text) => {
@@ -15,7 +19,7 @@ const READ = {
   names: (text) => text.split(/[\s,;]+/u),
   text: (text) => text,
   duration: (text) => (numberOf(text) > 0 ? numberOf(text) : null),
-  temperature_unit: (text) => ({ k: "K", c: "C", none: "none" })[text.toLowerCase().replace(/°|deg\s*/u, "")] ?? null,
+  temperature_unit: (text) => UNITS[text.toLowerCase().replace(/°|deg\s*/u, "")] ?? null,
 };
 
 /**
@@ -26,6 +30,7 @@ const READ = {
  */
 export const readingForm = (takes, submit, scans = []) => {
   const fields = store.get("reading") ?? {};
+  /** @type {Map<string, HTMLInputElement | HTMLSelectElement>} */
   const inputs = new Map();
   const rows = takes
     .filter((name) => fields[name]?.kind in READ)
@@ -60,6 +65,7 @@ export const readingForm = (takes, submit, scans = []) => {
   );
   form.addEventListener("submit", (event) => {
     event.preventDefault();
+    /** @type {Record<string, unknown>} */
     const reading = luma.checked ? { intensity: "luma" } : {};
     wrong.hidden = true;
     for (const [name, input] of inputs) {

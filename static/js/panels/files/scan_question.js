@@ -50,12 +50,16 @@ export const scanQuestion = () => {
     text,
     list,
   );
-  const show = (shown) => {
+  const show = (/** @type {boolean} */ shown) => {
     question.hidden = !shown;
     question.parentElement?.classList.toggle("asking", shown);
   };
   let asked = 0;
-  /** Say that the scans are being read until they are open, or until it is asked again why they cannot be. */
+  /**
+   * Say that the scans are being read until they are open, or until it is asked again why they cannot be.
+   * @param {Choice} choice
+   * @param {(choice: Choice) => any} act
+   */
   const answer = async (choice, act) => {
     const mine = asked;
     setChildren(list, element("p", { class: "dim", role: "status" }, "Reading …"));

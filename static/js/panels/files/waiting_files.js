@@ -9,13 +9,21 @@ import { bytes } from "../../ui/numbers.js";
 import { labelOf } from "./file_kinds.js";
 import { readingForm } from "./reading_form.js";
 
+/**
+ * @typedef {{id: string, name: string, size: number, kind: string, said: string, lacks: string[], takes: string[],
+ *   scans?: string[]}} Waiting an entry of slice `waiting`
+ * @typedef {(ids: string[], choice: object) => void} Open
+ */
+
 const NEEDS_PHOTO = new Set(["camera", "matches"]);
 const OPENS = new Set(["scan", "photo"]);
 
+/** @param {string} text */
 const sentence = (text) => `${text.charAt(0).toUpperCase()}${text.slice(1).replace(/\.$/u, "")}.`;
 
+/** @param {Waiting} file @returns {HTMLSelectElement} */
 const photoChoice = ({ name }) => {
-  const photos = store.get("photos") ?? [];
+  const photos = store.photos();
   return element(
     "select",
     { "aria-label": `Photograph of ${name}` },
@@ -23,6 +31,7 @@ const photoChoice = ({ name }) => {
   );
 };
 
+/** @param {Waiting} file */
 const removal = ({ id, name }) =>
   button({
     label: `Remove ${name}`,
@@ -32,7 +41,11 @@ const removal = ({ id, name }) =>
     act: () => request("discard_files", { files: [id] }),
   });
 
-/** A scan whose file does not say all that reading it needs, with a form for it. */
+/**
+ * A scan whose file does not say all that reading it needs, with a form for it.
+ * @param {Waiting} file
+ * @param {Open} open
+ */
 const underspecifiedRow = (file, open) => {
   const { id, name, size, said, takes, scans } = file;
   const form = readingForm(takes, (reading) => open([id], { reading }), scans);
@@ -49,10 +62,11 @@ const underspecifiedRow = (file, open) => {
   );
 };
 
+/** @param {Waiting} file @param {Open} open */
 const rowOf = (file, open) => {
   const { id, name, size, kind, said, lacks, takes } = file;
   if (takes.length) return underspecifiedRow(file, open);
-  const choice = NEEDS_PHOTO.has(kind) && store.get("photos")?.length && store.get("scan") ? photoChoice(file) : null;
+  const choice = NEEDS_PHOTO.has(kind) && store.photos().length && store.get("scan") ? photoChoice(file) : null;
   const opens = (OPENS.has(kind) && !lacks.length) || choice;
   return element(
     "li",
@@ -79,14 +93,16 @@ const rowOf = (file, open) => {
  */
 export const waitingList = (open) => {
   const list = element("ul", { class: "file-list", "aria-label": "Files that wait" });
+  /** @type {string[]} */
   let scans = [];
   const together = button({ label: "Open together", kind: "small edits", act: () => open(scans, {}) });
   const head = element("div", { class: "row" }, element("h3", {}, "Not open yet"), together);
   const section = element("section", { class: "waiting-files" }, head, list);
   let drawn = "";
   const show = () => {
+    /** @type {Waiting[]} */
     const files = store.get("waiting") ?? [];
-    const text = JSON.stringify([files, store.get("photos")?.map(({ id, name }) => [id, name]), Boolean(store.get("scan"))]);
+    const text = JSON.stringify([files, store.photos().map(({ id, name }) => [id, name]), Boolean(store.get("scan"))]);
     if (text === drawn) return;
     drawn = text;
     section.hidden = files.length === 0;

@@ -79,7 +79,7 @@ const jobBar = () => {
   let listed = "";
   /** The jobs that begin after this one; each can be cancelled. */
   const showWaiting = (jobs) => {
-    const names = new Map((store.get("photos") ?? []).map(({ id, name }) => [id, name]));
+    const names = new Map(store.photos().map(({ id, name }) => [id, name]));
     const key = JSON.stringify([jobs, [...names], store.readOnly]);
     if (key === listed) return;
     listed = key;
@@ -111,7 +111,7 @@ const jobBar = () => {
     const busy = isRunning(job);
     showWaiting(busy ? job.waiting ?? [] : []);
     // a finished job goes with what it worked on
-    const open = job?.photo ? (store.get("photos") ?? []).some(({ id }) => id === job.photo) : store.get("scan");
+    const open = job?.photo ? store.photos().some(({ id }) => id === job.photo) : store.get("scan");
     const own = !job?.photo || job.photo === store.shown();
     const told = Boolean(job && (busy || (open && own && !(job.state === "done" && JUDGES.has(job.kind)))));
     const stage = store.stageOf();

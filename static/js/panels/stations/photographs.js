@@ -41,7 +41,7 @@ export const mountPhotographs = () => {
   let order = "list", filter = "all", drawn = "";
 
   const wanted = () => {
-    const there = new Set((store.get("photos") ?? []).map(({ id }) => id));
+    const there = new Set(store.photos().map(({ id }) => id));
     const ids = [...chosen].filter((id) => there.has(id));
     return ids.length ? ids : null;
   };
@@ -125,7 +125,7 @@ export const mountPhotographs = () => {
   };
 
   const show = () => {
-    const photos = store.get("photos") ?? [], survey = store.get("survey"), job = store.get("job");
+    const photos = store.photos(), survey = store.get("survey"), job = store.get("job");
     const idle = Boolean(store.get("scan")) && !isRunning(job) && !store.readOnly;
     const ids = wanted(), some = ids ? counted(ids.length, "chosen photograph") : "";
     registerAll.disabled = adjust.disabled = !idle || photos.length === 0;
