@@ -123,14 +123,14 @@ export class Store {
   }
 
   /** @returns {any[]} the entries of slice `people`; none before the first message */
-  #clients() {
+  clients() {
     return this.get("people")?.clients ?? [];
   }
 
   /** @returns {any} this page's own entry of slice `people`, or null before the first message */
   me() {
     const you = this.get("people")?.you;
-    return this.#clients().find(({ id }) => id === you) ?? null;
+    return this.clients().find(({ id }) => id === you) ?? null;
   }
 
   /** @returns {boolean} whether this page may only look */
@@ -141,7 +141,7 @@ export class Store {
   /** @returns {any[]} the entries of slice `people` of everybody else */
   colleagues() {
     const you = this.get("people")?.you;
-    return this.#clients().filter(({ id }) => id !== you);
+    return this.clients().filter(({ id }) => id !== you);
   }
 
   /** @returns {string | null} id of the photograph that this page shows */

@@ -85,7 +85,7 @@ export const PIPELINE = [
   },
 ];
 
-/** The settings that belong to no single step. */
+/** @type {PipelineStep} the settings that belong to no single step */
 export const GENERAL = { job: "", label: "General", description: "Settings of all steps", parts: [] };
 
 const KNOWN = new Set(PIPELINE.flatMap(({ parts }) => parts));

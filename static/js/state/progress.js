@@ -2,6 +2,11 @@
 
 import { store } from "../net/store.js";
 
+/**
+ * @typedef {{name: string, title: string, purpose: string, refusal: string}} Target what can be exported, as
+ *   `export_targets` answers; `refusal`: why it cannot be written, empty if it can
+ */
+
 /** @type {[WorkStep["name"], string][]} */
 const LABELS = [["match", "Match"], ["solve", "Solve"], ["judge", "Judge"], ["export", "Export"]];
 const NOTHING = { steps: [], needed: "", next_action: "", exported: {} };

@@ -16,7 +16,14 @@ import { throttled } from "../../ui/throttle.js";
 const RESULTS = "results";
 const ALL = "all";
 const MATCHES = "matches.json";
-/** @type {[string, string, boolean][]} name, contents, and whether only an accepted pose is written so */
+/**
+ * @typedef {import("../../state/progress.js").Target} Target
+ * @typedef {{targets: Target[], photos: {name: string}[], left_out: {name: string, why: string, is_stale: boolean}[]}} Table
+ *   the answer to `export_targets`
+ * @typedef {[string, string, boolean]} ResultFile name, contents, and whether only an accepted pose is written so
+ */
+
+/** @type {ResultFile[]} */
 const FILES = [
   ["registration.json", "pose, covariance, matches, options", false],
   ["report.html", "verdict, pictures, residuals and maps, to read and to print", false],
@@ -28,13 +35,14 @@ const FILES = [
   ["model.glb", "textured surface", true],
   ["cloud.ply", "coloured points", true],
 ];
-/** @type {[string, string, boolean]} */
+/** @type {ResultFile} */
 const OFFSET = ["offset.json", "what was subtracted from the coordinates of the world", true];
 const TARGETS_KEY = "ladarreg-targets";
 const FOLDER_KEY = "ladarreg-folder";
 /** Interval between two requests of the table, ms. */
 const EVERY_MS = 400;
 
+/** @param {string} key @param {string} otherwise */
 const stored = (key, otherwise) => {
   try {
     return localStorage.getItem(key) ?? otherwise;
@@ -43,6 +51,7 @@ const stored = (key, otherwise) => {
   }
 };
 
+/** @param {string} key @param {string} text */
 const keep = (key, text) => {
   try {
     localStorage.setItem(key, text);
@@ -51,7 +60,12 @@ const keep = (key, text) => {
   }
 };
 
-/** A target with its tick box, its sentence, and why it cannot be written. */
+/**
+ * A target with its tick box, its sentence, and why it cannot be written.
+ * @param {Target} target
+ * @param {boolean} ticked
+ * @param {() => void} changed
+ */
 const targetRow = ({ name, title, purpose }, ticked, changed) => {
   const [purposeId, refusalId] = [newId("purpose"), newId("refusal")];
   const box = element("input", {
@@ -68,7 +82,7 @@ const targetRow = ({ name, title, purpose }, ticked, changed) => {
     element("span", { id: purposeId, class: "dim" }, purpose),
     refusal,
   );
-  const show = (why) => {
+  const show = (/** @type {string | undefined} */ why) => {
     refusal.hidden = !why;
     setChildren(refusal, ...(why ? [icon("warn"), element("span", {}, `Cannot be written: ${why}`)] : []));
     item.classList.toggle("left-out", Boolean(why));
@@ -77,9 +91,17 @@ const targetRow = ({ name, title, purpose }, ticked, changed) => {
   return { name, item, box, show, refused: () => box.disabled };
 };
 
-/** The files of the shown photograph's results; each has a tick once it was written from the present pose. */
+/**
+ * The files of the shown photograph's results; each has a tick once it was written from the present pose.
+ * @param {() => string} frameNow
+ * @param {() => boolean} isCurrent
+ */
 const mountFiles = (frameNow, isCurrent) => {
   const list = element("ul", { class: "export-list" });
+  /**
+   * @param {ResultFile} file
+   * @param {{stage: import("../../net/store.js").Stage | null, frame: string | undefined}} now
+   */
   const row = ([name, description, needsAcceptance], { stage, frame }) => {
     const exported = frame !== undefined && (name !== OFFSET[0] || frame === "world");
     const known = Boolean(stage) || (name === MATCHES && store.picksOf().length > 0);
@@ -111,15 +133,18 @@ const mountFiles = (frameNow, isCurrent) => {
   return { part, show };
 };
 
-/** Jobs are numbered as they are started. */
+/** Jobs are numbered as they are started. @param {string} id */
 const numberOf = (id) => Number(id.slice(1));
 
 /** @returns {HTMLElement[]} the panel, and the list of files */
 export const mountExport = () => {
+  /** @type {ReturnType<typeof targetRow>[]} */
   let rows = [];
+  /** @type {Table | null} */
   let table = null;
   let failed = "";
-  let started = null; // id of the job that this page has started
+  /** @type {string | null} id of the job that this page has started */
+  let started = null;
   let saves = ""; // the URL that this page has asked for, and saves as soon as it is written
   const ticked = new Set(stored(TARGETS_KEY, RESULTS).split(",").filter(Boolean));
 
@@ -233,14 +258,14 @@ export const mountExport = () => {
   });
   const files = mountFiles(() => frame.value, () => !store.stageOf()?.stale || last.checked);
 
-  const complain = (text, field = "") => {
+  const complain = (/** @type {string} */ text, field = "") => {
     wrong.hidden = !text;
     setText(wrong, text);
     setAttribute(folder, "aria-invalid", field === "folder");
     if (field === "folder") folder.focus();
   };
 
-  /** Export into a folder; as a zip if there is none. */
+  /** Export into a folder; as a zip if there is none. @param {string} into */
   const run = async (into) => {
     complain("");
     ready.hidden = true;
@@ -321,13 +346,14 @@ export const mountExport = () => {
   };
 
   const showRows = () => {
-    if (table && rows.map(({ name }) => name).join() !== table.targets.map(({ name }) => name).join()) {
-      const known = new Set(table.targets.map(({ name }) => name));
+    const targets = table?.targets;
+    if (targets && rows.map(({ name }) => name).join() !== targets.map(({ name }) => name).join()) {
+      const known = new Set(targets.map(({ name }) => name));
       for (const name of ticked) if (!known.has(name)) ticked.delete(name);
-      rows = table.targets.map((target) => targetRow(target, ticked.has(target.name), changed));
+      rows = targets.map((target) => targetRow(target, ticked.has(target.name), changed));
       setChildren(list, ...rows.map(({ item }) => item));
     }
-    for (const [k, row] of rows.entries()) row.show(table ? table.targets[k]?.refusal : failed);
+    for (const [k, row] of rows.entries()) row.show(targets ? targets[k]?.refusal : failed);
   };
 
   const sentence = () => {

@@ -28,7 +28,7 @@ const WEIGHT_HINT = "Weight: Enter applies it, Esc cancels";
 
 const switchCell = () => {
   const box = element("input", { type: "checkbox", tabIndex: -1 });
-  const show = (row) => {
+  const show = (/** @type {Row} */ row) => {
     box.checked = row.on;
     setAttribute(box, "aria-label", `Match ${row.number} enabled`);
   };
@@ -39,7 +39,7 @@ const numberCell = () => {
   const swatch = element("span", { class: "swatch", "aria-hidden": "true" });
   const number = element("span", {});
   const mark = element("span", { class: "mark" });
-  const show = (row) => {
+  const show = (/** @type {Row} */ row) => {
     swatch.style.setProperty("--colour", `var(${matchColour(row.number)})`);
     setText(number, String(row.number));
     const said = [row.name, row.length].filter(Boolean).join(": ");
@@ -61,7 +61,7 @@ const numberCell = () => {
 
 const weightCell = () => {
   const input = element("input", { class: "weight", inputMode: "decimal", tabIndex: -1, title: WEIGHT_HINT });
-  const show = (row) => {
+  const show = (/** @type {Row} */ row) => {
     const decimals = row.weight % 1 && row.weight < 10 ? 2 : 1;
     if (document.activeElement !== input) input.value = fixed(row.weight, decimals);
     setAttribute(input, "aria-label", `Weight of match ${row.number}`);
@@ -70,7 +70,7 @@ const weightCell = () => {
 };
 
 /** A line without a straight edge under it is not lost: its ends are used as they were drawn. */
-const samplesText = ({ used, sampled }) =>
+const samplesText = (/** @type {Row} */ { used, sampled }) =>
   used === null ? NONE : used === 0 ? "ends" : used === sampled ? String(used) : `${used}/${sampled}`;
 
 /** @type {Column[]} */
@@ -192,9 +192,9 @@ export const classOf = ({ id, figures, hidden }) =>
 export const makeCell = (column) => {
   const { text, control, warns } = column;
   const cell = element("div", { class: classOf(column), role: "gridcell" });
-  const parts = control ? control() : { content: [], show: (row) => setText(cell, text?.(row) ?? "") };
+  const parts = control ? control() : { content: [], show: (/** @type {Row} */ row) => setText(cell, text?.(row) ?? "") };
   cell.append(...parts.content);
-  const show = (row) => {
+  const show = (/** @type {Row} */ row) => {
     parts.show(row);
     if (warns) cell.classList.toggle("warns", warns(row));
   };

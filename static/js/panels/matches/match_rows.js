@@ -9,7 +9,9 @@
 const MINUS = "\u2212";
 const DRAWN = new Set(["manual", "file"]);
 
-/** The filters; those of one group are combined by or, the groups by and. */
+/** @typedef {{name: string, one: string, many: string, group: string, keeps: (row: Row) => boolean}} Filter */
+
+/** @type {Filter[]} those of one group are combined by or, the groups by and */
 export const FILTERS = [
   { name: "lines", one: "line", many: "lines", group: "kind", keeps: (row) => row.kind === "line" },
   { name: "points", one: "point", many: "points", group: "kind", keeps: (row) => row.kind === "point" },
@@ -18,6 +20,7 @@ export const FILTERS = [
   { name: "rejected", one: "outlier", many: "outliers", group: "state", keeps: (row) => row.on && row.inlier === false },
 ];
 
+/** @param {any} found of slice `judged:pID`, or undefined @returns {string} */
 const lengthOf = (found) => {
   if (!found) return "";
   const own = `length ${found.length_m.toFixed(3)} m`;
@@ -63,6 +66,7 @@ export const rowsOf = (picks, judged) =>
  * @returns {Row[]}
  */
 export const filtered = (rows, chosen) => {
+  /** @type {Map<string, Filter[]>} */
   const groups = new Map();
   for (const filter of FILTERS) {
     if (!chosen.includes(filter.name)) continue;

@@ -8,7 +8,7 @@ import { element, newId, setAttribute, setChildren, setText } from "../../ui/dom
 import { icon } from "../../ui/icons.js";
 import { settingsForm } from "./settings_form.js";
 
-/** Icon, level and word of each state. */
+/** @type {Record<string, [string, string, string]>} icon, level and word of each state */
 const LOOKS = {
   none: ["dot", "dim", "not run"],
   running: ["running", "accent", "running"],
@@ -21,11 +21,16 @@ const LOOKS = {
   unclear: ["warn", "warn", "undecidable"],
 };
 
-/** The newest finished job of each kind and photograph; slice `job` contains only the last one of all. */
+/**
+ * The newest finished job of each kind and photograph; slice `job` contains only the last one of all.
+ * @type {Map<string, import("../../net/store.js").Job>}
+ */
 const finished = new Map();
 store.on("job", (job) => {
   if (job && !isRunning(job)) finished.set(`${job.photo} ${job.kind}`, job);
 });
+
+/** @typedef {import("../../state/pipeline.js").PipelineStep} PipelineStep */
 
 const ALL_KEY = "ladarreg-all-steps";
 const MAIN = PIPELINE.filter(({ main }) => main);
@@ -38,6 +43,7 @@ const remembered = () => {
   }
 };
 
+/** @param {boolean} all */
 const remember = (all) => {
   try {
     localStorage.setItem(ALL_KEY, all ? "shown" : "hidden");
@@ -51,21 +57,21 @@ export const mountPipeline = () => {
   let all = remembered();
   let [chosen] = MAIN;
   let drawn = "";
+  /** @type {ReturnType<typeof settingsForm> | null} */
   let form = null;
   const list = element("ol", { class: "pipeline", id: newId("steps"), "aria-label": "Steps" });
   const pane = element("div", { class: "pipeline-settings" });
   const failure = element("p", { class: "bad pipeline-failure", role: "status" });
-  const rows = new Map();
 
-  const run = (step) => {
+  const run = (/** @type {PipelineStep} */ step) => {
     choose(step);
     requestForPhoto("run", { job: step.job });
   };
-  const choose = (step) => {
+  const choose = (/** @type {PipelineStep} */ step) => {
     chosen = step;
     show();
   };
-  for (const step of [...PIPELINE, GENERAL]) {
+  const rows = [...PIPELINE, GENERAL].map((step) => {
     const sign = element("span", { class: "sign" });
     const status = element("span", { class: "clip dim pipeline-status" });
     const word = element("span", { class: "visually-hidden" });
@@ -86,8 +92,8 @@ export const mountPipeline = () => {
     }) : null;
     const row = element("li", { class: "pipeline-step" }, open, go);
     list.append(row);
-    rows.set(step, { row, open, sign, status, word, go });
-  }
+    return { step, row, open, sign, status, word, go };
+  });
   const chain = button({
     label: "Thesis chain",
     kind: "small plain edits",
@@ -140,7 +146,8 @@ export const mountPipeline = () => {
       picks: store.picksOf(),
     };
     const missing = !store.get("scan") || !store.photo()?.camera;
-    for (const [step, { row, open, sign, status, word, go }] of rows) {
+    let wrong = "";
+    for (const { step, row, open, sign, status, word, go } of rows) {
       const { state, text } = step.job ? stepState(
         step,
         { ...context, last: finished.get(`${photo} ${step.job}`) ?? null },
@@ -152,6 +159,11 @@ export const mountPipeline = () => {
       setText(status, text);
       status.title = text;
       setText(word, step.job ? `, ${said}` : "");
+      if (step === chosen) {
+        wrong = state === "failed" || state === "unclear" ? text : "";
+        failure.classList.toggle("bad", state === "failed");
+        failure.classList.toggle("warn", state === "unclear");
+      }
       row.hidden = !all && !step.main;
       row.classList.toggle("chosen", step === chosen);
       setAttribute(open, "aria-current", step === chosen ? "true" : null);
@@ -168,11 +180,7 @@ export const mountPipeline = () => {
     chain.hidden = !all;
     for (const control of [solve, chain]) control.disabled = busy || missing;
     solve.disabled ||= !context.picks.some(({ on }) => on);
-    const { row: chosenRow, status: chosenStatus } = rows.get(chosen);
-    const wrong = ["failed", "unclear"].includes(chosenRow.dataset.state);
-    setText(failure, wrong ? chosenStatus.textContent : "");
-    failure.classList.toggle("bad", chosenRow.dataset.state === "failed");
-    failure.classList.toggle("warn", chosenRow.dataset.state === "unclear");
+    setText(failure, wrong);
     const entries = settingsOf(store.get("settings"), chosen);
     const shape = JSON.stringify([chosen.label, entries.map(([name, entry]) => [name, { ...entry, value: null }])]);
     if (shape !== drawn) {

@@ -4,12 +4,21 @@ import { request } from "../../net/requests.js";
 import { store } from "../../net/store.js";
 import { element, newId } from "../../ui/dom.js";
 
+/**
+ * @typedef {{kind: string, label: string, said?: string, unit?: string, least?: number | null, most?: number | null,
+ *   step?: number | null, empty?: boolean, choices?: (string | {value: string, label: string})[]}} Setting an entry of
+ *   slice `settings`
+ * @typedef {(name: string, id: string, entry: Setting) => {control: HTMLElement, show: () => void}} MakeControl
+ */
+
+/** @param {string} name @param {string | number | boolean | null} value @param {() => void} show */
 const set = async (name, value, show) => {
   if (value === store.get("settings")?.[name]?.value) return show();
   if (!(await request("set_settings", { [name]: value }))) show(); // refused: show the current value again
   return undefined;
 };
 
+/** @type {MakeControl} */
 const numberControl = (name, id, entry) => {
   const input = element(
     "input",
@@ -33,7 +42,7 @@ const numberControl = (name, id, entry) => {
     return set(name, value, show);
   });
   input.addEventListener("keydown", (event) => {
-    const up = { ArrowUp: 1, ArrowDown: -1 }[event.key];
+    const up = event.key === "ArrowUp" ? 1 : event.key === "ArrowDown" ? -1 : 0;
     if (!up || !entry.step) return;
     event.preventDefault();
     const from = Number.isFinite(input.valueAsNumber) ? input.valueAsNumber : (entry.least ?? 0);
@@ -44,6 +53,7 @@ const numberControl = (name, id, entry) => {
   return { control: input, show };
 };
 
+/** @type {MakeControl} */
 const choiceControl = (name, id, entry) => {
   const options = (entry.choices ?? []).map(
     (choice) => (typeof choice === "object" ? choice : { value: choice, label: String(choice).replaceAll("_", " ") }),
@@ -60,6 +70,7 @@ const choiceControl = (name, id, entry) => {
   return { control: select, show };
 };
 
+/** @type {MakeControl} */
 const switchControl = (name, id) => {
   const input = element("input", { id, type: "checkbox", class: "switch", role: "switch" });
   const show = () => {
@@ -69,6 +80,7 @@ const switchControl = (name, id) => {
   return { control: input, show };
 };
 
+/** @type {Record<string, MakeControl>} */
 const CONTROLS = { number: numberControl, choice: choiceControl, switch: switchControl };
 
 /**

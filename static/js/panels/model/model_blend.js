@@ -3,7 +3,7 @@
 import { store } from "../../net/store.js";
 import { slider } from "../../ui/controls.js";
 import { element, setChildren } from "../../ui/dom.js";
-import { blendable, usableTexture } from "./model_loader.js";
+import { blendable, choicesOf, usableTexture } from "./model_loader.js";
 
 const NONE = "";
 const HALF = 0.5;
@@ -33,12 +33,12 @@ export const mountModelBlend = (loader) => {
   const bar = element("div", { class: "model-blend", role: "group", "aria-label": "Blend of two textures", hidden: true }, share.row);
   let part = HALF;
 
-  const set = (value) => {
+  const set = (/** @type {number} */ value) => {
     part = value;
     loader.surface.share = value;
     share.show(value);
   };
-  const choose = (kind) => {
+  const choose = (/** @type {string} */ kind) => {
     chosen = kind;
     set(HALF);
     show();
@@ -61,7 +61,7 @@ export const mountModelBlend = (loader) => {
     bar.hidden = !other;
     loader.blendWith(other ? chosen : NONE);
     if (!other) return;
-    first = model.choices.find(({ value }) => value === usableTexture(model))?.label ?? "";
+    first = choicesOf(model).find(({ value }) => value === usableTexture(model))?.label ?? "";
     second = other.label;
     share.show(part);
   };

@@ -6,9 +6,12 @@ import { whenPanesPainted } from "../../ui/first_pictures.js";
 const UNREACHED = "The 3-D view cannot be reached: reload the page."; // the browser's error page is not accessible
 const TYPING = "input, textarea, select, [contenteditable], [role=textbox]";
 
-/** Show that the focus is inside the frame, which CSS cannot detect. */
-const showFocus = (frame) => {
-  const inner = frame.contentWindow;
+/**
+ * Show that the focus is inside the frame, which CSS cannot detect.
+ * @param {HTMLIFrameElement} frame
+ * @param {Window} inner
+ */
+const showFocus = (frame, inner) => {
   inner.addEventListener("focus", () => frame.classList.add("focused"));
   inner.addEventListener("blur", () => frame.classList.remove("focused"));
 };
@@ -16,12 +19,17 @@ const showFocus = (frame) => {
 /** Stops the devices of an acquisition: forwarded whatever has the focus. */
 const STOP = "F8";
 
-/** Forward keys from the frame to the page, except while text is typed. */
-const forwardKeys = (frame) => {
-  const inner = frame.contentWindow;
-  for (const kind of ["keydown", "keyup"]) {
+/**
+ * Forward keys from the frame to the page, except while text is typed.
+ * @param {HTMLIFrameElement} frame
+ * @param {Window} inner
+ */
+const forwardKeys = (frame, inner) => {
+  for (const kind of /** @type {const} */ (["keydown", "keyup"])) {
     inner.addEventListener(kind, (event) => {
-      if (event.key !== STOP && (event.defaultPrevented || event.target.closest?.(TYPING))) return;
+      const { target } = event; // of the frame's own class
+      const types = target !== null && "closest" in target && /** @type {Element} */ (target).closest(TYPING) !== null;
+      if (event.key !== STOP && (event.defaultPrevented || types)) return;
       const { key, code, ctrlKey, shiftKey, altKey, metaKey, repeat } = event;
       const sent = new KeyboardEvent(
         kind,
@@ -52,10 +60,11 @@ export const mountModelFrame = (frame, { loaded, failed }) => {
   frame.addEventListener("load", () => {
     try {
       const { contentDocument: shown } = frame;
-      if (!shown) return failed(UNREACHED);
+      const inner = frame.contentWindow;
+      if (!shown || !inner) return failed(UNREACHED);
       failed(shown.contentType === "text/plain" ? (shown.body.textContent ?? "").trim() : "");
-      forwardKeys(frame);
-      return showFocus(frame);
+      forwardKeys(frame, inner);
+      return showFocus(frame, inner);
     } catch {
       return failed(UNREACHED);
     }

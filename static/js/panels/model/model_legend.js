@@ -2,6 +2,11 @@
 
 import { element, setChildren } from "../../ui/dom.js";
 
+/**
+ * @typedef {{title: string, ramp: string[], least: string, most: string, entries: {colour: string, label: string}[]}} Legend
+ *   of a texture, as the workbench sends it
+ */
+
 const KEY = "ladarreg-model-legend";
 
 const remembered = () => {
@@ -12,6 +17,7 @@ const remembered = () => {
   }
 };
 
+/** @param {boolean} visible */
 const remember = (visible) => {
   try {
     localStorage.setItem(KEY, visible ? "shown" : "hidden");
@@ -20,18 +26,21 @@ const remember = (visible) => {
   }
 };
 
+/** @param {string} colour */
 const swatch = (colour) => {
   const box = element("i", { class: "legend-swatch", "aria-hidden": "true" });
   box.style.setProperty("background", colour);
   return box;
 };
 
+/** @param {Legend} legend */
 const scale = ({ ramp, least, most }) => {
   const bar = element("div", { class: "legend-ramp", "aria-hidden": "true" });
   bar.style.setProperty("background", `linear-gradient(to right, ${ramp.join(", ")})`);
   return [bar, element("div", { class: "legend-ends" }, element("span", {}, least), element("span", {}, most))];
 };
 
+/** @param {Legend} legend */
 const one = (legend) =>
   element(
     "div",
@@ -50,10 +59,10 @@ const one = (legend) =>
 export const mountModelLegend = (loader) => {
   const box = element("div", { class: "model-legend", role: "group", "aria-label": "Legend", hidden: true });
   let visible = remembered();
-  /** @type {any[]} */
+  /** @type {(Legend | null)[]} */
   let legends = [];
   const show = () => {
-    const titled = legends.filter((legend) => legend?.title);
+    const titled = legends.filter((legend) => legend !== null).filter(({ title }) => title);
     box.hidden = !visible || !titled.length;
     if (!box.hidden) setChildren(box, ...titled.map(one));
   };

@@ -16,12 +16,20 @@ const COARSEST = "coarse";
 const LEAST_CELLS = 1e6; // of a scan whose surface the dense mesh shows only coarsely
 const MOVING = ["simplex", "reject_outliers", "thesis"];
 
-/** @returns {string} the kind of texture that can be shown: the chosen one, or the intensity */
-export const usableTexture = (model) =>
-  (model.choices.find(({ value }) => value === model.texture)?.usable ? model.texture : "intensity");
+/**
+ * @typedef {any} Model slice `model`
+ * @typedef {{value: string, label: string, usable: boolean, said?: string}} TextureChoice
+ */
 
-/** @returns {{value: string, label: string}[]} the kinds of texture that can be mixed into the one that is shown */
-export const blendable = (model) => model.choices.filter(({ value, usable }) => usable && value !== usableTexture(model));
+/** @param {Model} model @returns {TextureChoice[]} the kinds of texture */
+export const choicesOf = (model) => model?.choices ?? [];
+
+/** @param {Model} model @returns {string} the kind of texture that can be shown: the chosen one, or the intensity */
+export const usableTexture = (model) =>
+  (choicesOf(model).find(({ value }) => value === model.texture)?.usable ? model.texture : "intensity");
+
+/** @param {Model} model @returns {TextureChoice[]} the kinds of texture that can be mixed into the one that is shown */
+export const blendable = (model) => choicesOf(model).filter(({ value, usable }) => usable && value !== usableTexture(model));
 
 /**
  * @typedef {{mesh: string, texture: string, second: string, layer?: {mesh: string, picture: string}}} Stage addresses of
@@ -34,6 +42,7 @@ export class ModelLoader {
   #parts = new ModelParts();
   #surface;
   #software;
+  /** @type {Set<(state: ModelState) => void>} */
   #listeners = new Set();
   /** @type {{goal: Stage, abort: AbortController} | null} */
   #running = null;
@@ -48,6 +57,7 @@ export class ModelLoader {
   #drawn = null;
   /** @type {{address: string, bitmap: ImageBitmap | null} | null} the photograph that slides over the surface */
   #sliding = null;
+  /** @type {Map<string, [number, number]>} */
   #meter = new Map();
   /** @type {ModelState} */
   #state = { state: "empty", got: 0, total: 0, error: "", legend: null, second: null, mixed: false, whole: false };
@@ -80,7 +90,7 @@ export class ModelLoader {
     if (picture) this.#surface.slide(picture, (surface) => thrownOnto(surface, photo.camera, frame.camera_from_scanner));
   }
 
-  /** @returns {ImageBitmap | null} null while it is being loaded; it is shown as soon as it is there */
+  /** @param {import("../../net/store.js").Photo} photo @returns {ImageBitmap | null} null while it is being loaded; it is shown as soon as it is there */
   #slidingPicture(photo) {
     const address = pictureAddress(photo);
     if (this.#sliding?.address === address) return this.#sliding.bitmap;
@@ -115,12 +125,13 @@ export class ModelLoader {
     listen(this.#state);
   }
 
-  /** Count what another part of the 3-D view has loaded. */
+  /** Count what another part of the 3-D view has loaded. @param {string} name @param {number} got @param {number} total */
   count(name, got, total) {
     this.#meter.set(name, [got, total]);
     this.#tell({});
   }
 
+  /** @param {Partial<ModelState>} change */
   #tell(change) {
     let [got, total] = [0, 0];
     for (const [some, all] of this.#meter.values()) [got, total] = [got + some, total + all];
@@ -150,7 +161,7 @@ export class ModelLoader {
     this.#load(stages, goal);
   }
 
-  /** Once the camera rests, draw finer what it looks at; not below the photograph's own pixels. */
+  /** Once the camera rests, draw finer what it looks at; not below the photograph's own pixels. @param {string} scan @param {Model} model */
   async #lookCloser(scan, model) {
     const { viewpoint } = this.#surface;
     const rests = viewpoint === this.#viewpoint;
@@ -175,6 +186,7 @@ export class ModelLoader {
     }
   }
 
+  /** @param {string | null} scan id */
   #reset(scan) {
     this.#running?.abort.abort();
     this.#closer?.abort();
@@ -186,13 +198,13 @@ export class ModelLoader {
     this.#tell({ state: scan ? "loading" : "empty", error: "", legend: null, second: null, mixed: false, whole: false });
   }
 
-  /** @returns {Stage[]} what to draw, one after the other */
+  /** @param {string} scan @param {Model} model @returns {Stage[]} what to draw, one after the other */
   #stages(scan, model) {
     const kind = usableTexture(model);
     const blend = blendable(model).some(({ value }) => value === this.#blend) ? this.#blend : "";
     const job = store.get("job");
     const moves = job && MOVING.includes(job.kind) && isRunning(job) && this.#software();
-    const at = (meshDetail, textureDetail) => ({
+    const at = (/** @type {string} */ meshDetail, /** @type {string} */ textureDetail) => ({
       mesh: meshAddress(scan, meshDetail),
       texture: textureAddress(store.shown(), kind, model, textureDetail),
       second: blend && textureAddress(store.shown(), blend, model, textureDetail),
@@ -206,6 +218,7 @@ export class ModelLoader {
     return [...stages, { ...fine, layer: layerAddress(photo, model, model.detail) }];
   }
 
+  /** @param {Stage[]} stages @param {Stage} goal the last of them */
   async #load(stages, goal) {
     const abort = new AbortController();
     const run = { goal, abort };
@@ -214,9 +227,12 @@ export class ModelLoader {
     try {
       this.#tell({ whole: false });
       for (const { mesh, texture, second, layer } of stages) {
+        /** @param {string} name @returns {import("./model_parts.js").Download} */
         const options = (name) => ({
           signal: abort.signal,
-          progress: (got, total) => still() && this.count(name, got, total),
+          progress: (got, total) => {
+            if (still()) this.count(name, got, total);
+          },
         });
         const [arrays, { blob, legend }, other] = await Promise.all([
           this.#parts.mesh(mesh, options("mesh")),
@@ -225,7 +241,7 @@ export class ModelLoader {
         ]);
         await this.#untilReady(still);
         if (layer) {
-          const progress = (name) => options(name).progress;
+          const progress = (/** @type {string} */ name) => options(name).progress;
           const found = await this.#parts.layer(layer, { signal: abort.signal, progress });
           if (!still() || !(await this.#surface.drawLayer(found, still))) return;
           this.#drawn = { mesh, texture, second, layer };
@@ -250,6 +266,7 @@ export class ModelLoader {
     }
   }
 
+  /** @param {() => boolean} still */
   async #untilReady(still) {
     while (still() && !this.#surface.ready) await new Promise((resolve) => setTimeout(resolve, 50));
   }

@@ -7,10 +7,13 @@ const SIZE_ON_SCREEN = "gl_PointSize = clamp(scale / -world_pos.z, 4.0 * lrPixel
   "lrAlpha = 1.0 - 0.75 * smoothstep(12.0 * lrPixels, 40.0 * lrPixels, scale / -world_pos.z)" +
   " - 0.35 * (1.0 - smoothstep(1.0 * lrPixels, 4.0 * lrPixels, scale / -world_pos.z));";
 
-/** @returns {any} the first mesh or cloud of points of a node, or null */
+/**
+ * @param {any} node of viser's scene (three.js), or undefined
+ * @returns {any} the first mesh or cloud of points of a node, or null
+ */
 export const meshIn = (node) => {
   let found = null;
-  node?.traverse((each) => {
+  node?.traverse((/** @type {any} */ each) => {
     if (each.isMesh || each.isPoints) found ??= each;
   });
   return found;

@@ -9,7 +9,7 @@ import { mountModelBlend } from "./model_blend.js";
 import { mountModelCover } from "./model_cover.js";
 import { mountModelFrame } from "./model_frame.js";
 import { mountModelLegend } from "./model_legend.js";
-import { ModelLoader, usableTexture } from "./model_loader.js";
+import { choicesOf, ModelLoader, usableTexture } from "./model_loader.js";
 import { mountPhotoSheet } from "./photo_sheet.js";
 import { placingBar, roughPose } from "./rough_pose.js";
 import { drawsInSoftware, mountSoftwareHint } from "./software_drawing.js";
@@ -70,7 +70,7 @@ const textureSelect = () => {
       drawn = text;
       setChildren(
         select,
-        ...(model?.choices ?? []).map(({ value, label, usable, said }) =>
+        ...choicesOf(model).map(({ value, label, usable, said }) =>
           element("option", { value, disabled: !usable, title: said }, usable ? label : `${label} · not available yet`)),
       );
     }
@@ -82,7 +82,7 @@ const textureSelect = () => {
   return select;
 };
 
-/** @param {HTMLElement} blend the choice of a second texture */
+/** @param {HTMLElement} blend the choice of a second texture @param {ReturnType<typeof mountModelLegend>} legend */
 const display = (legend, blend) => {
   /** @type {[string, ReturnType<typeof tickBox>][]} */
   const switches = SWITCHES.map(([name, label]) => [
@@ -156,4 +156,5 @@ export const mountModelPane = (pane) => {
   return { body, frame, surface: loader.surface };
 };
 
+/** @param {number} bytes */
 const kB = (bytes) => Math.round(bytes / 1000);

@@ -9,31 +9,51 @@ const HEADER_BYTES = 28;
  *   shape: number[]}} MeshArrays `rows` and `columns` of the vertices in the scan's grid, which has `shape`
  */
 
+/**
+ * @typedef {{signal: AbortSignal, progress: (got: number, total: number) => void}} Download how a part is downloaded
+ */
+
+/** @param {string} part @param {Record<string, string>} fields */
 const addressOf = (part, fields) => `picture/model/${part}?${new URLSearchParams(fields)}`;
 
-/** @returns {string} */
+/** @param {string} scan @param {string} detail @returns {string} */
 export const meshAddress = (scan, detail) => addressOf("mesh", { detail, rev: scan });
 
-/** @returns {string} the surface of a block of the scan's grid, LEVEL.ROW.COLUMN */
+/**
+ * @param {string} scan
+ * @param {string} block
+ * @returns {string} the surface of a block of the scan's grid, LEVEL.ROW.COLUMN
+ */
 export const blockAddress = (scan, block) => addressOf("mesh", { block, rev: scan });
 
-/** @returns {string} */
+/**
+ * @param {string | null} photo
+ * @param {string} kind
+ * @param {{z_buffer: boolean, rev: string}} model
+ * @param {string} detail
+ * @returns {string}
+ */
 export const textureAddress = (photo, kind, { z_buffer, rev }, detail) =>
-  addressOf("texture", { photo: photo ?? "none", kind, z_buffer: z_buffer ? 1 : 0, detail, rev });
+  addressOf("texture", { photo: photo ?? "none", kind, z_buffer: z_buffer ? "1" : "0", detail, rev });
 
-/** @returns {{mesh: string, picture: string}} the triangles that the camera sees, and the photograph to draw on them */
+/**
+ * @param {string} photo
+ * @param {{rev: string}} model
+ * @param {string} detail
+ * @returns {{mesh: string, picture: string}} the triangles that the camera sees, and the photograph to draw on them
+ */
 export const layerAddress = (photo, { rev }, detail) => ({
   mesh: addressOf("layer", { photo, detail, rev }),
   picture: addressOf("photo", { photo, detail, rev }),
 });
 
-/** @returns {string} a photograph as it is shown at once, of its own size */
+/** @param {{id: string, rev?: string}} photo @returns {string} a photograph as it is shown at once, of its own size */
 export const pictureAddress = ({ id, rev }) => `picture/photo/${encodeURIComponent(id)}?rev=${encodeURIComponent(rev ?? id)}&form=quick`;
 
 /**
  * Download a part.
  * @param {string} address
- * @param {{signal: AbortSignal, progress: (got: number, total: number) => void}} options
+ * @param {Download} options
  * @returns {Promise<{blob: Blob, headers: Headers}>}
  */
 const download = async (address, { signal, progress }) => {
@@ -54,6 +74,7 @@ const download = async (address, { signal, progress }) => {
   return { blob: new Blob(pieces, { type: answer.headers.get("content-type") ?? "" }), headers: answer.headers };
 };
 
+/** @param {Uint8Array} bytes @param {number} start @param {number} count */
 const integers = (bytes, start, count) => {
   const found = new Int32Array(count);
   for (let k = 0; k < count; k += 1) {
@@ -65,6 +86,7 @@ const integers = (bytes, start, count) => {
   return found;
 };
 
+/** @param {Int32Array} differences */
 const summed = (differences) => {
   for (let k = 1; k < differences.length; k += 1) differences[k] += differences[k - 1];
   return differences;
@@ -81,7 +103,7 @@ export const decodeMesh = (buffer) => {
   const unit = view.getFloat64(20, true);
   const bytes = new Uint8Array(buffer);
   let at = HEADER_BYTES;
-  const next = (count) => {
+  const next = (/** @type {number} */ count) => {
     const found = integers(bytes, at, count);
     at += 4 * count;
     return found;
@@ -99,17 +121,32 @@ export const decodeMesh = (buffer) => {
   return { positions, uv, faces, rows: row, columns: column, shape: [rows, columns] };
 };
 
+/** @param {Blob} blob */
 const decompressed = (blob) => new Response(blob.stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer();
 
+/** @param {Headers} headers @returns {import("./model_legend.js").Legend | null} */
 const legendOf = (headers) => {
   const text = headers.get("x-legend");
   return text ? JSON.parse(decodeURIComponent(text)) : null;
 };
 
+/** @param {Map<string, any>} parts the newest last @param {number} most */
+const keepNewest = (parts, most) => {
+  for (const oldest of parts.keys()) {
+    if (parts.size <= most) return;
+    parts.delete(oldest);
+  }
+};
+
+/** @typedef {{blob: Blob, legend: import("./model_legend.js").Legend | null}} Texture */
+
 /** Parts that were downloaded: the meshes of one scan, and the textures that were used last. */
 export class ModelParts {
+  /** @type {Map<string, MeshArrays>} */
   #meshes = new Map();
+  /** @type {Map<string, Texture>} */
   #textures = new Map();
+  /** @type {Map<string, MeshArrays | null>} */
   #blocks = new Map();
   /**
    * @type {{address: {mesh: string, picture: string}, found: {arrays: MeshArrays, blob: Blob} | null} | null} the latest:
@@ -117,16 +154,17 @@ export class ModelParts {
    */
   #layer = null;
 
-  /** @returns {Promise<MeshArrays>} */
+  /** @param {string} address @param {Download} options @returns {Promise<MeshArrays>} */
   async mesh(address, options) {
-    if (!this.#meshes.has(address)) {
-      const { blob } = await download(address, options);
-      this.#meshes.set(address, decodeMesh(await decompressed(blob)));
-    }
-    return this.#meshes.get(address);
+    const known = this.#meshes.get(address);
+    if (known) return known;
+    const { blob } = await download(address, options);
+    const arrays = decodeMesh(await decompressed(blob));
+    this.#meshes.set(address, arrays);
+    return arrays;
   }
 
-  /** @returns {Promise<MeshArrays | null>} the surface of a block; null where it has none */
+  /** @param {string} address @param {Download} options @returns {Promise<MeshArrays | null>} the surface of a block; null where it has none */
   async block(address, options) {
     let arrays = this.#blocks.get(address);
     if (arrays === undefined) {
@@ -135,21 +173,22 @@ export class ModelParts {
     }
     this.#blocks.delete(address);
     this.#blocks.set(address, arrays); // the newest last
-    while (this.#blocks.size > RECENT_BLOCKS) this.#blocks.delete(this.#blocks.keys().next().value);
+    keepNewest(this.#blocks, RECENT_BLOCKS);
     return arrays;
   }
 
-  /** @returns {Promise<{blob: Blob, legend: any}>} */
+  /** @param {string} address @param {Download} options @returns {Promise<Texture>} */
   async texture(address, options) {
     const found = this.#textures.get(address) ?? (await this.#downloaded(address, options));
     this.#textures.delete(address);
     this.#textures.set(address, found); // the newest last
-    while (this.#textures.size > RECENT) this.#textures.delete(this.#textures.keys().next().value);
+    keepNewest(this.#textures, RECENT);
     return found;
   }
 
   /**
    * @param {{mesh: string, picture: string}} address
+   * @param {{signal: AbortSignal, progress: (name: string) => Download["progress"]}} options
    * @returns {Promise<{arrays: MeshArrays, blob: Blob} | null>} null where the camera sees no triangle
    */
   async layer(address, { signal, progress }) {
@@ -173,6 +212,7 @@ export class ModelParts {
     this.#textures.clear();
   }
 
+  /** @param {string} address @param {Download} options @returns {Promise<Texture>} */
   async #downloaded(address, options) {
     const { blob, headers } = await download(address, options);
     return { blob, legend: legendOf(headers) };

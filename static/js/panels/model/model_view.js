@@ -21,6 +21,7 @@ const applied = (m, [x, y, z]) => {
   return [0, 1, 2].map((k) => (m[k] * x + m[4 + k] * y + m[8 + k] * z + m[12 + k]) / w);
 };
 
+/** @param {readonly number[]} a @param {readonly number[]} b */
 const less = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
 
 /**
@@ -28,9 +29,12 @@ const less = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
  *   matrices of three.js
  */
 
-/** @returns {(ndc: number[]) => {from: number[], along: number[]}} the ray through a place of the picture, -1 to 1 */
+/**
+ * @param {Look} look
+ * @returns {(ndc: number[]) => {from: number[], along: number[]}} the ray through a place of the picture, -1 to 1
+ */
 const raysOf = ({ world, projectionInverse, meshInverse }) => {
-  const at = (ndc) => applied(meshInverse, applied(world, applied(projectionInverse, ndc)));
+  const at = (/** @type {number[]} */ ndc) => applied(meshInverse, applied(world, applied(projectionInverse, ndc)));
   return ([u, v]) => {
     const from = at([u, v, -1]);
     return { from, along: less(at([u, v, 0.5]), from) };
@@ -77,6 +81,7 @@ export const firstPlace = (surfaces, from, along) => {
   return Number.isFinite(far) ? from.map((value, k) => value + far * along[k]) : null;
 };
 
+/** @param {readonly number[]} a @param {readonly number[]} b */
 const angleBetween = (a, b) => {
   const across = Math.hypot(a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]);
   return Math.atan2(across, a[0] * b[0] + a[1] * b[1] + a[2] * b[2]);
@@ -93,15 +98,15 @@ const angleBetween = (a, b) => {
  */
 export const placeUnder = (surfaces, look, ndc, step) => {
   const ray = raysOf(look);
-  const at = (u, v) => {
+  const at = (/** @type {number} */ u, /** @type {number} */ v) => {
     const { from, along } = ray([u, v]);
     return firstPlace(surfaces, from, along);
   };
   const [[u, v], [du, dv]] = [ndc, step];
   const place = at(u, v);
   if (!place) return null;
-  const beside = [[du, 0], [-du, 0], [0, dv], [0, -dv]].map(([a, b]) => at(u + a, v + b)).filter(Boolean);
-  return { place, sigma: Math.max(0, ...beside.map((other) => angleBetween(place, other))) };
+  const beside = [[du, 0], [-du, 0], [0, dv], [0, -dv]].map(([a, b]) => at(u + a, v + b));
+  return { place, sigma: Math.max(0, ...beside.map((other) => (other ? angleBetween(place, other) : 0))) };
 };
 
 /**
@@ -138,12 +143,13 @@ export const blocksAt = (cells, shape, vertices, turns) => {
     const away = c - column;
     return turns ? ((away + 1.5 * shape[1]) % shape[1]) - shape[1] / 2 : away;
   });
-  const ends = (values) => [Math.min(...values), Math.max(...values)];
+  const ends = (/** @type {number[]} */ values) => [Math.min(...values), Math.max(...values)];
   const [top, bottom] = ends(cells.map(([r]) => r));
   const [left, right] = ends(across).map((away) => column + away);
-  const count = (level) => 2 ** level;
+  const count = (/** @type {number} */ level) => 2 ** level;
+  /** @param {number} at @param {number} length @param {number} level */
   const blockOf = (at, length, level) => Math.floor((at * count(level)) / length);
-  const worth = (level) => {
+  const worth = (/** @type {number} */ level) => {
     const inBlock = (shape[0] * shape[1]) / count(level) ** 2;
     return Math.min(inBlock, BLOCK_VERTICES) * count(level) ** 2 >= WORTHWHILE * vertices && Math.min(...shape) >= LEAST_CELLS * count(level);
   };
@@ -159,7 +165,7 @@ export const blocksAt = (cells, shape, vertices, turns) => {
   let level = 1;
   while (level < FINEST_LEVEL && !worth(level)) level += 1;
   if (!worth(level)) return [];
-  const beside = (at, length) => {
+  const beside = (/** @type {number} */ at, /** @type {number} */ length) => {
     const place = (at * count(level)) / length;
     const first = Math.floor(place - 0.5);
     return [first, first + 1];
@@ -195,7 +201,7 @@ const namesOf = (level, [r0, r1], [c0, c1], turns) => {
 export const facesBeside = ({ faces, rows, columns, shape }, blocks) => {
   const boxes = blocks.map((name) => {
     const [level, r, c] = name.split(".").map(Number);
-    const edge = (k, length) => Math.floor((k * length) / 2 ** level);
+    const edge = (/** @type {number} */ k, /** @type {number} */ length) => Math.floor((k * length) / 2 ** level);
     return [edge(r, shape[0]), edge(r + 1, shape[0]), edge(c, shape[1]), edge(c + 1, shape[1])];
   });
   const owner = new Int8Array(rows.length).fill(-1);

@@ -27,6 +27,7 @@ export const sheetArrays = ({ columns, corners }) => {
   return { positions, uv, faces: new Uint32Array(faces) };
 };
 
+/** @param {number[]} a @param {number[]} b */
 const distance = (a, b) => Math.hypot(...a.map((value, k) => value - b[k]));
 
 /**
@@ -49,7 +50,7 @@ export const mountPhotoSheet = ({ surface }) => {
   });
   const bar = element("div", { class: "photo-sheet", role: "group", "aria-label": "Opacity of the photograph", hidden: true }, share.row);
 
-  const load = (address) => {
+  const load = (/** @type {string} */ address) => {
     /** @type {typeof picture} */
     const wanted = { address, bitmap: null };
     picture.bitmap?.close();
@@ -82,7 +83,7 @@ export const mountPhotoSheet = ({ surface }) => {
     } else if (picture.bitmap) surface.drawSheet(picture.bitmap, known.arrays, opacity);
   };
 
-  const set = (value) => {
+  const set = (/** @type {number} */ value) => {
     opacity = value;
     share.show(value);
     look();

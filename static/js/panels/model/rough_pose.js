@@ -7,6 +7,7 @@ import { view } from "../../state/view.js";
 import { button, fill } from "../../ui/controls.js";
 import { element } from "../../ui/dom.js";
 
+/** @type {Record<string, [number, number]>} m, deg */
 const STEPS = { fine: [0.01, 0.2], medium: [0.05, 1], coarse: [0.25, 5] };
 /** @type {[string, string][]} */
 const STEP_LABELS = [["fine", "1 cm, 0.2°"], ["medium", "5 cm, 1°"], ["coarse", "25 cm, 5°"]];
@@ -31,6 +32,7 @@ const TURNS = [
   ["Tilt left", "↺", [0, 0, 0], [0, 0, -1]],
   ["Tilt right", "↻", [0, 0, 0], [0, 0, 1]],
 ];
+/** @type {Record<string, number>} */
 const KEYS = { ArrowLeft: 0, ArrowRight: 1, ArrowUp: 2, ArrowDown: 3, PageUp: 4, PageDown: 5 };
 
 /** @returns {string} why nothing can be registered from a rough pose now; empty if it can */
@@ -40,12 +42,16 @@ const missing = () => {
   return jobOn(store.get("job"), store.shown()) ? "A job is running" : "";
 };
 
-/** Show the camera at a pose, as the workbench answers, with what it would see of the scan over the photograph. */
+/**
+ * Show the camera at a pose, as the workbench answers, with what it would see of the scan over the photograph.
+ * @param {Omit<import("../../net/requests.js").Commands["place_camera"], "photo">} how
+ */
 const place = async (how) => {
   const reply = await requestForPhoto("place_camera", how);
   if (!reply) return false;
   const { camera_from_scanner: pose } = reply;
-  view.set({ placement: pose && { photo: store.shown(), pose } });
+  const photo = store.shown();
+  view.set({ placement: pose && photo ? { photo, pose } : null });
   return true;
 };
 
@@ -108,6 +114,7 @@ export const placingBar = () => {
     const [length, angle] = STEPS[step.value];
     place({ camera_from_scanner: placement.pose, shift_m: shift.map((n) => n * length), turn_deg: turn.map((n) => n * angle) });
   };
+  /** @param {string} label @param {typeof MOVES} moves */
   const pad = (label, moves) =>
     element(
       "div",
@@ -125,6 +132,7 @@ export const placingBar = () => {
       if (placement && await requestForPhoto("refine", { camera_from_scanner: placement.pose })) endPlacing();
     },
   });
+  /** @param {"scanner" | "view"} start @param {string} label @param {string} title */
   const from = (start, label, title) => button({ label, kind: "small", title, act: () => place({ start }) });
   const [fromView, fromScanner] = [
     from("view", "From this view", "Put the camera where the 3-D view looks from"),

@@ -22,7 +22,8 @@ const findRenderer = () => {
   return String(name);
 };
 
-let renderer; // unknown until there is something to render
+/** @type {string | null | undefined} unknown until there is something to render */
+let renderer;
 const rendererName = () => (renderer === undefined ? (renderer = findRenderer()) : renderer);
 
 /** @returns {boolean} */

@@ -5,16 +5,29 @@ import { element, newId, partOf, setChildren, setText } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
 import { counted } from "../../ui/numbers.js";
 
+/**
+ * @typedef {import("../../net/requests.js").Commands} Commands
+ * @typedef {NonNullable<Commands["list_jobs"]["outcome"]>} Outcome
+ * @typedef {{id: string, outcome: Outcome, kind: string, sigma: string, verdict: string, reason: string, picture: boolean,
+ *   project: boolean}} BatchJob
+ * @typedef {{name: string, runs: boolean, matching: number, counts: Record<Outcome, number>, jobs: BatchJob[]}} Listed the
+ *   answer to `list_jobs`
+ */
+
+/** @type {Record<Outcome, {sign: string, level: string}>} */
 const OUTCOMES = {
   failed: { sign: "bad", level: "bad" },
   refused: { sign: "warn", level: "warn" },
   waiting: { sign: "dot", level: "none" },
   accepted: { sign: "tick", level: "ok" },
 };
+/** @type {Record<string, string>} */
 const KINDS = { pair: "", photos: "photographs of a scan", survey: "survey" };
+const NAMES = /** @type {Outcome[]} */ (Object.keys(OUTCOMES));
 const TYPED_MS = 250;
 const AGAIN_MS = 5000;
 
+/** @param {BatchJob} job @param {(job: string) => void} open */
 const row = (job, open) => {
   const { sign, level } = OUTCOMES[job.outcome];
   const about = [KINDS[job.kind], job.sigma].filter(Boolean).join(" · ");
@@ -36,10 +49,11 @@ const row = (job, open) => {
 };
 
 /**
- * @param {{ask: (name: string, fields: object) => Promise<any>, open: (job: string) => void}} options
+ * @param {{ask: <Name extends keyof Commands>(name: Name, fields: Commands[Name]) => Promise<any>, open: (job: string) => void}} options
  * @returns {{part: HTMLElement, refresh: () => Promise<void>}} the list, and what fetches it anew
  */
 export const batchList = ({ ask, open }) => {
+  /** @type {Outcome | null} */
   let outcome = null;
   let timer = 0;
   /** @type {Map<string, HTMLElement>} by the jobs' ids */
@@ -48,7 +62,7 @@ export const batchList = ({ ask, open }) => {
   const list = element("ul", { class: "job-list", "aria-label": "Jobs of the batch" });
   const shown = element("p", { class: "dim", role: "status" });
   const words = element("input", { id: newId("field"), type: "search", placeholder: "Name or reason", autocomplete: "off", maxLength: 200 });
-  const filters = Object.keys(OUTCOMES).map((each) => {
+  const filters = NAMES.map((each) => {
     const filter = button({ label: each, kind: "small", act: () => {
       outcome = outcome === each ? null : each;
       refresh();
@@ -65,10 +79,10 @@ export const batchList = ({ ask, open }) => {
     shown,
   );
 
-  const show = (found) => {
+  const show = (/** @type {Listed} */ found) => {
     const total = Object.values(found.counts).reduce((sum, count) => sum + count, 0);
     setText(heading, `Batch ${found.name}: ${counted(total, "job")}${found.runs ? ", not finished" : ""}`);
-    Object.keys(OUTCOMES).forEach((each, at) => {
+    NAMES.forEach((each, at) => {
       setText(partOf(filters[at], "span"), `${found.counts[each]} ${each}`);
       filters[at].hidden = !found.counts[each] && outcome !== each;
       press(filters[at], outcome === each);

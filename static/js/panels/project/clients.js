@@ -22,7 +22,11 @@ const copyLink = async () => {
   }
 };
 
-/** A switch: see the photograph and the part of the pictures that another person sees. */
+/**
+ * A switch: see the photograph and the part of the pictures that another person sees.
+ * @param {string} id
+ * @param {string} name
+ */
 const followButton = (id, name) => {
   const follows = store.me()?.follows === id;
   return button({
@@ -69,10 +73,10 @@ export const mountClients = (opener) => {
     panel.hidePopover();
   });
   const show = () => {
-    const { clients, you } = store.get("people") ?? { clients: [] };
+    const you = store.get("people")?.you;
     setChildren(
       list,
-      ...clients.map(
+      ...store.clients().map(
         ({ id, name, colour, read_only: looks }) => element(
           "li",
           {},

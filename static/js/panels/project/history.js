@@ -8,7 +8,13 @@ import { element, setChildren } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
 import { opens, popoverOf } from "../../ui/popover.js";
 
-/** Go to a state, which changes the project for everybody: ask first if others are connected. */
+/** @typedef {{n: number, label: string, author: string, when: string}} Edit an entry of slice `history` */
+
+/**
+ * Go to a state, which changes the project for everybody: ask first if others are connected.
+ * @param {number} n
+ * @param {string} label
+ */
 const goTo = (n, label) => {
   const others = store.colleagues().filter(({ read_only: looks }) => !looks);
   if (others.length === 0) return request("go_to", { n });
@@ -50,6 +56,7 @@ export const mountHistory = (opener) => {
   );
   panel.classList.add("history");
 
+  /** @param {Edit} edit @param {number} at the present state */
   const entry = ({ n, label, author, when }, at) => {
     const current = n === at;
     const item = button({
@@ -69,6 +76,7 @@ export const mountHistory = (opener) => {
     return element("li", { class: n > at ? "undone" : "" }, item);
   };
   const show = () => {
+    /** @type {{at: number, entries: Edit[]}} */
     const history = store.get("history") ?? { at: 0, entries: [] };
     const focused = [...list.querySelectorAll("button")].findIndex((each) => each === document.activeElement);
     setChildren(list, ...history.entries.toReversed().map((each) => entry(each, history.at)));

@@ -48,6 +48,7 @@ let reference = null;
 
 const build = () => {
   const groups = [...new Set(KEYS.map(({ group }) => group))];
+  /** @param {string} group */
   const table = (group) =>
     element(
       "section",

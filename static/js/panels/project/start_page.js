@@ -10,15 +10,26 @@ import { icon } from "../../ui/icons.js";
 import { confirmation } from "../files/confirmation.js";
 import { batchList } from "./batch_list.js";
 
+/**
+ * @typedef {import("../../net/requests.js").Commands} Commands
+ * @typedef {{id: string, name: string, folder: string, state: string, edited: string, missing: boolean, current: boolean,
+ *   picture: boolean}} Project as `list_projects` answers
+ * @typedef {"open_project" | "new_project" | "open_sample" | "open_job"} Opening
+ */
+
 const MOST_LETTERS = 80;
 const DATE = new Intl.DateTimeFormat(undefined, { dateStyle: "medium", timeStyle: "short" });
 
 /** @type {{open: () => void, refresh: () => Promise<void>} | null} */
 let page = null;
 
+/** @param {string} edited */
 const dated = (edited) => (edited ? DATE.format(new Date(edited)) : "");
 
-/** A form of one field and its button. */
+/**
+ * A form of one field and its button.
+ * @param {{label: string, placeholder: string, submit: string, act: (typed: string) => void, maxLength?: number}} options
+ */
 const fieldForm = ({ label, placeholder, submit, act, ...rest }) => {
   const id = newId("field");
   const input = element("input", { id, placeholder, autocomplete: "off", spellcheck: false, ...rest });
@@ -35,6 +46,10 @@ const fieldForm = ({ label, placeholder, submit, act, ...rest }) => {
   return form;
 };
 
+/**
+ * @param {Project} project
+ * @param {{open: (name: "open_project", fields: Commands["open_project"]) => void, close: () => void, change: (name: "duplicate_project" | "forget_project", wanted: string, done: string) => void}} acts
+ */
 const card = (project, { open, change, close }) => {
   const { id, name, folder, state, edited, missing, current, picture } = project;
   const opener = element(
@@ -72,6 +87,7 @@ const card = (project, { open, change, close }) => {
   );
 };
 
+/** @param {() => void} chooseFiles */
 const build = (chooseFiles) => {
   const cards = element("ul", { class: "project-cards", "aria-label": "Recent projects" });
   const none = element("p", { class: "dim" }, "No projects yet: drop a scan and its photographs anywhere on this page.");
@@ -79,11 +95,16 @@ const build = (chooseFiles) => {
   const status = element("p", { class: "dim", role: "status" });
   const isStart = () => store.get("project")?.start === true;
 
-  const say = (text, level = "") => {
+  const say = (/** @type {string} */ text, level = "") => {
     setText(status, text);
     status.className = level || "dim";
   };
-  /** Send a command; a refusal is shown in the page, since notices lie behind it. */
+  /**
+   * Send a command; a refusal is shown in the page, since notices lie behind it.
+   * @template {keyof Commands} Name
+   * @param {Name} name
+   * @param {Commands[Name]} [fields]
+   */
   const tried = async (name, fields) => {
     dialog.body.inert = true;
     try {
@@ -95,15 +116,17 @@ const build = (chooseFiles) => {
       dialog.body.inert = false;
     }
   };
-  const open = async (name, fields = {}) => {
+  /** @template {Opening} Name @param {Name} name @param {Commands[Name]} [fields] */
+  const open = async (name, fields) => {
     say("Opening …");
     const answer = await tried(name, fields);
     if (!answer) return;
     say("");
     if (answer.batch) refresh();
-    else if (answer.asks) ask(answer.asks, () => open(name, { ...fields, sure: true }));
+    else if (answer.asks) ask(answer.asks, () => open(name, /** @type {Commands[Name]} */ ({ ...fields, sure: true })));
     else if (answer.opened === store.get("project")?.id) dialog.close();
   };
+  /** @param {"duplicate_project" | "forget_project"} name @param {string} wanted @param {string} done what is said then */
   const change = async (name, wanted, done) => {
     if (!(await tried(name, { wanted }))) return;
     say(done);
@@ -112,13 +135,18 @@ const build = (chooseFiles) => {
   const refresh = async () => {
     const answer = await tried("list_projects", {});
     if (!answer) return;
-    setChildren(cards, ...answer.projects.map((project) => card(project, { open, change, close: dialog.close })));
+    setChildren(cards, ...answer.projects.map((/** @type {Project} */ project) => card(project, { open, change, close: dialog.close })));
     none.hidden = answer.projects.length > 0;
     folder.hidden = !answer.anywhere;
     batch.part.hidden = !answer.batch;
     if (answer.batch) batch.refresh();
   };
-  /** Send a command without blocking the page: the list is fetched while the search text is typed. */
+  /**
+   * Send a command without blocking the page: the list is fetched while the search text is typed.
+   * @template {keyof Commands} Name
+   * @param {Name} name
+   * @param {Commands[Name]} fields
+   */
   const quietly = async (name, fields) => {
     try {
       return await command(name, fields);

@@ -13,6 +13,8 @@ import { duration, fixed, isNumber } from "../../ui/numbers.js";
 import { jobControls } from "../pose/job_controls.js";
 import { openKeys } from "./key_reference.js";
 
+/** @typedef {import("../../net/store.js").Job} Job */
+
 const CONNECTIONS = {
   connecting: ["running", "connecting", "dim"],
   connected: ["dot", "connected", "ok"],
@@ -22,10 +24,11 @@ const CONNECTIONS = {
 };
 /** Jobs that end in a verdict: it is stated as the summary of the shown pose has it, whichever job has made that. */
 const JUDGES = new Set([...PIPELINE.filter(({ stage }) => stage).map(({ job }) => job), "verify", "solve", "auto", "thesis", "compare"]);
-/** A finished job has no tick: whether its result is good is for the verdict to say. */
+/** @type {Record<string, [string, string]>} a finished job has no tick: whether its result is good is for the verdict to say */
 const ENDS = { done: ["info", "dim"], failed: ["bad", "bad"], stopped: ["stop", "warn"] };
 const LONG_S = 2;
 
+/** @param {number | null | undefined} range */
 const rangeText = (range) => (range === undefined ? "" : range === null ? "no return" : `${fixed(range, 3)} m`);
 
 /** @param {NonNullable<import("../../state/view.js").ViewState["readout"]>} readout @returns {string} */
@@ -37,7 +40,7 @@ const readoutText = ({ uv, range_m: range, intensity, edge, zoom }) =>
     isNumber(zoom) ? `×${fixed(zoom, zoom < 10 ? 2 : 0)}` : "",
   ].filter(Boolean).join(" · ");
 
-/** The verdict on the shown pose in one line. */
+/** The verdict on the shown pose in one line. @param {import("../../net/store.js").Stage} stage */
 const verdictNow = ({ label, stale, summary }) => ({
   ...lightOf(summary?.light),
   said: stale ? `Out of date: ${stale}` : [`${label}: ${summary?.line ?? ""}`, summary?.matches].filter(Boolean).join(" · "),
@@ -50,11 +53,12 @@ const jobBar = () => {
   const waiting = element("span", { class: "job-waiting" });
   const box = element("div", { class: "job-bar", role: "group", "aria-label": "Job" }, sign, text, bar, jobControls(), waiting);
   const announcement = element("span", { class: "visually-hidden", role: "status" }); // at the start and the end
-  const setSign = (shape, level) => {
+  const setSign = (/** @type {string} */ shape, /** @type {string} */ level) => {
     if (sign.dataset.shape !== shape) setChildren(sign, icon(shape));
     sign.dataset.shape = shape;
     sign.className = `sign ${level}`;
   };
+  /** @param {Job} job @param {boolean} busy */
   const showJob = (job, busy) => {
     if (busy) setSign(job.state === "paused" ? "pause" : "running", "accent");
     else setSign(...(ENDS[job.state] ?? ENDS.done));
@@ -72,18 +76,18 @@ const jobBar = () => {
     text.title = [
       text.textContent,
       ...(job.steps ?? []).map(
-        ({ label, seconds: took, said }) => `${label}: ${duration(took)}${said ? `, ${said}` : ""}`,
+        (/** @type {{label: string, seconds: number, said: string}} */ { label, seconds: took, said }) => `${label}: ${duration(took)}${said ? `, ${said}` : ""}`,
       ),
     ].join("\n");
   };
   let listed = "";
-  /** The jobs that begin after this one; each can be cancelled. */
+  /** The jobs that begin after this one; each can be cancelled. @param {Job[]} jobs */
   const showWaiting = (jobs) => {
     const names = new Map(store.photos().map(({ id, name }) => [id, name]));
     const key = JSON.stringify([jobs, [...names], store.readOnly]);
     if (key === listed) return;
     listed = key;
-    const chip = ({ id, label, photo, author }) => {
+    const chip = (/** @type {Job} */ { id, label, photo, author }) => {
       const what = [label, names.get(photo)].filter(Boolean).join(", ");
       const title = `${what}: waits${author ? `, started by ${author}` : ""}`;
       return store.readOnly

@@ -12,6 +12,11 @@ import { lightOf } from "../../ui/lights.js";
 import { NONE, counted, fixed } from "../../ui/numbers.js";
 import { thumbnail } from "../../ui/thumbnail.js";
 
+/**
+ * @typedef {import("../../state/survey.js").SurveyRow} SurveyRow
+ * @typedef {any} SurveyCamera an entry of the cameras of slice `survey`
+ */
+
 const HEADS = [
   ["", ""],
   ["", "Photograph"],
@@ -21,6 +26,7 @@ const HEADS = [
   ["Median residual of its ties", "px"],
 ];
 
+/** @param {SurveyRow} row */
 const tiesText = ({ ties, left_out }) => ties === null ? NONE : left_out ? `${ties} · ${left_out} out` : String(ties);
 
 /** @param {{id: string, held: boolean}} camera @returns {HTMLElement} the tick box that holds its intrinsics */
@@ -60,7 +66,7 @@ export const mountPhotographs = () => {
     { class: "survey-row survey-heads dim", "aria-hidden": "true" },
     ...HEADS.map(([title, text]) => element("span", { title }, text)),
   );
-  const setPart = (part) => () => request("set_part", { photos: wanted() ?? [], part });
+  const setPart = (/** @type {"free" | "held" | "out"} */ part) => () => request("set_part", { photos: wanted() ?? [], part });
   const release = button({ label: "Release", kind: "small", act: setPart("free"),
     title: "Let the chosen photographs' poses be solved for again" });
   const hold = button({ label: "Hold poses", kind: "small", act: setPart("held"),
@@ -80,7 +86,7 @@ export const mountPhotographs = () => {
   const cameras = element("ul", { class: "survey-cameras dim", "aria-label": "Cameras of the survey" });
   const count = element("span", { class: "dim figures" });
 
-  const row = (photo) => {
+  const row = (/** @type {SurveyRow} */ photo) => {
     const light = lightOf(photo.light);
     const check = element("input", {
       type: "checkbox",
@@ -145,7 +151,7 @@ export const mountPhotographs = () => {
     release.hidden = !kinds.has("held");
     takeOut.hidden = kinds.has("out") && kinds.size === 1;
     takeBack.hidden = !kinds.has("out");
-    setText(drawnTies, tiesSaid(store.get(`ties:${store.shown()}`), survey?.photos.find(({ id }) => id === store.shown())));
+    setText(drawnTies, tiesSaid(store.get(`ties:${store.shown()}`), survey?.photos.find((/** @type {{id: string}} */ { id }) => id === store.shown())));
     drawnTies.hidden = !drawnTies.textContent;
     const rows = rowsOf(photos, survey, { order, filter });
     setText(count, photos.length ? `${photos.filter(({ state }) => state === "accepted").length} of ${photos.length} accepted` : "");
@@ -164,7 +170,7 @@ export const mountPhotographs = () => {
     summary.classList.toggle("bad", Boolean(survey?.since));
     setChildren(
       cameras,
-      ...(survey?.cameras ?? []).map((camera) => element(
+      ...(survey?.cameras ?? []).map((/** @type {SurveyCamera} */ camera) => element(
         "li",
         { title: camera.photos.join(", ") },
         `${camera.id}, ${camera.width} × ${camera.height}: `,

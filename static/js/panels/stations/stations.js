@@ -10,12 +10,18 @@ import { element, setChildren, setText } from "../../ui/dom.js";
 import { messageOf, wasCancelled } from "../../ui/faults.js";
 import { notice } from "../../ui/notices.js";
 
+/** @type {["x" | "y" | "z" | "yaw_deg", string][]} */
 const FIELDS = [["x", "x, m"], ["y", "y, m"], ["z", "z, m"], ["yaw_deg", "turn, °"]];
 /** @type {[NonNullable<Commands["register_stations"]["poses"]>, string][]} */
 const POSES = [["refine", "Refine poses"], ["keep", "Keep poses"], ["search", "Ignore poses"]];
+/** @type {Record<string, string>} */
 const SIGNS = { verified: "ok", ambiguous: "warn", refused: "bad", contradicted: "bad", undecidable: "warn" };
 
-/** @typedef {import("../../net/requests.js").Commands} Commands @typedef {import("../../state/stations.js").Station} Station */
+/**
+ * @typedef {import("../../net/requests.js").Commands} Commands
+ * @typedef {import("../../state/stations.js").Station} Station
+ * @typedef {import("../../state/progress.js").Target} Target
+ */
 
 /** Controls that give a station a rough place: numbers, from the scan that is shown. @param {Station} station @param {string} id */
 const placeForm = (station, id) => {
@@ -97,7 +103,7 @@ export const mountStations = () => {
     title: "A zip of all scans with their poses, as files of their own and as one E57",
     act: async () => {
       const { targets } = (await request("export_targets", { photos: [] })) ?? { targets: [] };
-      const written = ["stations", "e57"].filter((name) => name === "stations" || targets.some((target) => target.name === name && !target.refusal));
+      const written = ["stations", "e57"].filter((name) => name === "stations" || targets.some((/** @type {Target} */ target) => target.name === name && !target.refusal));
       savesZip = Boolean(await request("export", { targets: written, photos: [] }));
     },
   });
@@ -152,6 +158,7 @@ export const mountStations = () => {
       ? element("span", { class: "station-mark", title: "The scan that is shown" })
       : pointsBox(station, id, name);
     if (station.colour) mark.style.setProperty("--station", station.colour);
+    /** @param {string} label @param {string} text @param {() => void} run @param {string} title @param {boolean} [pressed] */
     const act = (label, text, run, title, pressed) => button({
       label: `${label} ${name}`, text, kind: "small", title, act: run, disabled: store.readOnly,
       ...(pressed === undefined ? {} : { "aria-expanded": String(pressed) }),
@@ -179,6 +186,7 @@ export const mountStations = () => {
     );
   };
 
+  /** @param {string} sign @param {string} head @param {string} text */
   const verdict = (sign, head, text, faded = false) => element(
     "li",
     { class: faded ? "dim" : "" },
@@ -197,15 +205,18 @@ export const mountStations = () => {
     poses.disabled = register.disabled;
     register.classList.toggle("primary", !isRegistered());
     check.disabled = save.disabled = !isRegistered() || busy || store.readOnly;
-    const scans = (store.get("served")?.files ?? []).filter(({ kind }) => kind === "scan");
+    /** @type {{path: string, kind: string}[]} */
+    const files = store.get("served")?.files ?? [];
+    const scans = files.filter(({ kind }) => kind === "scan");
     served.hidden = !scans.length;
-    fill(served, [["", "Add from folder …"], ...scans.map(({ path }) => [path, path])], "");
+    fill(served, [["", "Add from folder …"], ...scans.map(({ path }) => /** @type {[string, string]} */ ([path, path]))], "");
     setText(said, !scan
       ? "Open a scan first; scans of the same place from elsewhere are added to it here."
       : all.length < 2
         ? "Add scans of the same place from elsewhere. They are registered by their surfaces: neighbouring stations must see the same walls, and each scanner stood upright."
         : "");
     const survey = store.get("survey");
+    /** @type {{name: string, state: string, position: string, angle: string}[]} */
     const placed = !pairs.length && survey?.scans.length > 1 ? survey.scans : [];
     const key = JSON.stringify([all, pairs, loops, reasons, checks, stale, placed, survey?.since, [...hidden()], [...open], store.readOnly]);
     if (key === drawn || list.contains(document.activeElement) && document.activeElement?.matches("input[type=number]")) return;
