@@ -270,6 +270,7 @@ def lines_drawn(count: int, first_seed: int) -> list[str]:
             rows[how].append([
                 _pose_errors(a, found.problem.poses[k], found.covariance_of(k)) for k, a in enumerate(truth, 1)
             ])  # fmt: skip
+        print(f"room {seed - 1}: {len(room.lines)} lines", flush=True)
         rng = np.random.default_rng([seed, 62])
         wrong, photo = int(rng.integers(len(room.lines))), int(rng.integers(_VIEWS))
         bad = [replace(one, uv=one.uv.copy()) for one in room.lines]
