@@ -324,6 +324,7 @@ class Workbench:
         start = self.is_scratch and self.is_empty
         document = self.session.document
         parts = self._slices.get(self._shown_parts(shown), partial(self.model_parts.slice, document, shown))
+        choice = client.model  # another thread may replace it
         return {
             "project": {**project_slice(self.session, client.author, alone=alone, start=start), "opened": opened},
             "shown": shown.id if shown else None,
@@ -331,9 +332,7 @@ class Workbench:
             "beside": self._scan_slice(shown) if shown and shown.station else None,
             "smoothing": self.smoothing.slice(client, shown.station if shown else ""),
             "people": self.clients.slice(client, self._photo_id_of),
-            "model": self._slices.get(
-                ("own model", client.model, parts), lambda choice=client.model: choice.slice() | parts
-            ),
+            "model": self._slices.get(("own model", choice, parts), lambda: choice.slice() | parts),
         }
 
     def _open_panorama(self, path: Path, client: Client) -> None:

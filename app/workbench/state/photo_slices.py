@@ -114,7 +114,7 @@ class PhotoSlices:
             return before
         listed = photo_slice(self._loader, document, entry)
         stale = listed.get("stale") if "error" not in listed else self._is_stale(document, entry)
-        in_survey = entry.source, entry.part, entry.pose, entry.camera_held, str(bool(stale))
+        in_survey: tuple[object, ...] = entry.source, entry.part, entry.pose, entry.camera_held, str(bool(stale))
         if before is not None and _same(before.in_survey, in_survey):
             in_survey = before.in_survey
         made = self._made(document, entry, exported, is_seen=is_seen)
