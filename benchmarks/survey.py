@@ -199,8 +199,8 @@ def drawn_room(seed: int) -> DrawnRoom | None:
     """Return a room; None: its photographs share too little."""
     rng, camera = np.random.default_rng([seed, 61]), CAMERAS[seed % 2]
     stands = upright_pose(np.array([-0.9, -0.5, 0.0]), float(rng.uniform(-np.pi, np.pi)))
-    (scan,) = scan_stations(station_room(SCENES[seed % len(SCENES)], seed), [stands], seed=seed, step_deg=0.2)
-    points = scan.points[scan.valid][::60].astype(np.float64)
+    (scan,) = scan_stations(station_room(SCENES[seed % len(SCENES)], seed), [stands], seed=seed, step_deg=0.5)
+    points = scan.points[scan.valid][::20].astype(np.float64)
     target = points[rng.integers(len(points))]
     truth = []
     for _ in range(_VIEWS):
