@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 
 # Half of the tests wait for servers and browsers: one worker more than there are cores.
 WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2) + 1)
-# Which of the tests marked long run: none, all, or share:TEXT: a twentieth of them, and a tenth of those marked slow, that
+# Which of the tests marked long run: none, all, or share:TEXT: a thirtieth of them, and a tenth of those marked slow, that
 # the text draws.
 LONG ?= none
 

@@ -30,7 +30,7 @@ settings.load_profile("ladarreg")
 
 FIRST = ("tests/architecture/test_types.py", "tests/e2e/", "tests/page/", "tests/app/scene/", "tests/abuse/")
 """What takes longest, or shares one browser and one workbench, which most workers then need not start."""
-_SHARES = {"long": 20, "slow": 10}
+_SHARES = {"long": 30, "slow": 10}
 """Of the tests with a mark, a text draws one in so many; what is marked long and slow counts as long."""
 
 

@@ -19,6 +19,7 @@ def own_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("LADARREG_HOME", str(tmp_path / "home"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "flips", [range(10), pytest.param(range(10, 200), marks=pytest.mark.long)], ids=["few", "many"]
 )

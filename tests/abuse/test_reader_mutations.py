@@ -49,6 +49,7 @@ def test_many_damaged_files_only_cause_errors(seeds: tuple[Path, list[Seed]], na
     assert 0 < found.refused < _MANY, "some are refused, and some are so little damaged that they are read"
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_damage(seeds: tuple[Path, list[Seed]]) -> None:
     for seed in seeds[1]:
         data = seed.damaged.read_bytes()

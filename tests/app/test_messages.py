@@ -23,6 +23,7 @@ from ladarreg_core.results.verdict_words import VERDICTS, Evidence
 from testing.scenes.small_registration import sample_registration
 
 
+@pytest.mark.slow
 @given(st.text())
 def test_any_text_becomes_one_printable_line(text: str) -> None:
     line = one_line(text)

@@ -114,6 +114,7 @@ def test_compare_states_the_world_for_every_stage(survey: Path, tmp_path: Path) 
     assert all(np.linalg.norm(np.array(centre) - expected_centre()) < 2 for centre in centres)
 
 
+@pytest.mark.slow
 def test_what_needs_the_world_is_refused_without_it(
     tmp_path: Path, survey: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -25,6 +25,7 @@ def test_every_path_that_is_named_exists(name: str) -> None:
     assert not [path for path in paths if not (CHECKOUT / path).exists()]
 
 
+@pytest.mark.slow
 def test_the_picture_of_the_rooms_is_complete() -> None:
     picture = (CHECKOUT / "docs" / "contributing.md").read_text(encoding="utf-8").split("```")[1]
     words = set(re.findall(r"[\w/]+", picture))

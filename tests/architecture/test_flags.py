@@ -37,6 +37,7 @@ def texts() -> dict[str, list[str]]:
     return found
 
 
+@pytest.mark.slow
 def test_the_core_names_no_options_of_the_command_line() -> None:
     found = texts()
     assert _FLAG.search("give --origin x"), "the control"

@@ -183,6 +183,7 @@ def test_the_app_holds_no_mathematics() -> None:
         assert not private, f"{path} reaches into {private}"
 
 
+@pytest.mark.slow
 def test_slow_packages_are_imported_where_they_are_used() -> None:
     quick = {*sys.stdlib_module_names, "numpy", "cv2", "msgspec", "threadpoolctl", "ladarreg_core"}
     for path in sorted((CHECKOUT / "ladarreg_core").rglob("*.py")):
@@ -222,6 +223,7 @@ def test_benchmarks_and_what_they_share_with_tests_import_no_tests() -> None:
     assert not [str(file) for file in files if statement.search(file.read_text(encoding="utf-8"))]
 
 
+@pytest.mark.slow
 def test_no_module_but_those_of_cameras_asks_for_the_class_of_a_camera() -> None:
     """What depends on the model is asked of the camera (`as_pinhole`, `depth_of`, `turn_px`...)."""
     classes = {"Camera", "FocalCamera", "FisheyeCamera", "EquirectangularCamera"}

@@ -51,7 +51,7 @@ def operator(browser: Browser, workbench: SharedWorkbench, simulated: tuple[Path
     without_model(page)
     page.goto(f"{workbench.server.address}?token={workbench.server.token}")
     page.get_by_role("slider", name=STRIP).wait_for()
-    page.locator("#scan-pane .pane-zoom", has_text="%").wait_for()
+    page.locator("#scan-pane .pane-zoom", has_text="%").wait_for(state="attached")
     yield page
     page.context.close()
     assert not errors

@@ -99,6 +99,7 @@ def test_what_moved_is_said_and_what_looks_elsewhere_too(tmp_path: Path) -> None
     assert "could not be checked" in " ".join(lr.read_scan(first, more=[behind], origin=(0, 0, 0)).notes)
 
 
+@pytest.mark.slow
 def test_other_poses_and_other_options_are_refused(tmp_path: Path) -> None:
     here = written(tmp_path / "here.pcd", strewn(4000, 0), viewpoint="1 0 0 1 0 0 0")
     there = written(tmp_path / "there.pcd", strewn(4000, 1), viewpoint="4 0 0 1 0 0 0")

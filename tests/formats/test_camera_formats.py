@@ -209,6 +209,7 @@ def test_nerfstudios_fourth_term_is_polynomial(tmp_path: Path) -> None:
     np.testing.assert_allclose(camera.project([0.5, 0, 1]), [1127.92578125, 470.5], atol=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "changes", "kind", "words"),
     [

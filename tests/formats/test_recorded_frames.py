@@ -270,6 +270,7 @@ def test_topics_and_options_that_do_not_fit(tmp_path: Path) -> None:
         lr.read_rig(tmp_path / "empty")
 
 
+@pytest.mark.slow
 def test_clouds_are_accumulated_on_request(tmp_path: Path) -> None:
     file = recording(tmp_path, **{"/points": clouds({0: 0, 100: 0, 200: 0, 1000: 1, 1100: 1})})
     one, several = lr.read_rig(file), lr.read_rig(file, scan_options={"seconds": 0.15})

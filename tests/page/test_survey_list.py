@@ -95,6 +95,7 @@ def test_ticked_photographs_limit_the_work(survey: Page) -> None:
     assert survey.get_by_role("button", name="Register all", exact=True).is_visible()
 
 
+@pytest.mark.slow
 def test_how_the_chosen_photographs_take_part_is_offered(survey: Page) -> None:
     text = survey.locator(".survey-list").inner_text()
     assert "verified, held" in text

@@ -84,6 +84,7 @@ def test_fewer_coordinates_do_not_make_a_world(known):
     assert ("of 2 targets in the scans" in " ".join(found.reasons)) == bool(known)
 
 
+@pytest.mark.slow
 def test_distances_and_covariances_hold_over_many_networks():
     squares = [_distance(lr.register_targets(_scans(seed), _coordinates(0, 3, 5, 8, seed=seed + 500)),
                          lr.Rigid.identity()) ** 2 for seed in range(40)]  # fmt: skip

@@ -180,6 +180,7 @@ def _plate_scan(side: float = 0.15, *, seed: int = 0) -> tuple[lr.Scan, np.ndarr
     return scan, centers, facing
 
 
+@pytest.mark.slow
 def test_the_middle_of_a_flat_target_is_found_far_below_the_spacing_of_the_cells() -> None:
     squares = []
     for seed in range(5):
@@ -285,6 +286,7 @@ def test_the_mirror_image_of_the_coordinates_is_not_taken():
         lr.name_targets(found, mirrored)
 
 
+@pytest.mark.slow
 def test_three_of_very_many_fit_by_chance():
     rng = np.random.default_rng(5)
     found = [_target(center) for center in rng.uniform(-4, 4, (90, 3))]
@@ -299,6 +301,7 @@ def test_too_many_targets_are_refused_before_they_are_compared():
         lr.name_targets([_target(center) for center in places], {f"T{k}": place for k, place in enumerate(places)})
 
 
+@pytest.mark.slow
 def test_flat_targets_are_found_among_pictures_on_the_wall():
     scan = _empty_scan()
     light = np.random.default_rng(2).uniform(0.2, 0.7, (12, 30)).repeat(18, 0).repeat(18, 1)

@@ -209,6 +209,7 @@ def test_texts_are_one_line_with_the_verdict_first(case: SimulatedCase, accepted
     assert repr(refused).startswith("Registration(not accepted, best guess; ")
 
 
+@pytest.mark.slow
 def test_matches_of_ones_own_need_no_picks(case: SimulatedCase, accepted: lr.Registration) -> None:
     truth = case.camera_from_scanner
     cells, uv = true_matches(case, 60, seed=1)

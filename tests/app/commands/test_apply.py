@@ -81,6 +81,7 @@ def test_the_files_of_an_accepted_result_are_written_and_marked(applied: Path) -
     assert "nan" not in text[text.index("<main>") :].split("data:")[0].lower().replace("financ", "")
 
 
+@pytest.mark.slow
 def test_the_registered_picture_bears_a_watermark_and_the_model_does_not_lose_its_colors(applied: Path) -> None:
     scan = read_scan(SAMPLE / "scan.npz")
     photo = read_photo(SAMPLE / "photo.png", camera=SAMPLE / "camera.json")

@@ -35,6 +35,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_a_batch_says_what_was_refused_and_what_failed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["batch", "jobs.csv", "-o", "out", "--workers", "1"]) == ExitCode.NOT_ACCEPTED
     said = capsys.readouterr()
@@ -117,6 +118,7 @@ def test_the_time_left_follows_the_pace_of_this_run(progress: BatchProgress, lef
     assert time_left(progress, 100.0) == left
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="terminals of POSIX")
 def test_a_terminal_shows_a_table(folder: Path) -> None:
     import pty
@@ -165,6 +167,7 @@ def test_a_killed_or_interrupted_batch_goes_on_where_it_was(folder: Path, number
     assert Path("out/manifest.jsonl").read_bytes().startswith(done)
 
 
+@pytest.mark.slow
 def test_check_looks_into_every_job(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main(["batch", "jobs.csv", "-o", "out", "--workers", "1", "--quiet"])
     Path("out/jobs/one/report.html").write_text("another")

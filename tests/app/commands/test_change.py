@@ -22,6 +22,7 @@ def write_wall(path: Path, seed: int, *, panel_m: float = 0.0) -> None:
     np.savez(path, xyz=ranges[..., None] * rays, intensity=np.full(depth.shape, 100.0))
 
 
+@pytest.mark.slow
 def test_a_panel_on_a_wall_is_found_and_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_wall(tmp_path / "a.npz", 1)
     write_wall(tmp_path / "b.npz", 2, panel_m=0.05)

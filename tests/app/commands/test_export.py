@@ -141,6 +141,7 @@ def test_photographs_that_are_left_out_are_listed(
         bench.do("undo")
 
 
+@pytest.mark.slow
 def test_refusals(results: Path, project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     to = ["--to", "report", "-o", str(out)]

@@ -47,6 +47,7 @@ def test_a_distance_in_the_photo_is_that_of_python(results: Path, capsys: pytest
     assert line == f"distance  {expected.described}"
 
 
+@pytest.mark.slow
 def test_a_file_of_points_becomes_a_drawing_and_what_is_refused_says_so(
     results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -88,6 +89,7 @@ def test_bad_input_is_one_sentence(
     assert complaint in line
 
 
+@pytest.mark.slow
 def test_a_refused_result_is_not_measured_in(results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scan = lr.read_scan(SAMPLE / "scan.npz")
     noise = np.random.default_rng(0).integers(0, 255, (512, 768, 3)).astype(np.uint8)
@@ -128,6 +130,7 @@ def test_a_wall_and_a_plan_are_rectified(results: Path, tmp_path: Path, capsys: 
     assert (tmp_path / "plan" / "section.dxf").is_file()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [

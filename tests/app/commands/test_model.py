@@ -81,6 +81,7 @@ def complaint(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     return line
 
 
+@pytest.mark.slow
 def test_the_document_says_what_colors_what(model: Path) -> None:
     found = document(model)
     assert checksum_state(found) == "intact"
@@ -234,6 +235,7 @@ def check_tilesets(folder: Path, scans: list[np.ndarray]) -> None:
         assert (np.abs(own - centre) + np.abs(halves).sum(axis=0) < np.abs(edges).sum(axis=0) + 1e-6).all()
 
 
+@pytest.mark.slow
 def test_parts_of_several_scans_meet_without_doubled_walls(tmp_path: Path) -> None:
     tour = photo_tour(0, photos=6, cells=CELLS, size=SIZE)
     where = (0.6, 0.8, 0.1)

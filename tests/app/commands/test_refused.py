@@ -74,6 +74,7 @@ def test_a_refused_result_has_no_pose_and_a_guess(refused: Path, capsys: pytest.
     assert "Rejected guess" in (refused / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_the_overlay_says_refused_across_the_picture(refused: Path, other_scene: Path) -> None:
     shown = np.array(Image.open(refused / "rejected_overlay.png")).astype(int)
     photo = np.array(Image.open(other_scene).convert("RGB")).astype(int)

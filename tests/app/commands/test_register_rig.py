@@ -91,6 +91,7 @@ def test_the_pose_is_right_and_every_pair_vouches_for_it(rig: Rig, registered: P
     assert sorted(fields["files"]) == visible_files(registered)
 
 
+@pytest.mark.slow
 def test_ros_and_kalibr_say_the_same_pose(registered: Path) -> None:
     pose = read_pose(registered / "rig.json")
     transform = yaml.safe_load((registered / "camera.transform.yaml").read_text())

@@ -74,6 +74,7 @@ def test_the_page_writes_the_same_report(bench: WorkbenchDriver, results: Path) 
     assert bench.workbench.export_file("p9", "html") is None
 
 
+@pytest.mark.slow
 def test_a_refused_result_has_a_report_too(moved: Path) -> None:
     path = moved / "registration.json"
     document = json.loads(path.read_bytes())
@@ -123,6 +124,7 @@ def test_a_file_is_replaced_only_if_that_is_wanted(moved: Path, capsys: pytest.C
     assert "is a folder" in complaint(capsys, str(moved), *inputs, "-o", str(moved))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "said"),
     [

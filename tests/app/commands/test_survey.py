@@ -208,6 +208,7 @@ def test_faults_of_a_survey_are_listed_and_nothing_is_done(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_photographs_without_a_camera_are_listed_before_any_work(
     job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

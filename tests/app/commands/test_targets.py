@@ -53,6 +53,7 @@ def test_the_statement_says_where_the_scanner_stood(tmp_path: Path, capsys: pyte
     assert "--force" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_spheres_need_not_be_picked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [*write(tmp_path), "--radius", str(RADIUS), "--json"]
     assert main(words) == ExitCode.ACCEPTED
@@ -130,6 +131,7 @@ def picks(folder: Path, name: str, pose: lr.Rigid) -> list[str]:
     return lines
 
 
+@pytest.mark.slow
 def test_two_scans_are_joined_by_what_is_found_in_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = write_two(tmp_path)
     assert main([*words, "--json"]) == ExitCode.ACCEPTED
@@ -155,6 +157,7 @@ def test_two_scans_are_joined_by_what_is_found_in_both(tmp_path: Path, capsys: p
     assert "Target   attic, T1:" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_coordinates_put_both_scans_into_their_world(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = write_two(tmp_path)
     surveyed = [f"S{k},{x},{y},{z}" for k, (x, y, z) in enumerate(WORLD)]
@@ -168,6 +171,7 @@ def test_coordinates_put_both_scans_into_their_world(tmp_path: Path, capsys: pyt
     assert {one["name"] for one in document["targets"]["coordinates"]} == {f"S{k}" for k in range(5)}
 
 
+@pytest.mark.slow
 def test_picks_of_several_scans_name_their_scan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = write_two(tmp_path)
     lines = [f"{line},,," for line in picks(tmp_path, "hall", POSE) + picks(tmp_path, "attic", OTHER)]

@@ -348,6 +348,7 @@ JSON = st.recursive(
 )
 
 
+@pytest.mark.slow
 @given(st.dictionaries(st.text(), JSON))
 def test_encoding_and_decoding_agree(message: dict[str, Any]) -> None:
     assert decode_object(encode(message)) == json.loads(encode(message)) == message

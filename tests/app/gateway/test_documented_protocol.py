@@ -152,6 +152,7 @@ def test_the_slices_are_documented_with_all_their_fields(document: str, bench: W
         assert required <= present or name in NEVER_HERE, name
 
 
+@pytest.mark.slow
 def test_the_settings_stages_jobs_and_types_of_file_are_documented(document: str, bench: WorkbenchDriver) -> None:
     slices = items(section(document, "Slices"))
     settings = re.search(r"Names: ([^;]*);", slices["settings"])

@@ -93,6 +93,7 @@ FIELDS: dict[str, Any] = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("do", sorted(COMMANDS.keys() - LOOKING))
 def test_every_command_that_changes_anything_is_refused(
     bench: WorkbenchDriver, looker: WorkbenchDriver, do: str

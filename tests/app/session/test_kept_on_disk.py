@@ -59,6 +59,7 @@ def test_small_pictures_are_made_once(folder: ProjectFolder, tmp_path: Path) -> 
         Loader(folder).small_photo(PhotoEntry(id="p2", source=entry.source, camera=CameraGiven(focal_px=3)), refuse)
 
 
+@pytest.mark.slow
 def test_points_of_a_station_are_kept_until_its_file_changes(folder: ProjectFolder, tmp_path: Path) -> None:
     path = tmp_path / "station.npz"
     shutil.copy(sample_folder() / "scan.npz", path)

@@ -126,6 +126,7 @@ def test_an_earlier_result_says_which_clouds_belong_to_the_scan(tmp_path: Path) 
         workbench.close()
 
 
+@pytest.mark.slow
 def test_a_scan_that_replaces_another_is_said_and_comes_back(tmp_path: Path) -> None:
     first, second, _ = write_frames(tmp_path, 3)
     open_workbench([first, PHOTO], project=tmp_path / "project").close()
@@ -194,6 +195,7 @@ def test_a_frame_from_elsewhere_asks_again_and_can_be_a_station(bench: Workbench
     assert bench.slice("waiting") == []
 
 
+@pytest.mark.slow
 def test_frames_that_are_there_already_are_left_out(bench: WorkbenchDriver) -> None:
     ids = drop(bench, {"again.npz": frame(0), "sweep1.npz": frame(1), "copy.npz": frame(1)})["waiting"]
     assert len(bench.do("open_files", files=ids, scan="frames")["opened"]) == 3

@@ -71,6 +71,7 @@ def matches_of_points() -> bytes:
     return b"row,column,u,v\n10,10,5,5\n10,60,400,20\n50,60,420,300\n50,10,20,310\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_a_whole_batch_is_opened_in_any_order(bench: WorkbenchDriver, seed: int) -> None:
     """Scan of three files, photograph, camera and matches, with extensions that say nothing or the wrong thing."""

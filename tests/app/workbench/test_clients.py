@@ -57,6 +57,7 @@ def second_photo(bench: WorkbenchDriver, by: Client) -> str:
     return bench.workbench.take_upload(path, "second.png", "photo", None, by)
 
 
+@pytest.mark.slow
 def test_an_edit_leaves_what_is_published_of_other_photographs_alone(bench: WorkbenchDriver) -> None:
     second_photo(bench, bench.client)
     third = second_photo(bench, bench.client)
@@ -274,6 +275,7 @@ def test_everybody_is_told_who_went_to_another_state(bench: WorkbenchDriver, col
     colleague.do("go_to", n=at)
 
 
+@pytest.mark.slow
 def test_own_steps_are_known_after_a_restart(tmp_path_factory: pytest.TempPathFactory) -> None:
     home = tmp_path_factory.mktemp("restarted") / "project"
     first = sample_bench(home)

@@ -110,6 +110,7 @@ def test_changing_the_project_saves_tells_and_comes_back(bench: DeskDriver) -> N
     assert bench.slice("project")["name"] == "scan"
 
 
+@pytest.mark.slow
 def test_a_list_entry_has_a_picture_and_a_state(bench: DeskDriver, tmp_path: Path) -> None:
     bench.drop(SCAN, PHOTO)
     assert soon(lambda: bench.do("list_projects")["projects"][0]["state"] == "1 photograph, not solved", seconds=20)
@@ -123,6 +124,7 @@ def test_a_list_entry_has_a_picture_and_a_state(bench: DeskDriver, tmp_path: Pat
             bench.desk.picture(wrong, {})
 
 
+@pytest.mark.slow
 def test_a_missing_folder_is_told_and_forgotten(bench: DeskDriver) -> None:
     bench.drop(SCAN)
     first, folder = bench.slice("project")["id"], bench.desk.workbench.session.folder.path
@@ -204,6 +206,7 @@ def test_where_projects_lie_is_only_told_on_this_machine(bench: DeskDriver, tmp_
     assert str(missing) in json.dumps(bench.do("list_projects"))
 
 
+@pytest.mark.slow
 def test_projects_of_earlier_versions_are_listed(bench: DeskDriver, tmp_path: Path) -> None:
     open_workbench((SCAN,), project=tmp_path / "home/projects/old-one").close()
     (tmp_path / "home/projects/no-project").mkdir()
@@ -234,6 +237,7 @@ def test_who_may_only_look_does_not_change_projects(bench: DeskDriver) -> None:
     bench.client.read_only = False
 
 
+@pytest.mark.slow
 def test_the_sample_opens_and_registers_itself(bench: DeskDriver) -> None:
     bench.do("open_sample")
     assert bench.slice("project")["name"] == "Sample"
@@ -290,6 +294,7 @@ def test_a_batch_is_listed_and_its_jobs_are_projects(bench: DeskDriver, batch: P
     assert "is not there" in bench.ask("open_job", wanted="bad")["error"]
 
 
+@pytest.mark.slow
 def test_the_list_follows_a_batch_that_runs(bench: DeskDriver, batch: Path) -> None:
     bench.desk._batch = BatchJobs(batch, data_folder() / "projects")
     lines = (batch / "manifest.jsonl").read_bytes().splitlines(keepends=True)

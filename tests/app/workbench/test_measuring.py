@@ -92,6 +92,7 @@ def test_every_kind_is_measured_as_by_the_library(bench: WorkbenchDriver, kind: 
     assert bench.slice("measurements")[-1]["name"].startswith(kind.capitalize())
 
 
+@pytest.mark.slow
 def test_points_in_both_pictures_are_drawn_in_both(bench: WorkbenchDriver) -> None:
     cell = smooth_cells(bench, 9)
     entry = bench.workbench.session.document.photos[0]

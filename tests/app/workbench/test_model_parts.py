@@ -82,6 +82,7 @@ def test_the_model_comes_coarse_first_and_small(bench: WorkbenchDriver) -> None:
     assert sizes["standard"] < 1_000_000
 
 
+@pytest.mark.slow
 def test_surface_and_photograph_together_stay_within_what_a_page_shows(
     bench: WorkbenchDriver, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -23,6 +23,7 @@ def bench(tmp_path: Path) -> Iterator[WorkbenchDriver]:
     bench.workbench.close()
 
 
+@pytest.mark.slow
 def test_an_edit_of_one_photograph_leaves_the_slices_of_another_as_they_are(bench: WorkbenchDriver) -> None:
     made = bench.workbench.publisher.all_slices
     bench.eventually(lambda: bench.slice("judged:p1"))

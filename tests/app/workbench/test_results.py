@@ -121,6 +121,7 @@ def test_the_simplex_can_be_watched_paused_and_stopped(
     registered.do("undo")
 
 
+@pytest.mark.slow
 def test_the_simplex_job_equals_the_estimator(registered: WorkbenchDriver) -> None:
     from dataclasses import replace
 

@@ -66,6 +66,7 @@ def cell_of(one: dict[str, Any]) -> tuple[int, int]:
     return row, column
 
 
+@pytest.mark.slow
 def test_a_preview_lists_what_would_be_replaced_and_changes_nothing(bench: WorkbenchDriver, spiked: SpikedScan) -> None:
     before, document = ranges_of(bench), bench.workbench.session.document
     preview = previewed(bench)
@@ -89,6 +90,7 @@ def test_a_preview_lists_what_would_be_replaced_and_changes_nothing(bench: Workb
     assert bench.workbench.session.document is document
 
 
+@pytest.mark.slow
 def test_applied_ranges_are_nearer_to_the_truth_and_no_edge_is_changed(
     bench: WorkbenchDriver, spiked: SpikedScan
 ) -> None:
@@ -107,6 +109,7 @@ def test_applied_ranges_are_nearer_to_the_truth_and_no_edge_is_changed(
     assert bench.slice("photos")[0]["state"] == "accepted"  # the pose that they rest on
 
 
+@pytest.mark.slow
 def test_undo_and_redo_are_exact(bench: WorkbenchDriver) -> None:
     before, document = ranges_of(bench), bench.workbench.session.document
     bench.do("apply_smoothing", **PHOTO, rev=previewed(bench)["rev"], edges=True)
@@ -119,6 +122,7 @@ def test_undo_and_redo_are_exact(bench: WorkbenchDriver) -> None:
     assert np.array_equal(ranges_of(bench), after, equal_nan=True)
 
 
+@pytest.mark.slow
 def test_it_is_kept_with_the_project(solved: Path, tmp_path: Path) -> None:
     bench = open_bench(shutil.copytree(solved, tmp_path / "project"))
     bench.do("apply_smoothing", **PHOTO, rev=previewed(bench)["rev"])
@@ -136,6 +140,7 @@ def test_it_is_kept_with_the_project(solved: Path, tmp_path: Path) -> None:
         again.workbench.close()
 
 
+@pytest.mark.slow
 def test_nothing_is_applied_that_was_not_seen(bench: WorkbenchDriver) -> None:
     former = previewed(bench)
     assert "preview" in bench.refused("apply_smoothing", **PHOTO, rev="another")
@@ -157,6 +162,7 @@ def test_without_an_accepted_pose_nothing_is_previewed(bench: WorkbenchDriver) -
     assert "'before'" in bench.refused("preview_smoothing", **PHOTO, show="all")
 
 
+@pytest.mark.slow
 def test_results_on_the_former_ranges_are_out_of_date(bench: WorkbenchDriver) -> None:
     stages = {one["stage"]: one["stale"] for one in bench.slice("poses:p1")["stages"]}
     assert set(stages.values()) == {""}
@@ -172,6 +178,7 @@ def test_results_on_the_former_ranges_are_out_of_date(bench: WorkbenchDriver) ->
     assert "has changed since" in bench.slice("smoothing")["sentence"]
 
 
+@pytest.mark.slow
 def test_ranges_of_a_station_are_replaced_where_it_is_shown(
     bench: WorkbenchDriver, spiked: SpikedScan, tmp_path: Path
 ) -> None:
@@ -229,6 +236,7 @@ def test_ranges_of_a_station_are_replaced_where_it_is_shown(
     assert "other ranges" in bench.slice("photos")[0]["stale"]
 
 
+@pytest.mark.slow
 def test_two_people_preview_on_their_own_and_undo_their_own(bench: WorkbenchDriver) -> None:
     other = WorkbenchDriver(bench.workbench, bench.workbench.join(Visitor("test", tab="other")))
     previewed(bench)
@@ -244,6 +252,7 @@ def test_two_people_preview_on_their_own_and_undo_their_own(bench: WorkbenchDriv
     assert (now.scan, now.photos, now.name) == (before.scan, before.photos, "Office")
 
 
+@pytest.mark.slow
 def test_exports_have_the_smoothed_ranges(bench: WorkbenchDriver) -> None:
     bench.do("apply_smoothing", **PHOTO, rev=previewed(bench)["rev"])
     count = bench.slice("smoothing")["replaced"]
@@ -263,6 +272,7 @@ def test_exports_have_the_smoothed_ranges(bench: WorkbenchDriver) -> None:
     assert np.sort(again.ranges[again.valid]) == pytest.approx(np.sort(wanted[np.isfinite(wanted)]), abs=2e-3)
 
 
+@pytest.mark.slow
 def test_further_clouds_are_measured_again(bench: WorkbenchDriver) -> None:
     from ladarreg_core.project.edits import with_more_clouds
 
@@ -274,6 +284,7 @@ def test_further_clouds_are_measured_again(bench: WorkbenchDriver) -> None:
     assert grown.scan.smoothings == ()
 
 
+@pytest.mark.slow
 def test_a_file_with_fewer_cells_is_refused_with_the_reason(bench: WorkbenchDriver) -> None:
     from ladarreg_core.project.smoothing_edits import with_smoothings
 

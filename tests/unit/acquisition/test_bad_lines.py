@@ -223,6 +223,7 @@ def devices(clock: SimulatedClock, lines: dict[str, BadLine]) -> Iterator[Device
         yield Devices(twins, ports)
 
 
+@pytest.mark.slow
 def test_a_night_of_glitches_leaves_the_same_pieces(
     devices: Devices, lines: dict[str, BadLine], clock: SimulatedClock, tmp_path: Path
 ) -> None:

@@ -284,6 +284,7 @@ def test_it_is_identified_where_it_stands(devices: TwinDevices, kind: str) -> No
     assert "simulated ONVIF head" in found.identity.model  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", HEADS)
 def test_a_sweep_by_each_head(devices: TwinDevices, kind: str, tmp_path: Path) -> None:
     unit = UnitPlan(devices.addresses[kind], kind, devices.pelco.baud)  # type: ignore[arg-type]

@@ -62,6 +62,7 @@ def run(
     return RunFolder.open(home)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("slip_deg", "closes"), [((0.0, 0.0), True), ((1.5, 0.0), False), ((0.0, -1.5), False)])
 def test_a_unit_that_slips_in_mid_run_does_not_close(
     twins: TwinDevices, clock: SimulatedClock, tmp_path: Path, slip_deg: tuple[float, float], closes: bool
@@ -98,6 +99,7 @@ def test_a_unit_that_slips_in_mid_run_does_not_close(
     assert RunFolder.open(tmp_path / "run").closed
 
 
+@pytest.mark.slow
 def test_files_of_the_watched_folder_can_be_read_in_other_processes(twins: TwinDevices, tmp_path: Path) -> None:
     decoded: list[str] = []
 

@@ -68,6 +68,7 @@ def test_a_sweep_is_kept_and_measures_the_room(devices: Devices, tmp_path: Path)
     assert np.median(np.abs(piece.ranges_m[0][seen] - truth[seen])) < 0.005
 
 
+@pytest.mark.slow
 def test_a_fault_pauses_and_a_resumed_run_is_the_same_bit_for_bit(
     devices: Devices, clock: SimulatedClock, tmp_path: Path
 ) -> None:

@@ -51,6 +51,7 @@ def test_matches_all_around_give_the_pose(camera: CameraModel) -> None:
     assert np.abs(found.residuals_px[found.inliers]).max() < 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", WIDE)
 def test_the_spread_of_poses_is_as_predicted(camera: CameraModel) -> None:
     normalised = []

@@ -143,6 +143,7 @@ def hostile(comparison: Comparison) -> Comparison:
     )
 
 
+@pytest.mark.slow
 def test_extreme_results_are_drawn(scan, photo) -> None:
     comparison = hostile(comparison_of(scan, photo, POSE))
     sheet = contact_sheet(comparison, scan, photo)

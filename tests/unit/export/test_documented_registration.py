@@ -117,6 +117,7 @@ def test_every_field_that_is_written_is_documented_and_no_other(documents: dict[
     assert set(documented) - {"field", "---"} - written == set()
 
 
+@pytest.mark.slow
 def test_a_refused_document_has_no_number_that_could_be_taken_for_a_pose(
     documents: dict[str, dict[str, Any]],
 ) -> None:

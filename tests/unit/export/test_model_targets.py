@@ -129,6 +129,7 @@ def test_glb_shows_the_photographs_where_the_cameras_see_them(tmp_path: Path, wo
     assert (tmp_path / "out/glb/offset.json").exists() == world
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", [False, True])
 def test_obj_shows_the_photographs_where_the_cameras_see_them(tmp_path: Path, world: bool) -> None:
     of = handed(world=world)

@@ -108,6 +108,7 @@ def test_photographs_that_share_nothing_keep_their_exposures() -> None:
     assert model.shares.min() > 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_moved_things_are_voted_out(seed: int) -> None:
     one, model = tour(seed, photos=14, moved=4), fused(seed, 14, 4)

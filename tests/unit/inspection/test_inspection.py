@@ -193,6 +193,7 @@ def wall_of_unlike_steps() -> Scan:
 # overlays
 
 
+@pytest.mark.slow
 def test_an_overlay_agrees_with_the_photo() -> None:
     c = the_case()
     overlay = scan_over_photo(c.scan, c.true_camera, c.camera_from_scanner, "intensity")

@@ -39,6 +39,7 @@ class Parsed(HTMLParser):
         self.text += data + " "
 
 
+@pytest.mark.slow
 def test_edges_lie_on_the_photograph_at_the_pose_only(case: SimulatedCase, accepted: lr.Registration) -> None:
     assert accepted.accepted
     turned = lr.Rigid.from_rotvec([0.0, 0.03, 0.0], (0.0, 0.0, 0.0)) @ accepted.camera_from_scanner

@@ -44,6 +44,7 @@ def test_the_best_pose_lies_in_the_basin(seed: int) -> None:
     assert [place.score for place in found] == sorted((place.score for place in found), reverse=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEN)
 def test_search_around_an_initial_pose(seed: int) -> None:
     room = room_of(seed)

@@ -69,10 +69,12 @@ def filled(room: PaintedRoom) -> lr.Channels:
     return channels
 
 
+@pytest.mark.slow
 def test_the_first_registration_with_them_is_as_without(room: PaintedRoom, alone: lr.Registration) -> None:
     assert_same(lr.register(room.scan, room.photo, channels=lr.Channels()), alone)
 
 
+@pytest.mark.slow
 def test_a_second_one_is_the_same_and_makes_none(
     room: PaintedRoom, alone: lr.Registration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -85,6 +87,7 @@ def test_a_second_one_is_the_same_and_makes_none(
     assert len(channels) == 2
 
 
+@pytest.mark.slow
 def test_they_go_through_plain_arrays_without_loss(
     room: PaintedRoom, alone: lr.Registration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -40,6 +40,7 @@ def test_a_thermal_image_is_registered_and_labelled_coarse(room: PaintedRoom, wa
     assert any(reason.startswith("Coarse:") for reason in warm.reasons)
 
 
+@pytest.mark.slow
 def test_channels_are_selected_by_score_and_reported(warm: lr.Registration) -> None:
     chosen = [step.detail for step in warm.steps if step.name == "modality"]
     assert len(chosen) == 1

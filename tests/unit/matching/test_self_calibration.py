@@ -57,6 +57,7 @@ def test_a_correct_camera_is_kept(room: PaintedRoom) -> None:
     assert np.linalg.eigvalsh(fixed.regions.covariance).min() > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("focal_factor", "lens"), [(1.05, LENS), (0.95, ())])
 def test_a_wrong_camera_is_estimated(room: PaintedRoom, focal_factor: float, lens: tuple[float, ...]) -> None:
     true = room.photo.camera

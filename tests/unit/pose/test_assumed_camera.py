@@ -122,6 +122,7 @@ def test_a_cropped_photo_is_found_and_its_pose_is_right():
     assert mahalanobis(case, exact) > 20
 
 
+@pytest.mark.slow
 def test_an_ordinary_camera_is_named_and_not_called_cropped():
     for seed in range(4):
         finding = named(registered(seed)[1], "camera")

@@ -30,6 +30,7 @@ WRITTEN = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 3])
 @pytest.mark.parametrize("convention", WRITTEN)
 def test_the_convention_of_a_pose_is_named(convention: str, seed: int) -> None:

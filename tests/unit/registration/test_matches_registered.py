@@ -72,6 +72,7 @@ def test_lines_that_agree_on_another_placement_are_contradicted() -> None:
     assert images.diagnostics["drawn"]["outcome"] == "contradicted"
 
 
+@pytest.mark.slow
 def test_where_the_images_show_nothing_the_matches_decide_and_say_so() -> None:
     case, picks = scene().case, hand(0.5)
     blank = lr.Photo(np.full_like(case.photo.pixels, 127), case.photo.camera)

@@ -79,6 +79,7 @@ def edge_strength(image: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
     return np.hypot(dx, dy)
 
 
+@pytest.mark.slow
 def test_scan_and_photograph_show_the_same_thing_at_the_true_pose() -> None:
     """Dark print on light ground agrees best, over all shifts, at no shift."""
     case = case_of("boxes")
@@ -112,6 +113,7 @@ def test_the_same_arguments_give_the_same_bytes_whatever_the_threads_and_hashes(
     assert out.stdout.strip() == digest(case_of("boxes"))
 
 
+@pytest.mark.slow
 def test_every_seed_is_another_room_and_another_pose() -> None:
     worlds = [build_scene("people", layout=np.random.default_rng(seed)) for seed in range(2)]
     assert len({world.triangles.tobytes() for world in worlds}) == 2

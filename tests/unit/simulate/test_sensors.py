@@ -81,6 +81,7 @@ def test_a_point_is_photographed_where_the_camera_projects_it(k1: float) -> None
     assert np.abs(found - uv[inside]).max() < 0.05
 
 
+@pytest.mark.slow
 def test_a_point_is_scanned_in_the_cell_of_its_direction() -> None:
     world, caster, points = dotted_wall()
     images = ladar.scan_world(world, caster, rng=np.random.default_rng(0), ladar=ladar.Ladar(speckle=0.01))

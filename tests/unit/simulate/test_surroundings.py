@@ -78,6 +78,7 @@ def test_a_corridor_is_nearly_the_same_when_turned_by_half() -> None:
     assert 0.002 < min(share_that_differs(ranges, turned), share_that_differs(ranges, mirrored)) < 0.1
 
 
+@pytest.mark.slow
 def test_rooms_differ_by_seed_and_old_ones_are_furnished_ahead_only() -> None:
     assert not np.array_equal(room("plain", 3).triangles, room("plain", 2).triangles)
     assert min(bodies_on_each_side(room("desk", 2, all_around=False))) < 8

@@ -126,6 +126,7 @@ def test_normals_of_a_whole_photograph_have_its_shape() -> None:
         lr.xyz_of_photo(scan, made, normals="yes")  # type: ignore[call-overload]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["plain", "distorted"])
 def test_triangles_far_from_the_pixels_are_left_out_without_loss(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     ranges = plane_ranges()

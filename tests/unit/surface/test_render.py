@@ -98,6 +98,7 @@ def test_hostile_input_is_named():
         render_scan_colors(scan, camera, Rigid.identity(), supersample=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distortion", [(), (-0.2, 0.05, 0.0, 0.0)])
 def test_a_picture_to_be_looked_at_is_nearly_the_exact_one(distortion: tuple[float, ...]) -> None:
     case = simulated("boxes")

@@ -33,6 +33,7 @@ def smooth_photo(camera):
     return Photo(np.rint(np.stack([red, green, 0 * red + 77], axis=-1)).astype(np.uint8), camera)
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(
     turn=st.tuples(*[st.floats(-0.2, 0.2)] * 3),

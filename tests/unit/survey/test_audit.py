@@ -50,6 +50,7 @@ def test_errors_are_seen_as_often_as_promised(error: list[float]) -> None:
     assert abs(_called_wrong(np.array(error, float), 800) - promised) < 0.055
 
 
+@pytest.mark.slow
 def test_the_smallest_error_is_where_the_curve_says(case: tuple[lr.Scan, lr.Photo, Rigid, lr.Registration]) -> None:
     found = judged(_found(case, case[2]), case[2])
     for curve, smallest in (
@@ -72,6 +73,7 @@ def test_a_registration_that_verifies_nothing_decides_nothing(
     assert found.as_fields()["correction"] is None
 
 
+@pytest.mark.slow
 def test_the_images_judge_a_pose(case: tuple[lr.Scan, lr.Photo, Rigid, lr.Registration]) -> None:
     scan, photo, pose, _ = case
     right = audit(scan, photo, pose)

@@ -107,6 +107,7 @@ def _verdicts(problem: Problem, drawn: Sequence[DrawnLine], found: Adjusted | No
     return list(drawn_lines(given, drawn, Solution(found, bodies), photos))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "camera",
     [
@@ -168,6 +169,7 @@ def test_derivatives_of_lines_on_a_scan_are_those_of_differences() -> None:
         np.testing.assert_allclose(analytic, (ahead - back) / 2e-6, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "camera",
     [_PINHOLE, FisheyeCamera(1200, 1200, 360.0, 360.0, 601.0, 597.0, (0.02, -0.004, 0.0, 0.0)),
@@ -236,6 +238,7 @@ def test_a_line_that_points_at_the_cameras_is_refused() -> None:
     assert said.reason.endswith("draw it in a photograph from beside it.")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off", [6.0, 25.0])
 def test_a_wrong_edge_is_left_out_and_named_and_moves_nothing(off: float) -> None:
     rng, true = np.random.default_rng(7), _poses()

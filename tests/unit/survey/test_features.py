@@ -6,6 +6,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from ladarreg_core.survey.ties.features import Features, detect, matches_between, propose_pairs
@@ -47,6 +48,7 @@ def test_partners_are_proposed_by_what_is_shared() -> None:
     assert pairs == [(0, 1), (2, 3)]
 
 
+@pytest.mark.slow
 def test_a_large_photograph_has_its_features_in_its_own_pixels() -> None:
     small = _picture(9)
     large = np.asarray(cv2.resize(small, (2520, 2520), interpolation=cv2.INTER_CUBIC), np.uint8)

@@ -41,6 +41,7 @@ def test_as_many_surveys_of_right_poses_are_called_wrong_as_stated(case: lr.simu
     assert single > 2 * wrong
 
 
+@pytest.mark.slow
 def test_what_one_photograph_excuses_several_do_not(case: lr.simulate.SimulatedCase) -> None:
     found = judged(lr.register(case.scan, case.photo), case.camera_from_scanner)
     audits = {name: replace(found, outcome="wrong", p_value=p) for name, p in (("a", 0.001), ("b", 0.04))}

@@ -190,6 +190,7 @@ def test_files_that_are_no_surveys_are_refused(tmp_path: Path, content: str, wor
         Survey.from_file(tmp_path / "survey.json")
 
 
+@pytest.mark.slow
 def test_a_survey_in_memory_has_no_file(tmp_path: Path) -> None:
     case = lr.simulate_case("office", seed=1)
     survey = Survey.of([case.scan], [case.photo, case.photo], cameras=[0, 0])

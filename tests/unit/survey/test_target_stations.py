@@ -126,6 +126,7 @@ def test_targets_that_contradict_the_surfaces_are_refused(hall, targets) -> None
         place_stations(_given(scans, targets(0), targets(1, other)), scans)
 
 
+@pytest.mark.slow
 def test_a_fixed_scan_that_contradicts_targets_is_refused(hall, targets) -> None:
     scans, _ = hall
     off = Rigid(np.eye(3), np.array([0.0, 0.05, 0.0])) @ WORLD @ POSES[0]
@@ -147,6 +148,7 @@ def test_targets_with_exchanged_names_or_no_radius_are_refused_by_name(hall, tar
         place_stations(_given(scans[:1], replace(targets(0), radius_m=0.3)), scans[:1])
 
 
+@pytest.mark.slow
 def test_coordinates_of_a_national_grid_lose_no_digits(hall, targets) -> None:
     scans, _ = hall
     grid = Rigid(np.eye(3), np.array([512_300.0, 5_400_100.0, 0.0])) @ WORLD
@@ -249,6 +251,7 @@ def _without_spheres() -> np.ndarray:
     return scan_stations(station_room("office", 3), POSES, seed=4, step_deg=0.4)[1].ranges
 
 
+@pytest.mark.slow
 def test_a_scan_that_shares_no_surface_is_joined_by_shared_targets(hall, targets, picked) -> None:
     scans = _apart_rooms(hall[0])
     alone = place_stations(_given(scans, targets(0), None), scans)
@@ -263,6 +266,7 @@ def test_a_scan_that_shares_no_surface_is_joined_by_shared_targets(hall, targets
     assert off @ np.linalg.solve(known.covariance, off) / 6 < 3.5
 
 
+@pytest.mark.slow
 def test_scans_without_coordinates_are_joined_in_the_frame_of_the_first(hall, picked) -> None:
     scans = _apart_rooms(hall[0])
     found = place_stations(_given(scans, picked(0), picked(1)), scans)
@@ -270,6 +274,7 @@ def test_scans_without_coordinates_are_joined_in_the_frame_of_the_first(hall, pi
     assert _apart(found.each[1].world_from_scanner, POSES[0].inverse @ POSES[1]) < 0.006
 
 
+@pytest.mark.slow
 def test_coordinates_scattered_over_scans_make_the_world(hall, picked) -> None:
     scans = _apart_rooms(hall[0])
     found = place_stations(_given(scans, picked(0, (0, 3)), picked(1, (1, 5))), scans)
@@ -278,6 +283,7 @@ def test_coordinates_scattered_over_scans_make_the_world(hall, picked) -> None:
         assert _apart(station.world_from_scanner, WORLD @ pose) < 0.008
 
 
+@pytest.mark.slow
 def test_shared_targets_that_contradict_the_surfaces_are_refused(hall, targets, picked) -> None:
     scans, places = hall
     moved = lr.Rigid(np.eye(3), np.array([0.04, 0.0, 0.0]))

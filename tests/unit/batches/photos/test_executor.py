@@ -134,6 +134,7 @@ def say_and_die(words: str) -> None:
     os._exit(3)
 
 
+@pytest.mark.slow
 def test_the_last_words_of_a_lost_process_are_told_and_leave_no_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -177,6 +178,7 @@ def end_process_until(marks: str, most: int) -> int:
     return count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("most", "is_done"), [(5, True), (99, False)])
 def test_processes_that_end_before_they_begin_a_task_are_not_its_fault_but_not_endless(
     tmp_path: Path, most: int, is_done: bool

@@ -118,6 +118,7 @@ def test_standard_deviations_are_those_of_drawn_errors(kind: MeasurementKind) ->
     np.testing.assert_allclose(sigma / spread, 1, atol=0.18)  # three standard deviations of the spread
 
 
+@pytest.mark.slow
 def test_points_of_the_scan_have_the_noise_of_the_scan_and_of_the_pick() -> None:
     cells = np.array([[60.0, 220.0], [140.3, 260.6]])
     values, stated = [], []

@@ -112,6 +112,7 @@ def test_a_wall_is_straight_and_to_scale_as_read_back_by_others(tmp_path: Path) 
     np.testing.assert_allclose(scale, np.eye(2), atol=5e-4)
 
 
+@pytest.mark.slow
 def test_a_geotiff_has_its_origin_at_the_corner_and_no_reference_system_unless_stated(tmp_path: Path) -> None:
     view = wall_view()
     lr.write_view(tmp_path / "view", view)

@@ -72,6 +72,7 @@ def test_it_converges_from_poor_starting_poses(method):
             assert result.diagnostics["start"] in ("given", "linear", "aimed")
 
 
+@pytest.mark.slow
 def test_the_thesis_s_single_descent_may_collapse_and_reports_it():
     collapsed = 0
     for seed in range(300, 306):

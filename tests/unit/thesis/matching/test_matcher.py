@@ -72,6 +72,7 @@ def test_guided_matching_finds_many_more_matches(room: PaintedRoom, search: Thes
     assert right(again, room).mean() > 0.75
 
 
+@pytest.mark.slow
 def test_filters_only_remove_matches(room: PaintedRoom, search: ThesisSearch) -> None:
     for found in (search.unconstrained(), search.constrained(room.camera_from_scanner)):
         kept = search.filtered(found)
