@@ -22,7 +22,8 @@ _LOADED = re.compile(
 )
 _ADDRESS = re.compile(r"https?://[\w.-]+")
 _NAMED_ONLY = {  # name spaces, and examples in the text
-    "http://www.w3.org", "http://www.sitemaps.org", "http://127.0.0.1", "http://unix", "https://scans.example.org",
+    "http://www.w3.org", "http://www.sitemaps.org", "http://127.0.0.1", "http://192.168.1.64", "http://unix",
+    "https://scans.example.org",
 }  # fmt: skip
 
 pytestmark = pytest.mark.long
