@@ -1,4 +1,4 @@
-"""What is drawn in several photographs of a project: places and lines that all of them show; and what is said of it."""
+"""What is drawn by hand in several photographs of a project, ties and lines, and how the last adjustment judged it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Place = tuple[float, float, float]
 
 
 class TieEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """A place that two photographs show, as somebody drew it."""
+    """A point marked by hand in the two photographs that show it."""
 
     id: str
     """Stable id of letters and digits."""
@@ -24,7 +24,7 @@ class TieEntry(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class AdjustedTieEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """What an adjustment said of a tie that was drawn."""
+    """How an adjustment judged a drawn tie."""
 
     agrees: bool
     """Whether it was kept."""
@@ -46,7 +46,7 @@ class ScanLineEntry(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LineEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """A straight edge that photographs show, as somebody drew it in one after the other."""
+    """A straight edge drawn by hand in one photograph after the other."""
 
     id: str
     """Stable id of letters and digits."""
@@ -61,7 +61,7 @@ class LineEntry(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class AdjustedLineEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """What an adjustment said of a line that was drawn."""
+    """How an adjustment judged a drawn line."""
 
     line: LineEntry
     """The line as it was then."""

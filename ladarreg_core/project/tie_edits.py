@@ -1,4 +1,4 @@
-"""Edits of the ties of a document: places that two of its photographs show, and lines, as somebody drew them."""
+"""Edits of what is drawn by hand in several photographs of a document: ties and lines."""
 
 from __future__ import annotations
 

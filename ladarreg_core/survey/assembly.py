@@ -173,7 +173,7 @@ def _drawn_tie(
         return judged(f"It agrees within {worst:.1f} px.", worst, agrees=True)
     if not np.isfinite(worst):
         return judged("Left out: what it shows would lie behind one of the cameras; draw it again.")
-    return judged(f"Left out: it lies {worst:.1f} px from where all else puts it.", worst)
+    return judged(f"Left out: it lies {worst:.1f} px from where all other observations put it.", worst)
 
 
 def drawn_lines(
@@ -216,13 +216,13 @@ def _drawn_line(
     in_scan = lines.drawn[lines.on_line] == number
     scan_kept = bool(in_scan.any() and (adjusted.line_surface_weights[in_scan] > LOST).all())
     worst = max((off[photo] for photo in lost if np.isfinite(off.get(photo, np.nan))), default=None)
-    by = "far" if worst is None else f"{worst:.1f} px"
+    by = "" if worst is None else f" by {worst:.1f} px"
     if len(kept) < (1 if scan_kept else MIN_PHOTOS):
         which = ", ".join(given.photos)
-        return judged(f"Left out: one of {which} shows another edge, or is drawn {by} beside it; draw it again.")
+        return judged(f"Left out: one of {which} shows another edge, or the line is off it{by}; draw it again.")
     if lost:
         left_out = " and ".join(names[photo] for photo in lost)
-        return judged(f"Left out in {left_out}, which shows it {by} from where all else puts it.")
+        return judged(f"Left out in {left_out}, where it disagrees with all other observations{by}.")
     if in_scan.any() and not scan_kept:
         return judged("Left out in the scan, which shows it elsewhere than its photographs.")
     which = f"{len(kept)} photographs" if len(kept) > 1 else "one photograph"

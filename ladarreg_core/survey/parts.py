@@ -124,7 +124,7 @@ class SurveyPhoto:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurveyTie:
-    """A place that two photographs show, as somebody drew it."""
+    """A point marked by hand in the two photographs that show it."""
 
     id: str
     """Unique among the ties."""
@@ -150,7 +150,7 @@ class ScanLine:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurveyLine:
-    """A straight edge that several photographs show, as somebody drew it; its ends may differ from one to another."""
+    """A straight edge drawn by hand in several photographs; its ends may differ from one to another."""
 
     id: str
     """Unique among the lines."""

@@ -19,8 +19,8 @@ from ladarreg_core.survey.least_squares.problem import Matrix
 from ladarreg_core.survey.ties.ties import laser_points
 from testing.scenes.survey_set import sample_cameras
 
-_LEAST_LINE_PX = 80.0
-_LEAST_APART = float(np.sin(np.radians(10)))  # the planes in which photographs see a line
+_MIN_LINE_PX = 80.0
+_MIN_APART = float(np.sin(np.radians(10)))  # the planes in which photographs see a line
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,8 +96,8 @@ def line_between(
     apart = [
         np.linalg.norm(np.cross(a, b)) / np.linalg.norm(a) / np.linalg.norm(b) for a, b in combinations(normals, 2)
     ]
-    long = np.linalg.norm(uv[:, 1] - uv[:, 0], axis=1).min() > _LEAST_LINE_PX
-    return (np.array([first, second]), uv) if long and max(apart) > _LEAST_APART else None
+    long = np.linalg.norm(uv[:, 1] - uv[:, 0], axis=1).min() > _MIN_LINE_PX
+    return (np.array([first, second]), uv) if long and max(apart) > _MIN_APART else None
 
 
 @cache

@@ -83,8 +83,7 @@ class PhotoSlices:
             found[f"self_test:{entry.id}"] = self._jobs.self_test(entry.id)
             found[f"audit:{entry.id}"] = self._jobs.audited(entry)
         found["survey"] = self._survey(document, parts)
-        # What was looked up may have changed what is known of later photographs.
-        self._all_rest_on = (*all_rest_on[:-1], str(self._loader.assessment_changes))
+        self._all_rest_on = all_rest_on  # of before: what changed meanwhile is compared the next time
         return found
 
     def poses(self, document: Document) -> Sequence[PoseEntry | None]:

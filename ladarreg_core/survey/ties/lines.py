@@ -1,4 +1,4 @@
-"""Straight lines that somebody drew in several photographs: where they start in the adjustment, or why they do not.
+"""Straight lines drawn by hand in several photographs: their initial places in the adjustment, or why they have none.
 
 The infinite line is meant: the ends that are drawn in one photograph need not be those of another. Each photograph
 sees it in a plane through its camera. Two planes always meet in a line and say nothing of the poses; the third one, or
@@ -21,8 +21,8 @@ from ladarreg_core.survey.ties.ties import FAR_PX, MIN_PARALLAX_RAD
 MIN_PHOTOS = 3
 """Photographs of a line that no scan shows."""
 _MAX_PAIRS = 66  # of planes that are tried as a start: those of twelve photographs
-_SHORTEST_RAD = 1e-9  # between the rays of both ends
-_LEAST_APART_M = 0.01  # of the two points that stand for a line
+_MIN_LENGTH_RAD = 1e-9  # between the rays of both ends
+_MIN_APART_M = 0.01  # of the two points that stand for a line
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +85,10 @@ def start_or_reason(
         return None, _too_few(len(own))
     normals, centres = _planes(problem, drawn, [(k, body_of_photo[drawn.photos[k]]) for k in own])
     if not np.isfinite(normals).all():
-        return None, "Left out: in one of its photographs it has no length, or an end where the camera sees nothing."
+        return (
+            None,
+            "Left out: in one of its photographs it has no length, or an end lies outside the field of view.",
+        )
     candidates = []
     if scan >= 0 and drawn.xyz is not None:
         first, second = problem.poses[scan].inverse @ drawn.xyz
@@ -102,7 +105,7 @@ def start_or_reason(
     start = _best(problem, drawn, own, candidates, body_of_photo)
     if start is None or len(start.kept) < (1 if scan >= 0 else MIN_PHOTOS):
         return None, (
-            "Left out: its photographs do not show one line, where their poses put them: one of them shows another "
+            "Left out: with the present poses its photographs do not show the same line: one of them shows another "
             "edge; draw it again."
         )
     return start, ""
@@ -128,7 +131,7 @@ def _planes(problem: Problem, drawn: DrawnLine, own: Sequence[tuple[int, int]]) 
         first, second = problem.camera_of(body).unproject(drawn.uv[k]) @ pose.rotation
         normal = np.cross(first, second)
         length = float(np.linalg.norm(normal))
-        normals.append(normal / length if length > _SHORTEST_RAD else np.full(3, np.nan))
+        normals.append(normal / length if length > _MIN_LENGTH_RAD else np.full(3, np.nan))
         centres.append(pose.centre)
     return np.array(normals), np.array(centres)
 
@@ -188,7 +191,7 @@ def _ends(
         places += at[np.isfinite(at)].tolist()
     if not places:
         return None
-    first, second = min(places), max(max(places), min(places) + _LEAST_APART_M)
+    first, second = min(places), max(max(places), min(places) + _MIN_APART_M)
     return np.array([point + first * direction, point + second * direction])
 
 

@@ -16,7 +16,7 @@ export const fieldOf = (error) =>
 
 /**
  * @param {unknown} error
- * @returns {boolean} whether somebody cancelled it: nothing went wrong
+ * @returns {boolean} whether it was cancelled: nothing went wrong
  */
 export const wasCancelled = (error) =>
   typeof error === "object" && error !== null && "name" in error && error.name === "AbortError";

@@ -250,7 +250,7 @@ def test_a_wrong_edge_is_left_out_and_named_and_moves_nothing(off: float) -> Non
     sigmas = _WEAK / 5
     right = solve(_with_lines(_problem(start, sigmas=sigmas), [one for k, one in enumerate(drawn) if k != 2]))
     for bad, reason in (
-        (wrong, "Left out in b, which shows it "),
+        (wrong, "Left out in b, where it disagrees with all other observations by "),
         (of_three, "Left out: one of a, b, d shows another"),
     ):
         lines = [*drawn[:2], bad, *drawn[3:]]

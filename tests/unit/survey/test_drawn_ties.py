@@ -137,7 +137,7 @@ def test_a_wrong_tie_is_left_out_and_named_and_moves_nothing() -> None:
     found, bodies = _adjusted(pair, start, every, on_laser=True)
     verdicts = _verdicts(pair, found, bodies, every)
     assert [name for name, one in verdicts.items() if not one.agrees] == [*at_edges, "wrong", "far"]
-    assert "px from where all else puts it" in verdicts["wrong"].reason
+    assert "px from where all other observations put it" in verdicts["wrong"].reason
     assert 10 < verdicts["wrong"].residual_px < np.hypot(22, 17) + 4
     assert "draw it again" in verdicts["far"].reason
     for one, other in zip(right.problem.poses, found.problem.poses, strict=True):

@@ -128,11 +128,11 @@ export class ModelLoader {
   /** Count what another part of the 3-D view has loaded. @param {string} name @param {number} got @param {number} total */
   count(name, got, total) {
     this.#meter.set(name, [got, total]);
-    this.#tell({});
+    this.#report({});
   }
 
   /** @param {Partial<ModelState>} change */
-  #tell(change) {
+  #report(change) {
     let [got, total] = [0, 0];
     for (const [some, all] of this.#meter.values()) [got, total] = [got + some, total + all];
     this.#state = { ...this.#state, got, total, ...change };
@@ -195,7 +195,7 @@ export class ModelLoader {
     this.#scan = scan;
     this.#parts.clear();
     this.#surface.clear();
-    this.#tell({ state: scan ? "loading" : "empty", error: "", legend: null, second: null, mixed: false, whole: false });
+    this.#report({ state: scan ? "loading" : "empty", error: "", legend: null, second: null, mixed: false, whole: false });
   }
 
   /** @param {string} scan @param {Model} model @returns {Stage[]} what to draw, one after the other */
@@ -225,7 +225,7 @@ export class ModelLoader {
     this.#running = run;
     const still = () => this.#running === run;
     try {
-      this.#tell({ whole: false });
+      this.#report({ whole: false });
       for (const { mesh, texture, second, layer } of stages) {
         /** @param {string} name @returns {import("./model_parts.js").Download} */
         const options = (name) => ({
@@ -246,21 +246,21 @@ export class ModelLoader {
           if (!still() || !(await this.#surface.drawLayer(found, still))) return;
           this.#drawn = { mesh, texture, second, layer };
           this.#meter.clear();
-          this.#tell({});
+          this.#report({});
           continue;
         }
         if (!still() || !(await this.#surface.draw(arrays, blob, still, other?.blob))) return;
         this.#looked = "";
         this.#drawn = { mesh, texture, second };
         this.#meter.clear();
-        this.#tell({ state: "drawn", error: "", legend, second: other?.legend ?? null, mixed: Boolean(other) });
+        this.#report({ state: "drawn", error: "", legend, second: other?.legend ?? null, mixed: Boolean(other) });
       }
-      this.#tell({ whole: true });
+      this.#report({ whole: true });
     } catch (error) {
       if (!still()) return;
       this.#retryAt = performance.now() + RETRY_MS;
       this.#meter.clear();
-      this.#tell({ error: messageOf(error) });
+      this.#report({ error: messageOf(error) });
     } finally {
       if (still()) this.#running = null;
     }

@@ -101,7 +101,7 @@ export const mountSmoothing = () => {
     }
   };
 
-  const tell = (/** @type {import("../../state/smoothing.js").Preview} */ shown) => {
+  const summaryOf = (/** @type {import("../../state/smoothing.js").Preview} */ shown) => {
     const ranges = newRanges();
     const spikes = ranges.filter(({ edge }) => !edge).length;
     if (shown.stale) return shown.stale;
@@ -124,7 +124,7 @@ export const mountSmoothing = () => {
     setChildren(applied, icon("info"), " ", state?.sentence ?? "", " ", restore);
     preview.hidden = !shown;
     if (!shown) return;
-    setText(said, tell(shown));
+    setText(said, summaryOf(shown));
     shows.forEach((each, k) => press(each, SHOWN[k][0] === shown.show));
     showing.hidden = table.hidden = ranges.length === 0;
     edges.row.hidden = !ranges.some(({ edge }) => edge);
