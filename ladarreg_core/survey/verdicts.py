@@ -170,7 +170,7 @@ def without_photo(problem: Problem, bodies: Bodies, photo: int) -> tuple[Problem
 
 
 def _without_body(lines: Lines, body: int, number: IntArray) -> Lines:
-    """Return the lines without a body; those that say nothing of any pose then are left out."""
+    """Return the lines without a body; those that constrain no pose then are left out."""
     seen = lines.photo != body
     equations = 2 * np.bincount(lines.line[seen], minlength=len(lines.points))
     equations += np.bincount(lines.on_line, minlength=len(lines.points))

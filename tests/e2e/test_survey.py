@@ -175,7 +175,7 @@ def test_a_line_is_drawn_in_three_photographs(
 
         hints = (
             "Line 1 is drawn in 1 photograph: click two places of the same edge in two others.",
-            "Line 1 is drawn in 2 photographs, which alone say nothing: draw it in a third.",
+            "Line 1 is drawn in 2 photographs, which do not constrain their poses: draw it in a third.",
             "Line 1 is drawn in 3 photographs: draw it in a further one, or begin another",
         )
         for number, hint in enumerate(hints):
@@ -192,7 +192,7 @@ def test_a_line_is_drawn_in_three_photographs(
         draw(1, shared.uv[1, 1].tolist())
         operator.wait(lambda: [len(one["photos"]) for one in operator.slice("drawn_lines")] == [3, 2], "a second line")
         pair = dialog.get_by_role("listitem").filter(has_text="Line 2")
-        pair.get_by_text("in two photographs, which alone say nothing: draw it in a third").wait_for()
+        pair.get_by_text("in two photographs, which do not constrain their poses: draw it in a third").wait_for()
         pair.get_by_role("button", name="Keep the ends of line 2 as ties").click()
         operator.wait(lambda: len(operator.slice("drawn_ties")) == 2, "its ends are two ties")
         operator.wait(lambda: len(operator.slice("drawn_lines")) == 1, "in place of the line")

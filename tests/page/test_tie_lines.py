@@ -27,7 +27,7 @@ HINT = """async (now) => (await import('/js/panes/tie_lines.js')).lineHint(now)"
         ({"photos": ["p1"]}, "in one photograph: draw it in two more", "a.jpg"),
         (
             {"photos": ["p1", "p2"]},
-            "in two photographs, which alone say nothing: draw it in a third",
+            "in two photographs, which do not constrain their poses: draw it in a third",
             "a.jpg – b.jpg",
         ),
         ({"photos": ["p1"], "in_scan": True}, "not adjusted yet", "a.jpg – the scan"),
@@ -55,7 +55,10 @@ def test_a_line_says_what_it_needs_or_what_the_last_adjustment_found(
             {"line": LINE | {"photos": ["p1"]}},
             "Line 4 is drawn in 1 photograph: click two places of the same edge in two",
         ),
-        ({"line": LINE | {"photos": ["p1", "p2"]}}, "Line 4 is drawn in 2 photographs, which alone say nothing"),
+        (
+            {"line": LINE | {"photos": ["p1", "p2"]}},
+            "Line 4 is drawn in 2 photographs, which do not constrain their poses",
+        ),
         ({"line": LINE}, "Line 4 is drawn in 3 photographs: draw it in a further one, or begin another"),
     ],
 )

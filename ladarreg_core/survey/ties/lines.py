@@ -1,8 +1,8 @@
 """Straight lines drawn by hand in several photographs: their initial places in the adjustment, or why they have none.
 
 The infinite line is meant: the ends that are drawn in one photograph need not be those of another. Each photograph
-sees it in a plane through its camera. Two planes always meet in a line and say nothing of the poses; the third one, or
-the line as a scan shows it, does.
+sees it in a plane through its camera. Two planes always meet in a line and do not constrain the poses; the third one,
+or the line as a scan shows it, does.
 """
 
 from __future__ import annotations
@@ -118,8 +118,8 @@ def _too_few(count: int) -> str:
         2: "only two of its photographs are part",
     }[count]
     return (
-        f"Left out: {shown} of the adjustment, and of two or fewer a line says nothing; draw it in {MIN_PHOTOS} or "
-        "more, or mark its ends as ties where two photographs show both."
+        f"Left out: {shown} of the adjustment, and two or fewer do not constrain their poses; draw it in "
+        f"{MIN_PHOTOS} or more, or mark its ends as ties where two photographs show both."
     )
 
 

@@ -8,7 +8,7 @@ export const ENOUGH = 3;
 /** @typedef {{id: string, photos: string[], uv: number[][][], in_scan: boolean, agrees: boolean | null,
  *   residuals_px: Record<string, number>, reason: string}} DrawnLine */
 
-/** @returns {boolean} whether a line says nothing of the poses yet */
+/** @returns {boolean} whether a line does not constrain the poses yet */
 const needsMore = ({ photos, in_scan }) => !in_scan && photos.length < ENOUGH;
 
 /**
@@ -18,7 +18,7 @@ const needsMore = ({ photos, in_scan }) => !in_scan && photos.length < ENOUGH;
 export const lineSaid = (line) => {
   if (line.agrees !== null) return line.reason;
   if (!needsMore(line)) return "not adjusted yet";
-  return line.photos.length === 1 ? "in one photograph: draw it in two more" : "in two photographs, which alone say nothing: draw it in a third";
+  return line.photos.length === 1 ? "in one photograph: draw it in two more" : "in two photographs, which do not constrain their poses: draw it in a third";
 };
 
 /**
@@ -48,5 +48,5 @@ export const lineHint = ({ readOnly, photos, begun, line, number }) => {
   const drawn = `Line ${number} is drawn in ${counted(line.photos.length, "photograph")}`;
   if (line.in_scan || line.photos.length >= ENOUGH) return `${drawn}: draw it in a further one, or begin another where it is drawn already.`;
   if (line.photos.length === 1) return `${drawn}: click two places of the same edge in two others.`;
-  return `${drawn}, which alone say nothing: draw it in a third. If both show the same two ends, keep these as ties instead.`;
+  return `${drawn}, which do not constrain their poses: draw it in a third. If both show the same two ends, keep these as ties instead.`;
 };

@@ -1,4 +1,4 @@
-"""Lines that somebody drew in several photographs: what they give to weak poses, and which say nothing or are wrong."""
+"""Lines drawn by hand in several photographs: what they add to weak poses, and which constrain none or are wrong."""
 
 from __future__ import annotations
 
@@ -214,7 +214,7 @@ def test_errors_of_weak_poses_with_lines_are_those_that_the_covariance_states() 
     assert 0.8 < np.sqrt(np.mean(held)) < 1.1, np.sqrt(np.mean(held))
 
 
-def test_two_photographs_of_a_line_say_nothing() -> None:
+def test_two_photographs_of_a_line_constrain_nothing() -> None:
     rng, true = np.random.default_rng(5), _poses()
     drawn = [replace(one, photos=one.photos[:2], uv=one.uv[:2]) for one in _drawn(_edges(rng, 4), true, _PINHOLE, rng)]
     problem = _with_lines(_problem(_beside(true, rng)), drawn)
@@ -222,8 +222,8 @@ def test_two_photographs_of_a_line_say_nothing() -> None:
     for said in _verdicts(problem, drawn):
         assert not said.agrees
         assert said.reason == (
-            "Left out: only two of its photographs are part of the adjustment, and of two or fewer a line says "
-            "nothing; draw it in 3 or more, or mark its ends as ties where two photographs show both."
+            "Left out: only two of its photographs are part of the adjustment, and two or fewer do not "
+            "constrain their poses; draw it in 3 or more, or mark its ends as ties where two photographs show both."
         )
 
 
