@@ -5,8 +5,8 @@ BIN := $(VENV)/bin
 
 # Half of the tests wait for servers and browsers: one worker more than there are cores.
 WORKERS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN 2>/dev/null || echo 2) + 1)
-# Which of the tests marked long run: none, all, or share:TEXT: a thirtieth of them, and a tenth of those marked slow, that
-# the text draws.
+# Which of the tests marked long run: none, all, or share:TEXT: a sixtieth of them, and a twentieth of those marked slow,
+# that the text draws.
 LONG ?= none
 
 .PHONY: demo check test test-all docs browser release clean
@@ -52,8 +52,9 @@ $(VENV)/.installed: pyproject.toml $(VENV)/.created
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	@touch $@
 
+# Not compiled ahead: tests import a part of what is installed, and compiling all of it takes as long as unpacking it.
 $(VENV)/.installed-dev: pyproject.toml $(VENV)/.created
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable ".[dev]"
 	@if command -v npm >/dev/null; then npm ci --silent --no-audit --no-fund || true; fi
 	@touch $@ $(VENV)/.installed
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import zlib
+from itertools import groupby, islice
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ settings.load_profile("ladarreg")
 
 FIRST = ("tests/architecture/test_types.py", "tests/e2e/", "tests/page/", "tests/app/scene/", "tests/abuse/")
 """What takes longest, or shares one browser and one workbench, which most workers then need not start."""
-_SHARES = {"long": 30, "slow": 10}
+_SHARES = {"long": 60, "slow": 20}
 """Of the tests with a mark, a text draws one in so many; what is marked long and slow counts as long."""
 
 
@@ -44,7 +45,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out tests that were not asked for or not drawn; begin with those that should not be left to the end."""
+    """Leave out tests that were not asked for or not drawn; let each worker begin with what takes longest.
+
+    Each of the workers gets the same number of consecutive tests, and takes from the ends of the others' later.
+    """
     which = str(config.getoption("--long"))
     if which not in ("none", "all") and not which.startswith("share:"):
         raise pytest.UsageError(f"--long is {which!r}; give none, all, or share:TEXT")
@@ -68,6 +72,29 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         return next((k for k, start in enumerate(FIRST) if item.nodeid.startswith(start)), len(FIRST))
 
     items.sort(key=rank)
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    if workers > 1:
+        items[:] = _dealt(items, workers)
+
+
+def _dealt(items: list[pytest.Item], workers: int) -> list[pytest.Item]:
+    """Return an order in which one worker begins with the types and all with marked tests, those of a file together."""
+
+    def takes_long(item: pytest.Item) -> bool:
+        return item.nodeid.startswith(FIRST[0]) or any(item.get_closest_marker(each) is not None for each in _SHARES)
+
+    marked = [item for item in items if takes_long(item)]
+    files = [list(group) for _, group in groupby(marked, lambda item: item.path)]
+    hands: list[list[pytest.Item]] = [[] for _ in range(workers)]
+    for group in sorted(files, key=lambda group: (not group[0].nodeid.startswith(FIRST[0]), -len(group))):
+        min(hands, key=len).extend(group)
+    taken = set(map(id, marked))
+    others = (item for item in items if id(item) not in taken)
+    sizes = [(len(items) + k) // workers for k in range(workers)]  # the last ones are the larger ones
+    for hand, size in zip(hands, sizes, strict=True):
+        hand.extend(islice(others, max(size - len(hand), 0)))
+    hands[-1].extend(others)
+    return [item for hand in hands for item in hand]
 
 
 SHARE = pytest.StashKey[list[str]]()

@@ -36,6 +36,7 @@ def test_the_picture_of_the_rooms_is_complete() -> None:
     assert not {f"js/{room}" for room in ROOMS if room} - words
 
 
+@pytest.mark.slow
 def test_the_picture_of_the_rooms_shows_imports_that_point_down() -> None:
     picture = (CHECKOUT / "docs" / "contributing.md").read_text(encoding="utf-8").split("```")[1]
     lines = picture.split(" ladarreg_core/ ")[1].split("-----")[0].splitlines()[1:]

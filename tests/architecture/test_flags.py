@@ -47,6 +47,7 @@ def test_the_core_names_no_options_of_the_command_line() -> None:
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_every_argument_that_is_named_has_an_option() -> None:
     named = {name for path, strings in texts().items() if path not in _NOT_OURS
              for text in strings for name in _ARGUMENT.findall(text)}  # fmt: skip

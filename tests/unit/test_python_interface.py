@@ -44,6 +44,7 @@ def true_matches(case: SimulatedCase, count: int, *, seed: int) -> tuple[np.ndar
     return cells.astype(np.float64), uv + rng.normal(0, 0.5, uv.shape)
 
 
+@pytest.mark.slow
 def test_points_become_the_scan_they_were_taken_from(case: SimulatedCase) -> None:
     scan = case.scan.thinned(40_000)[0]
     points = scan.points[scan.valid].astype(np.float64)

@@ -96,6 +96,7 @@ def test_the_registered_picture_bears_a_watermark_and_the_model_does_not_lose_it
     assert (np.array(Image.open(applied / "labels.png")) == clean.labels).all()  # no cell is uncertain for the pose
 
 
+@pytest.mark.slow
 def test_what_was_applied_is_read_again_and_handed_over_with_its_mark(
     applied: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -99,6 +99,7 @@ def test_the_document_says_what_colors_what(model: Path) -> None:
     assert check_integrity(model).damaged == ()
 
 
+@pytest.mark.slow
 def test_the_given_pose_is_in_no_file(model: Path) -> None:
     for path in model.rglob("*"):
         if path.is_file() and path.name != "model.json":

@@ -123,6 +123,7 @@ def test_the_next_try_needs_no_force_but_what_is_somebodys_work_does(
     check_folder(refused)
 
 
+@pytest.mark.slow
 def test_info_shows_a_guess_as_a_guess(refused: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["info", str(refused / "registration.json")]) == 0
     shown = capsys.readouterr().out

@@ -145,6 +145,7 @@ def test_exact_poses_are_kept_and_damaged_results_are_refused(
         assert not (tmp_path / "none" / "e57").exists()
 
 
+@pytest.mark.slow
 def test_one_scan_is_not_enough(files: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["register-scans", files[0], "-o", str(tmp_path / "out"), "--quiet"]) == 2
     assert "give 2 to" in capsys.readouterr().err

@@ -193,6 +193,7 @@ def test_an_audit_says_what_it_needs(job: Path, capsys: pytest.CaptureFixture[st
     assert "no pose of a photograph of this survey is stated" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_faults_of_a_survey_are_listed_and_nothing_is_done(
     job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -224,6 +225,7 @@ def test_photographs_without_a_camera_are_listed_before_any_work(
     assert "focal length" in text
 
 
+@pytest.mark.slow
 def test_an_existing_survey_file_is_kept(job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     target = tmp_path / "survey.json"
     target.write_text("mine")

@@ -158,6 +158,7 @@ def test_only_our_own_sessions_are_valid(value: str) -> None:
     assert TOKEN not in good.cookie
 
 
+@pytest.mark.slow
 @given(st.text(string.ascii_letters + string.digits + "-_.~", min_size=22, max_size=60), st.text(max_size=80))
 def test_only_the_token_itself_is_accepted(token: str, word: str) -> None:
     assert checked_token(token) == token

@@ -147,6 +147,7 @@ def test_a_refused_command_returns_a_sentence_and_changes_nothing(
     assert bench.workbench.session.document is before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("do", "fields", "field"),
     [
@@ -175,6 +176,7 @@ def test_invalid_fields_are_never_an_internal_error(bench: WorkbenchDriver) -> N
             assert "Internal error" not in reply.get("error", ""), (do, junk)
 
 
+@pytest.mark.slow
 def test_a_failing_listener_affects_neither_commits_nor_other_listeners(bench: WorkbenchDriver) -> None:
     def fails(*_: object) -> None:
         raise RuntimeError("a faulty listener")

@@ -120,6 +120,7 @@ def test_points_in_both_pictures_are_drawn_in_both(bench: WorkbenchDriver) -> No
     np.testing.assert_allclose(rays[1], xyz[second] / np.linalg.norm(xyz[second]), atol=1e-5)
 
 
+@pytest.mark.slow
 def test_what_lies_on_no_surface_is_refused_in_one_sentence(bench: WorkbenchDriver) -> None:
     hole = no_return(bench)
     reply = bench.do("measure", kind="point", places=hole)

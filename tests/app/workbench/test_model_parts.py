@@ -141,6 +141,7 @@ def test_all_photographs_are_fused_to_layers(bench: WorkbenchDriver) -> None:
         bench.workbench.picture("model/texture", {"kind": "temperature_k", "photo": "p1"})
 
 
+@pytest.mark.slow
 def test_what_is_not_there_is_refused(bench: WorkbenchDriver) -> None:
     for name, query in (
         ("smell", {}),

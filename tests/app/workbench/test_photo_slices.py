@@ -37,6 +37,7 @@ def test_an_edit_of_one_photograph_leaves_the_slices_of_another_as_they_are(benc
     assert len(after["picks:p2"]) == 1
 
 
+@pytest.mark.slow
 def test_what_becomes_known_of_a_pose_is_seen_without_an_edit(bench: WorkbenchDriver) -> None:
     workbench, document = bench.workbench, bench.workbench.session.document
     entry = document.photo("p1")

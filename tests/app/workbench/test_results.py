@@ -139,6 +139,7 @@ def test_the_simplex_job_equals_the_estimator(registered: WorkbenchDriver) -> No
     registered.do("undo")
 
 
+@pytest.mark.slow
 def test_a_result_is_discarded_if_its_inputs_have_changed(registered: WorkbenchDriver) -> None:
     registered.do("run", photo="p1", job="simplex")
     pick = registered.do("add_pick", photo="p1", **LINE)["pick"]

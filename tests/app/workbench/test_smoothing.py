@@ -156,6 +156,7 @@ def test_nothing_is_applied_that_was_not_seen(bench: WorkbenchDriver) -> None:
     assert "preview" in bench.refused("apply_smoothing", **PHOTO, rev=former["rev"])  # its ranges are replaced by now
 
 
+@pytest.mark.slow
 def test_without_an_accepted_pose_nothing_is_previewed(bench: WorkbenchDriver) -> None:
     bench.workbench.start_over("p1")
     assert "accepted pose" in bench.refused("preview_smoothing", **PHOTO)

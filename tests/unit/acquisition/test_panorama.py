@@ -223,6 +223,7 @@ def test_the_mount_is_read_from_numbers_and_files(run: Path) -> None:
             mount_of_text(wrong)
 
 
+@pytest.mark.slow
 def test_the_mosaic_of_a_unit_that_hangs_is_level(run: Path, tmp_path: Path) -> None:
     plan = json.loads((run / "plan.json").read_text())
     upright = compose(run)

@@ -36,6 +36,7 @@ def fused(seed: int = 0, photos: int = 9, moved: int = 0) -> FusedModel:
     return fuse(one.scan, one.views)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("powers", [(0.0, 0.0), (-0.35, -0.3), (-0.1, -0.6)])
 def test_dark_corners_are_found_from_what_photographs_share_and_undone(powers: tuple[float, float]) -> None:
     one = photo_tour(3, photos=9, vignetting=powers, **SMALL)  # type: ignore[arg-type]

@@ -59,6 +59,7 @@ def test_edges_lie_on_the_photograph_at_the_pose_only(case: SimulatedCase, accep
         lr.views.overlay(accepted, case.scan, case.photo, show="nothing")
 
 
+@pytest.mark.slow
 def test_a_registered_picture_has_the_colors_of_the_texture(case: SimulatedCase, accepted: lr.Registration) -> None:
     picture = lr.views.registered(accepted, case.scan, case.photo)
     texture = lr.texture_scan(case.scan, case.photo, accepted.camera_from_scanner, covariance=accepted.joint_covariance)

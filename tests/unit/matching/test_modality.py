@@ -54,6 +54,7 @@ def test_channels_are_selected_by_score_and_reported(warm: lr.Registration) -> N
     assert name != "geometry"
 
 
+@pytest.mark.slow
 def test_the_covariance_covers_the_disagreement_of_channels(warm: lr.Registration) -> None:
     """The finished poses of the accepted channel sets lie within the stated covariance."""
     ends = {}

@@ -112,6 +112,7 @@ def test_refined_wrong_poses_of_a_coarse_scan_are_never_accepted(room: PaintedRo
     assert judged >= 4
 
 
+@pytest.mark.slow
 def test_the_preliminary_verdict_uses_the_square_root_of_the_bound(room: PaintedRoom) -> None:
     aligner = aligner_of(thinned(room.scan, 2), room.photo)
     _, coarse, fine = aligner.verify(room.camera_from_scanner)

@@ -86,6 +86,7 @@ def test_targets_in_the_world_register_and_keep_their_lengths(
         read_matches(far, scan)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scale", "words"),
     [

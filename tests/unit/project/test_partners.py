@@ -110,6 +110,7 @@ def test_without_a_known_place_nothing_is_carried() -> None:
     assert seen_from_scan(placed, photo_of(placed)).pose is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma", [(0.0, 0.0), (0.05, 0.02)])
 def test_a_carried_covariance_is_that_of_carried_poses(sigma: tuple[float, float]) -> None:
     pose = photo_of(surveyed()).poses[0]

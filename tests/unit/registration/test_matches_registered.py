@@ -83,6 +83,7 @@ def test_where_the_images_show_nothing_the_matches_decide_and_say_so() -> None:
     assert error_m(result) < 4 * result.sigma_position_m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("proposal", ["refined", "drawn", "images"])
 def test_register_returns_the_proposal_that_was_asked_for(proposal: str) -> None:
     case, picks = scene().case, hand(1.0)
@@ -96,6 +97,7 @@ def test_an_unknown_proposal_is_refused() -> None:
         lr.RegisterOptions(proposal="best")  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_a_drawn_pose_that_its_matches_do_not_support_is_not_accepted_though_the_refined_one_is() -> None:
     found = registered(hand(4.0)[:4])
     assert not found.drawn.diagnostics["statistics"]["accepted"]

@@ -316,6 +316,7 @@ def test_nonsense_is_refused(room: PaintedRoom) -> None:
         register(room.scan, room.photo, picks=point_picks(room, 2))
 
 
+@pytest.mark.slow
 def test_a_pose_known_to_a_few_pixels_is_called_coarse_in_every_file(
     registration: lr.Registration, room: PaintedRoom, tmp_path: Path
 ) -> None:

@@ -154,6 +154,7 @@ def test_a_laser_sees_other_colors_than_the_eye(set_name: str) -> None:
         assert white.min() > 0.55
 
 
+@pytest.mark.slow
 def test_the_stated_camera_may_be_wrong_on_purpose(monkeypatch: pytest.MonkeyPatch) -> None:
     straight = case_of("boxes")
     assert straight.photo.camera == straight.true_camera == CAMERA

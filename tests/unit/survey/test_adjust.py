@@ -74,6 +74,7 @@ def test_a_survey_in_which_nothing_fits_says_so(case: SimulatedCase) -> None:
     assert found.document()["chi2_per_dof"] is None or np.isfinite(found.document()["chi2_per_dof"])
 
 
+@pytest.mark.slow
 def test_a_survey_can_be_cancelled(case: SimulatedCase) -> None:
     def stop(_: lr.Progress) -> None:
         raise Cancelled

@@ -64,6 +64,7 @@ def test_the_smallest_error_is_where_the_curve_says(case: tuple[lr.Scan, lr.Phot
         assert sizes[seen < SEEN].max() < smallest < sizes[seen > SEEN].min()
 
 
+@pytest.mark.slow
 def test_a_registration_that_verifies_nothing_decides_nothing(
     case: tuple[lr.Scan, lr.Photo, Rigid, lr.Registration],
 ) -> None:

@@ -55,6 +55,7 @@ def test_what_one_photograph_excuses_several_do_not(case: lr.simulate.SimulatedC
     assert judged_together({"c": found}, left_out={"x": "why"}).outcome == "undecidable"
 
 
+@pytest.mark.slow
 def test_nothing_stated_is_refused(case: lr.simulate.SimulatedCase) -> None:
     survey = lr.Survey.of([case.scan], [case.photo])
     with pytest.raises(OptionError, match=r"no pose .* 'initial'"):

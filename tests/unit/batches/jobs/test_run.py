@@ -72,6 +72,7 @@ def test_the_page_has_failures_first_and_is_readable_while_it_runs(jobs: list[lr
     assert 'href="jobs/p0/report.html"' in last
 
 
+@pytest.mark.slow
 def test_again_nothing_is_done_twice_but_what_failed_or_is_missing(jobs: list[lr.Job], tmp_path: Path) -> None:
     lr.batch(jobs, tmp_path / "out", executor=Here())
     before = contents(tmp_path / "out")
@@ -118,6 +119,7 @@ def test_a_changed_result_is_kept_and_its_job_fails(jobs: list[lr.Job], tmp_path
     assert edited.read_bytes() == b"my own"
 
 
+@pytest.mark.slow
 def test_a_cancelled_batch_goes_on_where_it_was(jobs: list[lr.Job], tmp_path: Path) -> None:
     def stop(progress: lr.BatchProgress) -> None:
         if progress.done == 2:

@@ -40,6 +40,7 @@ def settings() -> tuple[str | None, int, bool]:
     return os.environ.get("OMP_NUM_THREADS"), cv2.getNumThreads(), ignored
 
 
+@pytest.mark.slow
 def test_results_and_errors_come_back_and_a_task_that_ends_its_processes_fails_alone() -> None:
     with WorkerProcesses(1) as workers:
         before = workers.submit(operator.mul, 6, 7)
@@ -67,6 +68,7 @@ def sleeps_at_first(seen: str) -> int:
     return os.getpid()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 def test_the_task_of_a_killed_process_is_done_by_another(tmp_path: Path) -> None:
     seen = tmp_path / "seen"

@@ -178,6 +178,7 @@ def test_a_second_component_is_kept(office: list[Scan], boxes: Scan) -> None:
     assert len(network.placed(placed)) == 3
 
 
+@pytest.mark.slow
 def test_it_can_be_stopped(office: list[Scan]) -> None:
     def stop(progress: Progress) -> None:
         raise Cancelled

@@ -96,6 +96,7 @@ def test_guided_matches_may_be_culled_by_disparity_as_the_first_ones(room: Paint
     assert right(by_prediction, room).mean() > right(literal, room).mean()
 
 
+@pytest.mark.slow
 def test_matches_are_in_the_photos_own_distorted_pixels(room: PaintedRoom, search: ThesisSearch) -> None:
     found = search.unconstrained()
     own = search.photo.source.project(search.photo.cameras[0].unproject(found.photo_uv))
