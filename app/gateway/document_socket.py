@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import gzip
 import logging
 import re
@@ -11,6 +10,7 @@ import threading
 from collections import defaultdict, deque
 from collections.abc import Awaitable, Callable, Collection, Coroutine
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 from anyio import CapacityLimiter, to_thread
@@ -61,6 +61,7 @@ class DocumentSocket:
     def __init__(self, workbench: Workbench, clients: ClientRegistry) -> None:
         self._workbench, self._clients = workbench, clients
         self._encoder = SharedEncoder()
+        self._alarm = _Alarm()
         # Other requests, which may be slow, share a limited number of threads.
         self._urgent = ThreadPoolExecutor(_URGENT_THREADS, thread_name_prefix="urgent command")
         self._for_readers = CapacityLimiter(_READERS_THREADS)
@@ -89,13 +90,8 @@ class DocumentSocket:
             return_memory_soon()
 
     async def _serve(self, websocket: WebSocket, client: Client) -> None:
-        loop, pending, replied = asyncio.get_running_loop(), asyncio.Event(), asyncio.Event()
-
-        def wake() -> None:
-            with contextlib.suppress(RuntimeError):  # the loop has ended before the threads that publish
-                loop.call_soon_threadsafe(pending.set)
-
-        outbox = Outbox(wake)
+        pending, replied = asyncio.Event(), asyncio.Event()
+        outbox = Outbox(partial(self._alarm.set_soon, asyncio.get_running_loop(), pending))
         # Subscribe first: changes made while the slices are gathered are then sent after them.
         unsubscribe = self._workbench.subscribe(outbox.put, client)
         try:
@@ -200,9 +196,37 @@ class ClientState:
                 whole[name] = self._encoder.slice(value)
             else:
                 changes[name] = change
-        self._slices = {name: value for name, value in (self._slices | slices).items() if value is not None}
+            if value is None:
+                self._slices.pop(name, None)
+            else:
+                self._slices[name] = value
         parts = {"slices": whole, "changes": changes} if changes else {"slices": whole}
         return encode({**parts, "version": self._version})
+
+
+class _Alarm:
+    """Sets events of an event loop from other threads, those of many clients together: each call wakes the loop."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._due: defaultdict[asyncio.AbstractEventLoop, list[asyncio.Event]] = defaultdict(list)
+
+    def set_soon(self, loop: asyncio.AbstractEventLoop, event: asyncio.Event) -> None:
+        """Set an event of a loop."""
+        with self._lock:
+            is_called = loop in self._due
+            self._due[loop].append(event)
+        if not is_called:
+            try:
+                loop.call_soon_threadsafe(self._set, loop)
+            except RuntimeError:  # the loop has ended before the threads that publish
+                self._due.pop(loop, None)
+
+    def _set(self, loop: asyncio.AbstractEventLoop) -> None:
+        with self._lock:
+            due = self._due.pop(loop, [])
+        for event in due:
+            event.set()
 
 
 class Outbox:

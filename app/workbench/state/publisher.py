@@ -107,8 +107,10 @@ class Publisher:
             del published[name]
         self._version += bool(changed or gone)
         shared = {**changed, **dict.fromkeys(gone)}
-        for subscriber in list(self._subscribers):
-            slices = shared if slow else {**shared, **_own_difference(subscriber)}
+        subscribers = list(self._subscribers)
+        differences = [shared if slow else {**shared, **_own_difference(each)} for each in subscribers]
+        # All at once, so that what sends them to the pages is woken once.
+        for subscriber, slices in zip(subscribers, differences, strict=True):
             if slices:
                 _send(subscriber.listener, {"slices": slices, "version": self._version})
 
