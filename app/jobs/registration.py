@@ -144,7 +144,9 @@ class RegistrationJobs:
 
     def audited(self, entry: PhotoEntry) -> dict[str, Any] | None:
         """Return the last audit of a photograph; None without any, or where it has another pose by now."""
-        of, found = self._audits.get(entry.id, (None, None))
+        if entry.id not in self._audits:
+            return None
+        of, found = self._audits[entry.id]
         return found if of == audited_of(entry) else None
 
     def _commit(

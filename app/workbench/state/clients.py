@@ -179,7 +179,7 @@ class Clients:
         """Return the client whose view a client sees: the end of the chain of those who follow."""
         leader = client
         for _ in range(MAX_CLIENTS):
-            followed = self.find(leader.follows)
+            followed = self.find(leader.follows) if leader.follows else None
             if followed is None or followed is client:
                 break
             leader = followed

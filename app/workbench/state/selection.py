@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from ...session.session import Session
@@ -32,6 +32,7 @@ class Selection:
         self._session = session
         self._on_change = on_change
         self._latest = _last_edited(session.history)
+        self._by_id: tuple[Sequence[PhotoEntry], dict[str, PhotoEntry]] = (), {}
 
     @property
     def photo(self) -> PhotoEntry | None:
@@ -57,8 +58,12 @@ class Selection:
         self._on_change()
 
     def _entry(self, photo_id: str | None) -> PhotoEntry | None:
-        document = self._session.document
-        return document.photo(photo_id or "") or (document.photos[0] if document.photos else None)
+        photos = self._session.document.photos
+        of, by_id = self._by_id
+        if of is not photos:  # asked for every client at every edit: not a search among all photographs each time
+            by_id = {entry.id: entry for entry in photos}
+            self._by_id = photos, by_id
+        return by_id.get(photo_id or "") or (photos[0] if photos else None)
 
 
 def _last_edited(history: History) -> str | None:
