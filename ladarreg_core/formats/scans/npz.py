@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import io
-import math
 import zipfile
-import zlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +13,7 @@ from numpy.typing import NDArray
 from ladarreg_core.errors import ExportError, FormatError, OptionError, ShapeError
 from ladarreg_core.formats.parsing.budget import ReadBudget
 from ladarreg_core.formats.parsing.byte_order import require_byte_order
+from ladarreg_core.formats.parsing.npz_archive import ArrayMember, members_of, open_archive
 from ladarreg_core.formats.parsing.untrusted import (
     PathLike,
     as_float32,
@@ -45,8 +41,10 @@ SCALARS = ("r0_m", "dr_m", "d_azimuth_rad", "d_elevation_rad")
 OFFSETS = ("azimuth_offset_rad", "elevation_offset_rad")
 SPHERE = ("d_longitude_rad", "d_latitude_rad", "centre_longitude_rad", "top_latitude_rad")
 """Scalars of a panorama: with them the directions of its cells need no table."""
-_LONGEST_HEADER = 4096
-_PIECE = 1 << 20
+_TEXTS = ("intensity_is", "note")
+_ARRAYS = frozenset(
+    ("intensity", "xyz", "counts", "color", "rays", "world_from_scanner", *_TEXTS, *SCALARS, *OFFSETS, *SPHERE)
+)
 _LONGEST_NOTE = 600
 _MAX_APART_RAD = 5e-3
 _MAX_APART_SHARE = 0.01
@@ -83,8 +81,8 @@ def read_npz(path: PathLike, *, memory_bytes: int | None = None, report: Report 
             it may use.
         ShapeError: if the arrays disagree or there is no return.
     """
-    with reading(path) as file, _archive(file) as archive:
-        members = _members(archive)
+    with reading(path) as file, open_archive(file) as archive:
+        members = members_of(archive, _ARRAYS, _TEXTS)
         if "intensity" not in members and "counts" not in members:
             raise FormatError(
                 f"the NPZ contains {_listed(members)} but no 'intensity'; a scan needs the laser's intensity (H, W)"
@@ -269,106 +267,11 @@ def _save(path: PathLike, arrays: dict[str, Any]) -> None:
         raise ExportError(f"{shown_name(path)} cannot be written: {error.strerror}; check the folder") from error
 
 
-@contextmanager
-def _archive(file: Path) -> Iterator[zipfile.ZipFile]:
-    try:
-        with zipfile.ZipFile(file) as archive:
-            yield archive
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError) as error:
-        raise FormatError(f"the NPZ is damaged or truncated ({one_line(error, 80)}); save it again") from error
-
-
-@dataclass(frozen=True, slots=True)
-class _Member:
-    """One array of the archive as described by its header; its data have not been read."""
-
-    entry: zipfile.ZipInfo
-    dtype: np.dtype[Any]
-    shape: tuple[int, ...]
-    fortran_order: bool
-    data_offset: int
-
-    @property
-    def bytes_per_cell(self) -> int:
-        """Bytes per (row, column)."""
-        return math.prod(self.shape[2:]) * self.dtype.itemsize
-
-    def read(self, archive: zipfile.ZipFile) -> NDArray[Any]:
-        """Return the array; the zip's checksum is verified while reading."""
-        values = np.empty(math.prod(self.shape), self.dtype)
-        room = values.view(np.uint8)
-        with archive.open(self.entry) as stream:
-            stream.read(self.data_offset)
-            at = 0
-            while piece := stream.read(_PIECE):  # in one piece it would be in memory several times
-                room[at : at + len(piece)] = np.frombuffer(piece, np.uint8)
-                at += len(piece)
-        if at != values.nbytes:
-            raise FormatError("the NPZ ends within an array; it is damaged: save it again")
-        values = values.reshape(self.shape, order="F" if self.fortran_order else "C")
-        return values.astype(self.dtype.newbyteorder("="), copy=False)
-
-
-def _members(archive: zipfile.ZipFile) -> dict[str, _Member]:
-    """Return the known arrays of an archive by name; other arrays are ignored, even pickled ones."""
-    optional = {"color", "rays", "world_from_scanner", "intensity_is", "note"}
-    wanted = {"intensity", "xyz", "counts", *optional, *SCALARS, *OFFSETS, *SPHERE}
-    found: dict[str, _Member] = {}
-    for entry in archive.infolist():
-        name = entry.filename.removesuffix(".npy")
-        if name not in wanted or not entry.filename.endswith(".npy"):
-            continue
-        if name in found:
-            raise FormatError(f"the NPZ contains two arrays named {name!r}; it must contain one")
-        if entry.flag_bits & 1:
-            raise FormatError("the NPZ is encrypted; save it without a password")
-        if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise FormatError("the NPZ uses an unsupported compression; save it with numpy.savez or savez_compressed")
-        found[name] = _header_of(archive, entry, name)
-    if not found:
-        inside = [one_line(entry.filename, 30) for entry in archive.infolist()[:4]]
-        raise FormatError(
-            f"it is a zip archive with {inside or 'nothing'} inside, not a scan; give an NPZ with a scan's arrays"
-        )
-    return found
-
-
-def _header_of(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str) -> _Member:
-    with archive.open(entry) as stream:
-        try:
-            version = np.lib.format.read_magic(stream)
-            readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-            if version not in readers:
-                raise FormatError(f"the array {name!r} has .npy version {version}; only 1.0 and 2.0 are supported")
-            start = stream.read(_LONGEST_HEADER + 4)  # NumPy would read the length that the header claims
-            begin = io.BytesIO(start)
-            shape, fortran, dtype = readers[version](begin, max_header_size=_LONGEST_HEADER)
-        except (zipfile.BadZipFile, zlib.error, FormatError):
-            raise
-        except Exception as error:  # the header is a Python literal, whose parser fails in many ways
-            raise FormatError(f"the array {name!r} has a damaged header; save it again") from error
-        offset = np.lib.format.MAGIC_LEN + begin.tell()
-    if dtype.hasobject:
-        raise FormatError(f"the array {name!r} contains pickled Python objects, which are never loaded; save numbers")
-    if dtype.kind not in ("US" if name in ("intensity_is", "note") else "fiub"):
-        raise FormatError(f"the array {name!r} has the type {one_line(dtype, 40)}; it must contain numbers")
-    if dtype.kind in "US" and dtype.itemsize > _LONGEST_HEADER:
-        raise FormatError(
-            f"the array {name!r} contains strings of {dtype.itemsize:,} bytes; it must be one short string"
-        )
-    if math.prod(map(int, shape)) * dtype.itemsize != entry.file_size - offset:
-        raise FormatError(
-            f"the array {name!r} claims {' x '.join(map(str, shape)) or 'one'} values of {dtype.itemsize} bytes, "
-            f"but {max(entry.file_size - offset, 0):,} bytes are present; save it again"
-        )
-    return _Member(entry, dtype, tuple(int(side) for side in shape), bool(fortran), offset)
-
-
-def _listed(members: dict[str, _Member]) -> str:
+def _listed(members: dict[str, ArrayMember]) -> str:
     return ", ".join(sorted(members))
 
 
-def _scalars(archive: zipfile.ZipFile, members: dict[str, _Member]) -> dict[str, float]:
+def _scalars(archive: zipfile.ZipFile, members: dict[str, ArrayMember]) -> dict[str, float]:
     values = dict.fromkeys(OFFSETS, 0.0)
     for name in (*SCALARS, *OFFSETS):
         member = members.get(name)
@@ -440,7 +343,7 @@ def _from_xyz(
     return TabulatedGrid(points), ranges, (note,) if wrong else ()
 
 
-def _sphere(archive: zipfile.ZipFile, members: dict[str, _Member], shape: tuple[int, ...]) -> SphericalGrid | None:
+def _sphere(archive: zipfile.ZipFile, members: dict[str, ArrayMember], shape: tuple[int, ...]) -> SphericalGrid | None:
     """Return the spherical grid that a file states; None if it states none."""
     given = [name for name in SPHERE if name in members]
     if not given:
@@ -513,7 +416,7 @@ def _require_same(points: NDArray[np.float64], ranges: NDArray[np.float64], tabl
         )
 
 
-def _world_pose(archive: zipfile.ZipFile, members: dict[str, _Member]) -> Rigid | None:
+def _world_pose(archive: zipfile.ZipFile, members: dict[str, ArrayMember]) -> Rigid | None:
     member = members.get("world_from_scanner")
     if member is None:
         return None
@@ -522,7 +425,7 @@ def _world_pose(archive: zipfile.ZipFile, members: dict[str, _Member]) -> Rigid 
     return world_pose(member.read(archive), "'world_from_scanner'")
 
 
-def _intensity_is(archive: zipfile.ZipFile, members: dict[str, _Member]) -> IntensityKind:
+def _intensity_is(archive: zipfile.ZipFile, members: dict[str, ArrayMember]) -> IntensityKind:
     member = members.get("intensity_is")
     if member is None:
         return "raw"
@@ -537,7 +440,7 @@ def _intensity_is(archive: zipfile.ZipFile, members: dict[str, _Member]) -> Inte
     raise FormatError(f"'intensity_is' is {one_line(repr(word), 40)}; it must be 'raw' or 'range_normalised'")
 
 
-def _note(archive: zipfile.ZipFile, members: dict[str, _Member]) -> tuple[str, ...]:
+def _note(archive: zipfile.ZipFile, members: dict[str, ArrayMember]) -> tuple[str, ...]:
     """Return what the program that wrote the scan has to say of it."""
     member = members.get("note")
     if member is None or member.shape != () or member.dtype.kind != "U" or member.dtype.itemsize > 4 * _LONGEST_NOTE:
