@@ -100,16 +100,19 @@ class DocumentSocket:
             await _send_first(websocket, state.encode({"slices": slices}))
             await _until_one_ends(
                 _send_pending(websocket, state, outbox, pending, replied),
-                self._receive(websocket, client, outbox, replied),
+                self._receive(websocket, client, outbox, pending, replied),
             )
         finally:
             unsubscribe()
 
-    async def _receive(self, websocket: WebSocket, client: Client, outbox: Outbox, replied: asyncio.Event) -> None:
+    async def _receive(
+        self, websocket: WebSocket, client: Client, outbox: Outbox, pending: asyncio.Event, replied: asyncio.Event
+    ) -> None:
         waiting: asyncio.Queue[str | Awaitable[str] | None] = asyncio.Queue(_MAX_WAITING)
         limiter = self._for_readers if websocket.state.read_only else None
         await _until_one_ends(
-            self._read(websocket, client, waiting), self._reply_in_order(client, waiting, outbox, replied, limiter)
+            self._read(websocket, client, waiting),
+            self._reply_in_order(client, waiting, outbox, pending, replied, limiter),
         )
 
     async def _read(
@@ -127,15 +130,23 @@ class DocumentSocket:
 
     async def _reply_in_order(
         self, client: Client, waiting: asyncio.Queue[str | Awaitable[str] | None], outbox: Outbox,
-        replied: asyncio.Event, limiter: CapacityLimiter | None,
+        pending: asyncio.Event, replied: asyncio.Event, limiter: CapacityLimiter | None,
     ) -> None:  # fmt: skip
         while True:
             command = await waiting.get()
             if command is None or isinstance(command, str):
                 outbox.hold()
-                late = asyncio.get_running_loop().call_later(_TOGETHER_S, outbox.release)
+                self._alarm.hold()
+
+                def release() -> None:
+                    outbox.release()
+                    self._alarm.release()
+
+                late = asyncio.get_running_loop().call_later(_TOGETHER_S, release)
                 outbox.reply(await to_thread.run_sync(self._answer, client, command, limiter=limiter))
+                pending.set()  # before everybody else, who did not ask
                 late.cancel()
+                self._alarm.release()
             else:
                 outbox.reply(await asyncio.shield(command))
             await replied.wait()  # of a page that sends commands without reading the replies, few wait
@@ -210,23 +221,47 @@ class _Alarm:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._due: defaultdict[asyncio.AbstractEventLoop, list[asyncio.Event]] = defaultdict(list)
+        self._called: set[asyncio.AbstractEventLoop] = set()
+        self._held = False
+
+    def hold(self) -> None:
+        """Let what is to be set wait until `release`: the loop then leaves the processor to the command under way."""
+        with self._lock:
+            self._held = True
+
+    def release(self) -> None:
+        """Set what waits, even where another command is under way."""
+        with self._lock:
+            self._held = False
+            loops = [loop for loop in self._due if loop not in self._called]
+            self._called.update(loops)
+        for loop in loops:
+            self._call(loop)
 
     def set_soon(self, loop: asyncio.AbstractEventLoop, event: asyncio.Event) -> None:
         """Set an event of a loop."""
         with self._lock:
-            is_called = loop in self._due
             self._due[loop].append(event)
-        if not is_called:
-            try:
-                loop.call_soon_threadsafe(self._set, loop)
-            except RuntimeError:  # the loop has ended before the threads that publish
-                self._due.pop(loop, None)
+            calls = not self._held and loop not in self._called
+            if calls:
+                self._called.add(loop)
+        if calls:
+            self._call(loop)
+
+    def _call(self, loop: asyncio.AbstractEventLoop) -> None:
+        try:
+            loop.call_soon_threadsafe(self._set, loop)
+        except RuntimeError:  # the loop has ended before the threads that publish
+            self._taken(loop)
 
     def _set(self, loop: asyncio.AbstractEventLoop) -> None:
-        with self._lock:
-            due = self._due.pop(loop, [])
-        for event in due:
+        for event in self._taken(loop):
             event.set()
+
+    def _taken(self, loop: asyncio.AbstractEventLoop) -> list[asyncio.Event]:
+        with self._lock:
+            self._called.discard(loop)
+            return self._due.pop(loop, [])
 
 
 class Outbox:

@@ -212,7 +212,7 @@ def _steps_without_neighbours(
 
     An object of several regions hides from a jackknife over single ones: each of its regions is held by the others.
     """
-    found = [np.zeros((0, len(g)))]
+    found: list[FloatArray] = [np.zeros((0, len(g)))]
     for number in np.unique(picture):
         of_picture = np.flatnonzero(picture == number)
         at = grid[of_picture] - grid[of_picture].min(axis=0) + _OBJECT_BLOCKS
@@ -223,7 +223,8 @@ def _steps_without_neighbours(
         H_cells[index], g_cells[index], blocks[index] = H_blocks[of_picture], g_blocks[of_picture], 1
         H_cells, g_cells, blocks = map(_sums_of_neighbours, (H_cells, g_cells, blocks))
         tried = (blocks > 0) & (blocks <= _MAX_OBJECT_SHARE * len(picture))
-        found.append(np.linalg.solve(H - H_cells[tried], (g - g_cells[tried])[..., None])[..., 0])
+        steps: FloatArray = np.linalg.solve(H - H_cells[tried], (g - g_cells[tried])[..., None])[..., 0]
+        found.append(steps)
     return np.concatenate(found) - np.linalg.solve(H, g)
 
 
