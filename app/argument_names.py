@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING
 
-InputKind = Literal["whole", "coordinates", "names", "text", "duration", "temperature_unit", "switch"]
+if TYPE_CHECKING:
+    from .slices.choices import InputKind
+    from .slices.project import ReadingField
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,7 +98,7 @@ ARGUMENTS: dict[str, Argument] = {
 _NAMED = re.compile(r"`(\w+)(?:=([^`]*))?`")
 
 
-def reading_slice() -> dict[str, dict[str, str]]:
+def reading_slice() -> dict[str, ReadingField]:
     """Return the slice `reading`: the fields of the form for what a file does not state itself."""
     return {
         name: {"label": one.label, "hint": one.hint, "example": one.example, "kind": one.kind}

@@ -322,7 +322,7 @@ class Outbox:
     def take(self) -> tuple[list[Message], str | None]:
         """Remove and return everything that waits: the messages and the reply."""
         with self._lock:
-            messages = [{"slices": self._slices} | self._other_fields] if self._slices else []
+            messages: list[Message] = [{"slices": self._slices} | self._other_fields] if self._slices else []
             messages += [*self._latest.values(), *self._events]
             reply, self._reply = self._reply, None
             self._slices, self._latest = {}, {}

@@ -9,7 +9,7 @@ from typing import Any, Literal, Protocol
 
 READ_ONLY = "This page is read-only: to change anything, open the workbench with the link that permits editing."
 """Refusal of everything but looking."""
-Message = dict[str, Any]
+Message = Mapping[str, Any]
 """A message to the clients: `{"slices": {...}, "version": 12}` or `{"event": name, ...}` (docs/workbench.md)."""
 
 

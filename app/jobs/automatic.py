@@ -10,7 +10,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ladarreg_core.errors import Cancelled, LadarregError
 from ladarreg_core.project.history import NOBODY
@@ -26,11 +26,12 @@ if TYPE_CHECKING:
     from ladarreg_core.results.steps import Step
 
     from ..session.session import Change
+    from ..slices.photographs import Solving
 
 log = logging.getLogger(__name__)
 PAUSE_S = 0.3
 """From the last edit to the start."""
-IDLE: dict[str, Any] = {"busy": False, "sentence": ""}
+IDLE: Solving = {"busy": False, "sentence": ""}
 """The state while nothing is solved."""
 _MIN_POINTS = 4
 _DRAWN = ("manual", "file")
@@ -60,7 +61,7 @@ class AutomaticSolver:
         self._thread = threading.Thread(target=self._work, name="automatic solver", daemon=True)
         self._thread.start()
 
-    def state(self, photo: str) -> dict[str, Any]:
+    def state(self, photo: str) -> Solving:
         """Return whether a photograph is being solved, and why there is no result, for the slice `solving`."""
         return {"busy": self._busy == photo, "sentence": self._failed.get(photo, "")}
 

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
     from ladarreg_core.project.source import Source
 
+    from ..slices.events import ExportReadyEvent
+
 log = logging.getLogger(__name__)
 ALL = "all"
 """Name, in place of a photograph's id, of the zip of several; ids of photographs are a letter and a number."""
@@ -74,7 +76,7 @@ class Export:
     """Id of the first photograph; empty without any."""
     work: Callable[[JobContext], str]
     """Writes it and returns a sentence."""
-    event: dict[str, Any] | None
+    event: ExportReadyEvent | None
     """Sent to all clients once it is written; None: it goes into a folder."""
 
 
@@ -349,7 +351,7 @@ class ExportJobs:
         return [path for source in sources if source is not None for path in folder.source_files(source)]
 
 
-def _event(wanted: Wanted, ending: Ending) -> dict[str, Any]:
+def _event(wanted: Wanted, ending: Ending) -> ExportReadyEvent:
     url = f"export/{wanted.name}.{ending}"
     return {"event": "export_ready", "targets": list(wanted.targets), "name": wanted.name, "url": url}
 

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from ladarreg_core.project.document import PhotoEntry
     from ladarreg_core.thesis.matching.matcher import FoundMatches, ThesisSearch
 
+    from ..slices.photographs import Corners
+
 CORNER, BETWEEN = "corner", "between corners"
 """Origins of picks."""
 
@@ -41,7 +43,7 @@ class MatchingJobs:
         self._workspace = workspace
         self._searches: dict[str, Search] = {}
 
-    def corners(self, photo_id: str) -> dict[str, list[list[float]]] | None:
+    def corners(self, photo_id: str) -> Corners | None:
         """Return the corners, as rays and pixels; None before the search."""
         found = self._searches.get(photo_id)
         if found is None:

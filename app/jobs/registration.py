@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project.edits import with_picks, with_pose, without_origin
@@ -19,7 +19,11 @@ if TYPE_CHECKING:
     from ladarreg_core.frames import Rigid
     from ladarreg_core.matches import Pick
     from ladarreg_core.project.document import PhotoEntry
+    from ladarreg_core.registration.self_test.report import SelfTest
     from ladarreg_core.results.registration import PoseResult, Registration, StageId
+
+    from ..slices.photographs import Audit, SelfTestRow
+    from ..slices.photographs import SelfTest as SelfTestSlice
 
 FOUND = "auto"
 """Origin of the picks of a whole registration."""
@@ -31,8 +35,8 @@ class RegistrationJobs:
     def __init__(self, workspace: Workspace, solve: SolveJobs) -> None:
         self._workspace = workspace
         self._solve = solve
-        self.self_tests: dict[str, dict[str, Any]] = {}
-        self._audits: dict[str, tuple[object, dict[str, Any]]] = {}
+        self.self_tests: dict[str, SelfTestSlice] = {}
+        self._audits: dict[str, tuple[object, Audit]] = {}
 
     def auto(self, inputs: Inputs, context: JobContext) -> str:
         """Register from the images alone; manual matches stay as they are."""
@@ -142,7 +146,7 @@ class RegistrationJobs:
         self._audits[entry.id] = audited_of(entry), {"judged": name, **found.as_fields()}
         return found.sentence
 
-    def audited(self, entry: PhotoEntry) -> dict[str, Any] | None:
+    def audited(self, entry: PhotoEntry) -> Audit | None:
         """Return the last audit of a photograph; None without any, or where it has another pose by now."""
         if entry.id not in self._audits:
             return None
@@ -188,8 +192,8 @@ def _picks_of(result: PoseResult) -> list[Pick]:
     ]
 
 
-def _self_test_shown(found: Any) -> dict[str, Any]:
-    rows = [
+def _self_test_shown(found: SelfTest) -> SelfTestSlice:
+    rows: list[SelfTestRow] = [
         {
             "kind": trial.kind,
             "right": trial.right,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.frames import Rigid
@@ -17,10 +17,15 @@ from .export import Export, ExportJobs
 from .inputs import Inputs, Workspace
 from .matching import MatchingJobs
 from .registration import RegistrationJobs
-from .runner import FULL_SPEED, WATCHED_SPEED, Control, JobContext, JobRunner
+from .runner import FULL_SPEED, WATCHED_SPEED, JobContext, JobRunner
 from .simplex import Frame, SimplexJobs, frame_event
 from .solve import SolveJobs
 from .survey import SurveyJobs
+
+if TYPE_CHECKING:
+    from ..slices.choices import Control
+    from ..slices.events import Event
+    from ..slices.photographs import Audit, Corners, SelfTest, Solving
 
 Work = Callable[[Inputs, JobContext], str]
 _WATCHED: tuple[Control, ...] = ("pause", "stop", "speed", "step")
@@ -52,7 +57,7 @@ class JobRegistry:
         workspace: Workspace,
         runner: JobRunner,
         watch: Callable[[Frame], None],
-        publish_event: Callable[[dict[str, Any]], None],
+        publish_event: Callable[[Event], None],
         on_change: Callable[[], None] | None,
     ) -> None:
         self._workspace, self._runner, self._publish_event = workspace, runner, publish_event
@@ -122,19 +127,19 @@ class JobRegistry:
 
         return self._runner.start("export", work, label=export.label, photo=export.photo, author=author)
 
-    def corners(self, photo: str) -> dict[str, Any] | None:
+    def corners(self, photo: str) -> Corners | None:
         """Return the corners found in a photograph and the scan."""
         return self._matching.corners(photo)
 
-    def self_test(self, photo: str) -> dict[str, Any] | None:
+    def self_test(self, photo: str) -> SelfTest | None:
         """Return the present results of a photograph's self-test."""
         return self._registration.self_tests.get(photo)
 
-    def audited(self, entry: PhotoEntry) -> dict[str, Any] | None:
+    def audited(self, entry: PhotoEntry) -> Audit | None:
         """Return the last audit of a photograph's pose, see `Audit.as_fields`; None without any."""
         return self._registration.audited(entry)
 
-    def solving(self, photo: str) -> dict[str, Any]:
+    def solving(self, photo: str) -> Solving:
         """Return the state of the automatic solving of a photograph."""
         return IDLE if self._automatic is None else self._automatic.state(photo)
 

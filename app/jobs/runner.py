@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING
 
 from ladarreg_core.errors import Cancelled, LadarregError, OptionError
 from ladarreg_core.foundations.progress import Progress
@@ -17,9 +17,10 @@ from ladarreg_core.results.steps import Step
 
 from ..messages import internal_error, sentence
 
+if TYPE_CHECKING:
+    from ..slices.choices import Control, JobState
+
 log = logging.getLogger(__name__)
-State = Literal["waiting", "running", "paused", "done", "failed", "stopped"]
-Control = Literal["pause", "stop", "speed", "step"]
 _PUBLISH_EVERY_S = 0.1
 _STOPS_WITHIN_S = 30.0
 _MAX_WAITING = 50
@@ -39,7 +40,7 @@ class Job:
     photo: str
     author: Author
     can: tuple[Control, ...] = ()
-    state: State = "waiting"
+    state: JobState = "waiting"
     done: int = 0
     total: int = 0
     message: str = ""
@@ -138,7 +139,7 @@ class JobContext:
         self._stop.set()
         self._resumed.set()
 
-    def end(self, state: State, message: str) -> None:
+    def end(self, state: JobState, message: str) -> None:
         """Record how the job ended, which no later control changes."""
         with self._changing:
             self.job.message, self.job.state = message, state

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from ladarreg_core.results.registration import PoseResult
     from ladarreg_core.thesis.estimators.stereo_simplex import DescentStep, SimplexFit
 
+    from ..slices.events import SimplexEvent
+
 _SHOW_EVERY_S = 1 / 20
 _LONGEST_DEBT_S = 0.2
 """How far the pacing may lag behind its schedule before it gives up catching up."""
@@ -157,7 +159,7 @@ class SimplexJobs:
         self._watch(Frame(inputs.entry.id, matches, inputs, step, last))
 
 
-def frame_event(frame: Frame) -> dict[str, Any]:
+def frame_event(frame: Frame) -> SimplexEvent:
     """Return the protocol event of an iteration."""
     from ladarreg_core.frames import ThesisParameters
     from ladarreg_core.matches import count_picks

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.inspection.model_textures import usable_texture
 
+if TYPE_CHECKING:
+    from ..slices.choices import ModelDetail
+    from ..slices.project import ModelDisplay
+
 _MAX_HIDDEN = 100
-DETAILS = ("coarse", "standard", "dense")
+DETAILS: tuple[ModelDetail, ...] = ("coarse", "standard", "dense")
 LAYERS = {
     "fused": ("Fused", "the colours of all photographs: exposures equalised, and what moved left out"),
     "photo_id": ("Photograph used", "which photograph colours each place, when all are fused"),
@@ -28,7 +32,7 @@ class ModelChoice:
     """Requested texture; the page shows `intensity` if it is not available."""
     z_buffer: bool = True
     """True if surfaces hidden from the camera stay uncoloured."""
-    detail: str = "standard"
+    detail: ModelDetail = "standard"
     """The finest mesh and texture that are sent: `coarse` for slow computers and links, `dense` on demand."""
     cameras: bool = True
     """True if the scanner and the camera are shown."""
@@ -60,6 +64,15 @@ class ModelChoice:
                 raise OptionError(f"the detail is {value[:20]!r}; it must be one of {', '.join(DETAILS)}")
         return replace(self, **wanted)
 
-    def slice(self) -> dict[str, Any]:
-        """Return the slice `model`."""
-        return asdict(self)
+    def slice(self) -> ModelDisplay:
+        """Return what the slice `model` states of it."""
+        return {
+            "texture": self.texture,
+            "z_buffer": self.z_buffer,
+            "detail": self.detail,
+            "cameras": self.cameras,
+            "matches": self.matches,
+            "rays": self.rays,
+            "residuals": self.residuals,
+            "hidden_stations": list(self.hidden_stations),
+        }

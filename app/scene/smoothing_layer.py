@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
     from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 
+    from ..slices.choices import SmoothingShow
     from .place import Place
 
-SmoothingShow = Literal["before", "after", "difference"]
 _CROSS_PER_RANGE = 0.006
 
 

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from .workbench import Limits, Workbench
 
 log = logging.getLogger(__name__)
-Message = dict[str, Any]
+Message = Mapping[str, Any]
 _REPLY_IS_SENT_S = 0.2
 _CALLS_END_S = 60.0
 _OTHER_PROJECT = "another project was opened meanwhile, so nothing was changed: reload the page"

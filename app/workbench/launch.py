@@ -349,8 +349,8 @@ def _attach_scene(workbench: Workbench, server: viser.ViserServer) -> None:
         shown = workbench.selection.photo_of(workbench.clients.find(person))
         if shown is not None:
             pose = draft @ workbench.queries.place_beside(shown)  # it was known when the camera was placed
-            event = {"event": "placement", "photo": shown.id, "camera_from_scanner": pose.matrix.tolist()}
-            workbench.tell(event, {person})
+            place = pose.matrix.tolist()
+            workbench.tell({"event": "placement", "photo": shown.id, "camera_from_scanner": place}, {person})
 
     def camera_clicked(person: str, photo: str) -> None:
         client = workbench.clients.find(person)

@@ -62,9 +62,13 @@ if TYPE_CHECKING:
 
     from ..gateway.protocol import Picture, Visitor
     from ..scene import Scene3D
+    from ..scene.model_view import ModelChoice
+    from ..slices.events import Event, NoticeEvent, NoticeLevel
+    from ..slices.every import OwnSlices, QuickSlices, Scan, SlowOfPhoto, SlowSlices
+    from ..slices.project import Model, ModelOfPhoto
 
 log = logging.getLogger(__name__)
-Message = dict[str, Any]
+Message = Mapping[str, Any]
 _ANNOUNCED = ("solve", "verify")
 """Jobs whose result is also announced: the verdict may be out of sight."""
 
@@ -267,7 +271,7 @@ class Workbench:
         """Update a 3-D scene from now on."""
         self.scene_sync.attach(scene)
 
-    def publish_event(self, event: Message) -> None:
+    def publish_event(self, event: Event) -> None:
         """Send an event to all clients."""
         self.publisher.publish_event(event)
 
@@ -276,14 +280,16 @@ class Workbench:
         others = {other.id for other in self.clients.present} - {client.id}
         self.publisher.publish_event({"event": "notice", "level": "info", "text": text}, to=others)
 
-    def tell(self, event: Message, to: set[str]) -> None:
+    def tell(self, event: Event, to: set[str]) -> None:
         """Send an event to clients by their ids."""
         self.publisher.publish_event(event, to=to)
 
-    def publish_notice(self, text: str, *, level: str = "info", photo: str = "") -> None:
+    def publish_notice(self, text: str, *, level: NoticeLevel = "info", photo: str = "") -> None:
         """Show a sentence to all clients; one on a photograph leaves when its matches or its pose change."""
-        about = {"photo": photo} if photo else {}
-        self.publish_event({"event": "notice", "level": level, "text": text, **about})
+        event: NoticeEvent = {"event": "notice", "level": level, "text": text}
+        if photo:
+            event["photo"] = photo
+        self.publish_event(event)
 
     # state
 
@@ -293,7 +299,7 @@ class Workbench:
     def _quick_slices(self) -> dict[str, Any]:
         session, loader = self.session, self.loader
         document = session.document
-        found: dict[str, Any] = {
+        found: QuickSlices = {
             "history": history_slice(session.history, self._history_entries),
             "scan": self._scan_slice(),
             "settings": self._slices.get(document.settings, lambda: settings_slice(document.settings)),
@@ -315,7 +321,7 @@ class Workbench:
             "progress": progress_slice(loader, document, None, exported={}),
             "limits": {"upload_bytes": self.limits.upload_bytes, "photos": MAX_PHOTOS},
         }
-        return found | self._photo_slices.all(document, self._photos_looked_at(False))
+        return {**found, **self._photo_slices.all(document, self._photos_looked_at(False))}
 
     def _own_slices(self, client: Client) -> dict[str, Any]:
         """Return the slices that differ between the clients."""
@@ -325,15 +331,16 @@ class Workbench:
         document = self.session.document
         parts = self._slices.get(self._shown_parts(shown), partial(self.model_parts.slice, document, shown))
         choice = client.model  # another thread may replace it
-        return {
-            "project": {**project_slice(self.session, client.author, alone=alone, start=start), "opened": opened},
+        found: OwnSlices = {
+            "project": project_slice(self.session, client.author, alone=alone, start=start, opened=opened),
             "shown": shown.id if shown else None,
             "partner": self.partners.slice(shown),
             "beside": self._scan_slice(shown) if shown and shown.station else None,
             "smoothing": self.smoothing.slice(client, shown.station if shown else ""),
             "people": self.clients.slice(client, self._photo_id_of),
-            "model": self._slices.get(("own model", choice, parts), lambda: choice.slice() | parts),
+            "model": self._slices.get(("own model", choice, parts), partial(_model_slice, choice, parts)),
         }
+        return {**found}
 
     def _open_panorama(self, path: Path, client: Client) -> None:
         self.files.open(path, f"{path.parent.name}.npz", "scan", None, client)
@@ -372,14 +379,15 @@ class Workbench:
             )
         return people
 
-    def _scan_slice(self, shown: PhotoEntry | None = None) -> dict[str, Any] | None:
+    def _scan_slice(self, shown: PhotoEntry | None = None) -> Scan | None:
         """Return the slice of the scan beside a photograph; None: of the project's."""
         document, loader = self.session.document.beside(shown), self.loader
         return loader.cached("picture", ("scan slice", document.scan), lambda: scan_slice(loader, document))
 
     def _slow_slices(self) -> dict[str, Any]:
         document, loader = self.session.document, self.loader
-        found: dict[str, Any] = {"measured": self.measured.slice()}
+        shared: SlowSlices = {"measured": self.measured.slice()}
+        found: dict[str, Any] = {**shared}
         for entry in self._by_station(document):
             source = document.beside(entry).scan
             if source is None:
@@ -392,7 +400,8 @@ class Workbench:
             key = (source, entry.picks, entry.pose, entry.source, entry.camera, readable, sigmas)
             make = partial(judged_slice, loader, document, entry, readable=readable, sigmas=sigmas)
             with suppress(LadarregError):  # the slice `scan` or `partner` states it
-                found[f"judged:{entry.id}"] = self._slices.get(key, make)
+                of_photo: SlowOfPhoto = {"judged": self._slices.get(key, make)}
+                found[f"judged:{entry.id}"] = of_photo["judged"]
         return found
 
     def _by_station(self, document: Document) -> list[PhotoEntry]:
@@ -462,3 +471,7 @@ class Workbench:
             log.info("the scan cannot be shown: %s", error)
         self.images.prerender()
         self.publisher.publish(slow=True)
+
+
+def _model_slice(choice: ModelChoice, parts: ModelOfPhoto) -> Model:
+    return {**choice.slice(), **parts}

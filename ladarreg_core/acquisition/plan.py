@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NotRequired, TypedDict
 
 from ladarreg_core.acquisition.mount_fields import (
     base_as_value,
@@ -30,6 +30,69 @@ VERSION = 1
 MAX_STOPS = 100_000
 UPRIGHT = Rigid.identity()
 """`level_from_unit` of a unit that stands upright."""
+
+
+class UnitFields(TypedDict):
+    """The unit of a plan, as `plan.json` states it."""
+
+    kind: UnitKind
+    port: str
+    baud: NotRequired[int]
+    signs: list[int]
+    address: NotRequired[int]
+    user: NotRequired[str]
+    range_deg: NotRequired[list[list[float]]]
+    speed_deg_s: NotRequired[float]
+
+
+class ScannerFields(TypedDict):
+    """The scanner of a plan, as `plan.json` states it."""
+
+    kind: ScannerKind
+    port: NotRequired[str]
+    baud: NotRequired[int]
+    lines: NotRequired[int]
+    udp_port: NotRequired[int]
+    host: NotRequired[str]
+    sensor_file: NotRequired[str]
+    folder: NotRequired[str]
+    timeout_s: NotRequired[float]
+    fov_deg: NotRequired[list[float]]
+    trigger: NotRequired[dict[str, Any]]
+
+
+class CameraFields(TypedDict):
+    """The camera of a plan, as `plan.json` states it."""
+
+    folder: NotRequired[str]
+    device: NotRequired[int | None]
+    mount: list[list[float]] | None
+    trigger: NotRequired[dict[str, Any]]
+
+
+class MountFields(TypedDict):
+    """How the scanner is mounted, as `plan.json` states it."""
+
+    xyz_m: list[float]
+    rpy_deg: list[float]
+    base: NotRequired[str | list[float]]
+    base_sigma_deg: NotRequired[list[float]]
+
+
+class PlanFields(TypedDict):
+    """The content of `plan.json`."""
+
+    version: int
+    unit: UnitFields
+    scanner: ScannerFields
+    camera: CameraFields | None
+    mode: Mode
+    pan_deg: list[float]
+    tilt_deg: list[float]
+    settle_s: float
+    continuous: bool
+    passes: int
+    mount: MountFields
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,54 +191,73 @@ class Plan:
     base_sigma_deg: tuple[float, float] | None = None
     """Standard deviations of its roll and pitch, deg; None: not known."""
 
-    def as_fields(self) -> dict[str, Any]:
+    def as_fields(self) -> PlanFields:
         """Return the content of `plan.json`."""
-        scanner: dict[str, Any] = {"kind": self.scanner.kind}
-        if self.scanner.kind == "scip2":
-            scanner |= {"port": self.scanner.port, "baud": self.scanner.baud, "lines": self.scanner.lines}
-        elif self.scanner.kind == "packets":
-            scanner |= {"udp_port": self.scanner.udp_port, "timeout_s": self.scanner.timeout_s}
-            scanner |= {name: value for name in ("host", "sensor_file") if (value := getattr(self.scanner, name))}
-        else:
-            scanner |= {"folder": self.scanner.folder, "timeout_s": self.scanner.timeout_s}
-        if self.scanner.fov_deg is not None:
-            scanner["fov_deg"] = list(self.scanner.fov_deg)
-        if self.scanner.trigger is not None:
-            scanner["trigger"] = self.scanner.trigger.as_fields()
-        unit: dict[str, Any] = {
-            "kind": self.unit.kind, "port": self.unit.port, "baud": self.unit.baud, "signs": list(self.unit.signs),
-        }  # fmt: skip
-        if self.unit.kind == "pelco-d":
-            unit["address"] = self.unit.address
-        elif self.unit.kind == "onvif":
-            del unit["baud"]
-            unit |= {"user": self.unit.user} if self.unit.user else {}
-        if self.unit.range_deg is not None:
-            unit["range_deg"] = [list(axis) for axis in self.unit.range_deg]
-        if self.unit.speed_deg_s is not None:
-            unit["speed_deg_s"] = self.unit.speed_deg_s
-        camera: dict[str, Any] | None = None
-        if self.camera is not None:
-            source = {"folder": self.camera.folder} if self.camera.folder else {"device": self.camera.device}
-            camera = {**source, "mount": None if self.camera.mount is None else self.camera.mount.matrix.tolist()}
-            if self.camera.trigger is not None:
-                camera["trigger"] = self.camera.trigger.as_fields()
+        mount = mount_as_fields(self.mount)
+        mounted: MountFields = {"xyz_m": mount["xyz_m"], "rpy_deg": mount["rpy_deg"]}
+        if not is_upright(self.base):
+            mounted["base"] = base_as_value(self.base)
+        if self.base_sigma_deg is not None:
+            mounted["base_sigma_deg"] = list(self.base_sigma_deg)
         return {
             "version": VERSION,
-            "unit": unit,
-            "scanner": scanner,
-            "camera": camera,
+            "unit": self._unit_fields(),
+            "scanner": self._scanner_fields(),
+            "camera": self._camera_fields(),
             "mode": self.mode,
             "pan_deg": [self.pan.first_deg, self.pan.last_deg, self.pan.step_deg],
             "tilt_deg": [self.tilt.first_deg, self.tilt.last_deg, self.tilt.step_deg],
             "settle_s": self.settle_s,
             "continuous": self.continuous,
             "passes": self.passes,
-            "mount": {
-                **mount_as_fields(self.mount), **({} if is_upright(self.base) else {"base": base_as_value(self.base)}),
-                **({} if self.base_sigma_deg is None else {"base_sigma_deg": list(self.base_sigma_deg)}),
-            },
-        }  # fmt: skip
+            "mount": mounted,
+        }
+
+    def _scanner_fields(self) -> ScannerFields:
+        scanner = self.scanner
+        found: ScannerFields = {"kind": scanner.kind}
+        if scanner.kind == "scip2":
+            found.update({"port": scanner.port, "baud": scanner.baud, "lines": scanner.lines})
+        elif scanner.kind == "packets":
+            found.update({"udp_port": scanner.udp_port, "timeout_s": scanner.timeout_s})
+            if scanner.host:
+                found["host"] = scanner.host
+            if scanner.sensor_file:
+                found["sensor_file"] = scanner.sensor_file
+        else:
+            found.update({"folder": scanner.folder, "timeout_s": scanner.timeout_s})
+        if scanner.fov_deg is not None:
+            found["fov_deg"] = list(scanner.fov_deg)
+        if scanner.trigger is not None:
+            found["trigger"] = scanner.trigger.as_fields()
+        return found
+
+    def _unit_fields(self) -> UnitFields:
+        unit = self.unit
+        found: UnitFields = {"kind": unit.kind, "port": unit.port, "baud": unit.baud, "signs": list(unit.signs)}
+        if unit.kind == "pelco-d":
+            found["address"] = unit.address
+        elif unit.kind == "onvif":
+            del found["baud"]
+            if unit.user:
+                found["user"] = unit.user
+        if unit.range_deg is not None:
+            found["range_deg"] = [list(axis) for axis in unit.range_deg]
+        if unit.speed_deg_s is not None:
+            found["speed_deg_s"] = unit.speed_deg_s
+        return found
+
+    def _camera_fields(self) -> CameraFields | None:
+        camera = self.camera
+        if camera is None:
+            return None
+        mount = None if camera.mount is None else camera.mount.matrix.tolist()
+        found: CameraFields = (
+            {"folder": camera.folder, "mount": mount} if camera.folder else {"device": camera.device, "mount": mount}
+        )
+        if camera.trigger is not None:
+            found["trigger"] = camera.trigger.as_fields()
+        return found
 
 
 def example_plan() -> Plan:

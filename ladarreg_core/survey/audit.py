@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal, TypedDict
 
 import numpy as np
 
@@ -39,6 +39,29 @@ _DIRECTIONS = 60
 _SMALLEST, _LARGEST = 1e-5, 1.0
 _SIZES_RAD = np.radians([0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0])
 _SIZES_M = np.array([1, 2, 5, 10, 20, 50, 100, 200]) / 1000
+
+
+class PowerFields(TypedDict):
+    """What an audit would have seen: sizes of errors, each with the probability of seeing it."""
+
+    rotation_rad: list[list[float]]
+    position_m: list[list[float]]
+    seen_with_probability: float
+    smallest_rotation_rad: float | None
+    smallest_position_m: float | None
+
+
+class AuditFields(TypedDict):
+    """The fields of an audit, JSON-ready."""
+
+    outcome: Outcome
+    sentence: str
+    p_value: float | None
+    false_alarm: float
+    correction: list[float] | None
+    covariance: list[list[float]] | None
+    camera_from_scanner: list[list[float]] | None
+    power: PowerFields
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +99,7 @@ class Audit:
     smallest_position_m: float = float("nan")
     """Smallest displacement, likewise."""
 
-    def as_fields(self) -> dict[str, Any]:
+    def as_fields(self) -> AuditFields:
         """Return the result as JSON-ready fields."""
         known = self.corrected is not None
 

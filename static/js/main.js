@@ -106,9 +106,10 @@ const noticeOnce = (/** @type {string} */ text) => {
 /** Open the file dialog once if the project is empty. */
 let welcomed = false;
 const welcome = () => {
-  if (welcomed || !store.get("project")) return;
+  const project = store.get("project");
+  if (welcomed || !project) return;
   welcomed = true;
-  if (store.get("project").amiss) notice(store.get("project").amiss, "warn");
+  if (project.amiss) notice(project.amiss, "warn");
   const left = store.get("waiting") ?? [];
   if (left.length) notice(
     left.length === 1 ? `${left[0].name} is not open yet: ${left[0].said}.` : `${left.length} files are not open yet.`,
@@ -119,9 +120,9 @@ const welcome = () => {
   const message = projectNotice();
   if (message) notice(message);
   if (nothing && store.get("acquisition")?.offered && !store.readOnly) view.set({ step: "acquire" });
-  else if (store.get("project").start && !store.readOnly) openProjects(openFiles);
+  else if (project.start && !store.readOnly) openProjects(openFiles);
   else if (nothing && !store.readOnly && !document.querySelector("dialog[open]")) openFiles();
-  else noticeOnce(store.get("project").opened);
+  else noticeOnce(project.opened);
 };
 store.watch(["project", "scan", "photos", "acquisition"], welcome);
 

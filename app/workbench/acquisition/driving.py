@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     from ladarreg_core.acquisition.runs.runner import Run, RunEvent
 
     from ...scene import Scene3D
+    from ...slices.choices import AcquisitionState
+    from ...slices.several import Acquisition as AcquisitionSlice
+    from ...slices.several import Devices
 
 log = logging.getLogger(__name__)
 RUNS = "runs"
@@ -78,7 +81,7 @@ class Acquisition:
         self._runs = Runs(folder / RUNS)
         self._scene = scene
         self._lock = threading.RLock()
-        self._state = "off"
+        self._state: AcquisitionState = "off"
         self._said = ""
         self._driver: tuple[str, str] | None = None
         self._plan: Plan | None = None
@@ -294,7 +297,7 @@ class Acquisition:
 
     # -- what they see -----------------------------------------------------------------------------------------
 
-    def slice(self) -> dict[str, Any]:
+    def slice(self) -> AcquisitionSlice:
         """Return the slice `acquisition`."""
         with self._lock:
             at, progress = self._at, self._progress
@@ -505,7 +508,7 @@ class Acquisition:
         return self._devices
 
 
-def _described(devices: Connected, plan: Plan | None) -> dict[str, Any]:
+def _described(devices: Connected, plan: Plan | None) -> Devices:
     from ladarreg_core.acquisition.twin_address import is_twin
 
     unit, scanner = devices.unit.identity, devices.line_scanner

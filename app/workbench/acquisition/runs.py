@@ -14,6 +14,8 @@ from ladarreg_core.storage.atomic_write import replaced_file, write_bytes
 if TYPE_CHECKING:
     from ladarreg_core.acquisition.plan import Plan
 
+    from ...slices.several import AcquiredRun
+
 log = logging.getLogger(__name__)
 PANORAMA = "scan.npz"
 DRAFT = "draft.json"
@@ -29,7 +31,7 @@ class Runs:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self.slice: list[dict[str, Any]] = []
+        self.slice: list[AcquiredRun] = []
         """What pages receive about each run, the latest first."""
         self.refresh()
 
@@ -78,7 +80,7 @@ class Runs:
         """Look at the folder again."""
         from ladarreg_core.acquisition.runs.run_folder import summary
 
-        found = []
+        found: list[AcquiredRun] = []
         for path in sorted(self._folder.iterdir(), reverse=True) if self._folder.is_dir() else []:
             try:
                 run = summary(path)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ...scene import Scene3D
     from ...session.loader import Loader
     from ...session.session import Session
+    from ...slices.events import Event
     from ..acquisition.driving import Acquisition
     from ..files.batches import Batches
     from ..files.embedded import EmbeddedPictures
@@ -118,7 +119,7 @@ class Context(Protocol):
     def list_served(self) -> None:
         """List the served folder again."""
 
-    def tell(self, event: dict[str, Any], to: set[str]) -> None:
+    def tell(self, event: Event, to: set[str]) -> None:
         """Send an event to clients by their ids."""
 
     def tell_others(self, client: Client, text: str) -> None:

@@ -149,8 +149,9 @@ class Reject(PhotoCommand, frozen=True):
     def execute(self, context: Context, client: Client) -> Reply:
         """Disable and enable them."""
         errors = context.queries.pick_errors(self.entry(context).id)
-        name, unit = ("depth_m", "m") if self.by == "depth" else ("px", "px")
-        on = {pick: abs(error[name]) <= self.above for pick, error in errors.items() if error[name] is not None}
+        unit = "m" if self.by == "depth" else "px"
+        sizes = {pick: error["depth_m"] if self.by == "depth" else error["px"] for pick, error in errors.items()}
+        on = {pick: abs(size) <= self.above for pick, size in sizes.items() if size is not None}
         if not on:
             raise OptionError("no match has an error yet; solve first")
         off = sum(not value for value in on.values())
@@ -233,7 +234,7 @@ class SampleLine(WorkbenchCommand, frozen=True):
 
     def execute(self, context: Context, client: Client) -> Reply:
         """Return them."""
-        return context.queries.sample_line(edits.rays(self.scan), context.selection.photo_of(client))
+        return {**context.queries.sample_line(edits.rays(self.scan), context.selection.photo_of(client))}
 
 
 class Probe(WorkbenchCommand, frozen=True):

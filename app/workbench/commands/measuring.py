@@ -58,7 +58,7 @@ class Measure(OfPlaces, frozen=True):
 
     def execute(self, context: Context, client: Client) -> Reply:
         """Measure them."""
-        return context.measured.preview(self.picked())
+        return {**context.measured.preview(self.picked())}
 
 
 class AddMeasurement(OfPlaces, frozen=True):

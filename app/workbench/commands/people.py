@@ -11,6 +11,7 @@ from ladarreg_core.project import edits
 from .command import Context, Pixel, Reply, Side, ViewIndex, WorkbenchCommand
 
 if TYPE_CHECKING:
+    from ...slices.events import PictureEvent
     from ..state.clients import Client
 
 _ZOOM = "the zoom must be a positive number, relative to the whole picture"
@@ -37,12 +38,15 @@ class PictureCommand(WorkbenchCommand, frozen=True):
     photo: str | None = None
     view: ViewIndex = 0
 
-    def place(self, context: Context, client: Client, name: str, at: list[float] | None) -> Reply:
-        """Return the picture, of the scan with the station that it is of, and the place under a name."""
-        uv = None if at is None else list(edits.pixels([at])[0])
+    def of_picture(self, context: Context, client: Client) -> PictureEvent:
+        """Return the client and the picture, of the scan with the station that it is of."""
         shown = context.selection.photo_of(client)
         station = shown.station if shown is not None and self.side == "scan" else ""
-        return {"side": self.side, "view": self.view, "photo": self.photo, "station": station, name: uv}
+        return {"client": client.id, "side": self.side, "view": self.view, "photo": self.photo, "station": station}
+
+
+def _place(at: list[float] | None) -> list[float] | None:
+    return None if at is None else list(edits.pixels([at])[0])
 
 
 class Point(PictureCommand, frozen=True):
@@ -54,8 +58,9 @@ class Point(PictureCommand, frozen=True):
     def execute(self, context: Context, client: Client) -> Reply:
         """Show it."""
         others = {other.id for other in context.clients.present} - {client.id}
+        uv = _place(self.uv)
         if others:
-            context.tell({"event": "cursor", "client": client.id, **self.place(context, client, "uv", self.uv)}, others)
+            context.tell({"event": "cursor", **self.of_picture(context, client), "uv": uv}, others)
         return {}
 
 
@@ -69,7 +74,8 @@ class ShowView(PictureCommand, frozen=True, kw_only=True):
     def execute(self, context: Context, client: Client) -> Reply:
         """Show it."""
         followers = {other.id for other in context.clients.present if other.follows == client.id} - {client.id}
-        place = self.place(context, client, "centre", self.centre)
+        centre = _place(self.centre)
         if followers:
-            context.tell({"event": "view", "client": client.id, "zoom": self.zoom, **place}, followers)
+            picture = self.of_picture(context, client)
+            context.tell({"event": "view", **picture, "centre": centre, "zoom": self.zoom}, followers)
         return {}

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import FormatError, LadarregError, OptionError, UnderspecifiedError
 from ladarreg_core.project.document import Document
@@ -24,6 +24,9 @@ from ..state.clients import Client
 from ..state.selection import Selection
 from .batch_plan import BatchFile, PhotoTarget, Reason, Step, listed, plan_batch, with_companions
 from .opening import Files, HowScans
+
+if TYPE_CHECKING:
+    from ...slices.project import WaitingFile
 
 log = logging.getLogger(__name__)
 ANY = "any"
@@ -168,20 +171,22 @@ class Batches:
         self._on_change()
         return given
 
-    def slice(self) -> list[dict[str, Any]]:
+    def slice(self) -> list[WaitingFile]:
         """Return the slice `waiting`.
 
         It is computed without the lock, which a batch holds while its edits are published: whoever publishes at that
         moment would deadlock.
         """
-        listed = []
+        listed: list[WaitingFile] = []
         for file in list(self._waiting.values()):
             reason = self._reason(file)
             if reason is not None:
-                kind = "part" if reason.part_of else file.survey.kind
-                known = {"id": file.id, "name": file.name, "size": file.size}
                 takes = list(file.survey.takes) if reason.is_underspecified else []
-                listed.append({**known, "kind": kind, "said": reason.said, "lacks": self._lacks(file), "takes": takes})
+                listed.append({
+                    "id": file.id, "name": file.name, "size": file.size,
+                    "kind": "part" if reason.part_of else file.survey.kind, "said": reason.said,
+                    "lacks": self._lacks(file), "takes": takes,
+                })  # fmt: skip
                 if takes and file.survey.scans:
                     listed[-1]["scans"] = list(file.survey.scans)
         return listed

@@ -5,7 +5,7 @@ from __future__ import annotations
 import secrets
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ladarreg_core.errors import LadarregError, OptionError
 from ladarreg_core.project import edits
@@ -21,6 +21,8 @@ from ..state.selection import Selection
 if TYPE_CHECKING:
     from ladarreg_core.formats.e57_images import EmbeddedImage
 
+    from ...slices.project import EmbeddedPicture
+
 
 class EmbeddedPictures:
     """The pictures in the file of the present scan.
@@ -35,7 +37,7 @@ class EmbeddedPictures:
         self._session, self._loader, self._selection = session, loader, selection
         self._listed: tuple[Source | None, tuple[EmbeddedImage, ...]] = (None, ())
 
-    def slice(self) -> list[dict[str, Any]]:
+    def slice(self) -> list[EmbeddedPicture]:
         """Return the slice `embedded`."""
         document = self._session.document
         taken = {photo.source.name for photo in document.photos}

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import msgspec
 
@@ -27,6 +27,11 @@ from ..state.clients import Client
 from ..state.queries import Queries
 from ..state.selection import Selection
 from .reading import with_reading
+
+if TYPE_CHECKING:
+    from ladarreg_core.formats.file_info import FileKind
+
+    from ...slices.project import Served, ServedFile
 
 What = Literal["scan", "photo", "camera", "matches", "station"]
 HowScans = Literal["replace", "frames", "stations"]
@@ -55,7 +60,7 @@ class Files:
         self._queries = queries
         self._selection = selection
         self._served = served.resolve() if served else None
-        self._listed: list[dict[str, Any]] = []
+        self._listed: list[ServedFile] = []
         self.list_served()
 
     def take(self, path: Path, name: str, what: str, photo: str | None, client: Client | None) -> str:
@@ -270,7 +275,7 @@ class Files:
         """List the served folder again."""
         if self._served is None:
             return
-        found: list[dict[str, Any]] = []
+        found: list[ServedFile] = []
         for folder, below, names in os.walk(self._served):
             here = Path(folder)
             depth = len(here.relative_to(self._served).parts)
@@ -290,7 +295,7 @@ class Files:
                 break
         self._listed = found[:_MAX_SERVED]
 
-    def _offered(self, path: Path) -> tuple[Path, str] | None:
+    def _offered(self, path: Path) -> tuple[Path, FileKind] | None:
         """Return the target of a path below the served folder, and its kind; None if clients may not open it.
 
         They may open files of a known kind, unless any part of the path, or of the target of a link, is hidden.
@@ -311,7 +316,7 @@ class Files:
             return None
         return None if kind is None or kind not in get_args(What) else (target, kind)
 
-    def served_slice(self) -> dict[str, Any] | None:
+    def served_slice(self) -> Served | None:
         """Return the served files; None where no folder is served."""
         return None if self._served is None else {"label": self._served.name, "files": self._listed}
 

@@ -9,7 +9,7 @@ import threading
 from collections import Counter, OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project.history import Author
@@ -17,7 +17,10 @@ from ladarreg_core.project.history import Author
 from ...gateway.protocol import Visitor
 from ...gateway.seats import Seats
 from ...scene.model_view import ModelChoice
-from ...scene.smoothing_layer import SmoothingShow
+
+if TYPE_CHECKING:
+    from ...slices.choices import SmoothingShow
+    from ...slices.project import People
 
 MAX_CLIENTS = 64
 _LIMIT = Seats(MAX_CLIENTS)
@@ -185,7 +188,7 @@ class Clients:
             leader = followed
         return leader
 
-    def slice(self, client: Client, photo_of: Callable[[Client], str | None]) -> dict[str, Any]:
+    def slice(self, client: Client, photo_of: Callable[[Client], str | None]) -> People:
         """Return the slice `people` of a client; `photo_of` returns the photograph that each sees."""
         people = self.present
         return {

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from ladarreg_core.surface.visibility.visible_points import Occluder
 
     from ...scene import MeasuredShown
+    from ...slices.project import Drawing, Drawings, MeasuredValue, Measurement, MeasurementPlace
+    from ...slices.project import Measured as MeasuredSlice
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -50,7 +52,7 @@ class Measured:
         self._occluders: OrderedDict[Hashable, Occluder] = OrderedDict()
         self._shown: tuple[Hashable, MeasuredShown | None] = None, None
 
-    def slice(self) -> list[dict[str, Any]]:
+    def slice(self) -> list[MeasuredSlice]:
         """Return the slice `measured`."""
         document = self._session.document
         entries = document.measurements
@@ -65,7 +67,7 @@ class Measured:
             for entry, value in zip(entries, found, strict=True)
         ]
 
-    def preview(self, picked: Picked) -> dict[str, Any]:
+    def preview(self, picked: Picked) -> MeasuredValue:
         """Return the value of points that are being picked, or why they cannot be measured.
 
         Raises:
@@ -147,7 +149,7 @@ class Measured:
         key = "placed", station, *map(id, rests_on)
         return self._kept(self._drawn, key, lambda: (rests_on, in_common_frame(document, station, found)))[1]  # type: ignore[no-any-return]
 
-    def _fields(self, document: Document, picked: Picked, found: NamedMeasurement) -> dict[str, Any]:
+    def _fields(self, document: Document, picked: Picked, found: NamedMeasurement) -> MeasuredValue:
         if found.measurement is None:
             return {"value": "", "interval": "", "notes": [], "refusal": sentence(found.refusal)}
         placed = self._placed(document, picked.station, found)
@@ -166,7 +168,7 @@ class Measured:
 
     def _drawing(
         self, document: Document, picked: Picked, found: NamedMeasurement, looked_at: Sequence[str]
-    ) -> dict[str, Any]:
+    ) -> Drawings:
         measured = found.measurement
         if measured is None:
             return {"drawn": None, "in_photo": {}}
@@ -177,7 +179,7 @@ class Measured:
         assert scan is not None, "it was measured on it"
         # the measurement is kept beside what is drawn of it, so that its id is not used again
         _, drawn = self._kept(self._drawn, id(found), lambda: (found, _rows(drawn_from_scanner(measured), 6)))
-        pictures: dict[str, Any] = {}
+        pictures: dict[str, Drawing] = {}
         for photo in filter(None, map(seen.photo, looked_at)):
             key = (id(found), photo.id, _pose_of(photo))
             if key[-1]:
@@ -188,7 +190,7 @@ class Measured:
 
     def _in_photo(
         self, scan: Scan, places: Sequence[MeasuredPlace], found: NamedMeasurement, photo: PhotoEntry
-    ) -> tuple[NamedMeasurement, dict[str, Any] | None]:
+    ) -> tuple[NamedMeasurement, Drawing | None]:
         from ladarreg_core.inspection.measuring.drawn import drawn_in_photo, may_be_drawn
         from ladarreg_core.surface.visibility.visible_points import Occluder
 
@@ -217,7 +219,7 @@ class Measured:
             return kept[key]
 
 
-def measurement_entry(entry: MeasurementEntry) -> dict[str, Any]:
+def measurement_entry(entry: MeasurementEntry) -> Measurement:
     """Return an entry of the slice `measurements`."""
     return {
         "id": entry.id,
@@ -228,9 +230,11 @@ def measurement_entry(entry: MeasurementEntry) -> dict[str, Any]:
     }
 
 
-def _place(one: MeasuredPlace) -> dict[str, Any]:
-    at, unit = ({"photo": one.photo, "uv": list(one.at)}, "px") if one.photo else ({"ray": list(one.at)}, "rad")
-    return at | ({f"sigma_{unit}": one.sigma} if one.sigma else {})
+def _place(one: MeasuredPlace) -> MeasurementPlace:
+    at: MeasurementPlace = {"photo": one.photo, "uv": list(one.at)} if one.photo else {"ray": list(one.at)}
+    if one.sigma:
+        at["sigma_px" if one.photo else "sigma_rad"] = one.sigma
+    return at
 
 
 def _pose_of(entry: PhotoEntry | None) -> Hashable:
@@ -243,7 +247,7 @@ def _pose_of(entry: PhotoEntry | None) -> Hashable:
     return (pose.name, pose.camera_from_scanner, pose.covariance) if pose is not None and pose.accepted else ()
 
 
-def _rows(drawn: DrawnMeasurement, digits: int) -> dict[str, Any]:
+def _rows(drawn: DrawnMeasurement, digits: int) -> Drawing:
     ends, lines = (np.round(part, digits) for part in (drawn.ends, drawn.lines))
     return {
         "ends": [_row(end) for end in ends],

@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     from ladarreg_core.surface.texture.best_photo import PosedPhoto
     from ladarreg_core.surface.texture.registered_texture import RegisteredTexture
 
+    from ...slices.project import ModelOfPhoto, Sheet, TextureOption
+
     _Seen = tuple[PoseEntry, Photo, PoseResult, str]
     """A photograph with its pose and its name for display."""
 
@@ -119,7 +121,7 @@ class ModelParts:
             return self._photo_part(document, scan, name, query, LEVELS[detail])
         raise OptionError(f"the model has no part {name[:20]!r}")
 
-    def slice(self, document: Document, entry: PhotoEntry | None) -> dict[str, Any]:
+    def slice(self, document: Document, entry: PhotoEntry | None) -> ModelOfPhoto:
         """Return the slice `textures`: the kinds of texture, and a text that changes with scan, photograph or pose."""
         document = self._loader.seen_from_scan(document)
         entry = None if entry is None else document.photo(entry.id)
@@ -129,20 +131,21 @@ class ModelParts:
             pose = one.pose
             made_of += [one.source, one.camera]
             made_of += [] if pose is None else [pose.camera_from_scanner, pose.camera, pose.covariance, pose.accepted]
-        choices = [
+        choices: list[TextureOption] = [
             {"value": choice.kind, "label": choice.label, "usable": choice.usable, "said": choice.description}
             for choice in texture_choices(_accepted_only(result))
         ]
         others = [one for one in _accepted(document) if one is not entry]
         if others and choices[0]["value"] == "colour":
-            choices[0] |= {"usable": True, "said": "each place in the colours of the photograph that shows it best"}
+            choices[0]["usable"] = True
+            choices[0]["said"] = "each place in the colours of the photograph that shows it best"
         choices += self._layer_choices(document)
         rev = hashlib.sha256(repr(made_of).encode()).hexdigest()[:12]
         accepted = result if result is not None and result.accepted else None
         sheet = None if accepted is None or entry is None else self._sheet(document, entry, accepted)
         return {"rev": rev, "accepted": accepted is not None, "choices": choices, "sheet": sheet}
 
-    def _sheet(self, document: Document, entry: PhotoEntry, result: PoseResult) -> dict[str, Any] | None:
+    def _sheet(self, document: Document, entry: PhotoEntry, result: PoseResult) -> Sheet | None:
         """Return the sheet that shows the photograph to who looks from its camera; None without a scan."""
         try:
             scan = self._loader.scan(document)
@@ -151,7 +154,7 @@ class ModelParts:
         if scan is None:
             return None
 
-        def made() -> dict[str, Any]:
+        def made() -> Sheet:
             distance = typical_range(scan)
             net = picture_sheet(result.camera, result.camera_from_scanner, distance_m=distance)
             corners = net.round(_SHEET_DECIMALS).reshape(-1, 3)
@@ -167,7 +170,7 @@ class ModelParts:
         key = ("sheet", document.scan, entry.id, entry.pose.camera_from_scanner, repr(entry.pose.camera))
         return self._loader.cached("model", key, made)
 
-    def _layer_choices(self, document: Document) -> list[dict[str, Any]]:
+    def _layer_choices(self, document: Document) -> list[TextureOption]:
         """Return the textures made of all accepted photographs, as entries of `choices`."""
         results = {entry.id: self._result(entry) for entry in _accepted(document)}
         accepted = [

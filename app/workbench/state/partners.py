@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable, Collection
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from ladarreg_core.frames import Rigid
     from ladarreg_core.project.document import Document, PhotoEntry
     from ladarreg_core.project.history import Author
+
+    from ...slices.several import Partner, PartnerChoice
 
 log = logging.getLogger(__name__)
 _MIN_SHARE, _BETTER_BY = 0.1, 0.05
@@ -64,11 +66,11 @@ class Partners:
         self._debouncer.close()
         self._thread.join(30)
 
-    def slice(self, shown: PhotoEntry | None) -> dict[str, Any]:
+    def slice(self, shown: PhotoEntry | None) -> Partner:
         """Return the slice `partner` of a client that sees a photograph."""
         return {"station": "" if shown is None else shown.station, "choices": self._choices(shown)}
 
-    def _choices(self, shown: PhotoEntry | None) -> list[dict[str, Any]]:
+    def _choices(self, shown: PhotoEntry | None) -> list[PartnerChoice]:
         document = self._session.document
         if shown is None or document.scan is None or not document.stations:
             return []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -14,9 +14,13 @@ from .slices import outline_slice, photo_slice, pick_entry, progress_slice
 from .survey import survey_slice, ties_slice
 
 if TYPE_CHECKING:
+    from ladarreg_core.export.output_frame import FrameName
     from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
 
     from ...jobs.registry import JobRegistry
+    from ...slices.every import AskedOfPhoto, KeptOfPhoto
+    from ...slices.photographs import Outline, Photo, Poses, Stage
+    from ...slices.several import Survey
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +30,7 @@ class _Known:
     entry: PhotoEntry
     is_seen: bool
     rests_on: tuple[object, ...]
-    listed: dict[str, Any]
+    listed: Photo
     """Its entry of the slice `photos`."""
     slices: dict[str, Any]
     in_survey: tuple[object, ...]
@@ -60,7 +64,7 @@ class PhotoSlices:
             looked_at: ids of the photographs that clients see.
         """
         seen = {"", *(entry.station for entry in document.photos if entry.id in looked_at)}
-        listed: list[dict[str, Any]] = []
+        listed: list[Photo] = []
         found: dict[str, Any] = {"photos": listed}
         all_rest_on = (
             document.scan, document.stations, document.adjusted, self._jobs.exports.record,
@@ -78,10 +82,11 @@ class PhotoSlices:
             parts.append(known.in_survey)
             listed.append(known.listed)
             found.update(known.slices)
-            found[f"solving:{entry.id}"] = self._jobs.solving(entry.id)
-            found[f"corners:{entry.id}"] = self._jobs.corners(entry.id)
-            found[f"self_test:{entry.id}"] = self._jobs.self_test(entry.id)
-            found[f"audit:{entry.id}"] = self._jobs.audited(entry)
+            asked: AskedOfPhoto = {
+                "solving": self._jobs.solving(entry.id), "corners": self._jobs.corners(entry.id),
+                "self_test": self._jobs.self_test(entry.id), "audit": self._jobs.audited(entry),
+            }  # fmt: skip
+            found.update(_named(asked, entry))
         found["survey"] = self._survey(document, parts)
         self._all_rest_on = all_rest_on  # of before: what changed meanwhile is compared the next time
         return found
@@ -117,29 +122,29 @@ class PhotoSlices:
         if before is not None and _same(before.in_survey, in_survey):
             in_survey = before.in_survey
         made = self._made(document, entry, exported, is_seen=is_seen)
-        return _Known(entry, is_seen, rests_on, listed, made, in_survey)
+        return _Known(entry, is_seen, rests_on, listed, _named(made, entry), in_survey)
 
     def _made(
-        self, document: Document, entry: PhotoEntry, exported: dict[str, Any], *, is_seen: bool
-    ) -> dict[str, Any]:
+        self, document: Document, entry: PhotoEntry, exported: dict[str, FrameName], *, is_seen: bool
+    ) -> KeptOfPhoto:
         return {
-            f"picks:{entry.id}": self._pick_entries.get(entry.id, entry.picks),
-            f"poses:{entry.id}": self._poses(document, entry),
-            f"progress:{entry.id}": progress_slice(self._loader, document, entry, exported=exported),
-            f"outline:{entry.id}": self._outline(document, entry) if is_seen else None,
-            f"ties:{entry.id}": self._slices.get(
+            "picks": self._pick_entries.get(entry.id, entry.picks),
+            "poses": self._poses(document, entry),
+            "progress": progress_slice(self._loader, document, entry, exported=exported),
+            "outline": self._outline(document, entry) if is_seen else None,
+            "ties": self._slices.get(
                 ("ties", document.adjusted, entry.id, entry.pose), partial(ties_slice, document, entry)
             ),
         }
 
-    def _outline(self, document: Document, entry: PhotoEntry) -> dict[str, Any] | None:
+    def _outline(self, document: Document, entry: PhotoEntry) -> Outline | None:
         key = ("outline", document.beside(entry).scan, entry.source, entry.camera, entry.pose)
         return self._slices.get(key, partial(outline_slice, self._loader, document, entry))
 
-    def _poses(self, document: Document, entry: PhotoEntry) -> dict[str, Any]:
+    def _poses(self, document: Document, entry: PhotoEntry) -> Poses:
         stages = tuple(pose.stage for pose in entry.poses)
 
-        def stage_of(pose: PoseEntry) -> dict[str, Any]:
+        def stage_of(pose: PoseEntry) -> Stage:
             assessed = self._loader.known_assessment(pose) is not None
             stale = self._loader.stale(document, entry, pose)
             key = ("stage", str(assessed), stale, ",".join(stages), pose)
@@ -150,7 +155,7 @@ class PhotoSlices:
         key = (beside.clouds, beside.ranges, entry.shown_stage, assessed, entry.picks, *entry.poses)
         return self._slices.get(key, partial(poses_slice, entry, stage_of))
 
-    def _survey(self, document: Document, parts: Sequence[tuple[object, ...]]) -> dict[str, Any] | None:
+    def _survey(self, document: Document, parts: Sequence[tuple[object, ...]]) -> Survey | None:
         if document.adjusted is None:
             return None
         stale = {entry.id: part[-1] == str(True) for entry, part in zip(document.photos, parts, strict=True)}
@@ -161,6 +166,11 @@ class PhotoSlices:
 
     def _is_stale(self, document: Document, entry: PhotoEntry) -> bool:
         return entry.pose is not None and bool(self._loader.stale(document, entry, entry.pose))
+
+
+def _named(slices: Mapping[str, object], entry: PhotoEntry) -> dict[str, Any]:
+    """Return the slices of a photograph by their names in the protocol."""
+    return {f"{name}:{entry.id}": value for name, value in slices.items()}
 
 
 def _same(one: tuple[object, ...], other: tuple[object, ...]) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import LadarregError
@@ -23,10 +23,24 @@ if TYPE_CHECKING:
     from ladarreg_core.photo import Photo
     from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
     from ladarreg_core.quality.assessment import Assessment
+    from ladarreg_core.quality.verdict import NextStep, Verdict
     from ladarreg_core.results.registration import StageId
     from ladarreg_core.scan import Scan
 
     from ...session.loader import Loader
+    from ...slices.photographs import (
+        AssessedStage,
+        Judged,
+        JudgedLength,
+        JudgedPick,
+        Numbers,
+        Poses,
+        SampledLine,
+        SolvedStage,
+        Stage,
+        Summary,
+    )
+    from ...slices.photographs import NextStep as NextStepShown
 
 
 log = logging.getLogger(__name__)
@@ -35,9 +49,7 @@ _MIN_MATCHES = 4
 """The number of matches from which on cautions are computed."""
 
 
-def judged_slice(
-    loader: Loader, document: Document, entry: PhotoEntry, *, readable: bool, sigmas: float
-) -> dict[str, Any]:
+def judged_slice(loader: Loader, document: Document, entry: PhotoEntry, *, readable: bool, sigmas: float) -> Judged:
     """Return the slice `judged`: errors of the picks under the shown pose, samples of lines, losses and cautions.
 
     Args:
@@ -56,7 +68,7 @@ def judged_slice(
     assert scan is not None, "the document has one"
     picks = loader.picks(entry)
     lines = {pick.id: sampled_line(loader, scan, pick.scan.tolist()) for pick in picks if pick.kind == "line"}
-    found: dict[str, Any] = {
+    found: Judged = {
         "stage": entry.shown_stage,
         "by_pick": {},
         "thresholds": {"depth": None, "px": None},
@@ -78,20 +90,23 @@ def judged_slice(
     found["by_pick"], found["predicted"] = pick_errors(loader, scan, photo, entry)
     judged = [found["by_pick"][pick.id] for pick in picks if pick.on and pick.id in found["by_pick"]]
     agrees = [each["agrees"] is True for each in judged]
-    for unit, name in (("depth", "depth_m"), ("px", "px")):
-        errors = [math.nan if each[name] is None else each[name] for each in judged]
-        found["thresholds"][unit] = suggested_threshold(errors, agrees, sigmas=sigmas)
+
+    def threshold(errors: Sequence[float | None]) -> float | None:
+        return suggested_threshold([math.nan if each is None else each for each in errors], agrees, sigmas=sigmas)
+
+    found["thresholds"]["depth"] = threshold([each["depth_m"] for each in judged])
+    found["thresholds"]["px"] = threshold([each["px"] for each in judged])
     return found
 
 
 def pick_errors(
     loader: Loader, scan: Scan, photo: Photo | None, entry: PhotoEntry
-) -> tuple[dict[str, Any], dict[str, Any]]:
+) -> tuple[dict[str, JudgedPick], dict[str, list[Numbers | None]]]:
     """Return `by_pick` and `predicted` of the slice `judged`, without what takes time for other reasons."""
     from ladarreg_core.inspection.picks import pick_residuals
 
-    errors: dict[str, Any] = {}
-    predicted: dict[str, Any] = {}
+    errors: dict[str, JudgedPick] = {}
+    predicted: dict[str, list[Numbers | None]] = {}
     if photo is None or entry.pose is None or not entry.picks:
         return errors, predicted
     try:
@@ -114,17 +129,19 @@ def pick_errors(
     return errors, predicted
 
 
-def _lengths(scan: Scan, picks: Sequence[Pick]) -> dict[str, Any]:
+def _lengths(scan: Scan, picks: Sequence[Pick]) -> dict[str, JudgedLength]:
     """Return the lengths that came with picks beside the scan's own ranges, by pick; of a line, of its worse end."""
     from ladarreg_core.picks.lengths import check_lengths
 
     check = check_lengths(scan, [replace(pick, on=True) for pick in picks if pick.lengths_m is not None])
-    found: dict[str, Any] = {}
+    found: dict[str, JudgedLength] = {}
     for one in () if check is None else check.lengths:
         before = found.get(one.pick_id)
         if before is None or abs(before["difference_m"] or 0) < abs(one.difference_m or 0):
-            names = ("length_m", "scan_range_m", "difference_m", "tolerance_m", "state")
-            found[one.pick_id] = {**{name: getattr(one, name) for name in names}, "beyond": one.is_beyond}
+            found[one.pick_id] = {
+                "length_m": one.length_m, "scan_range_m": one.scan_range_m, "difference_m": one.difference_m,
+                "tolerance_m": one.tolerance_m, "state": one.state, "beyond": one.is_beyond,
+            }  # fmt: skip
     return found
 
 
@@ -143,22 +160,22 @@ def _cautions(loader: Loader, matches: Matches, photo: Photo, entry: PhotoEntry)
         return []
 
 
-def sampled_line(loader: Loader, scan: Scan, ends: Any) -> dict[str, Any]:
+def sampled_line(loader: Loader, scan: Scan, ends: Any) -> SampledLine:
     """Return the sample points of a line on the scan, and which of them have a range."""
     from ladarreg_core.inspection.picks import sample_line
 
     key = ("line", id(scan), tuple(tuple(ray) for ray in ends))
     line = loader.cached("line", key, lambda: sample_line(scan, ends))
-    samples = [[ray, known] for ray, known in zip(line.rays.tolist(), line.known, strict=True)]
+    samples = list(zip(line.rays.tolist(), line.known, strict=True))
     return {"scan_samples": samples, "sampled": line.sampled, "used": line.used}
 
 
-def poses_slice(entry: PhotoEntry, stage_of: Callable[[PoseEntry], dict[str, Any]]) -> dict[str, Any]:
+def poses_slice(entry: PhotoEntry, stage_of: Callable[[PoseEntry], Stage]) -> Poses:
     """Return the slice `poses`: every stage as `stage_of` describes it."""
     return {"shown": entry.shown_stage, "stages": [stage_of(pose) for pose in entry.poses]}
 
 
-def stage_state(loader: Loader, pose: PoseEntry, *, stale: str, stages: Sequence[StageId]) -> dict[str, Any]:
+def stage_state(loader: Loader, pose: PoseEntry, *, stale: str, stages: Sequence[StageId]) -> Stage:
     """Return a stage with its verdict and, once computed, its assessment.
 
     Args:
@@ -169,7 +186,7 @@ def stage_state(loader: Loader, pose: PoseEntry, *, stale: str, stages: Sequence
     """
     from ladarreg_core.matching.image_check import statistics_note
     from ladarreg_core.matching.images.views import would_clouds_help
-    from ladarreg_core.quality.verdict import LIGHT_WORDS, verdict_of
+    from ladarreg_core.quality.verdict import verdict_of
 
     try:
         registration = loader.registration(pose)
@@ -183,13 +200,13 @@ def stage_state(loader: Loader, pose: PoseEntry, *, stale: str, stages: Sequence
             "summary": _missing_summary(as_fields(str(error))),
         }
     verification = pose.diagnostics.get("verification", {})
-    checked = "outcome" in verification
     wants_frames = would_clouds_help(pose.reasons)
     assessment = loader.known_assessment(pose)
     summary = verdict_of(
         registration, stage=pose.stage, stale=stale, stages=stages, wants_frames=wants_frames, assessment=assessment
     )
-    return {
+    agreement = figures(registration)
+    found: SolvedStage = {
         "stage": pose.stage,
         "label": STAGE_LABELS[pose.stage],
         "method": pose.method,
@@ -199,11 +216,17 @@ def stage_state(loader: Loader, pose: PoseEntry, *, stale: str, stages: Sequence
         "reasons": [as_fields(reason) for reason in pose.reasons],
         "wants_frames": wants_frames,
         "stale": stale,
-        "summary": {**asdict(summary), "words": LIGHT_WORDS[summary.light]},
+        "summary": _summary(summary),
         "note": " ".join(filter(None, [pose.note, statistics_note(registration)])),
-        **({"image": {name: verification[name] for name in ("outcome", "sentence")}} if checked else {}),
-        "parameters": [asdict(parameter) for parameter in parameters(registration)],
-        **{name: number(value) for name, value in asdict(figures(registration)).items()},
+        "parameters": [
+            {"name": one.name, "unit": one.unit, "value": one.value, "sigma": one.sigma}
+            for one in parameters(registration)
+        ],
+        "matches": agreement.matches,
+        "inliers": agreement.inliers,
+        "median_px": number(agreement.median_px),
+        "rms_px": number(agreement.rms_px),
+        "rms_depth_m": number(agreement.rms_depth_m),
         "cost": number(registration.chi2_per_dof),
         "centre": registration.camera_from_scanner.centre.tolist(),
         "in_world": registration.in_world if registration.is_determined else None,
@@ -214,18 +237,39 @@ def stage_state(loader: Loader, pose: PoseEntry, *, stale: str, stages: Sequence
         "steps": [{"name": step.name, "label": step_label(step.name), "seconds": step.seconds} for step in pose.steps],
         **_assessment_fields(assessment),
     }
+    if "outcome" in verification:
+        found["image"] = {"outcome": verification["outcome"], "sentence": verification["sentence"]}
+    return found
 
 
-def _missing_summary(problem: str) -> dict[str, Any]:
+def _missing_summary(problem: str) -> Summary:
     """Return the summary of a pose whose matches are missing."""
-    from ladarreg_core.quality.verdict import LIGHT_WORDS, NextStep, Verdict
+    from ladarreg_core.quality.verdict import NextStep, Verdict
 
     line = f"{problem[:1].upper()}{problem[1:]}."
-    summary = Verdict("not_accepted", line, "", "", "", NextStep("Solve again.", "solve"))
-    return {**asdict(summary), "words": LIGHT_WORDS["not_accepted"]}
+    return _summary(Verdict("not_accepted", line, "", "", "", NextStep("Solve again.", "solve")))
 
 
-def _assessment_fields(assessment: Assessment | None) -> dict[str, Any]:
+def _summary(found: Verdict) -> Summary:
+    from ladarreg_core.quality.verdict import LIGHT_WORDS
+
+    return {
+        "light": found.light,
+        "line": found.line,
+        "position": found.position,
+        "pixels": found.pixels,
+        "matches": found.matches,
+        "next_step": _next_step(found.next_step),
+        "other": None if found.other is None else _next_step(found.other),
+        "words": LIGHT_WORDS[found.light],
+    }
+
+
+def _next_step(found: NextStep) -> NextStepShown:
+    return {"sentence": found.sentence, "action": found.action, "stage": found.stage}
+
+
+def _assessment_fields(assessment: Assessment | None) -> AssessedStage:
     if assessment is None:
         return {}
     return {

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ...session.debounce import Debouncer
 
+if TYPE_CHECKING:
+    from ...slices.events import Event
+
 log = logging.getLogger(__name__)
-Message = dict[str, Any]
+Message = Mapping[str, Any]
 Slices = Callable[[], dict[str, Any]]
 Listener = Callable[[Message], None]
 
@@ -82,7 +85,7 @@ class Publisher:
         if slow:
             self._debouncer.request()
 
-    def publish_event(self, event: Message, *, to: Container[str] | None = None) -> None:
+    def publish_event(self, event: Event, *, to: Container[str] | None = None) -> None:
         """Send an event, which is not part of the state, to all clients or to some by their ids."""
         with self._lock:
             subscribers = [each for each in self._subscribers if to is None or each.client in to]

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from ladarreg_core.project.document import CameraGiven, PhotoEntry
     from ladarreg_core.scan import Scan
 
+    from ...slices.photographs import JudgedPick, SampledLine
+
 
 class Queries:
     """Answers queries of a page.
@@ -34,7 +36,7 @@ class Queries:
         self._session = session
         self._loader = loader
 
-    def pick_errors(self, photo_id: str) -> dict[str, Any]:
+    def pick_errors(self, photo_id: str) -> dict[str, JudgedPick]:
         """Return the errors of a photograph's picks under the shown pose, by pick, as in the slice `judged`."""
         entry = require_photo(self._session.document, photo_id)
         return pick_errors(self._loader, self._scan(entry), self._loader.photo(entry), entry)[0]
@@ -90,7 +92,7 @@ class Queries:
         line = snapper.line(ends, px_per_screen=px_per_screen)
         return None if line is None else line.tolist()
 
-    def sample_line(self, ends: Any, shown: PhotoEntry | None) -> dict[str, Any]:
+    def sample_line(self, ends: Any, shown: PhotoEntry | None) -> SampledLine:
         """Return the sample points of a line on the scan beside a photograph, given by the rays of its ends."""
         scan = self._loader.scan(self._session.document.beside(shown))
         if scan is None or len(ends) != 2:

@@ -280,7 +280,7 @@ class SceneSync:
         by_residual = None
         if with_residuals and subject.photo is not None:
             errors = pick_errors(self._loader, scan, subject.photo, entry)[0]
-            px = [errors.get(name, {}).get("px") for name in ids]
+            px = [errors[name]["px"] if name in errors else None for name in ids]
             by_residual = residual_colors([float("nan") if value is None else value for value in px])
         return Picks.of(points, colors, on, ids, by_residual=by_residual)
 

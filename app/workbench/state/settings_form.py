@@ -12,7 +12,8 @@ from ladarreg_core.project.edits import finite
 if TYPE_CHECKING:
     from ladarreg_core.project.settings import Settings
 
-Part = Literal["corners", "match", "cull", "constrained", "lines", "simplex", "reject", "robust", "all"]
+    from ...slices.choices import SettingOf
+    from ...slices.project import Setting
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +21,7 @@ class Field:
     """A setting's field in the form."""
 
     label: str
-    of: Part
+    of: SettingOf
     help: str
     least: float | None = None
     most: float | None = None
@@ -119,13 +120,14 @@ def check_bounds(values: Mapping[str, Any]) -> None:
             raise OptionError(f"{field.label} is {found}; it must be from {field.least:g} to {field.most:g}{unit}")
 
 
-def settings_slice(settings: Settings) -> dict[str, dict[str, Any]]:
+def settings_slice(settings: Settings) -> dict[str, Setting]:
     """Return the slice `settings`: every setting with its value and its field."""
     hints = get_type_hints(type(settings))
-    found = {}
+    found: dict[str, Setting] = {}
     for name, field in FIELDS.items():
         value = getattr(settings, name)
         choices = [c for c in get_args(hints[name]) if isinstance(c, str)]
+        kind: Literal["number", "choice", "switch"]
         kind = "switch" if isinstance(value, bool) else "choice" if choices else "number"
         found[name] = {
             "value": value,

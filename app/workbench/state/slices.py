@@ -6,7 +6,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from functools import cache
 from hashlib import blake2b
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from msgspec import Struct, json
 from msgspec.structs import replace
@@ -23,21 +23,30 @@ from ...session.session import Session
 from .recent import project_id
 
 if TYPE_CHECKING:
+    from ladarreg_core.camera import CameraModel
+    from ladarreg_core.export.output_frame import FrameName
     from ladarreg_core.project.document import Document, PhotoEntry, PickEntry
     from ladarreg_core.project.history import Author, Entry, History
     from ladarreg_core.project.source import Source
+    from ladarreg_core.project.work_steps import Progress as WorkProgress
+    from ladarreg_core.scan import Scan as ScanData
 
     from ...jobs.runner import Job
     from ...session.cache import ListCache
+    from ...slices.every import Scan
+    from ...slices.photographs import FocalPhotoCamera, Outline, PanoramaCamera, Photo, PhotoCamera, Pick, Progress
+    from ...slices.project import FileFormats, HistoryEntry, LostScan, Project, WorldPlace
+    from ...slices.project import History as HistoryShown
+    from ...slices.project import Job as JobShown
 
 log = logging.getLogger(__name__)
 _MAX_HISTORY = 300
 
 
-def project_slice(session: Session, author: Author, *, alone: bool, start: bool) -> dict[str, Any]:
+def project_slice(session: Session, author: Author, *, alone: bool, start: bool, opened: str) -> Project:
     """Return the slice `project` of a client: the steps that it would undo and redo are its own, if it is not alone.
 
-    With `start`, pages show the start page.
+    With `start`, pages show the start page; `opened` says what was opened.
     """
     undone, redone = session.undoable(author, alone=alone), session.redoable(author, alone=alone)
     return {
@@ -51,20 +60,21 @@ def project_slice(session: Session, author: Author, *, alone: bool, start: bool)
         "amiss": " ".join(session.folder.remarks),
         "undo": plain_label(undone) if undone else None,
         "redo": plain_label(redone) if redone else None,
+        "opened": opened,
     }
 
 
-def history_slice(history: History, entries: ListCache[Entry, dict[str, Any]]) -> dict[str, Any]:
+def history_slice(history: History, entries: ListCache[Entry, HistoryEntry]) -> HistoryShown:
     """Return the slice `history` with the newest entries, each made by `history_entry`."""
     return {"at": history.edit.number, "entries": entries.get("history", history.latest_edits(_MAX_HISTORY))}
 
 
-def history_entry(entry: Entry) -> dict[str, Any]:
+def history_entry(entry: Entry) -> HistoryEntry:
     """Return an entry of the slice `history`."""
     return {"n": entry.number, "label": entry.label, "author": entry.author, "when": clock(entry.when)}
 
 
-def scan_slice(loader: Loader, document: Document) -> dict[str, Any] | None:
+def scan_slice(loader: Loader, document: Document) -> Scan | None:
     """Return the slice `scan`; with `error` if it can no longer be read, or no view can show it."""
     from ladarreg_core.inspection.panorama import strip_of
     from ladarreg_core.inspection.pictures import display_note, resolution_note
@@ -92,7 +102,7 @@ def scan_slice(loader: Loader, document: Document) -> dict[str, Any] | None:
         "columns": columns,
         "returns": int(scan.valid.sum()),
         "notes": [as_fields(text) for text in (*scan.notes, *remarks)],
-        "world": None if scan.world_from_scanner is None else describe_world(scan.world_from_scanner),
+        "world": _world(scan),
         "has_color": scan.color is not None,
         "has_intensity": scan.has_intensity,
         "views": [
@@ -116,9 +126,17 @@ def scan_id(source: Source) -> str:
     return f"s{_digest(source)}"
 
 
-def _missing_scan(source: Source, error: str) -> dict[str, Any]:
-    known = {"name": source.name, "files": list(source.names)}
-    return {"id": "missing", **known, "error": error, "views": [], "notes": []}
+def _missing_scan(source: Source, error: str) -> LostScan:
+    return {
+        "id": "missing", "name": source.name, "files": list(source.names), "error": error, "views": [], "notes": [],
+    }  # fmt: skip
+
+
+def _world(scan: ScanData) -> WorldPlace | None:
+    if scan.world_from_scanner is None:
+        return None
+    said = describe_world(scan.world_from_scanner)
+    return {"position": said["position"], "heading": said["heading"], "tilt": said["tilt"]}
 
 
 def _digest(*parts: Struct) -> str:
@@ -131,41 +149,32 @@ def photo_revision(entry: PhotoEntry) -> str:
     return _digest(entry.source, entry.camera)
 
 
-def photo_slice(loader: Loader, document: Document, entry: PhotoEntry) -> dict[str, Any]:
+def photo_slice(loader: Loader, document: Document, entry: PhotoEntry) -> Photo:
     """Return an entry of the slice `photos`; without a camera if its focal length is unknown."""
     from ladarreg_core.quality.verdict import LIGHT_WORDS, light_of, position_of
 
-    found: dict[str, Any] = {"id": entry.id, "name": entry.source.name, "camera": None, "notes": [], "state": "empty"}
-    found["rev"] = photo_revision(entry)
-    found["part"] = entry.part
-    found["station"] = entry.station
+    found: Photo = {
+        "id": entry.id, "name": entry.source.name, "camera": None, "notes": [], "state": "empty",
+        "rev": photo_revision(entry), "part": entry.part, "station": entry.station,
+        "width": 0, "height": 0, "thermal": False,
+    }  # fmt: skip
     try:
         header = loader.header(entry)
         camera = header.camera
         if camera is None:
             found["camera_error"] = as_fields(header.camera_error)
         else:
-            found["camera"] = {
-                **camera.as_fields(),
-                "distortion": list(camera.as_fields().get("distortion", ())),
-                "calibrated": header.calibrated,
-                "said": describe_in_short(camera) + (", calibrated" if header.calibrated else ""),
-                "short": "panorama" if camera.model == "equirectangular" else f"f {camera.focal_px:.0f}",
-            }
+            found["camera"] = _camera(camera, calibrated=header.calibrated)
     except LadarregError as error:
-        return {**found, "width": 0, "height": 0, "thermal": False, "error": as_fields(str(error))}
+        return {**found, "error": as_fields(str(error))}
     except Exception as error:  # a faulty photograph must not keep clients from joining
         log.exception("the photograph %s cannot be loaded", entry.id)
         problem = f"it cannot be read ({type(error).__name__}); remove it, or open it again"
-        return {**found, "width": 0, "height": 0, "thermal": False, "error": problem}
+        return {**found, "error": problem}
     if entry.stated_pose is not None:
         found["stated_pose"] = [list(row) for row in entry.stated_pose]
-    found.update(
-        width=header.width,
-        height=header.height,
-        thermal=header.is_thermal,
-        notes=[as_fields(text) for text in header.notes],
-    )
+    found["width"], found["height"], found["thermal"] = header.width, header.height, header.is_thermal
+    found["notes"] = [as_fields(text) for text in header.notes]
     pose = entry.pose
     if pose is not None:
         found["stale"] = loader.stale(document, entry, pose)
@@ -173,34 +182,62 @@ def photo_slice(loader: Loader, document: Document, entry: PhotoEntry) -> dict[s
         found["light_words"] = LIGHT_WORDS[found["light"]]
         if pose.accepted:
             found["position"] = position_of(pose.covariance)
-        current = "accepted" if pose.accepted else "refused" if pose.evidence == "none" else "solved"
-        found["state"] = "stale" if found["stale"] else current
+        if found["stale"]:
+            found["state"] = "stale"
+        else:
+            found["state"] = "accepted" if pose.accepted else "refused" if pose.evidence == "none" else "solved"
     return found
 
 
+def _camera(camera: CameraModel, *, calibrated: bool) -> FocalPhotoCamera | PanoramaCamera:
+    fields = camera.as_fields()
+    found: PhotoCamera = {
+        "model": camera.model,
+        "width": camera.width,
+        "height": camera.height,
+        "distortion": list(fields.get("distortion", ())),
+        "calibrated": calibrated,
+        "said": describe_in_short(camera) + (", calibrated" if calibrated else ""),
+        "short": "panorama" if camera.model == "equirectangular" else f"f {camera.focal_px:.0f}",
+    }
+    if "fx" in fields:
+        return {**found, "fx": fields["fx"], "fy": fields["fy"], "cx": fields["cx"], "cy": fields["cy"]}
+    return {**found, "window": fields["window"]} if "window" in fields else {**found}
+
+
 def progress_slice(
-    loader: Loader, document: Document, entry: PhotoEntry | None, *, exported: Mapping[str, str]
-) -> dict[str, Any]:
+    loader: Loader, document: Document, entry: PhotoEntry | None, *, exported: Mapping[str, FrameName]
+) -> Progress:
     """Return the slice `progress` of a photograph, or of a project without one.
 
     The shown pose was `exported` to these targets.
     """
-    from dataclasses import asdict
-
     from ladarreg_core.project.work_steps import progress_of
 
     if entry is None:
-        return {**asdict(progress_of(document, None)), "exported": {}}
+        return _progress(progress_of(document, None), {})
     stale = "" if entry.pose is None else loader.stale(document, entry, entry.pose)
     try:
         missing = loader.header(entry).camera is None
     except Exception:  # the slice `photos` states it
         missing = False
     found = progress_of(document, entry, missing_camera=missing, stale=stale, exported=bool(exported))
-    return {**asdict(found), "exported": dict(exported)}
+    return _progress(found, exported)
 
 
-def outline_slice(loader: Loader, document: Document, entry: PhotoEntry) -> dict[str, Any] | None:
+def _progress(found: WorkProgress, exported: Mapping[str, FrameName]) -> Progress:
+    return {
+        "steps": [
+            {"name": step.name, "done": step.done, "status": step.status, "missing": step.missing}
+            for step in found.steps
+        ],
+        "needed": found.needed,
+        "next_action": found.next_action,
+        "exported": dict(exported),
+    }
+
+
+def outline_slice(loader: Loader, document: Document, entry: PhotoEntry) -> Outline | None:
     """Return the slice `outline` of a photograph; None without a pose, or for a scan that one view shows."""
     from ladarreg_core.frames import Rigid
     from ladarreg_core.inspection.panorama import photo_outline
@@ -229,9 +266,9 @@ def outline_slice(loader: Loader, document: Document, entry: PhotoEntry) -> dict
     }
 
 
-def pick_entry(pick: PickEntry) -> dict[str, Any]:
+def pick_entry(pick: PickEntry) -> Pick:
     """Return an entry of the slice `picks`."""
-    return {
+    found: Pick = {
         "id": pick.id,
         "number": pick.number,
         "kind": pick.kind,
@@ -240,11 +277,13 @@ def pick_entry(pick: PickEntry) -> dict[str, Any]:
         "on": pick.on,
         "weight": pick.weight,
         "origin": pick.origin,
-        **({"name": pick.name} if pick.name else {}),
     }
+    if pick.name:
+        found["name"] = pick.name
+    return found
 
 
-def job_slice(job: Job | None, waiting: Sequence[Job] = ()) -> dict[str, Any] | None:
+def job_slice(job: Job | None, waiting: Sequence[Job] = ()) -> JobShown | None:
     """Return the slice `job`: the present job, or the last one, and those that wait for it."""
     if job is None:
         return None
@@ -292,12 +331,15 @@ def describe_detail(detail: Any) -> str:
 
 
 @cache
-def formats_slice() -> list[dict[str, Any]]:
+def formats_slice() -> list[FileFormats]:
     """Return the slice `formats`: what the workbench opens, by kind."""
     from ladarreg_core.formats import FORMATS
 
-    found = []
-    for kind, label in (("scan", "Scan"), ("photo", "Photograph"), ("camera", "Camera"), ("matches", "Matches")):
+    found: list[FileFormats] = []
+    kinds: tuple[tuple[Literal["scan", "photo", "camera", "matches"], str], ...] = (
+        ("scan", "Scan"), ("photo", "Photograph"), ("camera", "Camera"), ("matches", "Matches"),
+    )  # fmt: skip
+    for kind, label in kinds:
         formats = [each for each in FORMATS if each.kind == kind]
         names = [name for each in formats for name in (each.examples or (each.name,))]
         extensions = dict.fromkeys(extension for each in formats for extension in each.extensions)

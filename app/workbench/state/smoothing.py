@@ -31,7 +31,9 @@ if TYPE_CHECKING:
     from ladarreg_core.scan import Scan
 
     from ...scene import SmoothingShown
-    from ...scene.smoothing_layer import SmoothingShow
+    from ...slices.choices import SmoothingShow
+    from ...slices.project import Smoothing as SmoothingSlice
+    from ...slices.project import SmoothingPreview
 
 _KEPT = 4
 """Previews that are kept: of as many photographs at once."""
@@ -100,7 +102,7 @@ class Smoothing:
         client.smoothing = None
         return number
 
-    def slice(self, client: Client, station: str = "") -> dict[str, Any]:
+    def slice(self, client: Client, station: str = "") -> SmoothingSlice:
         """Return the slice `smoothing` of a client that sees the scan of a station; empty: the project's."""
         document = self._session.document
         return {
@@ -124,21 +126,24 @@ class Smoothing:
             known = self._shown[client.id] = key, _drawn(found, choice, known_place(document, found.made_of[2].station))
         return known[1]
 
-    def _preview_slice(self, document: Document, choice: SmoothingChoice | None) -> dict[str, Any] | None:
+    def _preview_slice(self, document: Document, choice: SmoothingChoice | None) -> SmoothingPreview | None:
         if choice is None:
             return None
         entry, found = document.photo(choice.photo), self._current(document, choice)
-        shared = {
+        shown: SmoothingPreview = {
             "photo": choice.photo,
             "name": "" if entry is None else entry.source.name,
             "station": "" if entry is None else entry.station,
             "show": choice.show,
             "rev": choice.rev,
+            "stale": "" if found is not None else f"{_OUT_OF_DATE}: preview it again.",
+            "nothing": "" if found is None else found.nothing,
+            "ranges": [],
         }
         if found is None:
-            return {**shared, "stale": f"{_OUT_OF_DATE}: preview it again.", "nothing": "", "ranges": []}
+            return shown
         one = found.replacements
-        ranges = [
+        shown["ranges"] = [
             {
                 "id": f"{row}.{column}",
                 "ray": [round(float(value), 7) for value in ray],
@@ -159,7 +164,7 @@ class Smoothing:
                 strict=True,
             )
         ]
-        return {**shared, "stale": "", "nothing": found.nothing, "ranges": ranges}
+        return shown
 
     def _current(self, document: Document, choice: SmoothingChoice) -> _Found | None:
         """Return what a client has previewed; None if it is no longer what would be replaced."""

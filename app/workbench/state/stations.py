@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from ladarreg_core.registration.stations.registration import PoseUse
 
     from ...scene import StationShown
+    from ...slices.several import Station, StationPair, StationsStep
+    from ...slices.several import Stations as StationsSlice
 
 _MAX_POINTS = 200_000
 """Most points of all stations together in a 3-D view."""
@@ -52,7 +54,7 @@ class Stations:
         """The session."""
         return self._workspace.session
 
-    def slice(self) -> dict[str, Any] | None:
+    def slice(self) -> StationsSlice | None:
         """Return the slice `stations`; None without a further station."""
         document = self.session.document
         if document.scan is None or not document.stations:
@@ -62,13 +64,13 @@ class Stations:
         rests_on = document.scan, document.stations, document.survey, document.adjusted, stale
         return self._slices.get(("stations", *rests_on), partial(self._made, document, document.scan))
 
-    def _made(self, document: Document, scan: Source) -> dict[str, Any]:
+    def _made(self, document: Document, scan: Source) -> StationsSlice:
         survey = document.survey
         names = {} if survey is None else dict(enumerate(one["name"] for one in survey.fields["stations"]))
         listed = [_station(document, None, scan, None)]
         for number, station in enumerate(document.stations):
             listed.append(_station(document, station, station.source, COLORS[number % len(COLORS)]))
-        found: dict[str, Any] = {
+        found: StationsSlice = {
             "stations": listed, "stale": is_stale(document), "registered": survey is not None,
             **_progress(document, listed),
             "pairs": [], "loops": [], "reasons": [], "checks": [],
@@ -76,8 +78,12 @@ class Stations:
         if survey is not None:
             found["pairs"] = [_pair(pair, names) for pair in survey.fields["pairs"]]
             found["loops"] = [
-                {**loop, "stations": [names[k] for k in loop["stations"]]} for loop in survey.fields["loops"]
-            ]
+                {
+                    "stations": [names[k] for k in loop["stations"]],
+                    "error_mm": loop["error_mm"], "error_deg": loop["error_deg"],
+                }
+                for loop in survey.fields["loops"]
+            ]  # fmt: skip
             found["reasons"] = survey.fields["reasons"]
             found["checks"] = [
                 {
@@ -161,7 +167,7 @@ class Stations:
         return self._runner.start(kind, work, label=label, photo="", author=author)
 
 
-def _progress(document: Document, listed: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _progress(document: Document, listed: Sequence[Station]) -> StationsStep:
     """Return the tick of the step with its sentences."""
     from ladarreg_core.project.work_steps import stations_step
 
@@ -172,11 +178,11 @@ def _progress(document: Document, listed: Sequence[Mapping[str, Any]]) -> dict[s
 
 def _station(
     document: Document, station: StationEntry | None, source: Source, color: tuple[int, int, int] | None
-) -> dict[str, Any]:
+) -> Station:
     """Return an entry of the list; `station` is None for the scan that is shown."""
     from ladarreg_core.frames import Rigid
 
-    found: dict[str, Any] = {
+    found: Station = {
         "id": None if station is None else station.id, "name": source.name, "files": list(source.names),
         "index": source.index,
         "colour": None if color is None else "#{:02x}{:02x}{:02x}".format(*color),
@@ -185,9 +191,7 @@ def _station(
     stated = stated_station(document.survey, source)
     if stated is not None:
         found["state"] = stated["state"]
-        for name in ("sigma_mm", "sigma_deg"):
-            values = stated[name] or [None]
-            found[name] = None if None in values else max(values)
+        found["sigma_mm"], found["sigma_deg"] = _largest(stated["sigma_mm"]), _largest(stated["sigma_deg"])
     adjusted = None if document.adjusted is None else document.adjusted.scan(source)
     if stated is None and adjusted is not None and adjusted.world_from_scanner is not None:
         found["state"] = "fixed" if adjusted.sigma_m is None else "registered"
@@ -202,7 +206,12 @@ def _station(
     return found
 
 
-def _pair(pair: Mapping[str, Any], names: Mapping[int, str]) -> dict[str, Any]:
+def _largest(values: Sequence[float | None] | None) -> float | None:
+    known = [value for value in values or () if value is not None]
+    return max(known) if values and len(known) == len(values) else None
+
+
+def _pair(pair: Mapping[str, Any], names: Mapping[int, str]) -> StationPair:
     return {
         "first": names[pair["first"]], "second": names[pair["second"]], "verdict": pair["verdict"],
         "reasons": [as_fields(reason) for reason in pair["reasons"]], "overlap": pair["evidence"]["overlap"],

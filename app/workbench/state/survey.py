@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from statistics import median
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,8 +23,10 @@ if TYPE_CHECKING:
         PhotoEntry,
     )
 
+    from ...slices.several import DrawnLine, DrawnTie, Survey, SurveyCamera, SurveyPhoto, SurveyScan
 
-def survey_slice(document: Document, is_stale: Callable[[PhotoEntry], bool]) -> dict[str, Any] | None:
+
+def survey_slice(document: Document, is_stale: Callable[[PhotoEntry], bool]) -> Survey | None:
     """Return the slice `survey`; None before everything was solved together.
 
     Args:
@@ -69,7 +71,7 @@ def ties_slice(document: Document, entry: PhotoEntry) -> list[list[float]] | Non
     return None if marks is None else np.round(np.asarray(marks, np.float64), 2).tolist()
 
 
-def drawn_ties_slice(document: Document) -> list[dict[str, Any]]:
+def drawn_ties_slice(document: Document) -> list[DrawnTie]:
     """Return the slice `drawn_ties`: the ties that were drawn, and what the last adjustment said of each."""
     from ladarreg_core.survey.ties.ties import tracks_of
 
@@ -87,10 +89,10 @@ def drawn_ties_slice(document: Document) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def drawn_lines_slice(document: Document) -> list[dict[str, Any]]:
+def drawn_lines_slice(document: Document) -> list[DrawnLine]:
     """Return the slice `drawn_lines`: the lines that were drawn, and what the last adjustment said of each as it is."""
     said = {} if document.adjusted is None else document.adjusted.drawn_lines
-    rows = []
+    rows: list[DrawnLine] = []
     for line in document.lines:
         found = said.get(line.id)
         if found is not None and found.line != line:
@@ -105,7 +107,7 @@ def drawn_lines_slice(document: Document) -> list[dict[str, Any]]:
     return rows
 
 
-def _photo(adjusted: Adjusted, entry: PhotoEntry, *, stale: bool) -> dict[str, Any]:
+def _photo(adjusted: Adjusted, entry: PhotoEntry, *, stale: bool) -> SurveyPhoto:
     found = adjusted.photos[entry.id]
     pose = entry.pose
     same = pose is not None and pose.name == found.pose
@@ -137,7 +139,7 @@ def _moved(found: AdjustedPhotoEntry) -> str | None:
     return f"{format_length(found.moved_m)}, {format_angle(found.moved_rad)}"
 
 
-def _camera(adjusted: Adjusted, document: Document, name: str) -> dict[str, Any]:
+def _camera(adjusted: Adjusted, document: Document, name: str) -> SurveyCamera:
     found = adjusted.cameras[name]
     names = {entry.id: entry.source.name for entry in document.photos}
     held = [
@@ -161,7 +163,7 @@ def _camera(adjusted: Adjusted, document: Document, name: str) -> dict[str, Any]
     }
 
 
-def _scan(found: AdjustedScanEntry) -> dict[str, Any]:
+def _scan(found: AdjustedScanEntry) -> SurveyScan:
     known = found.sigma_m is not None and found.sigma_rad is not None
     return {
         "name": found.source.name,

@@ -16,7 +16,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -332,7 +332,8 @@ def _plan_of(path: Path) -> Plan:
 
 def _require_same(before: Plan, now: Plan, folder: Path) -> None:
     """Refuse to resume a run with a plan that gives other pieces; ports and speeds may differ."""
-    old, new = before.as_fields(), now.as_fields()
+    old: Mapping[str, Any] = before.as_fields()
+    new: Mapping[str, Any] = now.as_fields()
     whole = ("mode", "pan_deg", "tilt_deg", "continuous", "passes", "mount", "settle_s")
     differing = [name for name in whole if old[name] != new[name]]
     for part, free in (

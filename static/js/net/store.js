@@ -6,12 +6,20 @@
 import { changed as applied } from "./delta.js";
 
 /**
- * @typedef {{id: string, number: number, kind: "point" | "line", scan: number[][], photo: number[][], on: boolean,
- *            weight: number, origin: string, name?: string}} Pick
- * @typedef {any} Photo an entry of slice `photos`; docs/workbench.md describes the fields of this and the next two
- * @typedef {any} Stage a stage of slice `poses:pID`
- * @typedef {any} Job slice `job`, or a job that waits
- * @typedef {(value: any, slice: string) => void} SliceListener
+ * @typedef {import("../protocol.d.ts").Slices} Slices
+ * @typedef {import("../protocol.d.ts").Events} Events
+ * @typedef {import("../protocol.d.ts").Pick} Pick
+ * @typedef {import("../protocol.d.ts").Photo} Photo
+ * @typedef {Slices["poses:"]["stages"][number]} Stage
+ * @typedef {import("../protocol.d.ts").Job} Job
+ * @typedef {import("../protocol.d.ts").Person} Person
+ * @typedef {NonNullable<Slices["scan"]>} Scan
+ */
+/**
+ * The slices that a pattern names: one of them, or all those whose names begin with what precedes `*`.
+ * @template {string} Pattern
+ * @typedef {Pattern extends keyof Slices ? Slices[Pattern] : Pattern extends `${infer Name}:*` ?
+ *   `${Name}:` extends keyof Slices ? Slices[`${Name}:`] : never : never} SliceOf
  */
 
 /** @param {string} pattern @param {string} name */
@@ -19,9 +27,9 @@ const matches = (pattern, name) => (pattern.endsWith("*") ? name.startsWith(patt
 
 /** Slices by name, with their listeners. */
 export class Store {
-  /** @type {Map<string, any>} */
+  /** @type {Map<string, unknown>} */
   #slices = new Map();
-  /** @type {Set<{pattern: string, listen: SliceListener}>} */
+  /** @type {Set<{pattern: string, listen: (value: any, slice: string) => void}>} */
   #listeners = new Set();
   /** @type {Set<{patterns: string[], draw: () => void}>} */
   #watchers = new Set();
@@ -33,17 +41,19 @@ export class Store {
 
   /**
    * Return a slice, or null if there is none.
-   * @param {string} slice
-   * @returns {any}
+   * @template {keyof Slices} Name
+   * @param {Name} slice
+   * @returns {Slices[Name] | null}
    */
   get(slice) {
-    return this.#slices.get(slice) ?? null;
+    return /** @type {Slices[Name] | undefined} */ (this.#slices.get(slice)) ?? null;
   }
 
   /**
    * Call `listen(value, slice)` whenever a slice changes, once the whole message is applied.
-   * @param {string} pattern name of a slice, or a prefix followed by `*`
-   * @param {SliceListener} listen
+   * @template {string} Pattern
+   * @param {Pattern} pattern name of a slice, or a prefix followed by `*`
+   * @param {(value: SliceOf<Pattern> | null, slice: string) => void} listen
    * @returns {() => void} removes the listener
    */
   on(pattern, listen) {
@@ -66,8 +76,9 @@ export class Store {
 
   /**
    * Call `listen(event)` at each event of a kind: `simplex`, `hover`, `cursor`, `view`, `notice`, `export_ready`.
-   * @param {string} kind
-   * @param {(event: any) => void} listen
+   * @template {keyof Events} Kind
+   * @param {Kind} kind
+   * @param {(event: Events[Kind]) => void} listen
    * @returns {() => void} removes the listener
    */
   onEvent(kind, listen) {
@@ -91,7 +102,7 @@ export class Store {
     const slices = version === 1 ? this.#all(message.slices) : { ...message.slices };
     if (version !== 1 && version !== this.version + 1) return false;
     try {
-      for (const [name, change] of Object.entries(message.changes ?? {})) slices[name] = applied(this.get(name), change);
+      for (const [name, change] of Object.entries(message.changes ?? {})) slices[name] = applied(this.#slices.get(name) ?? null, change);
     } catch (error) {
       if (error instanceof RangeError) return false;
       throw error;
@@ -115,19 +126,19 @@ export class Store {
       else this.#slices.set(name, slices[name]);
     }
     for (const name of changed) {
-      for (const { pattern, listen } of [...this.#listeners]) if (matches(pattern, name)) listen(this.get(name), name);
+      for (const { pattern, listen } of [...this.#listeners]) if (matches(pattern, name)) listen(this.#slices.get(name) ?? null, name);
     }
     for (const { patterns, draw } of [...this.#watchers]) {
       if (changed.some((name) => patterns.some((pattern) => matches(pattern, name)))) draw();
     }
   }
 
-  /** @returns {any[]} the entries of slice `people`; none before the first message */
+  /** @returns {Person[]} the entries of slice `people`; none before the first message */
   clients() {
     return this.get("people")?.clients ?? [];
   }
 
-  /** @returns {any} this page's own entry of slice `people`, or null before the first message */
+  /** @returns {Person | null} this page's own entry of slice `people`, or null before the first message */
   me() {
     const you = this.get("people")?.you;
     return this.clients().find(({ id }) => id === you) ?? null;
@@ -138,7 +149,7 @@ export class Store {
     return Boolean(this.me()?.read_only);
   }
 
-  /** @returns {any[]} the entries of slice `people` of everybody else */
+  /** @returns {Person[]} the entries of slice `people` of everybody else */
   colleagues() {
     const you = this.get("people")?.you;
     return this.clients().filter(({ id }) => id !== you);
@@ -151,7 +162,7 @@ export class Store {
 
   /**
    * @param {string | null} [photo] by default the shown one
-   * @returns {Photo} its entry of slice `photos`, or null
+   * @returns {Photo | null} its entry of slice `photos`, or null
    */
   photo(photo = this.shown()) {
     return this.photos().find(({ id }) => id === photo) ?? null;
@@ -162,7 +173,7 @@ export class Store {
     return this.get("photos") ?? [];
   }
 
-  /** @returns {any} the scan that is shown beside the photograph, as slice `scan`: the project's or another station's */
+  /** @returns {Scan | null} the scan that is shown beside the photograph, as slice `scan`: the project's or another station's */
   scanBeside() {
     return this.get("beside") ?? this.get("scan");
   }
@@ -182,7 +193,7 @@ export class Store {
 
   /**
    * @param {string | null} [photo]
-   * @returns {any} slice `judged:pID`: its picks under the shown pose; or null
+   * @returns {Slices["judged:"] | null} slice `judged:pID`: its picks under the shown pose; or null
    */
   judgedOf(photo = this.shown()) {
     return this.get(`judged:${photo}`);
@@ -190,7 +201,7 @@ export class Store {
 
   /**
    * @param {string | null} [photo]
-   * @returns {any} slice `poses:pID`, or null
+   * @returns {Slices["poses:"] | null} slice `poses:pID`, or null
    */
   posesOf(photo = this.shown()) {
     return this.get(`poses:${photo}`);
@@ -198,13 +209,11 @@ export class Store {
 
   /**
    * @param {string | null} [photo]
-   * @returns {Stage} the shown stage of the photograph, or null if there is no pose
+   * @returns {Stage | null} the shown stage of the photograph, or null if there is no pose
    */
   stageOf(photo = this.shown()) {
     const poses = this.posesOf(photo);
-    /** @type {any[]} */
-    const stages = poses?.stages ?? [];
-    return stages.find(({ stage }) => stage === poses.shown) ?? null;
+    return poses?.stages.find(({ stage }) => stage === poses.shown) ?? null;
   }
 }
 

@@ -7,9 +7,27 @@ import { throttled } from "../ui/throttle.js";
 const KEPT_EVERY_MS = 500;
 
 /**
- * @typedef {Record<string, any>} Plan a plan.json, of which the page knows what it shows
+ * @typedef {import("../protocol.d.ts").PlanFields} PlanFields
+ * @typedef {(number | null)[]} Entered numbers, null where none is entered
+ * @typedef {{
+ *   unit?: Partial<PlanFields["unit"]>,
+ *   scanner?: Omit<Partial<PlanFields["scanner"]>, "fov_deg"> & {fov_deg?: Entered},
+ *   camera?: Partial<NonNullable<PlanFields["camera"]>> | null, mode?: PlanFields["mode"], pan_deg?: Entered, tilt_deg?: Entered,
+ *   settle_s?: number | null, continuous?: boolean, passes?: number,
+ *   mount?: Omit<Partial<PlanFields["mount"]>, "xyz_m" | "rpy_deg"> & {xyz_m?: Entered, rpy_deg?: Entered},
+ * }} Plan a plan.json that is being edited, right or not
+ * @typedef {import("../protocol.d.ts").Acquisition} Acquisition
  * @typedef {{field: string, said: string}} PlanFault
  */
+
+/** @type {Acquisition} before the slice has arrived */
+const OFF = {
+  state: "off", offered: false, said: "", driver: null, devices: null, plan: null, at_deg: null, done: 0, total: 0,
+  seconds_left: 0, complete: false, run: "", picture: null, points: 0, runs: [],
+};
+
+/** @returns {Acquisition} the slice `acquisition` */
+export const acquisitionNow = () => store.get("acquisition") ?? OFF;
 
 /** @type {Plan | null} */
 let plan = null;
@@ -19,7 +37,7 @@ const listeners = new Set();
 const faultListeners = new Set();
 
 /** @returns {Plan | null} the plan that is being edited; null before there is one */
-export const planNow = () => (plan ??= store.get("acquisition")?.plan ?? null);
+export const planNow = () => (plan ??= acquisitionNow().plan);
 
 const keep = throttled(async () => {
   if (plan) await ask("acquire_keep", { plan });
@@ -56,20 +74,20 @@ export const onFaults = (listen) => faultListeners.add(listen);
 
 /** @returns {boolean} whether another person, who is still connected, drives the devices */
 export const othersDrive = () => {
-  const driver = store.get("acquisition")?.driver;
+  const { driver } = acquisitionNow();
   const people = store.get("people");
   if (!driver || driver.id === people?.you) return false;
   return store.colleagues().some(({ id }) => id === driver.id);
 };
 
 /** @returns {boolean} whether something moves or measures */
-export const isActive = () => ["jogging", "running", "paused", "fault"].includes(store.get("acquisition")?.state);
+export const isActive = () => ["jogging", "running", "paused", "fault"].includes(acquisitionNow().state);
 
 /** @returns {boolean} whether devices are being connected */
-export const isConnecting = () => store.get("acquisition")?.state === "connecting";
+export const isConnecting = () => acquisitionNow().state === "connecting";
 
 /** @returns {boolean} whether there is anything that Stop could stop */
-export const canBeStopped = () => !["off", undefined].includes(store.get("acquisition")?.state);
+export const canBeStopped = () => acquisitionNow().state !== "off";
 
 const OVERVIEW_STEP_DEG = 6;
 
@@ -78,7 +96,7 @@ const OVERVIEW_STEP_DEG = 6;
  *   scanned; null for a scanner with a field of view of its own
  */
 export const overviewPlan = () => {
-  const { lowest_deg: low, highest_deg: high } = store.get("acquisition")?.devices ?? {};
+  const { lowest_deg: low, highest_deg: high } = acquisitionNow().devices ?? {};
   const edited = planNow();
   if (edited?.mode !== "sweep" || !low || !high) return null;
   // A line beyond the zenith shows what lies behind: half a turn is a panorama, and more would be seen twice.
@@ -89,17 +107,17 @@ export const overviewPlan = () => {
 
 /** @returns {import("./progress.js").WorkStep} the tab's state */
 export const acquireStep = () => {
-  const now = store.get("acquisition");
-  /** @type {Record<string, string | undefined>} */
+  const now = acquisitionNow();
+  /** @type {Record<Acquisition["state"], string>} */
   const said = {
     off: "Scan all around with a pan/tilt unit.",
     connecting: "Connecting.",
     disconnecting: "Disconnecting.",
-    ready: now?.devices?.simulated ? "Connected to simulated devices." : "Connected.",
+    ready: now.devices?.simulated ? "Connected to simulated devices." : "Connected.",
     jogging: "The unit moves.",
-    running: `${now?.done} of ${now?.total} pieces${now?.devices?.simulated ? ", simulated" : ""}.`,
+    running: `${now.done} of ${now.total} pieces${now.devices?.simulated ? ", simulated" : ""}.`,
     paused: "Paused.",
-    fault: now?.said,
+    fault: now.said,
   };
-  return { name: "acquire", label: "Acquire", done: Boolean(now?.complete), missing: "", status: said[now?.state ?? "off"] ?? "" };
+  return { name: "acquire", label: "Acquire", done: now.complete, missing: "", status: said[now.state] };
 };

@@ -2,6 +2,7 @@
 
 import { store } from "../net/store.js";
 
+/** @typedef {import("../net/store.js").Slices} Slices */
 /**
  * @typedef {{label: string, least: number, most: number | null, points: string[]}} Measure `most`: null if the number of
  *   points is open; `points`: what each of them is, the last word for all further ones
@@ -18,22 +19,21 @@ export const MEASURES = {
 };
 
 /**
- * @typedef {{id: string, name: string, kind: string, station: string, places: any[], known: boolean, value: string, interval: string,
- *            notes: string[], refusal: string, drawn: any, in_photo: Record<string, any>}} Measurement
+ * @typedef {import("../protocol.d.ts").Measured} Measured
+ * @typedef {import("../protocol.d.ts").Measurement & Measured & {known: boolean}} Measurement
  */
 
+/** @type {Omit<Measured, "id"> & {known: boolean}} */
 const UNKNOWN = { known: false, value: "", interval: "", notes: [], refusal: "", drawn: null, in_photo: {} };
-/** @type {{from: any[], list: Measurement[]}} the slices, and what they say */
+/** @type {{from: [Slices["measurements"] | null, Slices["measured"] | null], list: Measurement[]}} the slices, and what they say */
 let made = { from: [null, null], list: [] };
 
 /** @returns {Measurement[]} the same list while nothing has changed */
 export const measurementsNow = () => {
+  /** @type {typeof made.from} */
   const from = [store.get("measurements"), store.get("measured")];
   if (from.some((slice, k) => slice !== made.from[k])) {
-    /** @type {{id: string, name: string, kind: string, station: string, places: any[]}[]} */
-    const kept = from[0] ?? [];
-    /** @type {({id: string} & Partial<Measurement>)[]} */
-    const measured = from[1] ?? [];
+    const [kept, measured] = [from[0] ?? [], from[1] ?? []];
     const values = new Map(measured.map((one) => [one.id, one]));
     const list = kept.map((one) => ({ ...UNKNOWN, ...one, ...values.get(one.id), known: values.has(one.id) }));
     made = { from, list };

@@ -3,6 +3,12 @@
 import { counted, duration, fixed, isNumber } from "../ui/numbers.js";
 
 /**
+ * @typedef {import("../net/store.js").Slices} Slices
+ * @typedef {import("../net/store.js").Job} Job
+ * @typedef {import("../net/store.js").Stage} Stage
+ * @typedef {import("../protocol.d.ts").Setting} Setting
+ */
+/**
  * `parts` are the values of `step_of` in the settings; `stage` is the pose that the step produces, `origin` the origin
  * of its matches; a `main` step is always offered, the others among all steps.
  * @typedef {{job: string, label: string, description: string, parts: string[], stage?: string, origin?: string,
@@ -91,9 +97,9 @@ export const GENERAL = { job: "", label: "General", description: "Settings of al
 const KNOWN = new Set(PIPELINE.flatMap(({ parts }) => parts));
 
 /**
- * @param {Record<string, any> | null} settings slice `settings`
+ * @param {Slices["settings"] | null} settings slice `settings`
  * @param {PipelineStep} step or GENERAL
- * @returns {[string, any][]} names and entries
+ * @returns {[string, Setting][]} names and entries
  */
 export const settingsOf = (settings, step) =>
   Object.entries(settings ?? {}).filter(([, entry]) =>
@@ -103,7 +109,8 @@ export const settingsOf = (settings, step) =>
 /**
  * State of a step.
  * @param {PipelineStep} step
- * @param {{job: any, last: any, stages: any[], shown: any, corners: any, picks: any[]}} context `last` is the newest
+ * @param {{job: Job | null, last: Job | null | undefined, stages: Stage[], shown: Stage | null, corners: Slices["corners:"],
+ *   picks: import("../net/store.js").Pick[]}} context `last` is the newest
  *   finished job of this kind, `shown` the shown stage
  * @returns {{state: "none" | "running" | "paused" | "done" | "solved" | "failed" | "stopped" | "stale" | "unclear",
  *   text: string}}
@@ -115,14 +122,14 @@ export const stepState = (step, { job, last, stages, shown, corners, picks }) =>
   };
   if (step.job === "verify") return verifyState(shown);
   if (last?.state === "failed") return { state: "failed", text: last.said };
-  const stage = step.stage && stages.find((each) => each.stage === step.stage);
+  const stage = step.stage ? stages.find((each) => each.stage === step.stage) : null;
   if (stage?.stale) return { state: "stale", text: `Out of date: ${stage.stale}` };
   if (stage) return { state: stage.accepted ? "done" : "solved", text: stageSummary(stage) };
   if (last?.state === "stopped") return { state: "stopped", text: last.said || "stopped" };
   if (last) return { state: "done", text: last.said };
   if (step.job === "find_corners" && corners) return {
     state: "done",
-    text: `${corners.scan?.length ?? 0} and ${corners.photo?.length ?? 0} corners`,
+    text: `${corners.scan.length} and ${corners.photo.length} corners`,
   };
   const found = picks.filter(({ origin }) => origin === step.origin).length;
   if (found) return { state: "done", text: counted(found, "match", "matches") };
@@ -134,7 +141,7 @@ const OF_OUTCOME = { verified: "done", contradicted: "failed", undecidable: "unc
 
 /**
  * The state of the step Verify: what is stored with the shown pose, so that it changes with it.
- * @param {any} shown stage
+ * @param {Stage | null} shown
  * @returns {{state: "done" | "none" | "stale" | "failed" | "unclear", text: string}}
  */
 const verifyState = (shown) => {
@@ -145,7 +152,7 @@ const verifyState = (shown) => {
 };
 
 /**
- * @param {{matches?: number, inliers?: number, median_px?: number | null, seconds?: number | null}} stage
+ * @param {Stage} stage
  * @returns {string} matches that agree, median residual and time, such as `128 of 134 agree, median 0.42 px, 1.2 s`
  */
 export const stageSummary = (stage) =>
@@ -155,20 +162,23 @@ export const stageSummary = (stage) =>
     stage.seconds ? duration(stage.seconds) : "",
   ].filter(Boolean).join(", ");
 
-/** @param {any} job slice `job` @returns {number | null} share of a job that is done, 0 to 1; null if unknown */
+/** @param {Job | null} job slice `job` @returns {number | null} share of a job that is done, 0 to 1; null if unknown */
 export const shareDone = (job) => (job && job.total > 0 ? Math.max(0, Math.min(1, job.done / job.total)) : null);
 
-/** @param {any} job slice `job` @returns {boolean} whether a job is running or paused */
+/** @param {Job | null} job slice `job` @returns {boolean} whether a job is running or paused */
 export const isRunning = (job) => job?.state === "running" || job?.state === "paused";
+
+/** @param {Job | null} job slice `job` @returns {Job | null} the job, while it is running or paused */
+export const runningJob = (job) => (isRunning(job) ? job : null);
 
 /**
  * The job that keeps a photograph busy: one that runs on it or on the whole project, or one that waits for it. Jobs on other
  * photographs do not matter: the next one begins after them.
- * @param {any} job the slice
+ * @param {Job | null} job the slice
  * @param {string | null | undefined} photo
- * @returns {any} null if the photograph is free
+ * @returns {Job | import("../protocol.d.ts").WaitingJob | null} null if the photograph is free
  */
 export const jobOn = (job, photo) => {
-  if (!isRunning(job)) return null;
-  return [job, ...(job.waiting ?? [])].find((each) => !each.photo || each.photo === photo) ?? null;
+  if (!job || !isRunning(job)) return null;
+  return [job, ...job.waiting].find((each) => !each.photo || each.photo === photo) ?? null;
 };

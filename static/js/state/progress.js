@@ -9,6 +9,7 @@ import { store } from "../net/store.js";
 
 /** @type {[WorkStep["name"], string][]} */
 const LABELS = [["match", "Match"], ["solve", "Solve"], ["judge", "Judge"], ["export", "Export"]];
+/** @type {import("../protocol.d.ts").Progress} */
 const NOTHING = { steps: [], needed: "", next_action: "", exported: {} };
 
 /**
@@ -16,11 +17,12 @@ const NOTHING = { steps: [], needed: "", next_action: "", exported: {} };
  *            status: string}} WorkStep `missing` is what has to be done, empty if nothing
  */
 
-/** @returns {{steps: WorkStep[], needed: string, next_action: string, exported: Record<string, string>}} of the shown photograph */
+/** @returns {import("../protocol.d.ts").Progress} of the shown photograph */
 export const progressNow = () => store.get(`progress:${store.shown()}`) ?? store.get("progress") ?? NOTHING;
 
 /** @returns {WorkStep[]} the four steps, of the shown photograph */
 export const workSteps = () => {
+  /** @type {Map<string, import("../protocol.d.ts").WorkStep>} */
   const known = new Map(progressNow().steps.map((step) => [step.name, step]));
   return LABELS.map(([name, label]) => ({
     done: false, missing: "", status: "", ...known.get(name), name, label,

@@ -4,10 +4,7 @@ const MAX_FRAMES = 600;
 const EXPIRES_AFTER_MS = 2500;
 const TICK_MS = 40;
 
-/**
- * @typedef {{photo: string, iteration: number, parameters: number[], camera_from_scanner: number[][], cost: number,
- *   inliers: number, matches: number, round: number, predicted: Record<string, (number[] | null)[]>}} Frame
- */
+/** @typedef {import("../protocol.d.ts").SimplexEvent} Frame */
 
 /** The frames of a run; every second one is dropped when they become too many. */
 export class SimplexRun {
@@ -25,6 +22,7 @@ export class SimplexRun {
   speed = 60;
   #timer = 0;
   #begun = { at_ms: 0, iteration: 0 };
+  /** @type {Set<() => void>} */
   #listeners = new Set();
   #now;
 

@@ -4,9 +4,8 @@ import { store } from "../net/store.js";
 import { view } from "./view.js";
 
 /**
- * @typedef {{id: string, ray: number[], uv: number[] | null, before_m: number, after_m: number, sigma_m: number, edge: boolean}} NewRange
- * @typedef {{photo: string, name: string, station: string, show: "before" | "after" | "difference", rev: string, stale: string,
- *            nothing: string, ranges: NewRange[]}} Preview
+ * @typedef {import("../protocol.d.ts").PreviewedRange} NewRange
+ * @typedef {import("../protocol.d.ts").SmoothingPreview} Preview
  */
 
 /** @type {NewRange[]} always the same, so that nothing seems to have changed */

@@ -4,13 +4,16 @@ import { store } from "../net/store.js";
 import { fixed } from "../ui/numbers.js";
 import { scanName } from "./scan_name.js";
 
-/** @typedef {{id: string | null, name: string, index: number, colour: string | null, state: string, sigma_mm: number | null,
- *   sigma_deg: number | null, files?: string[], place: {x: number, y: number, z: number, yaw_deg: number} | null, rough: boolean}} Station */
+/** @typedef {import("../protocol.d.ts").Station} Station */
 
-/** @returns {{stations: Station[], pairs: any[], loops: any[], reasons: string[], checks: any[], stale: boolean,
- *   registered: boolean, done?: boolean, status?: string, missing?: string}} */
-export const stationsNow = () =>
-  store.get("stations") ?? { stations: [], pairs: [], loops: [], reasons: [], checks: [], stale: false, registered: false };
+/** @type {import("../protocol.d.ts").Stations} */
+const NONE = {
+  stations: [], pairs: [], loops: [], reasons: [], checks: [], stale: false, registered: false,
+  done: false, status: "Scans of the same place from elsewhere.", missing: "",
+};
+
+/** @returns {import("../protocol.d.ts").Stations} */
+export const stationsNow = () => store.get("stations") ?? NONE;
 
 /** @returns {boolean} whether the stations are registered as they are now */
 export const isRegistered = () => stationsNow().registered && !stationsNow().stale;
@@ -56,8 +59,8 @@ export const stationsStep = () => {
   return {
     name: "stations",
     label: "Survey",
-    done: stations.length > 0 && Boolean(done),
-    missing: missing ?? "",
-    status: status ?? "Scans of the same place from elsewhere.",
+    done: stations.length > 0 && done,
+    missing,
+    status,
   };
 };

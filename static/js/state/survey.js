@@ -11,7 +11,12 @@ export const SHOWN = [["all", "All"], ["open", "Not accepted"], ["accepted", "Ac
  *   sigma_m: number | null, ties: number | null, left_out: number, median_px: number | null, part: string, moved: string,
  *   reason: string}} SurveyRow */
 
-/** @param {any} photo entry of slice `photos` @param {boolean} refused by the adjustment @returns {string} */
+/**
+ * @typedef {import("../net/store.js").Photo} Photo
+ * @typedef {import("../protocol.d.ts").Survey} Survey
+ */
+
+/** @param {Photo} photo entry of slice `photos` @param {boolean} refused by the adjustment @returns {string} */
 const stateOf = (photo, refused) => {
   if (photo.error) return "cannot be read";
   if (!photo.camera) return "focal length unknown";
@@ -21,13 +26,13 @@ const stateOf = (photo, refused) => {
 };
 
 /**
- * @param {any} photo entry of slice `photos`
- * @param {any} found the photograph in the slice `survey`, if it is there
+ * @param {Photo} photo entry of slice `photos`
+ * @param {Survey["photos"][number] | undefined} found the photograph in the slice `survey`, if it is there
  * @returns {SurveyRow}
  */
 const rowOf = (photo, found) => {
-  const current = found && !found.changed;
-  const refused = current && !found.accepted && !photo.light;
+  const current = found && !found.changed ? found : null;
+  const refused = current !== null && !current.accepted && !photo.light;
   return {
     id: photo.id,
     name: photo.name,
@@ -37,13 +42,13 @@ const rowOf = (photo, found) => {
     light: photo.error || refused ? "not_accepted" : photo.part === "out" ? undefined : photo.light,
     state: stateOf(photo, refused),
     position: photo.position ? `± ${photo.position}` : "",
-    sigma_m: current ? found.sigma_m : null,
-    ties: current ? found.ties : null,
-    left_out: current ? found.ties_left_out : 0,
-    median_px: current ? found.median_px : null,
+    sigma_m: current ? current.sigma_m : null,
+    ties: current ? current.ties : null,
+    left_out: current ? current.ties_left_out : 0,
+    median_px: current ? current.median_px : null,
     part: photo.part ?? "free",
-    moved: current && found.accepted && found.moved ? `moved by ${found.moved} when everything was adjusted` : "",
-    reason: photo.error ?? (current ? found.reasons[0] ?? "" : ""),
+    moved: current?.accepted && current.moved ? `moved by ${current.moved} when everything was adjusted` : "",
+    reason: photo.error ?? (current ? current.reasons[0] ?? "" : ""),
   };
 };
 
@@ -58,15 +63,13 @@ const byBadness = (a, b) => {
 };
 
 /**
- * @param {any[]} photos slice `photos`
- * @param {any} survey slice `survey`, null before everything was adjusted
+ * @param {Photo[]} photos slice `photos`
+ * @param {Survey | null} survey slice `survey`, null before everything was adjusted
  * @param {{order: string, filter: string}} chosen
  * @returns {SurveyRow[]}
  */
 export const rowsOf = (photos, survey, { order, filter }) => {
-  /** @type {{id: string}[]} */
-  const adjusted = survey?.photos ?? [];
-  const found = new Map(adjusted.map((each) => [each.id, each]));
+  const found = new Map((survey?.photos ?? []).map((each) => [each.id, each]));
   const rows = photos
     .map((photo) => rowOf(photo, found.get(photo.id)))
     .filter((row) => filter === "all" || row.accepted === (filter === "accepted"));
@@ -88,7 +91,7 @@ export const tiesSaid = (ties, found) => {
   return `In the photograph: ${drawn}, needles ${TIE_FACTOR} × their residuals${found.ties_left_out ? ", crosses where left out" : ""}.`;
 };
 
-/** @param {any} survey slice `survey`, or null @returns {string} what the last adjustment says of all */
+/** @param {Survey | null} survey slice `survey`, or null @returns {string} what the last adjustment says of all */
 export const summaryOf = (survey) => {
   if (!survey)
     return "Adjust solves all photographs, their cameras and all scans together: photographs hold each other, and what contradicts the rest is taken out.";

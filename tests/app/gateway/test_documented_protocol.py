@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args, get_origin, get_type_hints, is_typeddict
 
 import pytest
+from ladarreg.argument_names import reading_slice
 from ladarreg.decoding import types_of
 from ladarreg.gateway.uploads import KINDS, STATION
+from ladarreg.slices.every import OfPhoto, Slices
 from ladarreg.workbench.commands.registry import EVERY_COMMAND
 
+from ladarreg_core.acquisition.plan import PlanFields
 from ladarreg_core.project.settings import Settings
 from ladarreg_core.results.registration import StageId
 from testing.workbench.protocol_text import DECLARATIONS, declarations, with_rows
@@ -121,9 +124,28 @@ def test_the_commands_are_documented(document: str) -> None:
     assert with_rows(document) == document, "python -m testing.workbench.protocol_text writes the rows anew"
 
 
-def test_the_types_of_the_page_are_those_of_the_commands() -> None:
+def test_the_types_of_the_page_are_those_of_commands_slices_and_events() -> None:
     """Written by python -m testing.workbench.protocol_text."""
     assert DECLARATIONS.read_text(encoding="utf-8") == declarations()
+
+
+def typed_keys(kind: Any) -> set[str]:
+    """Return the keys of all objects within the type of a slice; a plan is described where its file is."""
+    if not is_typeddict(kind):
+        parts = () if get_origin(kind) is Literal else get_args(kind)
+        return {key for part in parts for key in typed_keys(part)}
+    hints = {} if kind is PlanFields else get_type_hints(kind)
+    return {*hints, *(key for part in hints.values() for key in typed_keys(part))}
+
+
+def test_the_types_of_the_slices_are_documented_with_all_their_fields(document: str) -> None:
+    described = items(section(document, "Slices"))
+    typed = {**get_type_hints(Slices), **{f"{name}:pID": kind for name, kind in get_type_hints(OfPhoto).items()}}
+    assert set(described) == set(typed)
+    described["beside"] = described["scan"]
+    for name, kind in typed.items():
+        documented = {key.rstrip("?") for key in documented_keys(described[name])}
+        assert typed_keys(kind) == documented - (set(reading_slice()) if name == "reading" else set()), name
 
 
 def test_choices_that_the_core_defines_are_those_of_the_commands() -> None:

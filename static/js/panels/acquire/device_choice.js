@@ -5,7 +5,7 @@ import { fill } from "../../ui/controls.js";
 import { element } from "../../ui/dom.js";
 import { numbersRow, textRow, withFaults } from "./plan_rows.js";
 
-/** @typedef {import("../../state/acquisition.js").Plan} Plan @typedef {{port: string, said: string}} Port @typedef {[string, string]} Option */
+/** @typedef {import("../../state/acquisition.js").Plan} Plan @typedef {import("../../protocol.d.ts").PlanFields} PlanFields @typedef {{port: string, said: string}} Port @typedef {[string, string]} Option */
 
 const TWIN = "twin:";
 const TWIN_SCANNER = "twin:scanner";
@@ -16,6 +16,7 @@ const TWIN_LIDAR = "twin:velodyne";
 const VELODYNE_PORT = 2368; // as delivered
 const VIDEO_DEVICES = 4;
 const UNIT_BAUD = 9600; // as a real unit is delivered
+/** @type {Plan} what a plan for a scanner with a field of view of its own begins with: its pieces overlap at 55 degrees across */
 const PIECES = {
   mode: "mosaic",
   pan_deg: [-90, 90, 45],
@@ -25,7 +26,6 @@ const PIECES = {
   passes: 1,
   mount: { xyz_m: [0.05, 0, 0.1], rpy_deg: [0, 0, 0] },
 };
-/** What a plan for a scanner with a field of view of its own begins with: its pieces overlap at 55 degrees across. */
 
 /**
  * @param {string} twin
@@ -33,23 +33,23 @@ const PIECES = {
  * @returns {string} the address of a simulated device in the same room as the simulated unit
  */
 const beside = (twin, plan) => {
-  const [, query = "seed=1"] = (plan?.unit?.port.startsWith(TWIN) ? plan.unit.port : "").split("?");
+  const [, query = "seed=1"] = (plan?.unit?.port?.startsWith(TWIN) ? plan.unit.port : "").split("?");
   return `${twin}?${query}`;
 };
 
-/** @returns {{element: HTMLElement, show: (plan: Plan | null, ports: Port[], example: Plan | null, fixed: boolean) => void}} */
+/** @returns {{element: HTMLElement, show: (plan: Plan | null, ports: Port[], example: PlanFields | null, fixed: boolean) => void}} */
 export const makeDeviceChoice = () => {
   const select = (/** @type {string} */ label) => element("select", { class: "select small", "aria-label": label });
   const unit = select("Port of the pan/tilt unit");
   const scanner = select("Scanner");
   const camera = select("Camera");
-  /** @type {Plan | null} */
+  /** @type {PlanFields | null} */
   let example = null;
   /** @type {Plan | null} of a plan whose scanner was exchanged: what it said before, for when it is exchanged back */
   let other = null;
 
-  /** @param {string} part @param {Plan} patch */
-  const change = (part, patch) => changePlan({ [part]: { ...planNow()?.[part], ...patch } });
+  /** @template {"unit" | "scanner" | "camera"} Part @param {Part} part @param {NonNullable<Plan[Part]>} patch */
+  const change = (part, patch) => changePlan(/** @type {Plan} */ ({ [part]: { ...planNow()?.[part], ...patch } }));
   /** @param {string} label @param {HTMLElement} control @param {string[]} fields */
   const withRow = (label, control, fields) =>
     withFaults(element("label", { class: "plan-choice" }, element("span", {}, label), control), fields);
@@ -93,7 +93,7 @@ export const makeDeviceChoice = () => {
   /**
    * @param {string} chosen
    * @param {Plan} plan
-   * @returns {Record<string, any> | null} the device of a choice that makes pieces; null for a line scanner
+   * @returns {Plan["scanner"] | null} the device of a choice that makes pieces; null for a line scanner
    */
   const pieceScanner = (chosen, plan) => {
     if (chosen === FOLDER) return { kind: "folder", folder: "" };
@@ -107,9 +107,9 @@ export const makeDeviceChoice = () => {
   scanner.addEventListener("change", () => {
     const plan = planNow();
     if (!plan) return;
-    const pieces = pieceScanner(scanner.value, plan);
+    const pieces = pieceScanner(scanner.value, plan) ?? null;
     if ((pieces !== null) === (plan.mode === "mosaic")) {
-      if (pieces?.kind === plan.scanner.kind || !pieces) change("scanner", pieces ?? { port: scanner.value });
+      if (pieces?.kind === plan.scanner?.kind || !pieces) change("scanner", pieces ?? { port: scanner.value });
       else changePlan({ scanner: pieces });
       return;
     }
@@ -144,7 +144,7 @@ export const makeDeviceChoice = () => {
     pictures.row,
   );
 
-  /** @param {Plan | null} plan @param {Port[]} ports @param {Plan | null} given @param {boolean} fixed */
+  /** @param {Plan | null} plan @param {Port[]} ports @param {PlanFields | null} given @param {boolean} fixed */
   const show = (plan, ports, given, fixed) => {
     example = given;
     const real = ports.map(({ port, said }) => /** @type {Option} */ ([port, `${port}: ${said}`]));
@@ -154,12 +154,12 @@ export const makeDeviceChoice = () => {
       control.disabled = fixed || !plan;
     };
     /** @returns {Option[]} */
-    const simulated = (/** @type {"unit" | "scanner"} */ part) => (given ? [[given[part].port, "simulated"]] : []);
+    const simulated = (/** @type {"unit" | "scanner"} */ part) => (given ? [[given[part].port ?? "", "simulated"]] : []);
     fillWith(unit, [...simulated("unit"), ...real], plan?.unit?.port ?? "");
     const path = plan?.scanner?.kind === "folder" ? plan.scanner.folder ?? "" : null;
     const isTwin = path?.startsWith(TWIN_SCANNER) ?? false;
     const sends = plan?.scanner?.kind === PACKETS;
-    const isTwinLidar = sends && Boolean(plan.scanner.host?.startsWith(TWIN_LIDAR));
+    const isTwinLidar = sends && Boolean(plan?.scanner?.host?.startsWith(TWIN_LIDAR));
     fillWith(
       scanner,
       [

@@ -3,7 +3,7 @@
 import { ask } from "../../net/connection.js";
 import { request } from "../../net/requests.js";
 import { store } from "../../net/store.js";
-import { changePlan, offerPlan, onPlan, othersDrive, planNow } from "../../state/acquisition.js";
+import { acquisitionNow, changePlan, offerPlan, onPlan, othersDrive, planNow } from "../../state/acquisition.js";
 import { view } from "../../state/view.js";
 import { button, fill } from "../../ui/controls.js";
 import { element, setText } from "../../ui/dom.js";
@@ -22,7 +22,7 @@ const ARROWS = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowD
 export const mountDevices = () => {
   /** @type {import("./device_choice.js").Port[]} */
   let ports = [];
-  /** @type {import("../../state/acquisition.js").Plan | null} */
+  /** @type {import("../../protocol.d.ts").PlanFields | null} */
   let example = null;
   const confirmed = [false, false]; // whether somebody was asked which way pan and tilt turn
 
@@ -91,12 +91,11 @@ export const mountDevices = () => {
   };
 
   const jog = async (/** @type {number[]} */ [pan, tilt]) => {
-    const now = store.get("acquisition");
-    if (now?.state !== "ready" || othersDrive()) return;
+    if (acquisitionNow().state !== "ready" || othersDrive()) return;
     const size = Number(step.value);
     if (!(await request("acquire_jog", { pan_deg: pan * size, tilt_deg: tilt * size }))) return;
     turned = pan ? 0 : 1;
-    if (confirmed[turned] || planNow()?.unit.port.startsWith(TWIN)) return;
+    if (confirmed[turned] || planNow()?.unit?.port?.startsWith(TWIN)) return;
     confirmed[turned] = true;
     setText(question, `Did the unit turn ${pan ? `to the ${pan > 0 ? "left" : "right"}` : tilt > 0 ? "up" : "down"}?`);
     direction.hidden = false;
@@ -114,9 +113,10 @@ export const mountDevices = () => {
   };
 
   const show = () => {
-    const now = store.get("acquisition") ?? { state: "off" };
+    const now = acquisitionNow();
     const off = now.state === "off";
-    const connected = Boolean(now.devices);
+    const { devices } = now;
+    const connected = Boolean(devices);
     choice.show(planNow(), ports, example, !off);
     connect.hidden = refresh.hidden = !off;
     choice.element.hidden = connected;
@@ -127,9 +127,9 @@ export const mountDevices = () => {
     setText(driver, now.driver && !off ? (othersDrive() ? `${now.driver.name} drives` : "You drive") : "");
     // What a run has to say stands beside its picture.
     const passing = PASSING[now.state];
-    setText(said, passing ?? (now.run && connected ? "" : now.said ?? ""));
+    setText(said, passing ?? (now.run && connected ? "" : now.said));
     said.classList.toggle("bad", off && Boolean(now.said));
-    setText(models, connected ? [now.devices.unit, now.devices.scanner].filter(Boolean).join(" · ") : "");
+    setText(models, devices ? [devices.unit, devices.scanner].filter(Boolean).join(" · ") : "");
     stands.hidden = !connected;
     dial.show(now);
     for (const each of jogs.querySelectorAll("button")) each.disabled = now.state !== "ready" || othersDrive();

@@ -41,10 +41,13 @@ const makeOne = (label, upright) => {
   return { node: element("figure", { class: "dial" }, svg, element("figcaption", {}, element("span", {}, label), value)), show };
 };
 
-/** @returns {{element: HTMLElement, show: (now: any) => void}} `now` is slice `acquisition` */
+/**
+ * @typedef {import("../../protocol.d.ts").Acquisition} Acquisition
+ * @returns {{element: HTMLElement, show: (now: Acquisition) => void}}
+ */
 export const makeDial = () => {
   const [pan, tilt] = [makeOne("Pan", true), makeOne("Tilt", false)];
-  const show = (/** @type {any} */ { at_deg: here, devices }) => {
+  const show = (/** @type {Acquisition} */ { at_deg: here, devices }) => {
     if (!devices) return;
     pan.show(here?.[0] ?? null, devices.lowest_deg[0], devices.highest_deg[0]);
     tilt.show(here?.[1] ?? null, devices.lowest_deg[1], devices.highest_deg[1]);

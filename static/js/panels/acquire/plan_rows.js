@@ -29,7 +29,7 @@ export const withFaults = (row, fields) => {
 
 /**
  * A row of numbers.
- * @param {{label: string, unit: string, names: string[], fields: string[], read: (plan: Plan | null) => any[] | null | undefined,
+ * @param {{label: string, unit: string, names: string[], fields: string[], read: (plan: Plan | null) => (number | null | undefined)[] | null | undefined,
  *   write: (values: (number | null)[]) => void}} options `names` of the numbers; `fields` as for `withFaults`
  * @returns {{row: HTMLElement, show: (plan: Plan | null) => void}}
  */
@@ -51,7 +51,7 @@ export const numbersRow = ({ label, unit, names, fields, read, write }) => {
     shown = plan;
     const values = read(plan) ?? [];
     for (const [k, input] of inputs.entries()) {
-      if (document.activeElement !== input) input.value = values[k] ?? "";
+      if (document.activeElement !== input) input.value = String(values[k] ?? "");
     }
   };
   const row = element(
@@ -66,7 +66,7 @@ export const numbersRow = ({ label, unit, names, fields, read, write }) => {
 
 /**
  * A row with a text.
- * @param {{label: string, hint: string, fields: string[], read: (plan: Plan | null) => string, write: (text: string) => void}} options
+ * @param {{label: string, hint: string, fields: string[], read: (plan: Plan | null) => string | undefined, write: (text: string) => void}} options
  * @returns {{row: HTMLElement, show: (plan: Plan | null) => void}}
  */
 export const textRow = ({ label, hint, fields, read, write }) => {

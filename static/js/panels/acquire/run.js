@@ -2,11 +2,12 @@
 
 import { request } from "../../net/requests.js";
 import { store } from "../../net/store.js";
-import { changePlan, isActive, onPlan, othersDrive, overviewPlan, planNow } from "../../state/acquisition.js";
+import { acquisitionNow, changePlan, isActive, onPlan, othersDrive, overviewPlan, planNow } from "../../state/acquisition.js";
 import { button } from "../../ui/controls.js";
 import { element, setChildren, setText } from "../../ui/dom.js";
+import { isNumber } from "../../ui/numbers.js";
 
-/** @typedef {{name: string, done: number, total: number, complete: boolean, photos: number}} Run an entry of the slice's runs */
+/** @typedef {import("../../protocol.d.ts").AcquiredRun} Run */
 
 const [WIDTH, HEIGHT] = [720, 360];
 const LEAST_DRAG_PX = 6;
@@ -45,6 +46,12 @@ const placeOf = (pan, tilt) => {
 const leftText = (seconds) =>
   seconds < 1 ? "" : seconds < 90 ? `${seconds} s left` : `${Math.round(seconds / 60)} min left`;
 
+/** @param {import("../../state/acquisition.js").Entered | undefined} axis @returns {number[] | null} from, to and step; null unless all are entered */
+const axisOf = (axis) => {
+  const numbers = Array.isArray(axis) ? axis.filter(isNumber) : [];
+  return numbers.length === 3 && axis?.length === 3 ? numbers : null;
+};
+
 /** Halt the unit and switch the laser off, without a question. */
 export const stopAcquisition = () => request("acquire_stop");
 
@@ -62,7 +69,7 @@ export const mountRun = () => {
   const counted = element("span", { class: "figures" });
   const said = element("p", { class: "acquire-said", role: "status" });
   const start = button({ label: "Start", icon: "play", kind: "primary small", act: () => begin(null) });
-  const goOn = button({ label: "Go on with the run", text: "Go on", icon: "play", kind: "small", act: () => begin(now().run) });
+  const goOn = button({ label: "Go on with the run", text: "Go on", icon: "play", kind: "small", act: () => begin(acquisitionNow().run) });
   const look = button({
     label: "Quick overview",
     text: "Overview",
@@ -104,16 +111,15 @@ export const mountRun = () => {
     ),
   );
 
-  const now = () => store.get("acquisition") ?? { state: "off" };
   /** @param {string | null} run */
   const begin = (run) => request("acquire_start", run ? { resume: run } : { plan: planNow() });
 
   /** Show the range of the plan over the picture. */
   const showRange = () => {
-    const { pan_deg: pan, tilt_deg: tilt, mode } = planNow() ?? {};
-    const good = [pan, tilt].every((axis) => Array.isArray(axis) && axis.length === 3 && axis.every(Number.isFinite));
-    range.hidden = !good;
-    if (!good) return;
+    const { pan_deg, tilt_deg, mode } = planNow() ?? {};
+    const [pan, tilt] = [axisOf(pan_deg), axisOf(tilt_deg)];
+    range.hidden = !pan || !tilt;
+    if (!pan || !tilt) return;
     const [left, right] = [Math.max(pan[0], pan[1]), Math.min(pan[0], pan[1])];
     // The line of a sweep covers all elevations.
     const [top, bottom] = mode === "sweep" ? [90, -90] : [Math.max(tilt[0], tilt[1]) + 1, Math.min(tilt[0], tilt[1]) - 1];
@@ -140,10 +146,10 @@ export const mountRun = () => {
     const plan = planNow();
     if (!from || !plan || Math.hypot(event.clientX - from.x, event.clientY - from.y) < LEAST_DRAG_PX) return;
     const [a, b] = [anglesAt(...from.place), anglesAt(...place(event))];
-    const low = now().devices?.lowest_deg ?? [-168, -46];
-    const high = now().devices?.highest_deg ?? [168, 30];
+    const low = acquisitionNow().devices?.lowest_deg ?? [-168, -46];
+    const high = acquisitionNow().devices?.highest_deg ?? [168, 30];
     const within = (/** @type {number} */ value, /** @type {number} */ k) => Math.round(10 * Math.min(high[k], Math.max(low[k], value))) / 10;
-    const axis = (/** @type {number} */ k, /** @type {number | undefined} */ step) => {
+    const axis = (/** @type {number} */ k, /** @type {number | null | undefined} */ step) => {
       const [first, last] = [within(Math.min(a[k], b[k]), k), within(Math.max(a[k], b[k]), k)];
       return [first, last, Math.abs(step || 1)];
     };
@@ -192,10 +198,10 @@ export const mountRun = () => {
   };
 
   const show = () => {
-    const state = now();
+    const state = acquisitionNow();
     const active = isActive();
     const theirs = othersDrive();
-    const unfinished = state.state === "ready" && state.run && !state.complete;
+    const unfinished = state.state === "ready" && Boolean(state.run) && !state.complete;
     start.hidden = active;
     look.hidden = active || !overviewPlan();
     look.disabled = state.state !== "ready" || theirs;
@@ -209,10 +215,10 @@ export const mountRun = () => {
     open.hidden = !state.complete || active;
     bar.value = state.total ? state.done / state.total : 0;
     setText(counted, state.total ? [`${state.done} of ${state.total}`, leftText(active ? state.seconds_left : 0)].filter(Boolean).join(", ") : "");
-    setText(said, active || state.run || state.said ? state.said ?? "" : "Connect the devices, choose what is scanned, and start.");
+    setText(said, active || state.run || state.said ? state.said : "Connect the devices, choose what is scanned, and start.");
     said.classList.toggle("bad", state.state === "fault");
     overview.classList.toggle("idle", !active && !store.readOnly);
-    showRuns(state.runs ?? [], active, state.state === "ready" && !theirs);
+    showRuns(state.runs, active, state.state === "ready" && !theirs);
     showPicture(state.picture);
     showRange();
   };

@@ -369,7 +369,7 @@ export const mountExport = () => {
   const show = () => {
     const job = store.get("job");
     const busy = isRunning(job);
-    const own = busy && job.kind === "export";
+    const own = busy && job?.kind === "export" ? job : null;
     const world = store.get("scan")?.world;
     fill(scope, [["all", "all photographs"], ["shown", "this photograph"]], scope.value || "all");
     fill(frame, [["scanner", "scanner"], ["world", "world"]], world ? frame.value || "scanner" : "scanner");
@@ -388,10 +388,10 @@ export const mountExport = () => {
     }
     running.hidden = !own;
     if (own) {
-      const share = shareDone(job);
+      const share = shareDone(own);
       if (share === null) bar.removeAttribute("value");
       else bar.value = share;
-      setText(said, job.said || job.label);
+      setText(said, own.said || own.label);
     }
     const nothing = !store.readOnly && !chosen().length;
     zip.disabled = write.disabled = busy || nothing;

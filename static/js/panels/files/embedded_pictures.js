@@ -6,10 +6,7 @@ import { button } from "../../ui/controls.js";
 import { element, setChildren, setText } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
 
-/**
- * @typedef {{index: number, name: string, said: string, usable: boolean, taken: boolean}} Embedded an entry of slice
- *   `embedded`
- */
+/** @typedef {import("../../protocol.d.ts").EmbeddedPicture} Embedded */
 
 /** @returns {Embedded[]} */
 const embedded = () => store.get("embedded") ?? [];

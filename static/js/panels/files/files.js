@@ -33,7 +33,7 @@ const isLeft = ({ state }) => state !== "opened" && state !== "kept";
 /**
  * @typedef {{opened: {file: string, kind: string}[], refused: {name: string, error: string, file: string}[], waiting: string[]}}
  *   Opened the reply to `open_files`
- * @typedef {{path: string, size: number, kind: string}} Served an entry of slice `served`
+ * @typedef {import("../../protocol.d.ts").ServedFile} Served
  * @typedef {{scan?: "replace" | "frames" | "stations" | null}} Landing what becomes of scans
  * @typedef {ReturnType<typeof makeDialog> & {add: (added: Iterable<File>) => void, expect: (what: string | null) => void}}
  *   FilesDialog `expect`: says which type of file it is opened for

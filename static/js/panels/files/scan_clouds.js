@@ -31,7 +31,7 @@ export const scanClouds = (add) => {
     if (!scan) return;
     setText(name, scanName(scan));
     name.title = cloudNames(scan);
-    setText(count, scan.files?.length > 1 ? counted(scan.files.length, "cloud") : "");
+    setText(count, scan.files.length > 1 ? counted(scan.files.length, "cloud") : "");
   };
   store.watch(["scan"], show);
   show();
@@ -48,10 +48,11 @@ export const mountFramesButton = (head, add) => {
   partOf(head, ".pane-zooms").before(more);
   const show = () => {
     const scan = store.get("scan");
-    const several = scan?.files?.length > 1;
+    const clouds = scan?.files.length ?? 0;
+    const several = clouds > 1;
     more.hidden = !scan || Boolean(scan.error);
     more.classList.toggle("several", several);
-    setText(partOf(more, "span"), several ? counted(scan.files.length, "cloud") : "Frames");
+    setText(partOf(more, "span"), several ? counted(clouds, "cloud") : "Frames");
     more.title = `${several ? `${cloudNames(scan)}\n` : ""}Add ${ABOUT_FRAMES}`;
   };
   store.watch(["scan"], show);

@@ -10,8 +10,7 @@ import { labelOf } from "./file_kinds.js";
 import { readingForm } from "./reading_form.js";
 
 /**
- * @typedef {{id: string, name: string, size: number, kind: string, said: string, lacks: string[], takes: string[],
- *   scans?: string[]}} Waiting an entry of slice `waiting`
+ * @typedef {import("../../protocol.d.ts").WaitingFile} Waiting
  * @typedef {(ids: string[], choice: object) => void} Open
  */
 

@@ -20,18 +20,22 @@ export const FILTERS = [
   { name: "rejected", one: "outlier", many: "outliers", group: "state", keeps: (row) => row.on && row.inlier === false },
 ];
 
-/** @param {any} found of slice `judged:pID`, or undefined @returns {string} */
+/**
+ * @typedef {import("../../protocol.d.ts").Judged} Judged
+ */
+
+/** @param {Judged["lengths"][string] | undefined} found @returns {string} */
 const lengthOf = (found) => {
   if (!found) return "";
   const own = `length ${found.length_m.toFixed(3)} m`;
-  if (found.scan_range_m === null) return `${own}; the scan has none there (${found.state})`;
+  if (found.scan_range_m === null || found.difference_m === null) return `${own}; the scan has none there (${found.state})`;
   const more = found.difference_m < 0 ? MINUS : "+";
   return `${own}, the scan ${found.scan_range_m.toFixed(3)} m (${more}${Math.abs(found.difference_m).toFixed(3)} m)`;
 };
 
 /**
  * @param {import("../../net/store.js").Pick[]} picks
- * @param {any} judged slice `judged:pID`, or null
+ * @param {Judged | null} judged slice `judged:pID`, or null
  * @returns {Row[]}
  */
 export const rowsOf = (picks, judged) =>

@@ -137,7 +137,7 @@ export const mountPipeline = () => {
     const photo = store.shown();
     const job = store.get("job");
     const blocking = jobOn(job, photo);
-    const busy = Boolean(blocking);
+    const busy = blocking !== null;
     const context = {
       job: job?.photo === photo ? job : null,
       stages: store.posesOf()?.stages ?? [],
@@ -172,7 +172,7 @@ export const mountPipeline = () => {
         go.title = missing
           ? "Needs a scan, and a photograph with a known focal length"
           : busy
-          ? `${blocking.label} is ${blocking.state ? "running" : "waiting"}`
+          ? `${blocking.label} is ${"state" in blocking ? "running" : "waiting"}`
           : `Run: ${step.label}`;
       }
     }

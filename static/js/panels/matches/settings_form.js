@@ -5,9 +5,7 @@ import { store } from "../../net/store.js";
 import { element, newId } from "../../ui/dom.js";
 
 /**
- * @typedef {{kind: string, label: string, said?: string, unit?: string, least?: number | null, most?: number | null,
- *   step?: number | null, empty?: boolean, choices?: (string | {value: string, label: string})[]}} Setting an entry of
- *   slice `settings`
+ * @typedef {import("../../protocol.d.ts").Setting} Setting
  * @typedef {(name: string, id: string, entry: Setting) => {control: HTMLElement, show: () => void}} MakeControl
  */
 
@@ -34,7 +32,7 @@ const numberControl = (name, id, entry) => {
   );
   const show = () => {
     const value = store.get("settings")?.[name]?.value;
-    if (document.activeElement !== input) input.value = value ?? "";
+    if (document.activeElement !== input) input.value = String(value ?? "");
   };
   input.addEventListener("change", () => {
     const value = input.value.trim() === "" ? null : input.valueAsNumber;
@@ -55,16 +53,13 @@ const numberControl = (name, id, entry) => {
 
 /** @type {MakeControl} */
 const choiceControl = (name, id, entry) => {
-  const options = (entry.choices ?? []).map(
-    (choice) => (typeof choice === "object" ? choice : { value: choice, label: String(choice).replaceAll("_", " ") }),
-  );
   const select = element(
     "select",
     { id, class: "select" },
-    ...options.map(({ value, label }) => element("option", { value }, label)),
+    ...entry.choices.map(({ value, label }) => element("option", { value }, label)),
   );
   const show = () => {
-    select.value = store.get("settings")?.[name]?.value;
+    select.value = String(store.get("settings")?.[name]?.value);
   };
   select.addEventListener("change", () => set(name, select.value, show));
   return { control: select, show };
@@ -84,7 +79,7 @@ const switchControl = (name, id) => {
 const CONTROLS = { number: numberControl, choice: choiceControl, switch: switchControl };
 
 /**
- * @param {[string, any][]} entries names and entries of slice `settings`
+ * @param {[string, Setting][]} entries names and entries of slice `settings`
  * @returns {{form: HTMLElement, show: () => void}} `show` updates the values
  */
 export const settingsForm = (entries) => {

@@ -60,7 +60,7 @@ export const mountModelBlend = (loader) => {
     select.disabled = !others.length;
     bar.hidden = !other;
     loader.blendWith(other ? chosen : NONE);
-    if (!other) return;
+    if (!model || !other) return;
     first = choicesOf(model).find(({ value }) => value === usableTexture(model))?.label ?? "";
     second = other.label;
     share.show(part);

@@ -17,12 +17,12 @@ const LEAST_CELLS = 1e6; // of a scan whose surface the dense mesh shows only co
 const MOVING = ["simplex", "reject_outliers", "thesis"];
 
 /**
- * @typedef {any} Model slice `model`
- * @typedef {{value: string, label: string, usable: boolean, said?: string}} TextureChoice
+ * @typedef {import("../../protocol.d.ts").Model} Model
+ * @typedef {import("../../protocol.d.ts").TextureOption} TextureChoice
  */
 
 /** @param {Model} model @returns {TextureChoice[]} the kinds of texture */
-export const choicesOf = (model) => model?.choices ?? [];
+export const choicesOf = (model) => model.choices;
 
 /** @param {Model} model @returns {string} the kind of texture that can be shown: the chosen one, or the intensity */
 export const usableTexture = (model) =>
@@ -32,9 +32,10 @@ export const usableTexture = (model) =>
 export const blendable = (model) => choicesOf(model).filter(({ value, usable }) => usable && value !== usableTexture(model));
 
 /**
+ * @typedef {import("./model_legend.js").Legend} Legend
  * @typedef {{mesh: string, texture: string, second: string, layer?: {mesh: string, picture: string}}} Stage addresses of
  *   what is drawn
- * @typedef {{state: "empty" | "loading" | "drawn", got: number, total: number, error: string, legend: any, second: any,
+ * @typedef {{state: "empty" | "loading" | "drawn", got: number, total: number, error: string, legend: Legend | null, second: Legend | null,
  *   mixed: boolean, whole: boolean}} ModelState `second`: the legend of the texture that is mixed in; `whole`: as fine as it will be
  */
 
@@ -82,12 +83,13 @@ export class ModelLoader {
   #slide() {
     const frame = simplexRun.current;
     const photo = store.photo(frame?.photo);
-    if (!frame?.camera_from_scanner || !photo?.camera || photo.camera.model === "equirectangular") {
+    const camera = photo?.camera;
+    if (!frame?.camera_from_scanner || !photo || camera?.fx === undefined) {
       this.#surface.endSlide();
       return;
     }
     const picture = this.#slidingPicture(photo);
-    if (picture) this.#surface.slide(picture, (surface) => thrownOnto(surface, photo.camera, frame.camera_from_scanner));
+    if (picture) this.#surface.slide(picture, (surface) => thrownOnto(surface, camera, frame.camera_from_scanner));
   }
 
   /** @param {import("../../net/store.js").Photo} photo @returns {ImageBitmap | null} null while it is being loaded; it is shown as soon as it is there */
@@ -142,10 +144,11 @@ export class ModelLoader {
   /** Begin to load if what is drawn is not what is wanted. */
   #look() {
     this.#surface.fadeMarks();
-    const scan = store.get("scan")?.id ?? null;
+    const open = store.get("scan");
+    const scan = open?.id ?? null;
     if (scan !== this.#scan) this.#reset(scan);
     const model = store.get("model");
-    if (!scan || !model || store.get("scan").error) return;
+    if (!scan || !model || open?.error) return;
     const stages = this.#stages(scan, model);
     const goal = stages[stages.length - 1];
     if (this.#running) {

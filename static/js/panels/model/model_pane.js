@@ -22,6 +22,7 @@ const VIEWPOINTS = [
   ["scanner", "Scanner", "Look from the scanner"],
   ["camera", "Camera", "Look from the camera of the photograph"],
 ];
+/** @type {["cameras" | "matches" | "rays" | "residuals" | "z_buffer", string][]} */
 const SWITCHES = [
   ["cameras", "Scanner and camera"],
   ["matches", "Matches"],
@@ -70,7 +71,7 @@ const textureSelect = () => {
       drawn = text;
       setChildren(
         select,
-        ...choicesOf(model).map(({ value, label, usable, said }) =>
+        ...(model ? choicesOf(model) : []).map(({ value, label, usable, said }) =>
           element("option", { value, disabled: !usable, title: said }, usable ? label : `${label} · not available yet`)),
       );
     }
@@ -84,11 +85,10 @@ const textureSelect = () => {
 
 /** @param {HTMLElement} blend the choice of a second texture @param {ReturnType<typeof mountModelLegend>} legend */
 const display = (legend, blend) => {
-  /** @type {[string, ReturnType<typeof tickBox>][]} */
-  const switches = SWITCHES.map(([name, label]) => [
+  const switches = SWITCHES.map(([name, label]) => /** @type {const} */ ([
     name,
     tickBox({ label, changed: (on) => request("set_model", { [name]: on }) }),
-  ]);
+  ]));
   const shown = tickBox({ label: "Legend", changed: (on) => legend.toggle(on) });
   shown.show(legend.visible);
   const detail = element(

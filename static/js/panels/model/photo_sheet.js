@@ -10,7 +10,11 @@ const NEAR = 0.005; // of the sheet's distance: from farther off, picture and mo
 const AFTER_A_FLIGHT = 0.5;
 
 /**
- * @param {{columns: number, corners: (number[] | null)[]}} sheet
+ * @typedef {import("../../protocol.d.ts").Sheet} Sheet
+ */
+
+/**
+ * @param {Pick<Sheet, "columns" | "corners">} sheet
  * @returns {{positions: Float32Array, uv: Float32Array, faces: Uint32Array}} its triangles, without those at no ray
  */
 export const sheetArrays = ({ columns, corners }) => {
@@ -36,7 +40,7 @@ const distance = (a, b) => Math.hypot(...a.map((value, k) => value - b[k]));
  */
 export const mountPhotoSheet = ({ surface }) => {
   let opacity = 0;
-  /** @type {{sheet: any, arrays: ReturnType<typeof sheetArrays>} | null} the triangles of the sheet that was seen last */
+  /** @type {{sheet: Sheet, arrays: ReturnType<typeof sheetArrays>} | null} the triangles of the sheet that was seen last */
   let known = null;
   /** @type {{address: string, bitmap: ImageBitmap | null}} */
   let picture = { address: "", bitmap: null };
@@ -68,10 +72,10 @@ export const mountPhotoSheet = ({ surface }) => {
   const look = () => {
     const sheet = store.get("model")?.sheet;
     const eye = sheet ? surface.eye : null;
-    const photo = sheet && store.photo(sheet.photo);
-    const there = Boolean(eye && photo && distance(eye, sheet.centre) <= NEAR * sheet.distance);
+    const photo = sheet ? store.photo(sheet.photo) : null;
+    const there = Boolean(eye && sheet && photo && distance(eye, sheet.centre) <= NEAR * sheet.distance);
     bar.hidden = !there;
-    if (!there || opacity === 0) {
+    if (!sheet || !photo || !there || opacity === 0) {
       surface.endSheet();
       return;
     }

@@ -22,7 +22,7 @@ const percent = (probability) => `${Math.round(100 * probability)} %`;
 /**
  * A power curve: the probability that an error of a size would be found, over a logarithmic axis of sizes, and the same
  * as a table.
- * @param {[number, number][]} points
+ * @param {number[][]} points sizes with their probabilities
  * @param {{factor: number, unit: string, title: string, wanted: number, smallest: number | null}} shown `factor`: from
  *   the points' unit to the one that is shown; `smallest`: size that is found with the probability `wanted`, if it is known
  */
@@ -76,7 +76,7 @@ const curve = (points, { factor, unit, title, wanted, smallest }) => {
 };
 
 /**
- * @param {any} found slice `audit:pID`
+ * @param {import("../../protocol.d.ts").Audit} found slice `audit:pID`
  * @returns {HTMLElement}
  */
 export const auditReport = (found) => {

@@ -1,7 +1,7 @@
 /** The live convergence of the simplex: its six parameters (thesis Figure 3.2) and the logarithm of its cost. */
 
 import { stemColour, store } from "../../net/store.js";
-import { isRunning } from "../../state/pipeline.js";
+import { runningJob } from "../../state/pipeline.js";
 import { simplexRun } from "../../state/simplex_run.js";
 import { makeCanvas } from "../../ui/canvas.js";
 import { button } from "../../ui/controls.js";
@@ -164,7 +164,7 @@ export const mountConvergence = () => {
     { class: "empty" },
     "While the simplex runs, its six parameters and the logarithm of its cost are plotted here.",
   );
-  const isBusy = () => isRunning(store.get("job")) && MOVING.includes(store.get("job").kind);
+  const isBusy = () => MOVING.includes(runningJob(store.get("job"))?.kind ?? "");
   const play = button({
     label: "Replay",
     icon: "play",
@@ -248,8 +248,7 @@ export const mountConvergence = () => {
   simplexRun.onChange(showFrame);
   const show = () => {
     const job = store.get("job");
-    const active = isBusy();
-    state.classList.toggle("accent", Boolean(active && job.state === "running"));
+    state.classList.toggle("accent", isBusy() && job?.state === "running");
     showFrame();
   };
   store.watch(["job"], show);

@@ -2,7 +2,7 @@
 
 import { request } from "../../net/requests.js";
 import { store } from "../../net/store.js";
-import { isRunning } from "../../state/pipeline.js";
+import { runningJob } from "../../state/pipeline.js";
 import { button } from "../../ui/controls.js";
 import { element, setChildren } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
@@ -47,14 +47,14 @@ export const jobControls = ({ kinds = null } = {}) => {
   /** @type {string | null} */
   let job = null;
   const show = () => {
-    const now = store.get("job");
-    box.hidden = !isRunning(now) || (kinds !== null && !kinds.includes(now.kind));
-    if (box.hidden) return;
+    const now = runningJob(store.get("job"));
+    box.hidden = !now || (kinds !== null && !kinds.includes(now.kind));
+    if (!now || box.hidden) return;
     if (now.id !== job) {
       job = now.id;
-      speed.value = String(now.speed ?? DEFAULT_SPEED);
+      speed.value = String(now.speed);
     }
-    const can = now.can ?? [];
+    const { can } = now;
     pause.hidden = !can.includes("pause");
     step.hidden = !can.includes("step");
     stop.hidden = !can.includes("stop");

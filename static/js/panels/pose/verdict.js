@@ -17,7 +17,7 @@ import { mountSmoothing } from "./smoothing.js";
 const FROM_IMAGES = new Set(["auto", "survey", "carried"]);
 /**
  * @typedef {import("../../net/store.js").Stage} Stage
- * @typedef {{level: string, sentence: string, what_to_do?: string}} Finding
+ * @typedef {import("../../protocol.d.ts").Finding} Finding
  */
 
 /** @type {Record<string, [string, string, string]>} sign, word and CSS class */
@@ -76,14 +76,14 @@ const exportButton = () =>
 const stageButton = (label, stage, kind) =>
   button({ label, kind: `small edits ${kind}`, act: () => requestForPhoto("use_stage", { stage }) });
 
-/** @type {Record<string, (next: {stage: string}, enabled: boolean) => HTMLElement>} the button of a next step */
+/** @type {Record<string, (next: import("../../protocol.d.ts").NextStep, enabled: boolean) => HTMLElement | null>} the button of a next step */
 const ACTIONS = {
   solve: (_, enabled) => solveButton(enabled),
   verify: (_, enabled) => verifyButton(enabled),
   register: (_, enabled) => registerButton(enabled),
   frames: () => framesButton(),
   export: () => exportButton(),
-  use_stage: ({ stage }) => stageButton("Use the images' pose", stage, "primary"),
+  use_stage: ({ stage }) => (stage === null ? null : stageButton("Use the images' pose", stage, "primary")),
 };
 
 /** @param {string} value @param {string} name @param {string} title */
@@ -116,7 +116,7 @@ const head = (stage, { busy, lacks, solving, why }) => {
         stage.summary.matches ? element("span", { class: "dim verdict-count" }, stage.summary.matches) : null,
       ),
       element("p", { class: "verdict-next" }, waits || next.sentence, " ", act, " ",
-        other ? stageButton(other.sentence, other.stage, "plain") : null),
+        other?.stage ? stageButton(other.sentence, other.stage, "plain") : null),
     ),
   );
 };
@@ -173,18 +173,18 @@ const advices = (advice = []) =>
   );
 
 /** @param {Stage} stage */
-const check = (stage) =>
-  stage.check &&
+const check = ({ check: sentence, check_pick: pick }) =>
+  sentence &&
   element(
     "li",
     { class: "advice" },
-    element("span", {}, stage.check),
-    stage.check_pick ? button({
+    element("span", {}, sentence),
+    pick ? button({
       label: "Show",
       kind: "small",
       icon: "target",
       title: "Show this match in the pictures",
-      act: () => view.set({ selected: new Set([stage.check_pick]), end: null, reveal: stage.check_pick }),
+      act: () => view.set({ selected: new Set([pick]), end: null, reveal: pick }),
     }) : null,
   );
 

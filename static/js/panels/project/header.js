@@ -83,6 +83,7 @@ const scanChip = () => {
 const historyButtons = () => {
   const undo = button({ label: "Undo", icon: "undo", bare: true, kind: "edits", act: () => request("undo") });
   const redo = button({ label: "Redo", icon: "redo", bare: true, kind: "edits", act: () => request("redo") });
+  /** @type {{control: HTMLButtonElement, word: string, key: "undo" | "redo", keys: string}[]} */
   const both = [
     { control: undo, word: "Undo", key: "undo", keys: "Ctrl Z" },
     { control: redo, word: "Redo", key: "redo", keys: "Ctrl Shift Z" },
@@ -108,7 +109,7 @@ const autoMissing = () => {
   if (!photo) return "Open a photograph first.";
   if (!photo.camera) return `Enter the focal length of ${photo.name} first: the file does not contain it.`;
   const job = jobOn(store.get("job"), store.shown());
-  return job ? `“${job.label}” is ${job.state ? "running" : "waiting"}: wait until it ends, or stop it in the status bar.` : "";
+  return job ? `“${job.label}” is ${"state" in job ? "running" : "waiting"}: wait until it ends, or stop it in the status bar.` : "";
 };
 
 const autoButton = () => {

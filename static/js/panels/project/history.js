@@ -8,7 +8,7 @@ import { element, setChildren } from "../../ui/dom.js";
 import { icon } from "../../ui/icons.js";
 import { opens, popoverOf } from "../../ui/popover.js";
 
-/** @typedef {{n: number, label: string, author: string, when: string}} Edit an entry of slice `history` */
+/** @typedef {import("../../protocol.d.ts").HistoryEntry} Edit */
 
 /**
  * Go to a state, which changes the project for everybody: ask first if others are connected.

@@ -81,13 +81,13 @@ const jobBar = () => {
     ].join("\n");
   };
   let listed = "";
-  /** The jobs that begin after this one; each can be cancelled. @param {Job[]} jobs */
+  /** The jobs that begin after this one; each can be cancelled. @param {import("../../protocol.d.ts").WaitingJob[]} jobs */
   const showWaiting = (jobs) => {
     const names = new Map(store.photos().map(({ id, name }) => [id, name]));
     const key = JSON.stringify([jobs, [...names], store.readOnly]);
     if (key === listed) return;
     listed = key;
-    const chip = (/** @type {Job} */ { id, label, photo, author }) => {
+    const chip = (/** @type {import("../../protocol.d.ts").WaitingJob} */ { id, label, photo, author }) => {
       const what = [label, names.get(photo)].filter(Boolean).join(", ");
       const title = `${what}: waits${author ? `, started by ${author}` : ""}`;
       return store.readOnly
@@ -113,11 +113,11 @@ const jobBar = () => {
   const show = () => {
     const job = store.get("job");
     const busy = isRunning(job);
-    showWaiting(busy ? job.waiting ?? [] : []);
+    showWaiting(busy && job ? job.waiting : []);
     // a finished job goes with what it worked on
     const open = job?.photo ? store.photos().some(({ id }) => id === job.photo) : store.get("scan");
     const own = !job?.photo || job.photo === store.shown();
-    const told = Boolean(job && (busy || (open && own && !(job.state === "done" && JUDGES.has(job.kind)))));
+    const told = job && (busy || (open && own && !(job.state === "done" && JUDGES.has(job.kind)))) ? job : null;
     const stage = store.stageOf();
     const share = shareDone(job);
     const judged = !busy && stage && (!told || stage.stale) ? verdictNow(stage) : null;
@@ -127,12 +127,12 @@ const jobBar = () => {
       setSign(judged.sign, judged.level);
       setText(text, judged.said);
       text.title = judged.said;
-    } else showJob(job, busy);
+    } else if (told) showJob(told, busy);
     bar.hidden = !busy;
     if (share === null) bar.removeAttribute("value");
     else bar.value = share;
     setAttribute(bar, "aria-label", `${job?.label ?? "Job"}, progress`);
-    setText(announcement, busy ? `${job.label} started` : judged ? judged.said : told ? `${job.label}: ${job.state}. ${job.said ?? ""}` : "");
+    setText(announcement, busy ? `${job?.label} started` : judged ? judged.said : told ? `${told.label}: ${told.state}. ${told.said}` : "");
   };
   store.watch(["job", "poses:*", "shown", "photos", "scan"], show);
   show();

@@ -14,7 +14,6 @@ import { thumbnail } from "../../ui/thumbnail.js";
 
 /**
  * @typedef {import("../../state/survey.js").SurveyRow} SurveyRow
- * @typedef {any} SurveyCamera an entry of the cameras of slice `survey`
  */
 
 const HEADS = [
@@ -170,7 +169,7 @@ export const mountPhotographs = () => {
     summary.classList.toggle("bad", Boolean(survey?.since));
     setChildren(
       cameras,
-      ...(survey?.cameras ?? []).map((/** @type {SurveyCamera} */ camera) => element(
+      ...(survey?.cameras ?? []).map(({ worst, ...camera }) => element(
         "li",
         { title: camera.photos.join(", ") },
         `${camera.id}, ${camera.width} × ${camera.height}: `,
@@ -178,15 +177,15 @@ export const mountPhotographs = () => {
         camera.sigma_px === null ? "" : ` ± ${fixed(camera.sigma_px, 2)}`,
         `, ${counted(camera.used, "photograph")}`,
         camera.median_px === null ? "" : `, ties ${fixed(camera.median_px, 2)} px`,
-        camera.worst && camera.used > 1 ? element(
+        worst && camera.used > 1 ? element(
           "button",
           {
             type: "button",
             class: "survey-worst",
-            title: `Show the photograph of this camera whose ties agree least: ${fixed(camera.worst.median_px, 2)} px`,
-            on: { click: () => request("show_photo", { photo: camera.worst.id }) },
+            title: `Show the photograph of this camera whose ties agree least: ${fixed(worst.median_px, 2)} px`,
+            on: { click: () => request("show_photo", { photo: worst.id }) },
           },
-          `worst ${camera.worst.name}`,
+          `worst ${worst.name}`,
         ) : null,
         store.readOnly || camera.focal_px === null ? null : holding(camera),
       )),

@@ -205,7 +205,6 @@ export const mountStations = () => {
     poses.disabled = register.disabled;
     register.classList.toggle("primary", !isRegistered());
     check.disabled = save.disabled = !isRegistered() || busy || store.readOnly;
-    /** @type {{path: string, kind: string}[]} */
     const files = store.get("served")?.files ?? [];
     const scans = files.filter(({ kind }) => kind === "scan");
     served.hidden = !scans.length;
@@ -216,8 +215,7 @@ export const mountStations = () => {
         ? "Add scans of the same place from elsewhere. They are registered by their surfaces: neighbouring stations must see the same walls, and each scanner stood upright."
         : "");
     const survey = store.get("survey");
-    /** @type {{name: string, state: string, position: string, angle: string}[]} */
-    const placed = !pairs.length && survey?.scans.length > 1 ? survey.scans : [];
+    const placed = !pairs.length && survey && survey.scans.length > 1 ? survey.scans : [];
     const key = JSON.stringify([all, pairs, loops, reasons, checks, stale, placed, survey?.since, [...hidden()], [...open], store.readOnly]);
     if (key === drawn || list.contains(document.activeElement) && document.activeElement?.matches("input[type=number]")) return;
     drawn = key;
@@ -246,7 +244,7 @@ export const mountStations = () => {
         state === "not connected" ? "bad" : "ok",
         `${name}: ${state === "placed" ? "placed by adjusting everything together" : state}`,
         state === "placed" ? `σ ${position}, ${angle}.` : "",
-        Boolean(survey.since),
+        Boolean(survey?.since),
       )),
       ...checks.map((each) => verdict(
         SIGNS[each.outcome], `${each.name} at ${each.station}: ${each.outcome}`,
