@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ladarreg_core.errors import DegenerateGeometryError, OptionError
 from ladarreg_core.project.results import pose_of
@@ -167,10 +168,10 @@ def frame_event(frame: Frame) -> SimplexEvent:
     step = frame.step
     pose = step.camera_from_scanner
     p = ThesisParameters.from_pose(pose)
-    ends: dict[str, list[Any]] = {}
+    ends: dict[str, list[list[float] | None]] = {}
     uv = frame.inputs.photo.camera.project(pose @ frame.matches.points).tolist()
     for name, at in zip(frame.matches.pick_ids, uv, strict=True):
-        ends.setdefault(name, []).append(at)
+        ends.setdefault(name, []).append(at if math.isfinite(at[0]) else None)  # behind the camera it is nowhere
     inliers, matches = count_picks(frame.matches, step.inliers)
     return {
         "event": "simplex",

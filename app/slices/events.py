@@ -23,7 +23,7 @@ class SimplexEvent(TypedDict):
     matches: int
     residual: str
     round: int
-    predicted: dict[str, list[Numbers]]
+    predicted: dict[str, list[Numbers | None]]
     last: bool
 
 

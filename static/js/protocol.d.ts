@@ -89,7 +89,7 @@ export interface Commands {
   write_report: { photo: string };
 }
 
-export interface Slices {
+export type Slices = {
   acquisition: Acquisition;
   beside: ReadScan | LostScan | null;
   drawn_lines: DrawnLine[];
@@ -126,9 +126,9 @@ export interface Slices {
   [name: `self_test:${string}`]: SelfTest | null;
   [name: `solving:${string}`]: Solving;
   [name: `ties:${string}`]: number[][] | null;
-}
+};
 
-export interface Events {
+export type Events = {
   cursor: CursorEvent;
   export_ready: ExportReadyEvent;
   flown: FlownEvent;
@@ -138,17 +138,17 @@ export interface Events {
   project: ProjectEvent;
   simplex: SimplexEvent;
   view: ViewEvent;
-}
+};
 
-export interface AcquiredRun {
+export type AcquiredRun = {
   name: string;
   done: number;
   total: number;
   complete: boolean;
   photos: number;
-}
+};
 
-export interface Acquisition {
+export type Acquisition = {
   state: "off" | "connecting" | "disconnecting" | "ready" | "jogging" | "running" | "paused" | "fault";
   offered: boolean;
   said: string;
@@ -164,15 +164,15 @@ export interface Acquisition {
   picture: string | null;
   points: number;
   runs: AcquiredRun[];
-}
+};
 
-export interface Advice {
+export type Advice = {
   uv: number[];
   ray: number[];
   sentence: string;
-}
+};
 
-export interface Audit {
+export type Audit = {
   outcome: "right" | "wrong" | "undecidable";
   sentence: string;
   p_value: number | null;
@@ -182,26 +182,26 @@ export interface Audit {
   camera_from_scanner: number[][] | null;
   power: PowerFields;
   judged: string;
-}
+};
 
-export interface CameraFields {
+export type CameraFields = {
   folder?: string;
   device?: number | null;
   mount: number[][] | null;
   trigger?: Record<string, unknown>;
-}
+};
 
-export interface Choice {
+export type Choice = {
   value: string;
   label: string;
-}
+};
 
-export interface Corners {
+export type Corners = {
   scan: number[][];
   photo: number[][];
-}
+};
 
-export interface CursorEvent {
+export type CursorEvent = {
   client: string;
   side: "scan" | "photo";
   view: number;
@@ -209,9 +209,9 @@ export interface CursorEvent {
   station: string;
   event: "cursor";
   uv: number[] | null;
-}
+};
 
-export interface Devices {
+export type Devices = {
   unit: string;
   simulated: boolean;
   lowest_deg: number[];
@@ -219,14 +219,14 @@ export interface Devices {
   step_deg: number[];
   scanner: string | null;
   has_intensity: boolean;
-}
+};
 
-export interface Drawing {
+export type Drawing = {
   ends: (number[] | null)[];
   lines: (number[] | null)[][];
-}
+};
 
-export interface DrawnLine {
+export type DrawnLine = {
   id: string;
   photos: string[];
   uv: number[][][];
@@ -235,9 +235,9 @@ export interface DrawnLine {
   agrees: boolean | null;
   residuals_px: Record<string, number>;
   reason: string;
-}
+};
 
-export interface DrawnTie {
+export type DrawnTie = {
   id: string;
   track: string;
   photos: string[];
@@ -246,48 +246,48 @@ export interface DrawnTie {
   agrees: boolean | null;
   residual_px: number | null;
   reason: string;
-}
+};
 
-export interface Driver {
+export type Driver = {
   id: string;
   name: string;
-}
+};
 
-export interface EmbeddedPicture {
+export type EmbeddedPicture = {
   index: number;
   name: string;
   said: string;
   usable: boolean;
   taken: boolean;
-}
+};
 
-export interface ExportReadyEvent {
+export type ExportReadyEvent = {
   event: "export_ready";
   targets: string[];
   name: string;
   url: string;
-}
+};
 
-export interface FileFormats {
+export type FileFormats = {
   kind: "scan" | "photo" | "camera" | "matches";
   label: string;
   names: string[];
   extensions: string[];
-}
+};
 
-export interface Finding {
+export type Finding = {
   what: string;
   level: "good" | "fair" | "poor";
   sentence: string;
   what_to_do: string;
-}
+};
 
-export interface FlownEvent {
+export type FlownEvent = {
   event: "flown";
   photo: string;
-}
+};
 
-export interface FocalPhotoCamera {
+export type FocalPhotoCamera = {
   model: string;
   width: number;
   height: number;
@@ -300,33 +300,33 @@ export interface FocalPhotoCamera {
   cx: number;
   cy: number;
   window?: undefined;
-}
+};
 
-export interface History {
+export type History = {
   at: number;
   entries: HistoryEntry[];
-}
+};
 
-export interface HistoryEntry {
+export type HistoryEntry = {
   n: number;
   label: string;
   author: string;
   when: string;
-}
+};
 
-export interface HoverEvent {
+export type HoverEvent = {
   event: "hover";
   client: string;
   photo: string | null;
   pick: string;
-}
+};
 
-export interface ImageOutcome {
+export type ImageOutcome = {
   outcome: "verified" | "contradicted" | "undecidable";
   sentence: string;
-}
+};
 
-export interface Job {
+export type Job = {
   id: string;
   kind: string;
   label: string;
@@ -341,16 +341,16 @@ export interface Job {
   speed: number;
   steps: JobStep[];
   waiting: WaitingJob[];
-}
+};
 
-export interface JobStep {
+export type JobStep = {
   name: string;
   label: string;
   seconds: number;
   said: string;
-}
+};
 
-export interface Judged {
+export type Judged = {
   stage: "linear" | "constrained_linear" | "simplex" | "simplex_outliers_removed" | "robust" | "refined" | "auto" | "thesis" | "survey" | "carried" | null;
   by_pick: Record<string, JudgedPick>;
   thresholds: Thresholds;
@@ -359,32 +359,32 @@ export interface Judged {
   lengths: Record<string, JudgedLength>;
   losses: string[];
   cautions: string[];
-}
+};
 
-export interface JudgedLength {
+export type JudgedLength = {
   length_m: number;
   scan_range_m: number | null;
   difference_m: number | null;
   tolerance_m: number;
   state: "compared" | "no return" | "depth edge" | "outside the scan";
   beyond: boolean;
-}
+};
 
-export interface JudgedPick {
+export type JudgedPick = {
   px: number | null;
   mm: number | null;
   depth_m: number | null;
   inlier: boolean | null;
   agrees: boolean | null;
   influence: number | null;
-}
+};
 
-export interface Limits {
+export type Limits = {
   upload_bytes: number;
   photos: number;
-}
+};
 
-export interface LostScan {
+export type LostScan = {
   id: string;
   name: string;
   files: string[];
@@ -399,9 +399,9 @@ export interface LostScan {
   has_color?: undefined;
   has_intensity?: undefined;
   strip?: undefined;
-}
+};
 
-export interface LostStage {
+export type LostStage = {
   stage: "linear" | "constrained_linear" | "simplex" | "simplex_outliers_removed" | "robust" | "refined" | "auto" | "thesis" | "survey" | "carried";
   label: string;
   accepted: boolean;
@@ -434,9 +434,9 @@ export interface LostStage {
   seconds?: undefined;
   regions?: undefined;
   steps?: undefined;
-}
+};
 
-export interface Measured {
+export type Measured = {
   value: string;
   interval: string;
   notes: string[];
@@ -444,25 +444,25 @@ export interface Measured {
   drawn: Drawing | null;
   in_photo: Record<string, Drawing>;
   id: string;
-}
+};
 
-export interface Measurement {
+export type Measurement = {
   id: string;
   station: string;
   name: string;
   kind: "point" | "distance" | "polyline" | "angle" | "area" | "height";
   places: MeasurementPlace[];
-}
+};
 
-export interface MeasurementPlace {
+export type MeasurementPlace = {
   photo?: string;
   uv?: number[];
   sigma_px?: number;
   ray?: number[];
   sigma_rad?: number;
-}
+};
 
-export interface Model {
+export type Model = {
   texture: string;
   z_buffer: boolean;
   detail: "coarse" | "standard" | "dense";
@@ -475,34 +475,34 @@ export interface Model {
   accepted: boolean;
   choices: TextureOption[];
   sheet: Sheet | null;
-}
+};
 
-export interface MountFields {
+export type MountFields = {
   xyz_m: number[];
   rpy_deg: number[];
   base?: string | number[];
   base_sigma_deg?: number[];
-}
+};
 
-export interface NextStep {
+export type NextStep = {
   sentence: string;
   action: "" | "solve" | "verify" | "register" | "use_stage" | "frames" | "export";
   stage: "linear" | "constrained_linear" | "simplex" | "simplex_outliers_removed" | "robust" | "refined" | "auto" | "thesis" | "survey" | "carried" | null;
-}
+};
 
-export interface NoticeEvent {
+export type NoticeEvent = {
   event: "notice";
   level: "info" | "warn" | "bad";
   text: string;
   photo?: string;
-}
+};
 
-export interface Outline {
+export type Outline = {
   rays: number[][];
   registered: boolean;
-}
+};
 
-export interface PanoramaCamera {
+export type PanoramaCamera = {
   model: string;
   width: number;
   height: number;
@@ -515,43 +515,43 @@ export interface PanoramaCamera {
   fy?: undefined;
   cx?: undefined;
   cy?: undefined;
-}
+};
 
-export interface Parameter {
+export type Parameter = {
   name: string;
   unit: string;
   value: string;
   sigma: string;
-}
+};
 
-export interface Partner {
+export type Partner = {
   station: string;
   choices: PartnerChoice[];
-}
+};
 
-export interface PartnerChoice {
+export type PartnerChoice = {
   station: string;
   name: string;
   index: number;
   sees: number | null;
-}
+};
 
-export interface People {
+export type People = {
   count: number;
   you: string;
   clients: Person[];
-}
+};
 
-export interface Person {
+export type Person = {
   id: string;
   name: string;
   colour: number;
   photo: string | null;
   follows: string | null;
   read_only: boolean;
-}
+};
 
-export interface Photo {
+export type Photo = {
   id: string;
   name: string;
   width: number;
@@ -570,9 +570,9 @@ export interface Photo {
   stated_pose?: number[][];
   camera_error?: string;
   error?: string;
-}
+};
 
-export interface Pick {
+export type Pick = {
   id: string;
   number: number;
   kind: "point" | "line";
@@ -582,15 +582,15 @@ export interface Pick {
   weight: number;
   origin: string;
   name?: string;
-}
+};
 
-export interface PlacementEvent {
+export type PlacementEvent = {
   event: "placement";
   photo: string;
   camera_from_scanner: number[][];
-}
+};
 
-export interface PlanFields {
+export type PlanFields = {
   version: number;
   unit: UnitFields;
   scanner: ScannerFields;
@@ -602,22 +602,22 @@ export interface PlanFields {
   continuous: boolean;
   passes: number;
   mount: MountFields;
-}
+};
 
-export interface Poses {
+export type Poses = {
   shown: "linear" | "constrained_linear" | "simplex" | "simplex_outliers_removed" | "robust" | "refined" | "auto" | "thesis" | "survey" | "carried" | null;
   stages: (SolvedStage | LostStage)[];
-}
+};
 
-export interface PowerFields {
+export type PowerFields = {
   rotation_rad: number[][];
   position_m: number[][];
   seen_with_probability: number;
   smallest_rotation_rad: number | null;
   smallest_position_m: number | null;
-}
+};
 
-export interface PreviewedRange {
+export type PreviewedRange = {
   id: string;
   ray: number[];
   uv: number[] | null;
@@ -625,16 +625,16 @@ export interface PreviewedRange {
   after_m: number;
   sigma_m: number;
   edge: boolean;
-}
+};
 
-export interface Progress {
+export type Progress = {
   steps: WorkStep[];
   needed: string;
   next_action: string;
   exported: Record<string, "scanner" | "world">;
-}
+};
 
-export interface Project {
+export type Project = {
   id: string;
   start: boolean;
   name: string;
@@ -646,16 +646,16 @@ export interface Project {
   undo: string | null;
   redo: string | null;
   opened: string;
-}
+};
 
-export interface ProjectEvent {
+export type ProjectEvent = {
   event: "project";
   id: string;
   name: string;
   by: string;
-}
+};
 
-export interface ReadScan {
+export type ReadScan = {
   id: string;
   grid: string;
   name: string;
@@ -670,22 +670,22 @@ export interface ReadScan {
   views: ScanView[];
   strip: Strip | null;
   error?: undefined;
-}
+};
 
-export interface ReadingField {
+export type ReadingField = {
   label: string;
   hint: string;
   example: string;
   kind: "whole" | "coordinates" | "names" | "text" | "duration" | "temperature_unit" | "switch";
-}
+};
 
-export interface SampledLine {
+export type SampledLine = {
   scan_samples: [number[], boolean][];
   sampled: number;
   used: number;
-}
+};
 
-export interface ScanView {
+export type ScanView = {
   label: string;
   width: number;
   height: number;
@@ -693,9 +693,9 @@ export interface ScanView {
   cx: number;
   cy: number;
   rotation: number[];
-}
+};
 
-export interface ScannerFields {
+export type ScannerFields = {
   kind: "scip2" | "folder" | "packets";
   port?: string;
   baud?: number;
@@ -707,16 +707,16 @@ export interface ScannerFields {
   timeout_s?: number;
   fov_deg?: number[];
   trigger?: Record<string, unknown>;
-}
+};
 
-export interface SelfTest {
+export type SelfTest = {
   sentence: string;
   advice: string;
   counts: string;
   rows: SelfTestRow[];
-}
+};
 
-export interface SelfTestRow {
+export type SelfTestRow = {
   kind: "right" | "start" | "wrong";
   right: boolean;
   accepted: boolean;
@@ -725,20 +725,20 @@ export interface SelfTestRow {
   error_px: number | null;
   off_deg: number;
   seconds: number;
-}
+};
 
-export interface Served {
+export type Served = {
   label: string;
   files: ServedFile[];
-}
+};
 
-export interface ServedFile {
+export type ServedFile = {
   path: string;
   size: number;
   kind: "scan" | "photo" | "camera" | "pose" | "matches" | "results";
-}
+};
 
-export interface Setting {
+export type Setting = {
   value: string | number | boolean | null;
   label: string;
   kind: "number" | "choice" | "switch";
@@ -751,17 +751,17 @@ export interface Setting {
   unit: string;
   step_of: "corners" | "match" | "cull" | "constrained" | "lines" | "simplex" | "reject" | "robust" | "all";
   said: string;
-}
+};
 
-export interface Sheet {
+export type Sheet = {
   photo: string;
   centre: number[];
   distance: number;
   columns: number;
   corners: (number[] | null)[];
-}
+};
 
-export interface SimplexEvent {
+export type SimplexEvent = {
   event: "simplex";
   photo: string;
   iteration: number;
@@ -773,18 +773,18 @@ export interface SimplexEvent {
   matches: number;
   residual: string;
   round: number;
-  predicted: Record<string, number[][]>;
+  predicted: Record<string, (number[] | null)[]>;
   last: boolean;
-}
+};
 
-export interface Smoothing {
+export type Smoothing = {
   station: string;
   replaced: number;
   sentence: string;
   preview: SmoothingPreview | null;
-}
+};
 
-export interface SmoothingPreview {
+export type SmoothingPreview = {
   photo: string;
   name: string;
   station: string;
@@ -793,9 +793,9 @@ export interface SmoothingPreview {
   stale: string;
   nothing: string;
   ranges: PreviewedRange[];
-}
+};
 
-export interface SolvedStage {
+export type SolvedStage = {
   image?: ImageOutcome;
   findings?: Finding[];
   uncertainty?: string;
@@ -828,20 +828,20 @@ export interface SolvedStage {
   seconds: number;
   regions: number[][];
   steps: StageStep[];
-}
+};
 
-export interface Solving {
+export type Solving = {
   busy: boolean;
   sentence: string;
-}
+};
 
-export interface StageStep {
+export type StageStep = {
   name: string;
   label: string;
   seconds: number;
-}
+};
 
-export interface Station {
+export type Station = {
   id: string | null;
   name: string;
   files: string[];
@@ -852,9 +852,9 @@ export interface Station {
   sigma_deg: number | null;
   place: StationPlace | null;
   rough: boolean;
-}
+};
 
-export interface StationCheck {
+export type StationCheck = {
   photo: string;
   name: string;
   station: string;
@@ -862,15 +862,15 @@ export interface StationCheck {
   sentence: string;
   fraction: number | null;
   stale: boolean;
-}
+};
 
-export interface StationLoop {
+export type StationLoop = {
   stations: string[];
   error_mm: number;
   error_deg: number;
-}
+};
 
-export interface StationPair {
+export type StationPair = {
   first: string;
   second: string;
   verdict: "verified" | "ambiguous" | "refused";
@@ -878,16 +878,16 @@ export interface StationPair {
   overlap: number | null;
   sigma_mm: number | null;
   sigma_deg: number | null;
-}
+};
 
-export interface StationPlace {
+export type StationPlace = {
   x: number;
   y: number;
   z: number;
   yaw_deg: number;
-}
+};
 
-export interface Stations {
+export type Stations = {
   done: boolean;
   status: string;
   missing: string;
@@ -898,14 +898,14 @@ export interface Stations {
   loops: StationLoop[];
   reasons: string[];
   checks: StationCheck[];
-}
+};
 
-export interface Strip {
+export type Strip = {
   low: number;
   high: number;
-}
+};
 
-export interface Summary {
+export type Summary = {
   light: "verified" | "matches_only" | "given" | "not_accepted" | "out_of_date";
   words: string;
   line: string;
@@ -914,9 +914,9 @@ export interface Summary {
   matches: string;
   next_step: NextStep;
   other: NextStep | null;
-}
+};
 
-export interface Survey {
+export type Survey = {
   accepted: number;
   photos: SurveyPhoto[];
   cameras: SurveyCamera[];
@@ -924,9 +924,9 @@ export interface Survey {
   chi2_per_dof: number | null;
   sigma_px: number | null;
   since: string;
-}
+};
 
-export interface SurveyCamera {
+export type SurveyCamera = {
   id: string;
   focal_px: number | null;
   sigma_px: number | null;
@@ -937,9 +937,9 @@ export interface SurveyCamera {
   median_px: number | null;
   worst: WorstPhoto | null;
   held: boolean;
-}
+};
 
-export interface SurveyPhoto {
+export type SurveyPhoto = {
   id: string;
   name: string;
   verdict: string;
@@ -955,28 +955,28 @@ export interface SurveyPhoto {
   angle: string | null;
   moved: string | null;
   changed: boolean;
-}
+};
 
-export interface SurveyScan {
+export type SurveyScan = {
   name: string;
   state: "fixed" | "placed" | "not connected";
   position: string | null;
   angle: string | null;
-}
+};
 
-export interface TextureOption {
+export type TextureOption = {
   value: string;
   label: string;
   usable: boolean;
   said: string;
-}
+};
 
-export interface Thresholds {
+export type Thresholds = {
   depth: number | null;
   px: number | null;
-}
+};
 
-export interface UnitFields {
+export type UnitFields = {
   kind: "flir-ptu" | "pelco-d" | "onvif";
   port: string;
   baud?: number;
@@ -985,9 +985,9 @@ export interface UnitFields {
   user?: string;
   range_deg?: number[][];
   speed_deg_s?: number;
-}
+};
 
-export interface ViewEvent {
+export type ViewEvent = {
   client: string;
   side: "scan" | "photo";
   view: number;
@@ -996,9 +996,9 @@ export interface ViewEvent {
   event: "view";
   centre: number[] | null;
   zoom: number;
-}
+};
 
-export interface WaitingFile {
+export type WaitingFile = {
   id: string;
   name: string;
   size: number;
@@ -1007,30 +1007,30 @@ export interface WaitingFile {
   lacks: string[];
   takes: string[];
   scans?: string[];
-}
+};
 
-export interface WaitingJob {
+export type WaitingJob = {
   id: string;
   label: string;
   photo: string;
   author: string;
-}
+};
 
-export interface WorkStep {
+export type WorkStep = {
   name: "match" | "solve" | "judge" | "export";
   done: boolean;
   status: string;
   missing: string;
-}
+};
 
-export interface WorldPlace {
+export type WorldPlace = {
   position: string;
   heading: string;
   tilt: string;
-}
+};
 
-export interface WorstPhoto {
+export type WorstPhoto = {
   id: string;
   name: string;
   median_px: number;
-}
+};

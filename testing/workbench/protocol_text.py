@@ -64,15 +64,15 @@ def declarations() -> str:
     ]
     events = {name: kind for kind in get_args(Event) for name in get_args(get_type_hints(kind)["event"])}
     tables = {"Slices": slices, "Events": [f"{name}: {kind.__name__};" for name, kind in sorted(events.items())]}
-    parts = [_commands(), *(_interface(name, lines) for name, lines in tables.items())]
+    parts = [_commands(), *(_alias(name, lines) for name, lines in tables.items())]
     named = _named([*get_type_hints(Slices).values(), *get_type_hints(OfPhoto).values(), *events.values()])
     missing = _missing_fields(named)
-    parts += [_interface(one.__name__, [*_lines(one), *missing.get(one.__name__, ())]) for one in named]
+    parts += [_alias(one.__name__, [*_lines(one), *missing.get(one.__name__, ())]) for one in named]
     return _HEAD + "\n".join(parts)
 
 
-def _interface(name: str, lines: Iterable[str]) -> str:
-    return "\n".join([f"export interface {name} {{", *(f"  {line}" for line in lines), "}", ""])
+def _alias(name: str, lines: Iterable[str]) -> str:
+    return "\n".join([f"export type {name} = {{", *(f"  {line}" for line in lines), "};", ""])
 
 
 def _lines(kind: Any) -> list[str]:

@@ -3,6 +3,14 @@
 import { throttled } from "../ui/throttle.js";
 import { allowed, centredOn, fitted, middle } from "./viewport.js";
 
+/**
+ * @typedef {import("./colors.js").Look} Look
+ * @typedef {import("./picking.js").Side} Side
+ * @typedef {import("../net/store.js").Events} Events
+ * @typedef {import("../net/store.js").Person} Person
+ * @typedef {import("../net/requests.js").Commands} Commands
+ */
+
 const INTERVAL_MS = 100;
 const STEADY_MS = 3000;
 const FADING_MS = 1500;
@@ -12,6 +20,7 @@ const ARROW = [[0, 0], [0, 13], [3.6, 9.8], [6, 15], [8.4, 13.9], [6, 8.9], [10.
 /** The pointers of other people, and the views that are followed. */
 export class Colleagues {
   #controller;
+  /** @type {Map<string, Omit<Events["cursor"], "event" | "client" | "uv"> & {uv: number[], since: number}>} */
   #cursors = new Map();
   #timer = 0;
   #followers = 0;
@@ -24,7 +33,10 @@ export class Colleagues {
   constructor(controller, tools) {
     this.#controller = controller;
     const { store } = controller;
-    const sendCursor = throttled((pointer) => controller.ask("point", pointer), INTERVAL_MS);
+    /** @param {Commands["point"]} pointer */
+    const send = (pointer) => controller.ask("point", pointer);
+    const sendCursor = throttled(send, INTERVAL_MS);
+    /** @param {Side} side @param {number[] | null} uv */
     const point = (side, uv) => store.colleagues().length > 0 && sendCursor({ ...this.#place(side), uv });
     tools.onPointer((pane, uv) => point(pane.side, uv));
     tools.onLeave((pane) => point(pane.side, null));
@@ -47,17 +59,19 @@ export class Colleagues {
     }
   }
 
-  /** @returns {any} the person whose view is followed, or null */
+  /** @returns {Person | null} the person whose view is followed, or null */
   get leader() {
     const { store } = this.#controller;
     return store.colleagues().find(({ id }) => id === store.me()?.follows) ?? null;
   }
 
+  /** @param {Side} side */
   #place(side) {
     const { store, sides } = this.#controller;
     return { side, photo: store.shown(), view: side === "scan" ? sides.scan.index : 0 };
   }
 
+  /** @param {Side} side */
   #showView(side) {
     const pane = this.#controller.panes[side];
     if (!pane.extent || pane.size[0] === 0) return null;
@@ -67,11 +81,12 @@ export class Colleagues {
 
   /** Nothing moves under the hands: whoever moves a picture stops following. */
   #leave() {
-    const { name } = this.leader;
+    const name = this.leader?.name;
     this.#controller.ask("follow", { client: null }).catch(() => {});
     this.#controller.store.take({ event: "notice", level: "info", text: `You no longer follow ${name}.` });
   }
 
+  /** @param {Events["view"]} event */
   #follow({ client, side, view, photo, station, centre, zoom }) {
     const { store, sides, panes } = this.#controller;
     const pane = panes[side];
@@ -94,6 +109,7 @@ export class Colleagues {
     this.#controller.redraw("live");
   }
 
+  /** @param {Events["cursor"]} event */
   #receive({ client, side, view, photo, station, uv }) {
     if (uv) this.#cursors.set(client, { side, view, photo, station, uv, since: performance.now() });
     else this.#cursors.delete(client);
@@ -104,7 +120,7 @@ export class Colleagues {
    * Draw the pointers of those who see the same picture; they fade while they rest.
    * @param {CanvasRenderingContext2D} context
    * @param {import("./pane.js").Pane} pane
-   * @param {any} look
+   * @param {Look} look
    */
   paint(context, pane, look) {
     if (this.#cursors.size === 0) return;
@@ -133,6 +149,12 @@ export class Colleagues {
   }
 }
 
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {readonly number[]} at
+ * @param {{name: string, colour: string, strength: number}} person
+ * @param {Look} look
+ */
 const drawPointer = (context, [x, y], { name, colour, strength }, look) => {
   const { scale } = look;
   context.save();
@@ -149,9 +171,9 @@ const drawPointer = (context, [x, y], { name, colour, strength }, look) => {
   context.fill();
   context.font = look.font;
   context.textBaseline = "top";
-  const at = [12 * scale, 13 * scale];
+  const [left, top] = [12 * scale, 13 * scale];
   context.lineWidth = 4 * scale;
-  context.strokeText(name, ...at);
-  context.fillText(name, ...at);
+  context.strokeText(name, left, top);
+  context.fillText(name, left, top);
   context.restore();
 };

@@ -8,12 +8,15 @@ const PEOPLE_COLOURS = 6;
 const ROOT_PX = 13;
 
 /**
- * @returns {{matches: string[], people: string[], ink: string, dim: string, warn: string, bad: string, halo: string, font: string, scale: number}}
+ * @typedef {{matches: string[], people: string[], ink: string, dim: string, warn: string, bad: string, halo: string, font: string, scale: number}} Look
  *   `scale` multiplies strokes and symbols: they grow with the page's font size on very large screens
  */
+
+/** @returns {Look} */
 export const readLook = () => {
   const tokens = getComputedStyle(document.documentElement);
   const scale = (Number.parseFloat(tokens.fontSize) || ROOT_PX) / ROOT_PX;
+  /** @param {string} name */
   const token = (name) => tokens.getPropertyValue(`--lr-${name}`).trim();
   return {
     matches: Array.from({ length: MATCH_COLOURS }, (_, k) => token(`match-${k + 1}`)),
@@ -28,5 +31,5 @@ export const readLook = () => {
   };
 };
 
-/** @returns {string} the colour of a match; numbers start at 1 */
+/** @param {Pick<Look, "matches">} look @param {number} number @returns {string} the colour of a match; numbers start at 1 */
 export const colourOf = (look, number) => look.matches[(number - 1) % MATCH_COLOURS];

@@ -3,16 +3,22 @@
 import { element } from "../ui/dom.js";
 import { drawPicture } from "./picture_layer.js";
 
+/** @typedef {import("./viewport.js").Viewport} Viewport */
+
 const SQUARE_PX = 64;
 const SWIPE_STEP = 0.01;
 
-/** @returns {number} side of a checkerboard square in image pixels: a power of two, about `SQUARE_PX` on the screen */
+/**
+ * @param {number} zoom
+ * @returns {number} side of a checkerboard square in image pixels: a power of two, about `SQUARE_PX` on the screen
+ */
 export const squareSide = (zoom) => 2 ** Math.round(Math.log2(SQUARE_PX / zoom));
 
-/** @returns {Path2D} every other square of the visible part */
+/** @param {Viewport} viewport @param {readonly number[]} size @returns {Path2D} every other square of the visible part */
 const checkerboard = (viewport, size) => {
   const side = squareSide(viewport.zoom) * viewport.zoom;
   const path = new Path2D();
+  /** @param {number} at */
   const first = (at) => Math.floor(-at / side);
   for (let row = first(viewport.y); row * side + viewport.y < size[1]; row++) {
     for (let column = first(viewport.x); column * side + viewport.x < size[0]; column++) {
@@ -27,7 +33,7 @@ const checkerboard = (viewport, size) => {
  * @param {CanvasRenderingContext2D} context in CSS pixels of the pane
  * @param {import("./viewport.js").Viewport} viewport
  * @param {readonly number[]} size of the pane
- * @param {import("./picture_layer.js").Picture} picture
+ * @param {NonNullable<import("./picture_layer.js").Slot["shown"]>} picture
  * @param {readonly number[]} extent width and height of the photograph
  * @param {{overlay: string, blend: number, swipe_x: number}} how `swipe_x`: position of the swipe, CSS pixels
  * @param {boolean} smooth
@@ -54,6 +60,7 @@ export const mountSwipe = (controller) => {
   const range = { "aria-label": "Swipe between scan and photograph", "aria-valuemin": 0, "aria-valuemax": 100 };
   const bar = element("div", { class: "pane-swipe", role: "slider", tabIndex: 0, ...range });
   pane.body.append(bar);
+  /** @param {number} swipe */
   const set = (swipe) => controller.view.set({ photo: { swipe: Math.min(1, Math.max(0, swipe)) } });
 
   bar.addEventListener("pointerdown", (event) => {

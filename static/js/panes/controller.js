@@ -15,9 +15,18 @@ import { smoothedMarks } from "./smoothing_layer.js";
 import { Snapping } from "./snapping.js";
 import { centredOn } from "./viewport.js";
 
+/**
+ * @typedef {import("./picking.js").Side} Side
+ * @typedef {import("./picking.js").Drawn} Drawn
+ * @typedef {import("./pane.js").Layer} Layer
+ * @typedef {import("../net/store.js").Pick} Pick
+ * @typedef {import("../net/requests.js").Commands} Commands
+ */
+
 /** A pair that was sent stays drawn until its slice arrives, this long at most. */
 const SENT_SHOWN_MS = 2000;
 const MARK_SHOWN_MS = 6000;
+/** @type {number[][]} */
 const NO_TIES = []; // always the same, so that nothing seems to have changed
 
 /** Controller of the two image panes. */
@@ -43,14 +52,22 @@ export class Controller {
   suspended = false;
   /** @type {import("./colleagues.js").Colleagues | null} other people in the pictures */
   colleagues = null;
+  /** @type {Partial<Record<Side, import("./marks.js").Mark[]>>} */
   #marks = {};
+  /** @type {Partial<Record<Side, ReturnType<typeof measuredMarks>>>} */
   #measured = {};
   /** @type {ReturnType<typeof smoothedMarks> | null} */
   #smoothed = null;
+  /** @type {Map<Side, number[]>} */
   #marked = new Map();
   #markTimer = 0;
+  /** @type {Partial<Record<Side, number[][]>>} */
   #corners = {};
 
+  /**
+   * @param {{store: import("../net/store.js").Store, view: typeof import("../state/view.js").view,
+   *          ask: typeof import("../net/connection.js").ask}} page
+   */
   constructor({ store, view, ask }) {
     this.look = readLook();
     addEventListener("resize", () => Object.assign(this.look, readLook()));
@@ -65,7 +82,7 @@ export class Controller {
       () => this.changed(),
     );
     this.snapping = new Snapping(
-      ask,
+      (question) => ask("snap", question),
       (side) => ({ photo: store.shown() ?? undefined, view: side === "scan" ? this.sides.scan.index : undefined }),
       () => {
         this.onSnapped();
@@ -74,6 +91,7 @@ export class Controller {
     );
   }
 
+  /** @param {string} photo @param {string} id @param {Side} side @param {number[][]} ends */
   async #sendEnds(photo, id, side, ends) {
     try {
       await this.ask("set_pick", { photo, pick: id, [side === "scan" ? "scan" : "photo_uv"]: ends });
@@ -85,18 +103,21 @@ export class Controller {
 
   /**
    * Send an edit of the shown photograph; a refusal is reported.
+   * @template {import("../net/requests.js").OfPhoto} Name
+   * @param {Name} what
+   * @param {Omit<Commands[Name], "photo">} args
    * @returns {Promise<any>} the answer, or null if it was refused
    */
   async edit(what, args) {
     try {
-      return await this.ask(what, { photo: this.store.shown(), ...args });
+      return await this.ask(what, /** @type {Commands[Name]} */ (/** @type {unknown} */ ({ photo: this.store.shown(), ...args })));
     } catch (error) {
       this.report(error);
       return null;
     }
   }
 
-  /** Show an error as a notice. */
+  /** Show an error as a notice. @param {unknown} error */
   report(error) {
     this.store.take({ event: "notice", level: "bad", text: messageOf(error) });
   }
@@ -110,12 +131,12 @@ export class Controller {
     this.redraw("matches", "live");
   }
 
-  /** Redraw layers of both panes. */
+  /** Redraw layers of both panes. @param {...Layer} layers */
   redraw(...layers) {
     for (const pane of Object.values(this.panes)) pane.invalidate(...layers);
   }
 
-  /** @returns {import("./marks.js").Mark[]} marks of the shown photograph's matches */
+  /** @param {Side} side @returns {import("./marks.js").Mark[]} marks of the shown photograph's matches */
   marks(side) {
     const { store } = this;
     this.#marks[side] ??= this.sides[side].extent
@@ -124,7 +145,7 @@ export class Controller {
     return this.#marks[side];
   }
 
-  /** @returns {ReturnType<typeof measuredMarks>} measurements, as they are drawn */
+  /** @param {Side} side @returns {ReturnType<typeof measuredMarks>} measurements, as they are drawn */
   measured(side) {
     this.#measured[side] ??= this.sides[side].extent ? measuredMarks(measurementsNow(), this.sides[side]) : [];
     return this.#measured[side];
@@ -136,11 +157,11 @@ export class Controller {
     return this.#smoothed;
   }
 
-  /** @returns {number[][]} detected corners, in pixels */
+  /** @param {Side} side @returns {number[][]} detected corners, in pixels */
   corners(side) {
     this.#corners[side] ??= (this.store.get(`corners:${this.store.shown()}`)?.[side] ?? [])
       .map((world) => this.sides[side].toPixel(world))
-      .filter(Boolean);
+      .filter((uv) => uv !== null);
     return this.#corners[side];
   }
 
@@ -154,7 +175,7 @@ export class Controller {
     return this.view.get().corners !== false;
   }
 
-  /** @returns {any} a pick of the shown photograph by its id, or null */
+  /** @param {string} id @returns {Pick | null} a pick of the shown photograph by its id */
   pick(id) {
     return this.store.picksOf().find((pick) => pick.id === id) ?? null;
   }
@@ -189,12 +210,12 @@ export class Controller {
     return selected.size === 1 ? [...selected][0] : null;
   }
 
-  /** @returns {import("./picking.js").PickPosition} */
+  /** @param {Side} side @param {number[]} uv @returns {import("./picking.js").PickPosition} */
   positionAt(side, uv, time_ms = performance.now()) {
     return { world: this.sides[side].toWorld(uv), uv, zoom: this.panes[side].viewport.zoom, time_ms };
   }
 
-  /** Move the keyboard crosshair to a pixel; a line being drawn follows it. */
+  /** Move the keyboard crosshair to a pixel; a line being drawn follows it. @param {Side} side @param {number[]} uv */
   moveCursor(side, uv) {
     const pane = this.panes[side];
     this.cursor = { side, uv, moved: true };
@@ -203,12 +224,12 @@ export class Controller {
     this.redraw("live");
   }
 
-  /** @returns {boolean} whether the keyboard crosshair is shown in a pane */
-  cursorShown(side) {
-    return this.cursor?.side === side && document.activeElement === this.panes[side].body;
+  /** @param {Side} side @returns {number[] | null} where the keyboard crosshair is shown in a pane */
+  cursorIn(side) {
+    return this.cursor?.side === side && document.activeElement === this.panes[side].body ? this.cursor.uv : null;
   }
 
-  /** Mark a pixel for some seconds. */
+  /** Mark a pixel for some seconds. @param {Side} side @param {number[]} uv */
   mark(side, uv) {
     this.#marked.set(side, uv);
     clearTimeout(this.#markTimer);
@@ -219,12 +240,15 @@ export class Controller {
     this.redraw("live");
   }
 
-  /** @returns {number[] | undefined} the marked pixel */
+  /** @param {Side} side @returns {number[] | undefined} the marked pixel */
   marked(side) {
     return this.#marked.get(side);
   }
 
-  /** Handle the outcome of a stroke: a complete pair is sent, a first side gets its samples and prediction. */
+  /**
+   * Handle the outcome of a stroke: a complete pair is sent, a first side gets its samples and prediction.
+   * @param {ReturnType<import("./picking.js").Picking["release"]>} outcome
+   */
   handle(outcome) {
     if (outcome === "open") this.#opened();
     else if (typeof outcome === "object" && outcome) this.#send(outcome);
@@ -256,7 +280,10 @@ export class Controller {
     return pair !== null;
   }
 
-  /** Turn to the shown scan and photograph: what was drawn stays with its own, and is never matched across. */
+  /**
+   * Turn to the shown scan and photograph: what was drawn stays with its own, and is never matched across.
+   * @param {boolean} scanReplaced
+   */
   turnTo(scanReplaced) {
     const { picking, store } = this;
     this.pendingMoves.dropUnsent();
@@ -272,7 +299,7 @@ export class Controller {
     if (picking.open) this.#opened();
   }
 
-  /** Show a warning. */
+  /** Show a warning. @param {string} text */
   notify(text) {
     this.store.take({ event: "notice", level: "warn", text });
   }
@@ -286,6 +313,7 @@ export class Controller {
     if (this.posed) this.#predict(open);
   }
 
+  /** @param {Drawn} open */
   async #sample(open) {
     try {
       const { scan_samples: samples } = await this.ask("sample_line", { scan: open.ends });
@@ -296,10 +324,13 @@ export class Controller {
     this.redraw("live");
   }
 
+  /** @param {Drawn} open */
   async #predict(open) {
+    const photo = this.picking.subject;
+    if (photo === null) return;
     const given = { [open.side === "scan" ? "scan" : "photo_uv"]: open.ends };
     try {
-      const answer = await this.ask("predict", { photo: this.picking.subject, side: open.side, ...given });
+      const answer = await this.ask("predict", { photo, side: open.side, ...given });
       this.picking.offer(open, answer[other(open.side) === "scan" ? "scan" : "photo_uv"]);
     } catch {
       return; // without a prediction the partner is drawn by hand
@@ -307,8 +338,12 @@ export class Controller {
     this.handle("nothing");
   }
 
+  /** @param {import("./picking.js").Pair} pair */
   async #send(pair) {
     const first = this.active === "scan" ? "photo" : "scan";
+    const { of } = pair;
+    if (of === null) return; // a pair has a side in a photograph
+    /** @type {Controller["sent"][number]} */
     const entry = { ...pair, id: null };
     this.sent.push(entry);
     const forget = () => {
@@ -317,16 +352,18 @@ export class Controller {
     };
     try {
       const { pick } = await this.ask("add_pick", {
-        photo: pair.of, kind: pair.kind, scan: pair.scan, photo_uv: pair.photo, station: this.store.photo(pair.of)?.station ?? "",
+        photo: of, kind: pair.kind, scan: pair.scan, photo_uv: pair.photo, station: this.store.photo(of)?.station ?? "",
       });
-      entry.id = typeof pick === "object" && pick ? pick.id : pick;
-      if (this.picking.idle && pair.of === this.store.shown()) this.select([entry.id], pair[this.active].length - 1);
+      /** @type {string} */
+      const id = typeof pick === "object" && pick ? pick.id : pick;
+      entry.id = id;
+      if (this.picking.idle && of === this.store.shown()) this.select([id], pair[this.active].length - 1);
       this.forgetArrived();
       setTimeout(forget, SENT_SHOWN_MS);
     } catch (error) {
       forget();
       this.report(error);
-      this.picking.reopen({ side: first, kind: pair.kind, ends: pair[first] }, pair.of);
+      this.picking.reopen({ side: first, kind: pair.kind, ends: pair[first] }, of);
       this.handle("nothing");
     }
   }

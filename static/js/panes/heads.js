@@ -7,6 +7,8 @@ import { axisOf } from "./projection.js";
 import { anglesOf, directionLabel } from "./strip_geometry.js";
 import { zoomText } from "./viewport.js";
 
+/** @typedef {import("../state/view.js").ViewState} ViewState */
+
 /**
  * @param {import("./controller.js").Controller} controller
  * @param {"scan" | "photo"} side
@@ -41,13 +43,16 @@ const zoomControls = (controller, side) => {
 /** @type {[string, string][]} */
 const DISPLAYS = [["intensity", "Intensity"], ["raw", "Raw intensity"], ["range", "Range"], ["shape", "Shape"], ["normals", "Normals"], ["edges", "Edges"]];
 const DEFAULTS = { low: 1, high: 99.5, equalise: false, gamma: 0.6, brightness: 1, contrast: 1 };
+const NUMBERS = /** @type {const} */ (["low", "high", "gamma", "brightness", "contrast"]);
 const STRETCHED = new Set(["intensity", "raw", "range"]);
 
-/** @returns {string} a station, and how much it sees of the photograph */
+/** @param {import("../protocol.d.ts").PartnerChoice} station @returns {string} a station, and how much it sees of the photograph */
 const stationText = ({ name, index, sees }) =>
   `${stationName({ name, index })}${sees === null ? "" : `, sees ${Math.round(100 * sees)} %`}`;
 
+/** @param {number} value */
 const percent = (value) => `${Number(value.toFixed(1))} %`;
+/** @param {number} value */
 const times = (value) => `×${value.toFixed(2)}`;
 
 /**
@@ -57,18 +62,20 @@ const times = (value) => `×${value.toFixed(2)}`;
  */
 export const mountScanHead = (head, controller) => {
   const { view, store } = controller;
+  /** @param {Partial<ViewState["scan"]>} patch */
   const set = (patch) => view.set({ scan: patch });
+  /** @param {Partial<ViewState["scan"]>} patch */
   const stretch = (patch) => view.set({ scan: patch, stretching: true });
   const released = () => view.set({ stretching: false });
   const station = choice("Scan beside the photograph", (name) => {
-    controller.ask("set_station", { photo: store.shown(), station: name }).catch((error) => {
+    const photo = store.shown();
+    if (photo !== null) controller.ask("set_station", { photo, station: name }).catch((error) => {
       controller.report(error);
       show();
     });
   });
   const display = choice("Channel of the scan", (show) => set({ show }));
   const viewed = choice("View of the scan (Page Up, Page Down)", (index) => set({ view: Number(index) }));
-  /** @type {Record<string, {row: HTMLElement, show: (value: any) => void}>} */
   const rows = {
     low: slider({ label: "Black at", least: 0, most: 49, step: 0.5, text: percent, changed: (low) => stretch({ low }), released }),
     high: slider({ label: "White at", least: 51, most: 100, step: 0.1, text: percent, changed: (high) => stretch({ high }), released }),
@@ -104,12 +111,14 @@ export const mountScanHead = (head, controller) => {
     const views = slice?.views ?? [];
     const { index: shown } = controller.sides.scan;
     // Views in between have no label: only the one that is shown is listed.
+    /** @type {[string, string][]} */
     const listed = views.map((each, index) => [String(index), each.label || directionLabel(anglesOf(axisOf(each)))]);
     fill(viewed, listed.filter((_, index) => views[index].label || index === shown), String(shown));
     viewed.hidden = views.length < 2;
-    for (const [name, row] of Object.entries(rows)) row.show(scan[name]);
+    for (const name of NUMBERS) rows[name].show(scan[name]);
+    rows.equalise.show(scan.equalise);
     const stretches = STRETCHED.has(display.value);
-    for (const name of ["low", "high", "gamma", "equalise"]) rows[name].row.hidden = !stretches;
+    for (const row of [rows.low, rows.high, rows.gamma, rows.equalise]) row.row.hidden = !stretches;
     const range = scan.equalise ? " equalised" : ` ${scan.low}–${scan.high} %`;
     setChildren(opener, "Contrast", stretches ? element("span", { class: "pane-range" }, range) : null);
     for (const control of [display, viewed, opener]) control.disabled = !slice;
@@ -119,8 +128,9 @@ export const mountScanHead = (head, controller) => {
   show();
 };
 
-/** @type {[string, string][]} */
+/** @type {[ViewState["photo"]["overlay"], string][]} */
 const OVERLAYS = [["none", "No overlay"], ["blend", "Blend"], ["swipe", "Swipe"], ["checker", "Checkerboard"], ["edges", "Edges"]];
+/** @type {Partial<Record<string, ["blend" | "swipe", string]>>} by overlay */
 const SLIDERS = { blend: ["blend", "Opacity of the scan"], edges: ["blend", "Opacity of the edges"], swipe: ["swipe", "Position of the swipe"] };
 
 /**
@@ -130,10 +140,11 @@ const SLIDERS = { blend: ["blend", "Opacity of the scan"], edges: ["blend", "Opa
  */
 export const mountPhotoHead = (head, controller) => {
   const { view, store } = controller;
+  /** @param {Partial<ViewState["photo"]>} patch */
   const set = (patch) => view.set({ photo: patch });
-  const overlay = choice("Overlay of the scan on the photograph", (name) => set({ overlay: name }));
+  const overlay = choice("Overlay of the scan on the photograph", (name) => set({ overlay: OVERLAYS.find(([each]) => each === name)?.[0] ?? "none" }));
   const share = element("input", { type: "range", class: "pane-share", min: 0, max: 1, step: 0.01 });
-  share.addEventListener("input", () => set({ [(SLIDERS[overlay.value] ?? SLIDERS.blend)[0]]: Number(share.value) }));
+  share.addEventListener("input", () => set({ [SLIDERS[overlay.value]?.[0] ?? "blend"]: Number(share.value) }));
   const rows = {
     brightness: slider({ label: "Brightness", least: 0.3, most: 3, step: 0.05, text: times, changed: (brightness) => set({ brightness }) }),
     contrast: slider({ label: "Contrast", least: 0.3, most: 3, step: 0.05, text: times, changed: (contrast) => set({ contrast }) }),
@@ -163,10 +174,10 @@ export const mountPhotoHead = (head, controller) => {
     fill(overlay, OVERLAYS, overlaid ? shown : "none");
     overlay.disabled = !overlaid;
     overlay.title = overlaid ? "Overlay of the scan on the photograph" : "The scan can be overlaid once there is a pose";
-    const active = overlaid && SLIDERS[shown];
+    const active = overlaid ? SLIDERS[shown] : undefined;
     share.hidden = !active;
     if (active) {
-      share.value = photo[active[0]];
+      share.value = String(photo[active[0]]);
       share.setAttribute("aria-label", active[1]);
       share.title = active[1];
     }

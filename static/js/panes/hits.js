@@ -9,7 +9,12 @@ import { toScreen } from "./viewport.js";
 export const END_PX = 9;
 export const LINE_PX = 6;
 
-/** @returns {number} distance of a point from the segment ab */
+/**
+ * @param {readonly number[]} p
+ * @param {readonly number[]} a
+ * @param {readonly number[]} b
+ * @returns {number} distance of a point from the segment ab
+ */
 export const distanceToSegment = (p, a, b) => {
   const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
   const squared = dx * dx + dy * dy;
@@ -17,6 +22,7 @@ export const distanceToSegment = (p, a, b) => {
   return Math.hypot(p[0] - a[0] - t * dx, p[1] - a[1] - t * dy);
 };
 
+/** @template {{distance: number}} Found @param {Found | null} best @param {Found} hit @returns {Found} */
 const nearer = (best, hit) => (!best || hit.distance < best.distance ? hit : best);
 
 /**
@@ -29,6 +35,7 @@ const nearer = (best, hit) => (!best || hit.distance < best.distance ? hit : bes
  * @returns {Hit | null}
  */
 export const hitAt = (marks, viewport, xy, selected = new Set(), scale = 1) => {
+  /** @type {Record<"end" | "selectedEnd" | "line" | "selectedLine", Hit | null>} */
   const found = { end: null, selectedEnd: null, line: null, selectedLine: null };
   for (const mark of marks) {
     const prefix = selected.has(mark.id) ? "selected" : "";
@@ -56,13 +63,15 @@ export const hitAt = (marks, viewport, xy, selected = new Set(), scale = 1) => {
  * @returns {string | null} its id
  */
 export const measurementAt = (marks, viewport, xy, scale = 1) => {
+  /** @type {{id: string, distance: number} | null} */
   let best = null;
+  /** @param {number[] | null} uv */
   const on = (uv) => uv && toScreen(viewport, uv);
   for (const { id, ends, lines } of marks) {
     const pairs = lines.flatMap((line) => line.slice(1).map((end, k) => [on(line[k]), on(end)]));
     const distances = [
-      ...ends.map((uv) => Math.hypot(...on(uv).map((at, k) => at - xy[k])) - (END_PX - LINE_PX) * scale),
-      ...pairs.filter(([a, b]) => a && b).map(([a, b]) => distanceToSegment(xy, a, b)),
+      ...ends.map((uv) => Math.hypot(...toScreen(viewport, uv).map((at, k) => at - xy[k])) - (END_PX - LINE_PX) * scale),
+      ...pairs.flatMap(([a, b]) => (a && b ? [distanceToSegment(xy, a, b)] : [])),
     ];
     const distance = Math.min(...distances);
     if (distance <= LINE_PX * scale) best = nearer(best, { id, distance });
@@ -77,6 +86,7 @@ export const measurementAt = (marks, viewport, xy, scale = 1) => {
  * @returns {string[]} ids of the matches with all visible ends inside the rectangle between the two
  */
 export const within = (marks, a, b) => {
+  /** @param {readonly number[]} uv */
   const inside = (uv) =>
     uv[0] >= Math.min(a[0], b[0]) && uv[0] <= Math.max(a[0], b[0]) && uv[1] >= Math.min(a[1], b[1]) && uv[1] <= Math.max(a[1], b[1]);
   return marks.filter(({ ends }) => ends.some(Boolean) && ends.every((uv) => !uv || inside(uv))).map(({ id }) => id);

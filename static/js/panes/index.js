@@ -17,15 +17,21 @@ import { mountStrip } from "./strip.js";
 import { Tools } from "./tools.js";
 import { keepUnfinished } from "./unfinished.js";
 
+/** @typedef {import("../state/view.js").ViewState} ViewState */
+
 /** @type {("scan" | "photo")[]} */
 const SIDES = ["scan", "photo"];
+/** @type {(keyof ViewState)[]} what the layers show, besides the slices */
+const LIVE = ["hovered", "selected", "end", "loupe", "snap", "marks", "measurement", "placement", "smoothed", "smooth_edges"];
+/** @type {(keyof ViewState)[]} */
+const MATCHES = ["corners", "marks", "placement", "step"];
 const PICTURE_INTERVAL_MS = 180;
 
 /**
  * Mount the two image panes.
  * @param {{scanHead: HTMLElement, scanBody: HTMLElement, photoHead: HTMLElement, photoBody: HTMLElement,
  *          model?: ReturnType<typeof import("../panels/model/model_pane.js").mountModelPane>,
- *          store: import("../net/store.js").Store, view: any, ask: typeof import("../net/connection.js").ask}} page
+ *          store: import("../net/store.js").Store, view: typeof import("../state/view.js").view, ask: typeof import("../net/connection.js").ask}} page
  */
 export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, model, store, view, ask }) => {
   const controller = new Controller({ store, view, ask });
@@ -39,7 +45,8 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, model, st
   const shared = { controller, tools, preview, space, readout: readoutOf(controller) };
   const bodies = { scan: scanBody, photo: photoBody };
   const built = Object.fromEntries(SIDES.map((side) => [side, mountPane(bodies[side], side, shared)]));
-  const controlsOf = (head) => head.querySelector(".pane-controls") ?? head;
+  /** @param {HTMLElement} head */
+  const controlsOf = (head) => /** @type {HTMLElement | null} */ (head.querySelector(".pane-controls")) ?? head;
   mountScanHead(controlsOf(scanHead), controller);
   mountPhotoHead(controlsOf(photoHead), controller);
   mountSwipe(controller);
@@ -80,6 +87,7 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, model, st
       controller.panes[side].setExtent(extent);
       shownIds[side] = id;
     }
+    /** @param {"scan" | "photo"} side */
     const replaced = (side) => Boolean(before[side]) && before[side] !== shownIds[side];
     if (replaced("photo")) view.set({ selected: new Set(), end: null, hovered: null }); // others have matches of the same ids
     if (replaced("scan") || before.photo !== shownIds.photo) controller.turnTo(replaced("scan"));
@@ -94,16 +102,17 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, model, st
     controller.changed();
   });
 
+  /** @param {ViewState} state */
   const applyFilters = (state) => {
     for (const side of SIDES) {
-      bodies[side].style.setProperty("--lr-brightness", state[side].brightness);
-      bodies[side].style.setProperty("--lr-contrast", state[side].contrast);
+      bodies[side].style.setProperty("--lr-brightness", String(state[side].brightness));
+      bodies[side].style.setProperty("--lr-contrast", String(state[side].contrast));
       // a filter without effect would still be computed for every frame
       bodies[side].classList.toggle("lit", state[side].brightness !== 1 || state[side].contrast !== 1);
     }
   };
   let shownView = controller.sides.scan.index;
-  view.on((state, changed) => {
+  view.on((/** @type {ViewState} */ state, changed) => {
     if (changed.has("scan") || changed.has("photo")) applyFilters(state);
     if (changed.has("scan") || changed.has("stretching")) {
       if (controller.sides.scan.index !== shownView) {
@@ -122,8 +131,8 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, model, st
       controller.handle("nothing");
     }
     if (changed.has("selected")) controller.hint();
-    if (["hovered", "selected", "end", "loupe", "snap", "marks", "measurement", "placement", "smoothed", "smooth_edges"].some((name) => changed.has(name))) controller.redraw("live");
-    if (["corners", "marks", "placement", "step"].some((name) => changed.has(name))) controller.redraw("matches");
+    if (LIVE.some((name) => changed.has(name))) controller.redraw("live");
+    if (MATCHES.some((name) => changed.has(name))) controller.redraw("matches");
   });
   applyFilters(view.get());
   showSlices();

@@ -1,10 +1,13 @@
 /** Keys of the two image panes: tools, zoom, moving ends, stepping through matches, and drawing without a mouse. */
 
 import { isTyping } from "../ui/dom.js";
+import { isWhole } from "./picking.js";
 import { axisOf } from "./projection.js";
 import { angleBetween } from "./strip_geometry.js";
 
+/** @type {Partial<Record<string, readonly [number, number]>>} */
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+/** @type {Partial<Record<string, import("../state/view.js").ViewState["tool"]>>} */
 const TOOLS = { l: "line", p: "point", d: "measure", v: "select", s: "select" };
 const NUDGE_PX = 0.1;
 const ZOOM_STEP = 1.25;
@@ -29,6 +32,7 @@ const actionsOf = (controller) => {
     const pick = controller.chosen && controller.pick(controller.chosen);
     if (!pick || !pane().extent) return false;
     const { end } = view.get();
+    /** @param {readonly number[]} at */
     const seen = ([x, y]) => x >= 0 && y >= 0 && x <= pane().size[0] && y <= pane().size[1];
     return controller.pendingMoves.endsOf(pick, controller.active).some((world, index) => {
       const uv = (!end || end.index === index) && controller.sides[controller.active].toPixel(world);
@@ -36,7 +40,7 @@ const actionsOf = (controller) => {
     });
   };
 
-  /** Move the selected end, or all ends if none is selected, in the pane with the keys. */
+  /** Move the selected end, or all ends if none is selected, in the pane with the keys. @param {readonly number[]} by */
   const nudge = (by) => {
     const pick = controller.chosen && controller.pick(controller.chosen);
     if (!pick || controller.store.readOnly) return false;
@@ -48,14 +52,14 @@ const actionsOf = (controller) => {
       const uv = side.toPixel(world);
       return uv && side.toWorld([uv[0] + by[0], uv[1] + by[1]]);
     });
-    if (ends.every(Boolean)) {
+    if (isWhole(ends)) {
       controller.nudged = { side: active, id: pick.id, index: end?.index ?? 0 };
       controller.pendingMoves.commit(pick.id, active, ends);
     }
     return true;
   };
 
-  /** Move the crosshair that replaces the pointer. */
+  /** Move the crosshair that replaces the pointer. @param {readonly number[]} by */
   const moveCrosshair = (by) => {
     const { active } = controller;
     if (!pane().extent) return false;
@@ -85,6 +89,7 @@ const actionsOf = (controller) => {
     return true;
   };
 
+  /** @param {number} step */
   const stepMatch = (step) => {
     const picks = controller.store.picksOf();
     const at = picks.findIndex(({ id }) => id === controller.chosen);
@@ -99,6 +104,7 @@ const actionsOf = (controller) => {
     return true;
   };
 
+  /** @param {number} step */
   const chooseEnd = (step) => {
     const pick = controller.chosen && controller.pick(controller.chosen);
     if (!pick) return false;
@@ -117,16 +123,18 @@ const actionsOf = (controller) => {
   };
 
   const toggle = () => {
-    const picks = [...view.get().selected].map((id) => controller.pick(id)).filter(Boolean);
+    const picks = [...view.get().selected].map((id) => controller.pick(id)).filter((pick) => pick !== null);
     if (picks.length > 0 && !controller.store.readOnly) controller.edit("switch_picks", { picks: picks.map(({ id }) => id), on: !picks.every(({ on }) => on) });
   };
 
+  /** @param {number} step */
   const changeView = (step) => {
     const views = controller.sides.scan.scan?.views ?? [];
     const labelled = [...views.keys()].filter((index) => views[index].label);
     if (labelled.length < 2) return false;
     const { index } = controller.sides.scan;
     const at = labelled.indexOf(index);
+    /** @param {number} other */
     const off = (other) => angleBetween(axisOf(views[other]), axisOf(views[index]));
     const next = at < 0
       ? labelled.reduce((best, other) => (off(other) < off(best) ? other : best))
@@ -150,8 +158,8 @@ export const listenToKeys = (controller, tools, space) => {
   const { nudgeable, nudge, moveCrosshair, enter, stepMatch, chooseEnd, remove, toggle, changeView } = actionsOf(controller);
   let freed = false; // after Esc, Tab leaves the panes
 
-  const arrow = (event) => {
-    const [dx, dy] = ARROWS[event.key];
+  /** @param {KeyboardEvent} event @param {readonly [number, number]} towards */
+  const arrow = (event, [dx, dy]) => {
     if (!tools.pointer && !inPane(document.activeElement)) return false;
     if (controller.picking.idle && controller.tool !== "measure" && nudgeable()) return nudge([dx, dy].map((step) => step * (event.shiftKey ? 1 : NUDGE_PX)));
     const step = event.shiftKey ? 10 : event.ctrlKey || event.metaKey ? 0.1 : 1;
@@ -166,12 +174,14 @@ export const listenToKeys = (controller, tools, space) => {
     return true;
   };
 
+  /** @param {number} factor */
   const zoom = (factor) => {
     const { pointer } = tools;
     pane().zoomTo(pane().viewport.zoom * factor, "hand", pointer?.side === controller.active ? pointer.xy : undefined);
     return true;
   };
 
+  /** @type {Partial<Record<string, () => boolean>>} */
   const actions = {
     "+": () => zoom(ZOOM_STEP),
     "=": () => zoom(ZOOM_STEP),
@@ -193,16 +203,18 @@ export const listenToKeys = (controller, tools, space) => {
     Enter: enter,
   };
 
+  /** @param {EventTarget | null} target */
   const inPane = (target) => Object.values(controller.panes).some(({ body }) => body === target);
 
-  /** @returns {boolean} whether the key was handled */
+  /** @param {KeyboardEvent} event @returns {boolean} whether the key was handled */
   const handle = (event) => {
     const { key } = event;
     const focused = inPane(event.target);
     const command = event.ctrlKey || event.metaKey;
     if (key === "Tab") return focused && !freed && !command && !event.altKey && stepMatch(event.shiftKey ? -1 : 1);
     freed = freed && focused && key === "Shift";
-    if (ARROWS[key] && !event.altKey) return arrow(event);
+    const towards = ARROWS[key];
+    if (towards && !event.altKey) return arrow(event, towards);
     if (command || event.altKey) return false;
     const tool = TOOLS[key.toLowerCase()];
     if (tool) {
@@ -237,12 +249,14 @@ export const listenToKeys = (controller, tools, space) => {
     if (handle(event)) event.preventDefault();
   });
 
+  /** @param {boolean} suspended */
   const setSuspended = (suspended) => {
     controller.suspended = suspended;
     tools.settle();
     controller.redraw("live");
   };
 
+  /** @param {boolean} acted */
   const releaseSpace = (acted) => {
     if (space.held && !space.used && acted) toggle();
     space.held = false;

@@ -15,7 +15,10 @@ export class LiveLayer {
   #tools;
   #loupe;
 
-  /** @param {{controller: any, pane: any, painting: any, tools: any, loupe: any}} parts */
+  /**
+   * @param {{controller: import("./controller.js").Controller, pane: import("./pane.js").Pane,
+   *          painting: import("./painting.js").Painting, tools: import("./tools.js").Tools, loupe: import("./loupe.js").Loupe}} parts
+   */
   constructor({ controller, pane, painting, tools, loupe }) {
     this.#controller = controller;
     this.#pane = pane;
@@ -28,7 +31,7 @@ export class LiveLayer {
     return this.#controller.sides[this.#pane.side];
   }
 
-  /** @returns {any} the pointer, if it is in this pane */
+  /** @returns {import("./tools.js").Tools["pointer"]} the pointer, if it is in this pane */
   get #pointer() {
     const { pointer } = this.#tools;
     return pointer?.side === this.#pane.side ? pointer : null;
@@ -42,8 +45,8 @@ export class LiveLayer {
   /** @returns {number[] | null} the end being moved, by the pointer or by keys */
   #movedEnd() {
     const { dragged } = this.#tools;
-    const moved = dragged ? dragged.moved && dragged.index !== null && dragged : this.#controller.nudged;
-    if (!moved || moved.side !== this.#pane.side) return null;
+    const moved = dragged ? dragged.moved && dragged : this.#controller.nudged;
+    if (!moved || moved.index === null || moved.side !== this.#pane.side) return null;
     const pick = this.#controller.pick(moved.id);
     return pick && this.#side.toPixel(this.#controller.pendingMoves.endsOf(pick, moved.side)[moved.index]);
   }
@@ -57,8 +60,9 @@ export class LiveLayer {
     const end = pane.viewport.zoom < LOUPE_BELOW_ZOOM ? this.#movedEnd() : null;
     if (end) return end;
     if (controller.nudged) return null;
-    if (!pointer) return !this.#tools.pointer && controller.cursorShown(pane.side) && loupe ? controller.cursor.uv : null;
-    if (pane.viewport.zoom >= LOUPE_BELOW_ZOOM || outsideBy(toPixel(pane.viewport, pointer.xy), pane.extent) > 0) return null;
+    if (!pointer) return !this.#tools.pointer && loupe ? controller.cursorIn(pane.side) : null;
+    if (!pane.extent || pane.viewport.zoom >= LOUPE_BELOW_ZOOM) return null;
+    if (outsideBy(toPixel(pane.viewport, pointer.xy), pane.extent) > 0) return null;
     if (tool === "select" || this.#tools.dragged || this.#tools.frame) return null;
     const { drawing, missingSide } = controller.picking;
     if (!drawing && missingSide && missingSide !== pane.side) return null;
@@ -76,9 +80,12 @@ export class LiveLayer {
   #surfaces() {
     const { readout } = this.#controller.view.get();
     if (readout?.side !== this.#pane.side || !readout.edge) return [];
-    return [["near", "near_m"], ["far", "far_m"]].map(([ray, range]) => (
-      { uv: this.#side.toPixel(readout.edge[ray]), text: `${readout.edge[range].toFixed(2)} m` }
-    )).filter(({ uv }) => uv);
+    const { near, far, near_m, far_m } = readout.edge;
+    const surface = (/** @type {number[]} */ ray, /** @type {number} */ range_m) => {
+      const uv = this.#side.toPixel(ray);
+      return uv ? [{ uv, text: `${range_m.toFixed(2)} m` }] : [];
+    };
+    return [...surface(near, near_m), ...surface(far, far_m)];
   }
 
   /** @param {CanvasRenderingContext2D} context */
@@ -91,7 +98,8 @@ export class LiveLayer {
     }
     const moves = motionAllowed();
     const pulses = this.#painting.live(context, pane.viewport, pane.size, performance.now(), moves);
-    if (this.#controller.cursorShown(pane.side)) drawCrosshair(context, pane.screenOf(this.#controller.cursor.uv), look);
+    const cursor = this.#controller.cursorIn(pane.side);
+    if (cursor) drawCrosshair(context, pane.screenOf(cursor), look);
     const marked = this.#controller.marked(pane.side);
     if (marked) drawCrosshair(context, pane.screenOf(marked), look, MARK_PX);
     const ghost = this.#ghost();

@@ -3,6 +3,8 @@
 import { drawing } from "../ui/canvas.js";
 import { toScreen } from "./viewport.js";
 
+/** @typedef {import("./viewport.js").Viewport} Viewport */
+
 export const RADIUS_PX = 66;
 const TIMES = 5;
 const LEAST_ZOOM = 6;
@@ -11,7 +13,7 @@ const CLEAR_PX = 22;
 const CAPTION_PX = 24;
 const LABEL_SHARE = 0.58;
 
-/** @returns {number} the loupe's zoom at a zoom of the pane */
+/** @param {number} zoom @returns {number} the loupe's zoom at a zoom of the pane */
 export const loupeZoom = (zoom) => Math.min(MOST_ZOOM, Math.max(LEAST_ZOOM, TIMES * zoom));
 
 /**
@@ -30,7 +32,9 @@ export const loupePlace = (xy, size, away = null, scale = 1) => {
     xy[0] + dx * reach,
     xy[1] + dy * reach,
   ]);
+  /** @param {[number, number]} centre @param {number} order */
   const cost = ([x, y], order) => {
+    /** @param {number} at @param {number} length @param {number} below */
     const over = (at, length, below) => Math.max(0, least - at) + Math.max(0, at + least + below - length);
     const outside = over(x, size[0], 0) + over(y, size[1], CAPTION_PX * scale);
     const covers = away && Math.hypot(away[0] - x, away[1] - y) < radius + 8 ? 40 : 0;
@@ -39,6 +43,12 @@ export const loupePlace = (xy, size, away = null, scale = 1) => {
   const costs = candidates.map(cost);
   return candidates[costs.indexOf(Math.min(...costs))];
 };
+
+/**
+ * @typedef {Pick<import("./colors.js").Look, "scale" | "halo" | "font">} Lettering
+ * @typedef {{uv: readonly number[], text: string}} Surface
+ */
+/** @typedef {(context: CanvasRenderingContext2D, viewport: Viewport, size: readonly number[]) => void} Paint */
 
 /** The loupe of one pane. */
 export class Loupe {
@@ -51,8 +61,8 @@ export class Loupe {
 
   /**
    * @param {import("./pane.js").Pane} pane
-   * @param {(context: CanvasRenderingContext2D, viewport: any, size: readonly number[]) => void} picture
-   * @param {(context: CanvasRenderingContext2D, viewport: any, size: readonly number[]) => void} over
+   * @param {Paint} picture
+   * @param {Paint} over
    */
   constructor(pane, picture, over) {
     this.#pane = pane;
@@ -80,8 +90,8 @@ export class Loupe {
    * @param {readonly number[]} uv the pixel in the centre
    * @param {readonly number[] | null} away the other end, CSS pixels of the pane
    * @param {string} note below the loupe
-   * @param {{scale: number, halo: string, font: string}} look
-   * @param {{uv: number[], text: string}[]} surfaces of a depth edge, each with what is written towards it
+   * @param {Lettering} look
+   * @param {Surface[]} surfaces of a depth edge, each with what is written towards it
    */
   show(uv, away, note, look, surfaces = []) {
     const { scale } = look;
@@ -106,24 +116,36 @@ export class Loupe {
     this.#box.hidden = false;
   }
 
-  /** Write a text halfway to the rim, towards a pixel. */
+  /**
+   * Write a text halfway to the rim, towards a pixel.
+   * @param {CanvasRenderingContext2D} context
+   * @param {Viewport} viewport
+   * @param {number} radius
+   * @param {Lettering} look
+   * @param {Surface} surface
+   */
   #label(context, viewport, radius, { scale, halo, font }, { uv, text }) {
     const [x, y] = toScreen(viewport, uv);
     const length = Math.hypot(x - radius, y - radius);
     if (length < 1) return;
-    const at = [x, y].map((value) => radius + ((value - radius) / length) * LABEL_SHARE * radius);
+    const [left, top] = [x, y].map((value) => radius + ((value - radius) / length) * LABEL_SHARE * radius);
     context.font = font;
     context.textAlign = "center";
     context.textBaseline = "middle";
     context.lineJoin = "round";
     context.lineWidth = 3.5 * scale;
     context.strokeStyle = halo;
-    context.strokeText(text, ...at);
+    context.strokeText(text, left, top);
     context.fillStyle = "#ffffff";
-    context.fillText(text, ...at);
+    context.fillText(text, left, top);
   }
 
-  /** Draw a thin cross that leaves the centre free. */
+  /**
+   * Draw a thin cross that leaves the centre free.
+   * @param {CanvasRenderingContext2D} context
+   * @param {number} radius
+   * @param {number} scale
+   */
   #cross(context, radius, scale) {
     const path = new Path2D();
     for (const [dx, dy] of [[-1, 0], [1, 0], [0, -1], [0, 1]]) {

@@ -3,6 +3,12 @@
 import { pixelOf, segmentOf } from "./projection.js";
 
 /**
+ * @typedef {import("../net/store.js").Pick} Pick
+ * @typedef {import("./projection.js").ScanView} ScanView
+ * @typedef {import("../protocol.d.ts").Judged} Judged
+ */
+
+/**
  * @typedef {"enabled" | "disabled" | "outlier"} MarkState
  * @typedef {object} Mark
  * @property {string} id
@@ -15,6 +21,7 @@ import { pixelOf, segmentOf } from "./projection.js";
  * @property {(number[] | null)[]} predicted its ends under the shown pose, in the photograph's pane
  */
 
+/** @param {Pick} pick @param {Judged | null} judged */
 const stateOf = (pick, judged) => {
   if (!pick.on) return "disabled";
   return judged?.by_pick?.[pick.id]?.inlier === false ? "outlier" : "enabled";
@@ -30,18 +37,21 @@ export const placed = (ends, lens) => ({
   line: ends.length < 2 ? null : lens ? segmentOf(lens, ends[0], ends[1]) : [ends[0], ends[1]],
 });
 
+/** @param {Judged["lines"][string] | undefined} line @param {ScanView} lens */
 const samplesOf = (line, lens) =>
   (line?.scan_samples ?? [])
-    .map(([ray, has_range]) => ({ uv: pixelOf(lens, ray), has_range: Boolean(has_range) }))
-    .filter(({ uv }) => uv !== null);
+    .flatMap(([ray, has_range]) => {
+      const uv = pixelOf(lens, ray);
+      return uv ? [{ uv, has_range }] : [];
+    });
 
 /**
  * @param {"scan" | "photo"} side
  * @param {import("../net/store.js").Pick[]} picks
- * @param {any} judged slice `judged:pID`, or null
+ * @param {Judged | null} judged slice `judged:pID`
  * @param {import("./projection.js").ScanView | null} lens the view of the scan in its pane; null in the photograph's
  *   pane
- * @param {(pick: any) => number[][]} endsOf the ends to show, unfinished moves included
+ * @param {(pick: Pick) => number[][]} endsOf the ends to show, unfinished moves included
  * @returns {Mark[]}
  */
 export const marksOf = (side, picks, judged, lens, endsOf) =>

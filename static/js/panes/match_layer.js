@@ -8,10 +8,14 @@ import { colourOf } from "./colors.js";
 import { drawLabels, drawNumber, labelBox, placeLabels, stamp, strokeHaloed } from "./symbols.js";
 import { toPixel, toScreen } from "./viewport.js";
 
+/** @typedef {import("./colors.js").Look} Look */
+
 /**
  * @typedef {import("./marks.js").Mark} Mark
  * @typedef {import("./viewport.js").Viewport} Viewport
  * @typedef {CanvasRenderingContext2D} Context
+ * @typedef {readonly number[] | null | undefined} Place
+ * @typedef {readonly Place[] | null} Places
  */
 
 export const RING_PX = 5;
@@ -23,12 +27,15 @@ const CROSS_PX = 5;
 const REACH_PX = 14; // of symbols and strokes around a position
 const LABEL_REACH_PX = 5; // of a number around its box
 const MOST_CHANGED = 40;
+/** @type {Record<Mark["state"], number>} */
 const WIDTHS = { enabled: 2, disabled: 1.25, outlier: 4 };
+/** @type {Record<Mark["state"], number[]>} */
 const DASHES = { enabled: [], disabled: [4, 4], outlier: [] };
 const DOTS = { line: 1, point: 1.25 };
 const RADII = { line: RING_PX, point: POINT_PX };
 const TAU = 2 * Math.PI;
 
+/** @param {Path2D} path @param {readonly number[]} at @param {number} radius */
 const ring = (path, [x, y], radius) => {
   path.moveTo(x + radius, y);
   path.arc(x, y, radius, 0, TAU);
@@ -42,23 +49,41 @@ const cross = (path, [x, y], reach) => {
   path.lineTo(x + reach, y - reach);
 };
 
-/** Trace the line from ring to ring: the pixels inside the rings stay visible. */
+/**
+ * Trace the line from ring to ring: the pixels inside the rings stay visible.
+ * @param {Path2D} path
+ * @param {readonly number[]} a
+ * @param {readonly number[]} b
+ * @param {readonly unknown[]} ringed
+ * @param {number} radius
+ */
 const between = (path, a, b, ringed, radius) => {
   const length = Math.hypot(b[0] - a[0], b[1] - a[1]);
   if (length < 0.5) return;
+  /** @param {0 | 1} end */
   const cut = (end) => (ringed[end] && length > 3 * radius ? radius / length : 0);
+  /** @param {number} t */
   const at = (t) => [a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])];
-  path.moveTo(...at(cut(0)));
-  path.lineTo(...at(1 - cut(1)));
+  const [from, to] = [at(cut(0)), at(1 - cut(1))];
+  path.moveTo(from[0], from[1]);
+  path.lineTo(to[0], to[1]);
 };
 
-/** @returns {number[]} left, top, right, bottom of the visible part, in image pixels */
+/**
+ * @param {Viewport} viewport
+ * @param {readonly number[]} size
+ * @returns {number[]} left, top, right, bottom of the visible part, in image pixels
+ */
 const visibleBox = (viewport, size) => [
   ...toPixel(viewport, [-MARGIN_PX, -MARGIN_PX]),
   ...toPixel(viewport, [size[0] + MARGIN_PX, size[1] + MARGIN_PX]),
 ];
 
-/** @returns {boolean} whether the bounding box of the pixels is visible in part */
+/**
+ * @param {(readonly number[] | null)[]} uvs
+ * @param {readonly number[]} box
+ * @returns {boolean} whether the bounding box of the pixels is visible in part
+ */
 const isVisible = (uvs, box) => {
   let [left, right, top, bottom] = [Infinity, -Infinity, Infinity, -Infinity];
   for (const uv of uvs) {
@@ -71,7 +96,7 @@ const isVisible = (uvs, box) => {
   return right >= box[0] && bottom >= box[1] && left <= box[2] && top <= box[3];
 };
 
-/** A mark with its positions in the pane, CSS pixels. */
+/** A mark with its positions in the pane, CSS pixels. @param {Mark} mark @param {Viewport} viewport */
 const onScreen = (mark, viewport) => ({
   mark,
   ends: mark.ends.map((uv) => uv && toScreen(viewport, uv)),
@@ -85,10 +110,11 @@ const onScreen = (mark, viewport) => ({
  * @param {Viewport} viewport
  * @param {readonly number[]} size of the pane
  * @param {Mark[]} marks
- * @param {ReturnType<typeof import("./colors.js").readLook>} look
+ * @param {Look} look
  * @returns {LaidOut[]} those that are visible
  *
- * @typedef {ReturnType<typeof onScreen> & {label: number[] | null}} LaidOut
+ * @typedef {ReturnType<typeof onScreen>} OnScreen
+ * @typedef {OnScreen & {label: number[] | null}} LaidOut
  */
 export const layOut = (viewport, size, marks, look) => {
   const box = visibleBox(viewport, size);
@@ -97,9 +123,10 @@ export const layOut = (viewport, size, marks, look) => {
   return shown.map((entry, k) => ({ ...entry, label: labels[k] }));
 };
 
-/** @returns {number[]} left, top, right, bottom of all that is drawn of a match */
+/** @param {LaidOut} laidOut @param {{scale: number}} look @returns {number[]} left, top, right, bottom of all that is drawn of a match */
 const boxOf = ({ mark, ends, line, predicted, samples, label }, { scale }) => {
   const box = [Infinity, Infinity, -Infinity, -Infinity];
+  /** @param {number} x @param {number} y @param {number} reach */
   const cover = (x, y, reach) => {
     box[0] = Math.min(box[0], x - reach);
     box[1] = Math.min(box[1], y - reach);
@@ -115,9 +142,12 @@ const boxOf = ({ mark, ends, line, predicted, samples, label }, { scale }) => {
   return box;
 };
 
+/** @param {Place} a @param {Place} b */
 const samePlace = (a, b) => a === b || (a && b && a[0] === b[0] && a[1] === b[1]);
+/** @param {Places} a @param {Places} b */
 const samePlaces = (a, b) => a === b || (a && b && a.length === b.length && a.every((at, k) => samePlace(at, b[k])));
 
+/** @param {LaidOut} a @param {LaidOut} b */
 const looksSame = (a, b) =>
   a.mark.number === b.mark.number && a.mark.kind === b.mark.kind && a.mark.state === b.mark.state &&
   samePlaces(a.ends, b.ends) && samePlaces(a.line, b.line) && samePlaces(a.predicted, b.predicted) &&
@@ -127,6 +157,7 @@ const looksSame = (a, b) =>
 /**
  * @param {LaidOut[]} before
  * @param {LaidOut[]} now
+ * @param {Look} look
  * @returns {number[][] | null} left, top, right, bottom of each place that looks different; null if there are many
  */
 export const changedBoxes = (before, now, look) => {
@@ -145,11 +176,13 @@ export const changedBoxes = (before, now, look) => {
   return boxes;
 };
 
+/** @param {readonly number[]} a @param {readonly number[]} b */
 const touches = (a, b) => a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3];
 
-/** @returns {number[] | null} position of an outlier's cross */
+/** @param {Pick<OnScreen, "ends" | "line">} match @returns {readonly number[] | null} position of an outlier's cross */
 const crossPosition = ({ ends, line }) => (line ? [(line[0][0] + line[1][0]) / 2, (line[0][1] + line[1][1]) / 2] : ends[0]);
 
+/** @param {OnScreen} match @param {Look} look @param {Path2D} strokes @param {Path2D} rings @param {Path2D} dots */
 const trace = ({ mark, ends, line }, { scale }, strokes, rings, dots) => {
   if (line) between(strokes, line[0], line[1], ends, RING_PX * scale);
   for (const end of ends) {
@@ -161,11 +194,17 @@ const trace = ({ mark, ends, line }, { scale }, strokes, rings, dots) => {
   if (at) cross(rings, at, (CROSS_PX + 1) * scale);
 };
 
-/** Draw the samples along a line; those without a range are crossed circles. */
+/**
+ * Draw the samples along a line; those without a range are crossed circles.
+ * @param {Context} context
+ * @param {LaidOut["samples"]} samples
+ * @param {Look} look
+ * @param {string} colour
+ */
 export const drawSamples = (context, samples, look, colour) => {
   if (samples.length < 2) return;
   const places = samples.map(({ at }) => at);
-  const [first, last] = [places[0], places.at(-1)];
+  const [first, last] = [places[0], places[places.length - 1]];
   const apart = Math.hypot(last[0] - first[0], last[1] - first[1]) / (samples.length - 1);
   if (apart < LEAST_SAMPLE_SPACING_PX * look.scale) return;
   stamp(context, look, places.filter((_, k) => samples[k].has_range), { colour, halo: look.halo, radius: 1.2, width: 2 });
@@ -173,37 +212,41 @@ export const drawSamples = (context, samples, look, colour) => {
 };
 
 /** Trace hairlines from the picked to the predicted positions, where they are far enough apart to be seen. */
-const traceResidual = (/** @type {Path2D} */ path, /** @type {number[][]} */ tips, { predicted, ends }) => {
+const traceResidual = (/** @type {Path2D} */ path, /** @type {number[][]} */ tips, /** @type {OnScreen} */ { predicted, ends }) => {
   predicted.forEach((at, k) => {
-    if (!at || !ends[k]) return;
-    if (Math.hypot(at[0] - ends[k][0], at[1] - ends[k][1]) < LEAST_RESIDUAL_PX) return;
-    path.moveTo(ends[k][0], ends[k][1]);
+    const end = ends[k];
+    if (!at || !end) return;
+    if (Math.hypot(at[0] - end[0], at[1] - end[1]) < LEAST_RESIDUAL_PX) return;
+    path.moveTo(end[0], end[1]);
     path.lineTo(at[0], at[1]);
     tips.push(at);
   });
 };
 
+/** @typedef {{state: Mark["state"], kind: Mark["kind"], colour: string, strokes: Path2D, ends: (readonly number[])[], crosses: (readonly number[])[]}} Bucket matches of one look */
+
 /**
  * Draw matches with their numbers.
  * @param {Context} context in CSS pixels of the pane
  * @param {LaidOut[]} laidOut
- * @param {ReturnType<typeof import("./colors.js").readLook>} look
+ * @param {Look} look
  * @param {{residuals?: boolean, boxes?: number[][] | null}} [options] `residuals`: draw predicted positions, too;
  *   `boxes`: the places outside of which nothing has to be drawn
  */
 export const drawMatches = (context, laidOut, look, { residuals = true, boxes = null } = {}) => {
   const shown = boxes ? laidOut.filter((entry) => boxes.some((box) => touches(box, boxOf(entry, look)))) : laidOut;
+  /** @type {Map<string, Bucket>} */
   const buckets = new Map();
   for (const entry of shown) {
     const { number, state, kind } = entry.mark;
     const key = `${state} ${kind} ${(number - 1) % look.matches.length}`;
-    if (!buckets.has(key)) {
-      buckets.set(key, { state, kind, colour: colourOf(look, number), strokes: new Path2D(), ends: [], crosses: [] });
-    }
-    const bucket = buckets.get(key);
+    /** @type {Bucket} */
+    const bucket = buckets.get(key) ?? { state, kind, colour: colourOf(look, number), strokes: new Path2D(), ends: [], crosses: [] };
+    buckets.set(key, bucket);
     if (entry.line) between(bucket.strokes, entry.line[0], entry.line[1], entry.ends, RING_PX * look.scale);
-    bucket.ends.push(...entry.ends.filter(Boolean));
-    if (state === "outlier") bucket.crosses.push(crossPosition(entry));
+    bucket.ends.push(...entry.ends.filter((end) => end !== null));
+    const at = state === "outlier" ? crossPosition(entry) : null;
+    if (at) bucket.crosses.push(at);
   }
   context.lineCap = "round";
   // In an order that does not depend on which of them are drawn: they overlap.
@@ -217,12 +260,14 @@ export const drawMatches = (context, laidOut, look, { residuals = true, boxes = 
     }
     const symbol = { colour, halo: look.halo, radius: RADII[kind], width: 1.5, dash: state === "disabled" ? [3, 3] : [], dot: DOTS[kind] };
     stamp(context, look, ends, symbol);
-    stamp(context, look, crosses.filter(Boolean), { colour, halo: look.halo, radius: 0, width: 1.5, cross: CROSS_PX + 1 });
+    stamp(context, look, crosses, { colour, halo: look.halo, radius: 0, width: 1.5, cross: CROSS_PX + 1 });
   }
   context.globalAlpha = 1;
   for (const { mark, samples } of shown) if (mark.state !== "disabled") drawSamples(context, samples, look, colourOf(look, mark.number));
   if (residuals) {
-    const [hairs, tips] = [new Path2D(), []];
+    const hairs = new Path2D();
+    /** @type {number[][]} */
+    const tips = [];
     for (const entry of shown) traceResidual(hairs, tips, entry);
     strokeHaloed(context, hairs, look, { colour: look.ink, width: 1 });
     stamp(context, look, tips, { colour: look.ink, halo: look.halo, radius: 2.5, width: 1 });
@@ -233,9 +278,9 @@ export const drawMatches = (context, laidOut, look, { residuals = true, boxes = 
 /**
  * Draw one match again, on top of the others: hovered, selected, or being moved.
  * @param {CanvasRenderingContext2D} context
- * @param {import("./viewport.js").Viewport} viewport
+ * @param {Viewport} viewport
  * @param {import("./marks.js").Mark} mark
- * @param {any} look
+ * @param {Look} look
  * @param {{hovered?: boolean, selected?: boolean, end?: number | null}} how
  */
 export const drawMark = (context, viewport, mark, look, { hovered = false, selected = false, end = null }) => {
@@ -268,7 +313,9 @@ export const drawMark = (context, viewport, mark, look, { hovered = false, selec
     }
     strokeHaloed(context, handle, look, { colour: look.ink, width: 2 });
   }
-  const [hairs, tips] = [new Path2D(), []];
+  const hairs = new Path2D();
+  /** @type {number[][]} */
+  const tips = [];
   traceResidual(hairs, tips, entry);
   strokeHaloed(context, hairs, look, { colour: look.ink, width: 1, dash: [3, 2] });
   stamp(context, look, tips, { colour: look.ink, halo: look.halo, radius: 2.5, width: 1.25 });
@@ -278,9 +325,9 @@ export const drawMark = (context, viewport, mark, look, { hovered = false, selec
 /**
  * Draw an unfinished side, or a predicted partner, dashed.
  * @param {CanvasRenderingContext2D} context
- * @param {import("./viewport.js").Viewport} viewport
+ * @param {Viewport} viewport
  * @param {{ends: (number[] | null)[], line: number[][] | null}} placed in pixels
- * @param {any} look
+ * @param {Look} look
  * @param {{colour: string, outline?: number, offered?: boolean}} how `outline`: opacity of the glow around a side that
  *   waits for its partner
  */
@@ -309,6 +356,11 @@ export const drawOpen = (context, viewport, { ends, line }, look, { colour, outl
 /**
  * Draw the positions of the matches under a running solver's pose: small rings, joined to the picks by hairlines.
  * @param {Record<string, (number[] | null)[]>} predicted
+ * @param {Context} context
+ * @param {Viewport} viewport
+ * @param {readonly number[]} size
+ * @param {Mark[]} marks
+ * @param {Look} look
  */
 export const drawPredictions = (context, viewport, size, marks, predicted, look) => {
   const hairs = new Path2D();
@@ -317,9 +369,9 @@ export const drawPredictions = (context, viewport, size, marks, predicted, look)
   const box = visibleBox(viewport, size);
   for (const mark of marks) {
     (predicted[mark.id] ?? []).forEach((uv, k) => {
-      if (!uv || !mark.ends[k]) return;
-      if (!isVisible([uv, mark.ends[k]], box)) return;
-      const [at, from] = [toScreen(viewport, uv), toScreen(viewport, mark.ends[k])];
+      const end = mark.ends[k];
+      if (!uv || !end || !isVisible([uv, end], box)) return;
+      const [at, from] = [toScreen(viewport, uv), toScreen(viewport, end)];
       hairs.moveTo(...from);
       hairs.lineTo(...at);
       tips.push(at);

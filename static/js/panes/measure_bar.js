@@ -4,16 +4,22 @@ import { MEASURES, measurementOf } from "../state/measuring.js";
 import { button, choice, fill } from "../ui/controls.js";
 import { element, setText } from "../ui/dom.js";
 
+const KINDS = /** @type {import("../state/view.js").ViewState["measures"][]} */ (Object.keys(MEASURES));
+
 /**
  * @param {import("./controller.js").Controller} controller
  * @param {HTMLElement} body of the picture or the model
  */
 export const mountMeasureBar = (controller, body) => {
   const { view, measuring, store } = controller;
-  const kind = choice("What is measured", (measures) => view.set({ measures }));
+  const kind = choice("What is measured", (name) => {
+    const chosen = KINDS.find((each) => each === name);
+    if (chosen) view.set({ measures: chosen });
+  });
   const value = element("strong", { class: "figures" });
   const said = element("span", { role: "status" });
   const refocus = () => body.focus({ preventScroll: true });
+  /** @param {string} label @param {string} sign @param {() => void} run */
   const act = (label, sign, run) => button({ label, icon: sign, bare: true, kind: "pane-button", act: () => (run(), refocus()) });
   const finish = act("Finish the measurement (Enter)", "tick", () => measuring.finish());
   const back = act("Take the last point back (Esc)", "undo", () => measuring.abandon());
@@ -28,7 +34,7 @@ export const mountMeasureBar = (controller, body) => {
     const { tool, measures } = view.get();
     bar.hidden = tool !== "measure" || store.readOnly;
     if (bar.hidden) return;
-    fill(kind, Object.entries(MEASURES).map(([name, { label }]) => [name, label]), measures);
+    fill(kind, KINDS.map((name) => [name, MEASURES[name].label]), measures);
     const last = measuring.said ? null : measurementOf(measuring.made);
     const found = last ?? measuring.soFar;
     setText(value, found ? (last?.refusal || [last?.name, found.value].filter(Boolean).join(": ")) : "");

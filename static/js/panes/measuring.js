@@ -8,6 +8,8 @@ import { MEASURES } from "../state/measuring.js";
 import { scanOfStation, stationsNow } from "../state/stations.js";
 import { messageOf } from "../ui/faults.js";
 
+/** @typedef {import("./picking.js").Side} Side */
+
 const CLICK_PX = 6;
 const DOUBLE_CLICK_MS = 400;
 const PICKED_PX = 0.5; // standard deviation of a click along each axis, on the screen as in a picture
@@ -19,13 +21,14 @@ const [MAX_RAD, MAX_PX] = [0.2, 1000];
  *   standard deviation of the click along each axis, rad of a ray or pixels of the photograph
  */
 
+/** @param {number} value */
 const rounded = (value) => Number(value.toPrecision(2)); // points of one zoom are measured together
 
-/** @returns {any} a point as the workbench takes it */
+/** @param {Place} place @returns {import("../protocol.d.ts").MeasurementPlace} a point as the workbench takes it */
 const sent = ({ side, of, world, sigma }) => {
   if (side === "scan") return { ray: world, sigma_rad: Math.min(MAX_RAD, rounded(sigma)) };
   const coarse = sigma > PICKED_PX ? { sigma_px: Math.min(MAX_PX, rounded(sigma)) } : {};
-  return { photo: of, uv: world, ...coarse };
+  return { photo: of ?? undefined, uv: world, ...coarse };
 };
 
 /** What is being measured. */
@@ -41,6 +44,7 @@ export class Measuring {
   /** @type {string} one sentence on the last point or the last measurement */
   said = "";
   #controller;
+  /** @type {Set<() => void>} */
   #listeners = new Set();
   #asked = 0;
   /** @type {{on: string, position: import("./picking.js").PickPosition} | null} the last click */
@@ -98,7 +102,12 @@ export class Measuring {
     return (places.find(({ side }) => side === "scan") ?? places[0])?.station ?? this.#controller.store.station();
   }
 
-  /** @returns {boolean} whether a point was picked in what a pane shows, for a scan the one of a station */
+  /**
+   * @param {Side} side
+   * @param {Place} place
+   * @param {string} station
+   * @returns {boolean} whether a point was picked in what a pane shows, for a scan the one of a station
+   */
   #isIn(side, place, station) {
     return place.side === side && (side === "scan" ? place.station === station : place.of === this.#controller.store.shown());
   }
@@ -109,6 +118,7 @@ export class Measuring {
    * @returns {number[][][]} for a pane, runs of the points that were picked in it one after the other
    */
   runs(side, station = this.#controller.store.station()) {
+    /** @type {number[][][]} */
     const found = [];
     /** @type {number[][] | null} */
     let run = null;
@@ -121,17 +131,18 @@ export class Measuring {
     return found;
   }
 
-  /** @returns {boolean} whether the last point was picked in a pane: the next line begins there */
+  /** @param {Side} side @returns {boolean} whether the last point was picked in a pane: the next line begins there */
   endsIn(side) {
     const last = this.places.at(-1);
     return last !== undefined && this.#isIn(side, last, this.#controller.store.station());
   }
 
+  /** @param {Side} side */
   press(side) {
     this.pressed = side;
   }
 
-  /** @returns {number} what a click in a picture is worth at its zoom, see `Place` */
+  /** @param {Side} side @param {import("./picking.js").PickPosition} position @returns {number} what a click in a picture is worth at its zoom, see `Place` */
   #sigma(side, { world, uv, zoom }) {
     const apart = PICKED_PX / zoom;
     if (side === "photo") return apart;
@@ -180,7 +191,7 @@ export class Measuring {
     else await this.#check(place);
   }
 
-  /** A point that lies on no surface is taken back, with the reason; enough of them have a value. */
+  /** A point that lies on no surface is taken back, with the reason; enough of them have a value. @param {Place} place */
   async #check(place) {
     const { kind, station } = this;
     const asked = ++this.#asked;
@@ -202,6 +213,7 @@ export class Measuring {
     this.#changed();
   }
 
+  /** @param {Place} place @param {string} why */
   #refuse(place, why) {
     this.places = this.places.filter((each) => each !== place);
     this.said = why;
@@ -256,7 +268,7 @@ export class Measuring {
   }
 
   /** Forget points in photographs that exist no longer. */
-  forgetPhotosBut(photos) {
+  forgetPhotosBut(/** @type {string[]} */ photos) {
     const left = this.places.filter(({ of }) => of === null || photos.includes(of));
     if (left.length < this.places.length) this.clear();
   }

@@ -19,9 +19,11 @@ export const mountModelMeasuring = ({ body, frame, surface }, controller) => {
   body.append(canvas);
   mountMeasureBar(controller, body);
   const measures = () => view.get().tool === "measure" && !store.readOnly;
+  /** @type {WeakMap<number[], number[] | null>} */
   const onModel = new WeakMap();
   let drawn = "";
 
+  /** @param {number[]} ndc */
   const clicked = (ndc) => {
     const found = surface.placeUnder(ndc);
     if (!found) return measuring.say(NOTHING_THERE);
@@ -32,9 +34,10 @@ export const mountModelMeasuring = ({ body, frame, surface }, controller) => {
     return measuring.set("scan", position, { sigma, on: "model", station: OF_MODEL });
   };
 
+  /** @param {number[]} ray */
   const screenOf = (ray) => {
     if (!onModel.has(ray)) onModel.set(ray, surface.placeOn(ray));
-    const place = onModel.get(ray);
+    const place = onModel.get(ray) ?? null;
     return place && surface.onScreen(place);
   };
 

@@ -26,8 +26,9 @@ export const hintOf = (picking, tool, { readOnly = false, chosen = false } = {})
   return "Click a match to select it, drag an end to move it; arrow keys move it by 0.1 px";
 };
 
-/** @returns {string} for the pane in which the partner is missing */
+/** @param {{open: import("./picking.js").Drawn | null, acceptable: boolean}} picking @returns {string} for the pane in which the partner is missing */
 export const partnerHint = ({ open, acceptable }) => {
+  if (!open) return "";
   const where = `Draw the same ${open.kind} in the ${PANE[other(open.side)]}`;
   return acceptable ? `${where}, or press Enter to accept the dashed one · Esc cancels` : `${where} · Esc cancels`;
 };
@@ -48,7 +49,7 @@ export class Notes {
   /**
    * @param {import("./controller.js").Controller} controller
    * @param {import("./pane.js").Pane} pane
-   * @param {{picture: any, compare: any}} slots
+   * @param {import("./painting.js").Slots} slots
    */
   constructor(controller, pane, slots) {
     this.#controller = controller;
@@ -106,6 +107,7 @@ export class Notes {
   }
 }
 
+/** @param {HTMLElement} paragraph @param {string} text */
 const setParagraph = (paragraph, text) => {
   if (paragraph.textContent !== text) paragraph.textContent = text;
   paragraph.hidden = text === "";

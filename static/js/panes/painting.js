@@ -9,19 +9,33 @@ import { drawTick } from "./prediction.js";
 import { drawCorners, drawFrame, drawTies } from "./symbols.js";
 import { SMOOTH_BELOW, toScreen } from "./viewport.js";
 
+/**
+ * @typedef {import("./viewport.js").Viewport} Viewport
+ * @typedef {import("./picking.js").Drawn} Drawn
+ */
+
 const PULSE_MS = 1400;
 const STILL_OUTLINE = 0.22;
+
+/** @param {Viewport} a @param {Viewport} b */
+const isSame = (a, b) => a.zoom === b.zoom && a.x === b.x && a.y === b.y;
 /** @type {number[][]} */
 const NOTHING = [];
 
-/** @returns {number} opacity of the outline around a side that waits for its partner */
+/**
+ * @param {number} now_ms
+ * @param {boolean} moves
+ * @returns {number} opacity of the outline around a side that waits for its partner
+ */
 export const outlineAt = (now_ms, moves) => (moves ? 0.2 + 0.16 * Math.sin((2 * Math.PI * now_ms) / PULSE_MS) : STILL_OUTLINE);
 
 /**
  * @typedef {{viewport: import("./viewport.js").Viewport, size: readonly number[],
- *   look: ReturnType<typeof import("./colors.js").readLook>, corners: number[][], ties: number[][], residuals: boolean,
+ *   look: import("./colors.js").Look, corners: number[][], ties: number[][], residuals: boolean,
  *   laidOut: overlay.LaidOut[]}} MatchesShown
  */
+
+/** @typedef {{picture: import("./picture_layer.js").Slot, compare: import("./picture_layer.js").Slot | null}} Slots of a pane */
 
 /** Painting of one pane. */
 export class Painting {
@@ -33,8 +47,8 @@ export class Painting {
   /** @type {MatchesShown | null} the layer of matches as it was laid out last */
   #shown = null;
   /**
-   * @param {{controller: any, side: "scan" | "photo", slots: {picture: any, compare: any}, tools: any, preview: any}}
-   *   parts
+   * @param {{controller: import("./controller.js").Controller, side: "scan" | "photo", slots: Slots,
+   *          tools: import("./tools.js").Tools, preview: import("./simplex_preview.js").SimplexPreview}} parts
    */
   constructor({ controller, side, slots, tools, preview }) {
     this.#controller = controller;
@@ -44,7 +58,7 @@ export class Painting {
     this.#preview = preview;
   }
 
-  /** @returns {ReturnType<typeof import("./colors.js").readLook>} */
+  /** @returns {import("./colors.js").Look} */
   get look() {
     return this.#controller.look;
   }
@@ -53,7 +67,12 @@ export class Painting {
     return this.#controller.sides[this.#side];
   }
 
-  /** The picture; `viewer`: the pane or its loupe, which see different parts of it. */
+  /**
+   * The picture; `viewer`: the pane or its loupe, which see different parts of it.
+   * @param {CanvasRenderingContext2D} context
+   * @param {Viewport} viewport
+   * @param {readonly number[]} size
+   */
   picture(context, viewport, size, viewer = "pane") {
     const { shown, finer } = this.#slots.picture;
     const { extent } = this.#sideOf;
@@ -63,6 +82,10 @@ export class Painting {
 
   /**
    * The registered scan over the photograph; `swipe_x`: position of the swipe in this picture.
+   * @param {CanvasRenderingContext2D} context
+   * @param {Viewport} viewport
+   * @param {readonly number[]} size
+   * @param {number} swipe_x
    * @returns {boolean} whether anything was drawn
    */
   compare(context, viewport, size, swipe_x) {
@@ -75,7 +98,11 @@ export class Painting {
     return true;
   }
 
-  /** @returns {MatchesShown} what the layer of matches consists of: they are laid out, without the one being dragged */
+  /**
+   * @param {Viewport} viewport
+   * @param {readonly number[]} size
+   * @returns {MatchesShown} what the layer of matches consists of: they are laid out, without the one being dragged
+   */
   #matchesIn(viewport, size) {
     const controller = this.#controller;
     const { look } = this;
@@ -95,28 +122,40 @@ export class Painting {
 
   /**
    * Look at the matches again, for `matches` of the pane.
+   * @param {Viewport} viewport
+   * @param {readonly number[]} size
    * @returns {number[][] | null} the places, CSS pixels, that look different from the time before; null: any
    */
   changedMatches(viewport, size) {
     const [before, now] = [this.#shown, this.#matchesIn(viewport, size)];
     this.#shown = now;
-    if (before === null || ["zoom", "x", "y"].some((name) => before.viewport[name] !== viewport[name])) return null;
+    if (before === null || !isSame(before.viewport, viewport)) return null;
     if (before.look !== now.look || before.residuals !== now.residuals || before.ties !== now.ties) return null;
     if (before.size[0] !== size[0] || before.size[1] !== size[1] || before.corners.length !== now.corners.length) return null;
     if (before.corners.some(([u, v], k) => u !== now.corners[k][0] || v !== now.corners[k][1])) return null;
     return overlay.changedBoxes(before.laidOut, now.laidOut, now.look);
   }
 
-  /** The matches that `changedMatches` has looked at; `boxes`: the places that are drawn; null: all. */
+  /**
+   * The matches that `changedMatches` has looked at; `boxes`: the places that are drawn; null: all.
+   * @param {CanvasRenderingContext2D} context
+   * @param {number[][] | null | undefined} boxes
+   */
   matches(context, boxes) {
-    if (this.#shown) this.#drawMatches(context, this.#shown, boxes);
+    if (this.#shown) this.#drawMatches(context, this.#shown, boxes ?? null);
   }
 
-  /** The matches as another part of the picture shows them. */
+  /**
+   * The matches as another part of the picture shows them.
+   * @param {CanvasRenderingContext2D} context
+   * @param {Viewport} viewport
+   * @param {readonly number[]} size
+   */
   matchesIn(context, viewport, size) {
     this.#drawMatches(context, this.#matchesIn(viewport, size));
   }
 
+  /** @param {CanvasRenderingContext2D} context @param {MatchesShown} shown @param {number[][] | null} [boxes] */
   #drawMatches(context, { viewport, size, look, corners, ties, residuals, laidOut }, boxes = null) {
     if (ties.length) drawTies(context, viewport, size, ties, look);
     if (corners.length) drawCorners(context, viewport, size, corners, look);
@@ -125,6 +164,11 @@ export class Painting {
 
   /**
    * What moves: highlights, unfinished strokes, predictions, the solver's steps.
+   * @param {CanvasRenderingContext2D} context
+   * @param {Viewport} viewport
+   * @param {readonly number[]} size
+   * @param {number} now_ms
+   * @param {boolean} moves
    * @returns {boolean} whether any pulses
    */
   live(context, viewport, size, now_ms, moves) {
@@ -154,6 +198,7 @@ export class Painting {
     return pulses;
   }
 
+  /** @param {CanvasRenderingContext2D} context @param {Viewport} viewport */
   #measurements(context, viewport) {
     const controller = this.#controller;
     const { marks, measurement, placement } = controller.view.get();
@@ -167,6 +212,7 @@ export class Painting {
     drawPicked(context, viewport, runs, next, look);
   }
 
+  /** @param {CanvasRenderingContext2D} context @param {Viewport} viewport @param {number} now_ms @param {boolean} moves */
   #unfinished(context, viewport, now_ms, moves) {
     const controller = this.#controller;
     const { picking } = controller;
@@ -189,12 +235,19 @@ export class Painting {
     return pulses;
   }
 
-  /** Draw the samples of the open line, which show where the scan has ranges. */
+  /**
+   * Draw the samples of the open line, which show where the scan has ranges.
+   * @param {CanvasRenderingContext2D} context
+   * @param {Viewport} viewport
+   * @param {Drawn} drawn
+   */
   #samples(context, viewport, drawn) {
     const known = this.#controller.openSamples;
     if (known?.open !== drawn || this.#side !== "scan") return;
-    const samples = known.samples.map(([ray, has_range]) => ({ uv: this.#sideOf.toPixel(ray), has_range })).filter(({ uv }) => uv);
-    const placed = samples.map(({ uv, has_range }) => ({ at: toScreen(viewport, uv), has_range }));
+    const placed = known.samples.flatMap(([ray, has_range]) => {
+      const uv = this.#sideOf.toPixel(ray);
+      return uv ? [{ at: toScreen(viewport, uv), has_range }] : [];
+    });
     overlay.drawSamples(context, placed, this.look, this.look.ink);
   }
 }

@@ -3,6 +3,11 @@
 import { drawing } from "../ui/canvas.js";
 import { allowed, between, fitted, inside, keptInSight, moved, toPixel, toScreen, zoomedAbout } from "./viewport.js";
 
+/** @typedef {import("./viewport.js").Viewport} Viewport */
+
+/** @typedef {"picture" | "compare" | "matches" | "live"} Layer */
+
+/** @type {Layer[]} */
 const LAYERS = ["picture", "compare", "matches", "live"];
 /**
  * Layers of many strokes are rasterised by the CPU, which `willReadFrequently` requests: 500 matches take about 10 ms
@@ -16,7 +21,12 @@ const reducedMotion = matchMedia("(prefers-reduced-motion: reduce)");
 /** @returns {boolean} whether animations are allowed */
 export const motionAllowed = () => !reducedMotion.matches;
 
-/** Let only boxes be drawn to, in whole pixels of the canvas: parts of one would be drawn over what is there. */
+/**
+ * Let only boxes be drawn to, in whole pixels of the canvas: parts of one would be drawn over what is there.
+ * @param {CanvasRenderingContext2D} context
+ * @param {number[][]} boxes
+ * @param {number} ratio
+ */
 const clipTo = (context, boxes, ratio) => {
   context.beginPath();
   for (const [left, top, right, bottom] of boxes) {
@@ -28,6 +38,8 @@ const clipTo = (context, boxes, ratio) => {
 
 /** @typedef {"hand" | "link" | "page" | "strip"} Mover who moved the picture: the operator, here or in the strip; the linked pane; the page */
 
+/** @typedef {{from: import("./viewport.js").Viewport, to: import("./viewport.js").Viewport, by: Mover, began: number}} Glide */
+
 /** A pane and its layers. */
 export class Pane {
   /** @type {import("./viewport.js").Viewport} */
@@ -36,13 +48,16 @@ export class Pane {
   size = [0, 0];
   /** @type {readonly number[] | null} width and height of the picture, its own pixels */
   extent = null;
+  /** @type {Map<Layer, CanvasRenderingContext2D>} */
   #contexts = new Map();
+  /** @type {Set<Layer>} */
   #dirty = new Set();
   #emptied = new Set(LAYERS);
   #frame = 0;
   #fits = true;
-  /** @type {{from: import("./viewport.js").Viewport, to: import("./viewport.js").Viewport, by: Mover, began: number} | null} */
+  /** @type {Glide | null} */
   #glide = null;
+  /** @type {Set<(pane: Pane, by: Mover) => void>} */
   #listeners = new Set();
   #paint;
   #measured = { began: 0, spent_ms: 0 };
@@ -50,7 +65,7 @@ export class Pane {
   /**
    * @param {HTMLElement} body
    * @param {"scan" | "photo"} side
-   * @param {Record<string, Painter | PartPainter>} paint one painter for each layer
+   * @param {Record<Layer, Painter | PartPainter>} paint one painter for each layer
    *
    * @typedef {{changed: () => number[][] | null, draw: Painter}} PartPainter states which places have changed since it
    *   was asked before: left, top, right, bottom, CSS pixels; null: all of it
@@ -115,12 +130,13 @@ export class Pane {
     for (const listen of this.#listeners) listen(this, "page");
   }
 
-  /** Redraw layers in the next frame. */
+  /** Redraw layers in the next frame. @param {...Layer} layers */
   invalidate(...layers) {
     for (const layer of layers) this.#dirty.add(layer);
     if (!this.#frame) this.#frame = requestAnimationFrame((now) => this.#step(now));
   }
 
+  /** @param {number} now */
   #step(now) {
     this.#frame = 0;
     if (this.#glide) this.#glideOn(this.#glide, now);
@@ -130,9 +146,8 @@ export class Pane {
   #draw() {
     const began = performance.now();
     const ratio = window.devicePixelRatio || 1;
-    for (const layer of LAYERS) {
+    for (const [layer, context] of this.#contexts) {
       if (!this.#dirty.delete(layer)) continue;
-      const context = this.#contexts.get(layer);
       const paint = this.#paint[layer];
       const [draw, changed] = typeof paint === "function" ? [paint, null] : [paint.draw, paint.changed()];
       const boxes = this.#emptied.delete(layer) ? null : changed;
@@ -154,7 +169,7 @@ export class Pane {
     }
   }
 
-  /** Record the cost of a pointer move before its drawing: both add up to the measure `pane move`. */
+  /** Record the cost of a pointer move before its drawing: both add up to the measure `pane move`. @param {number} began_ms */
   noteMove(began_ms) {
     this.#measured.began ||= began_ms;
     this.#measured.spent_ms += performance.now() - began_ms;
@@ -176,20 +191,25 @@ export class Pane {
     this.#put(viewport, by);
   }
 
+  /** @param {Viewport} viewport @param {Mover} by */
   #put(viewport, by) {
     this.viewport = this.extent ? keptInSight(viewport, this.size, this.extent) : viewport;
     this.invalidate(...LAYERS);
     for (const listen of this.#listeners) listen(this, by);
   }
 
-  /** Fit the whole picture. */
+  /** Fit the whole picture. @param {Mover} by */
   fit(by) {
     if (!this.extent || this.size[0] === 0) return;
     this.place(fitted(this.size, this.extent), by);
     this.#fits = true;
   }
 
-  /** Zoom, in screen pixels per image pixel; the point at xy (by default the centre) stays in place. */
+  /**
+   * Zoom, in screen pixels per image pixel; the point at xy (by default the centre) stays in place.
+   * @param {number} zoom
+   * @param {Mover} by
+   */
   zoomTo(zoom, by, xy = [this.size[0] / 2, this.size[1] / 2]) {
     if (!this.extent) return;
     const at = zoomedAbout(this.viewport, xy, allowed(zoom, this.size, this.extent));
@@ -202,7 +222,7 @@ export class Pane {
     return this.extent ? this.viewport.zoom / fitted(this.size, this.extent).zoom : 1;
   }
 
-  /** Move to a viewport, animated if motion is allowed. */
+  /** Move to a viewport, animated if motion is allowed. @param {Viewport} viewport @param {Mover} by */
   glideTo(viewport, by) {
     if (!motionAllowed() || viewport === this.viewport) return this.place(viewport, by);
     this.#glide = { from: this.viewport, to: viewport, by, began: performance.now() };
@@ -210,25 +230,29 @@ export class Pane {
     return this.invalidate("live");
   }
 
+  /** @param {Glide} glide @param {number} now */
   #glideOn({ from, to, by, began }, now) {
     const t = Math.max(0, Math.min(1, (now - began) / GLIDE_MS));
     this.#put(between(from, to, 1 - (1 - t) ** 3, this.size), by);
     if (t >= 1) this.#glide = null;
   }
 
-  /** @returns {[number, number]} position of an event, CSS pixels of the pane */
+  /** @param {{clientX: number, clientY: number}} event @returns {[number, number]} position of an event, CSS pixels of the pane */
   at(event) {
     const box = this.body.getBoundingClientRect();
     return [event.clientX - box.left - this.body.clientLeft, event.clientY - box.top - this.body.clientTop];
   }
 
-  /** @returns {[number, number]} the image pixel at a position of the pane, clamped to the picture, if there is one */
+  /**
+   * @param {readonly number[]} xy
+   * @returns {[number, number]} the image pixel at a position of the pane, clamped to the picture, if there is one
+   */
   pixelAt(xy) {
     const uv = toPixel(this.viewport, xy);
     return this.extent ? inside(uv, this.extent) : uv;
   }
 
-  /** @returns {[number, number]} position of an image pixel, CSS pixels of the pane */
+  /** @param {readonly number[]} uv @returns {[number, number]} position of an image pixel, CSS pixels of the pane */
   screenOf(uv) {
     return toScreen(this.viewport, uv);
   }

@@ -10,11 +10,17 @@ import { Slot } from "./picture_layer.js";
 import { listenToPointers } from "./pointer.js";
 import { mountToolbar } from "./toolbar.js";
 
+/**
+ * @typedef {import("./viewport.js").Viewport} Viewport
+ * @typedef {import("./picking.js").Side} Side
+ */
+
 const LABELS = { scan: "Scan: draw and move matches", photo: "Photograph: draw and move matches" };
 const KEYS_HINT =
   "Arrow keys move the crosshair, Enter sets an end there. " +
   "Tab steps through the matches, arrow keys move the selected end; press Escape, then Tab to leave the pane.";
 
+/** @param {HTMLElement} body @param {Side} side */
 const describe = (body, side) => {
   body.tabIndex = 0;
   body.setAttribute("role", "application");
@@ -22,13 +28,20 @@ const describe = (body, side) => {
   body.setAttribute("aria-description", KEYS_HINT);
 };
 
-/** @returns {number} position of the swipe in the loupe, which shows another part at another zoom */
+/**
+ * @param {Pane} pane
+ * @param {number} swipe_x
+ * @param {Viewport} viewport
+ * @returns {number} position of the swipe in the loupe, which shows another part at another zoom
+ */
 const swipeInLoupe = (pane, swipe_x, viewport) => ((swipe_x - pane.viewport.x) / pane.viewport.zoom) * viewport.zoom + viewport.x;
 
 /**
  * @param {HTMLElement} body
  * @param {"scan" | "photo"} side
- * @param {{controller: any, tools: any, preview: any, readout: any, space: any}} shared
+ * @param {{controller: import("./controller.js").Controller, tools: import("./tools.js").Tools,
+ *   preview: import("./simplex_preview.js").SimplexPreview, readout: ReturnType<typeof import("./readout.js").readoutOf>,
+ *   space: {held: boolean, used: boolean}}} shared
  * @returns {{pane: Pane, slots: {picture: Slot, compare: Slot | null}, notes: Notes}}
  */
 export const mountPane = (body, side, { controller, tools, preview, readout, space }) => {
@@ -42,6 +55,7 @@ export const mountPane = (body, side, { controller, tools, preview, readout, spa
   const slots = { picture: new Slot(changed), compare: side === "photo" ? new Slot(changed) : null };
   const painting = new Painting({ controller, side, slots, tools, preview });
   const swipe_x = () => controller.view.get().photo.swipe * pane.size[0];
+  /** @type {Pane} */
   const pane = new Pane(body, side, {
     picture: (context) => {
       painting.picture(context, pane.viewport, pane.size);

@@ -11,7 +11,7 @@
 /**
  * @typedef {"scan" | "photo"} Side
  * @typedef {"line" | "point"} Kind
- * @typedef {{world: number[], uv: readonly number[], zoom: number, time_ms: number}} PickPosition `world`: a ray (scan)
+ * @typedef {{world: number[], uv: number[], zoom: number, time_ms: number}} PickPosition `world`: a ray (scan)
  *   or pixel (photo); `uv`: the pixel; `zoom` at that moment
  * @typedef {{side: Side, kind: Kind, ends: number[][]}} Drawn `ends` are rays (scan) or pixels (photo)
  * @typedef {{kind: Kind, scan: number[][], photo: number[][], of: string | null}} Pair `of` is the id of its photograph
@@ -24,11 +24,15 @@ const OUT_OF_SIGHT = [-1e6, -1e6];
 /** @param {Side} side @returns {Side} the other side */
 export const other = (side) => (side === "scan" ? "photo" : "scan");
 
-/** @returns {number} CSS pixels, at the later zoom: the picture may have moved in between */
+/**
+ * @param {PickPosition} a
+ * @param {PickPosition} b
+ * @returns {number} CSS pixels, at the later zoom: the picture may have moved in between
+ */
 const distance = (a, b) => Math.hypot(a.uv[0] - b.uv[0], a.uv[1] - b.uv[1]) * b.zoom;
 
-/** @type {(ends: (number[] | null)[] | null) => ends is number[][]} whether a predicted partner is known as a whole */
-const isWhole = (ends) => ends !== null && ends.length > 0 && ends.every((end) => end !== null);
+/** @type {(ends: (number[] | null)[] | null) => ends is number[][]} whether all ends are known */
+export const isWhole = (ends) => ends !== null && ends.length > 0 && ends.every((end) => end !== null);
 
 /** What is being drawn, the side that waits for its partner, and the partner that the pose predicts. */
 export class Picking {
@@ -57,7 +61,7 @@ export class Picking {
     return !this.drawing && !this.open;
   }
 
-  /** @returns {Kind} the partner is of the open side's kind, whatever the tool */
+  /** @template {string} Tool @param {Side} side @param {Tool} kind @returns {Tool | Kind} the partner is of the open side's kind, whatever the tool */
   kindFor(side, kind) {
     return this.open && this.open.side !== side ? this.open.kind : kind;
   }
@@ -85,7 +89,7 @@ export class Picking {
     return true;
   }
 
-  /** The pointer moved, pressed or not. */
+  /** The pointer moved, pressed or not. @param {Side} side @param {PickPosition} position */
   move(side, position) {
     if (!this.drawing || this.drawing.side !== side) return false;
     this.drawing.to = position;
@@ -117,7 +121,7 @@ export class Picking {
     return this.#drawn({ side, kind: drawing.kind, ends });
   }
 
-  /** Set an end without a pointer, as a click would. */
+  /** Set an end without a pointer, as a click would. @param {Side} side @param {Kind} kind @param {PickPosition} position */
   set(side, kind, position) {
     this.#ended = null;
     const result = this.press(side, kind, position) ? this.release(side, position) : "nothing";
@@ -145,7 +149,11 @@ export class Picking {
     return pair;
   }
 
-  /** Offer the predicted partner; ignored if the open side has changed since it was requested. */
+  /**
+   * Offer the predicted partner; ignored if the open side has changed since it was requested.
+   * @param {Drawn} open
+   * @param {(number[] | null)[] | null} ends
+   */
   offer(open, ends) {
     if (this.open === open) this.predicted = ends;
   }
@@ -160,7 +168,11 @@ export class Picking {
     return this.open && isWhole(this.predicted) ? this.#paired(this.open, this.predicted) : null;
   }
 
-  /** Open a first side again, in its own photograph: of a pair that was refused, or kept from an earlier page. */
+  /**
+   * Open a first side again, in its own photograph: of a pair that was refused, or kept from an earlier page.
+   * @param {Drawn} first
+   * @param {string} of
+   */
   reopen(first, of) {
     if (of !== this.subject) this.waiting.set(of, this.waiting.get(of) ?? first);
     else if (this.idle) this.open = first;
@@ -213,6 +225,8 @@ export class Picking {
   turned(side, toPixel) {
     const { drawing } = this;
     if (drawing?.side !== side) return;
+    /** @param {...PickPosition} at */
+    /** @param {PickPosition} at @returns {PickPosition} */
     const again = (at) => ({ ...at, uv: toPixel(at.world) ?? OUT_OF_SIGHT });
     Object.assign(drawing, { from: again(drawing.from), to: again(drawing.to) });
   }
@@ -228,7 +242,7 @@ export class Picking {
   }
 
   /** Discard the open sides of photographs that exist no longer. @returns {boolean} whether there were any */
-  forgetPhotosBut(photos) {
+  forgetPhotosBut(/** @type {string[]} */ photos) {
     const gone = [...this.waiting.keys()].filter((photo) => !photos.includes(photo));
     for (const photo of gone) this.waiting.delete(photo);
     return gone.length > 0;

@@ -10,6 +10,8 @@ import { PictureParts } from "./picture_parts.js";
 import { loadBitmap } from "./picture_source.js";
 import { canPreview, sameStretch, StretchedPicture, widthOf } from "./picture_stretch.js";
 
+/** @typedef {import("./viewport.js").Viewport} Viewport */
+
 const KEPT = 10;
 const KEPT_STRETCHES = 3;
 const HALVED_ABOVE_PX = 1400;
@@ -36,13 +38,17 @@ export class Picture {
     }
   }
 
-  /** @returns {ImageBitmap} the smallest level that still has one pixel per screen pixel; `scale` 1 is full size */
+  /**
+   * @param {number} scale
+   * @returns {ImageBitmap} the smallest level that still has one pixel per screen pixel; `scale` 1 is full size
+   */
   at(scale) {
     const step = Math.max(0, Math.floor(-Math.log2(Math.max(scale, 1e-6)) + 1e-6));
     return this.#levels[Math.min(step, this.#levels.length - 1)];
   }
 }
 
+/** @type {Map<string, Promise<Picture>>} */
 const cache = new Map();
 
 /**
@@ -171,6 +177,7 @@ export class Slot {
     picture.halve().then(() => picture === this.picture && this.#changed(), () => {}); // without levels it is only slower
   }
 
+  /** @param {string} address @param {readonly number[] | null} size @param {Stretch | null} stretch */
   async #load(address, size, stretch) {
     try {
       if (!linkIsFast()) {
@@ -199,7 +206,7 @@ export class Slot {
  * @param {CanvasRenderingContext2D} context in CSS pixels of the pane
  * @param {import("./viewport.js").Viewport} viewport
  * @param {readonly number[]} size of the pane
- * @param {Picture} picture
+ * @param {Picture | StretchedPicture} picture
  * @param {readonly number[]} extent width and height that the picture represents, in pixels of the view or photograph
  * @param {boolean} smooth
  * @param {{parts: PictureParts, viewer: string} | null} finer exact parts over the picture, and who looks at them
@@ -209,6 +216,7 @@ export const drawPicture = (context, viewport, size, picture, extent, smooth, fi
   const source = picture.at((viewport.zoom * ratio * extent[0]) / picture.width);
   const [sx, sy] = [source.width / extent[0], source.height / extent[1]];
   // only the visible part, in whole pixels with a margin of one: at ×64 a picture exceeds the range of canvas coordinates
+  /** @param {number} scale @param {number} at @param {number} room @param {number} whole */
   const span = (at, room, scale, whole) => {
     const first = Math.max(0, Math.floor((-at / viewport.zoom) * scale) - 1);
     const last = Math.min(whole, Math.ceil(((room - at) / viewport.zoom) * scale) + 1);
@@ -224,6 +232,13 @@ export const drawPicture = (context, viewport, size, picture, extent, smooth, fi
   if (finer) drawParts(context, viewport, size, extent, finer);
 };
 
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {Viewport} viewport
+ * @param {readonly number[]} size
+ * @param {readonly number[]} extent
+ * @param {{parts: PictureParts, viewer: string}} finer
+ */
 const drawParts = (context, viewport, size, extent, { parts, viewer }) => {
   const { zoom, x, y } = viewport;
   const region = [-x / zoom, -y / zoom, (size[0] - x) / zoom, (size[1] - y) / zoom];

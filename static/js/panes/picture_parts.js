@@ -12,13 +12,17 @@ const RESTS_MS = 120;
 const AT_A_TIME = 3;
 const KEPT = 160;
 
+/** @param {number} length @param {number} level */
 const halved = (length, level) => {
   let left = length;
   for (let k = 0; k < level; k += 1) left = Math.ceil(left / 2);
   return left;
 };
 
-/** @returns {number} the coarsest level that has a pixel per screen pixel; `scale`: screen pixels per picture pixel */
+/**
+ * @param {number} scale
+ * @returns {number} the coarsest level that has a pixel per screen pixel; `scale`: screen pixels per picture pixel
+ */
 const levelAt = (scale) => Math.min(MOST_LEVEL, Math.max(0, Math.floor(-Math.log2(Math.max(scale, 1e-6)) + 1e-6)));
 
 /** The parts of one picture. */
@@ -27,9 +31,13 @@ export class PictureParts {
   #size;
   #quickWidth;
   #changed;
+  /** @type {Map<string, ImageBitmap>} */
   #known = new Map();
+  /** @type {Map<string, string[]>} */
   #wanted = new Map();
+  /** @type {Set<string>} */
   #loading = new Set();
+  /** @type {Set<string>} */
   #refused = new Set();
   #timer = 0;
 
@@ -67,6 +75,7 @@ export class PictureParts {
       const level = levelAt(scale);
       const [across, down] = [halved(width, level), halved(height, level)];
       const [sx, sy] = [across / width, down / height];
+      /** @param {number} from @param {number} to @param {number} share @param {number} whole */
       const span = (from, to, share, whole) => [
         Math.max(0, Math.floor((from * share) / PART_PX)),
         Math.min(Math.ceil(whole / PART_PX), Math.ceil((to * share) / PART_PX)),
@@ -98,6 +107,7 @@ export class PictureParts {
     this.#wanted.clear();
   }
 
+  /** @param {string} viewer @param {string[]} names */
   #want(viewer, names) {
     const before = this.#wanted.get(viewer) ?? [];
     if (names.length === before.length && names.every((name, k) => name === before[k])) return;
@@ -114,6 +124,7 @@ export class PictureParts {
     if (!began && this.#loading.size) this.#changed();
   }
 
+  /** @param {string} name */
   async #load(name) {
     this.#loading.add(name);
     try {

@@ -11,28 +11,31 @@ const STRETCHABLE = new Set(["intensity", "raw", "range"]);
 const LEVELS = 256;
 /** Pixels without a return are bluish black in every picture of the scan. */
 const EMPTY = LEVELS;
+/** @param {number} r @param {number} g @param {number} b */
 const isEmpty = (r, g, b) => b <= 22 && b - r >= 2;
 const MOST_PIXELS = 2_000_000;
+/** @type {(keyof Stretch)[]} */
+const COMPARED = ["show", "low", "high", "gamma", "equalise"];
 
-/** @returns {boolean} whether a picture of one stretch can preview another */
+/** @param {Stretch} from @param {Stretch} to @returns {boolean} whether a picture of one stretch can preview another */
 export const canPreview = (from, to) =>
   STRETCHABLE.has(from.show) && from.show === to.show && !from.equalise && !to.equalise;
 
-/** @returns {number} how much of the values a stretch maps to distinct levels, per cent */
+/** @param {{low: number, high: number}} stretch @returns {number} how much of the values a stretch maps to distinct levels, per cent */
 export const widthOf = ({ low, high }) => high - low;
 
-/** @returns {boolean} */
-export const sameStretch = (a, b) => ["show", "low", "high", "gamma", "equalise"].every((name) => a[name] === b[name]);
+/** @param {Stretch} a @param {Stretch} b @returns {boolean} */
+export const sameStretch = (a, b) => COMPARED.every((name) => a[name] === b[name]);
 
 /** A picture prepared for being stretched. */
 export class StretchedPicture {
   #stretch;
-  #levels;
-  #shares;
-  #colours;
-  #known;
-  #least;
-  #most;
+  #levels = new Uint16Array();
+  #shares = new Float64Array(LEVELS);
+  #colours = new Uint8Array();
+  #known = 0;
+  #least = 0;
+  #most = LEVELS - 1;
   #image;
   #context;
 
@@ -71,7 +74,6 @@ export class StretchedPicture {
     const present = [...counts.keys()].filter((level) => counts[level] > 0);
     [this.#least, this.#most] = [present[0] ?? 0, present.at(-1) ?? LEVELS - 1];
     this.#known = counts.reduce((sum, count) => sum + count, 0);
-    this.#shares = new Float64Array(LEVELS);
     let sum = 0;
     for (let level = 0; level < LEVELS; level += 1) {
       sum += counts[level];
@@ -80,20 +82,25 @@ export class StretchedPicture {
     this.#colours = coloursOf(present, counts, sums);
   }
 
-  /** @returns {number} the value, 0 black to 1 white, below which a percentage of the measured values lies */
+  /**
+   * @param {number} percent
+   * @returns {number} the value, 0 black to 1 white, below which a percentage of the measured values lies
+   */
   #valueAt(percent) {
     const { low, high } = this.#stretch;
     if (percent <= low) return 0;
     if (percent >= high) return 1;
-    const level = this.#shares.findIndex((share) => share >= percent / 100);
+    const level = this.#shares.findIndex((/** @type {number} */ share) => share >= percent / 100);
     return this.#valueOf(level < 0 ? this.#most : level);
   }
 
+  /** @param {number} level */
   #valueOf(level) {
     const share = (level - this.#least) / Math.max(1, this.#most - this.#least);
     return Math.max(0, Math.min(1, share)) ** (1 / this.#gammaOf(this.#stretch));
   }
 
+  /** @param {Stretch} stretch */
   #gammaOf({ show, gamma }) {
     return show === "range" ? 1 : gamma;
   }
@@ -126,7 +133,12 @@ export class StretchedPicture {
   }
 }
 
-/** @returns {Uint8Array} the mean colour of each level, (256 x 3); between those present, interpolated */
+/**
+ * @param {number[]} present
+ * @param {Float64Array} counts
+ * @param {Float64Array} sums
+ * @returns {Uint8Array} the mean colour of each level, (256 x 3); between those present, interpolated
+ */
 const coloursOf = (present, counts, sums) => {
   const colours = new Uint8Array(3 * LEVELS);
   let after = 0;
@@ -135,6 +147,7 @@ const coloursOf = (present, counts, sums) => {
     const [b, a] = [present[after] ?? 0, present[Math.max(0, after - 1)] ?? 0];
     const share = b > a ? Math.max(0, Math.min(1, (level - a) / (b - a))) : 1;
     for (let k = 0; k < 3; k += 1) {
+      /** @param {number} at */
       const mean = (at) => sums[3 * at + k] / Math.max(1, counts[at]);
       colours[3 * level + k] = Math.round(mean(a) + share * (mean(b) - mean(a)));
     }

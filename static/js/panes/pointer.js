@@ -5,17 +5,21 @@
 
 import { allowed, moved, wheelFactor, zoomedAbout } from "./viewport.js";
 
-/** @returns {boolean} whether an element over the picture handles the pointer itself */
-const isControl = (target) => Boolean(target.closest?.("button, input, select, [role=slider], [role=toolbar]"));
+/** @param {EventTarget | null} target @returns {boolean} whether an element over the picture handles the pointer itself */
+const isControl = (target) => target instanceof Element && Boolean(target.closest("button, input, select, [role=slider], [role=toolbar]"));
 
 /**
+ * @typedef {import("./pane.js").Pane} Pane
+ * @typedef {"pan" | "stroke" | "pinch"} Mode
+ */
+/**
  * @typedef {object} PointerTools
- * @property {(pane: any, xy: number[], event: PointerEvent) => "pan" | "stroke"} press
- * @property {(pane: any, xy: number[], event: PointerEvent) => void} move with or without a button
- * @property {(pane: any, xy: number[], event: PointerEvent) => void} release
- * @property {(pane: any) => void} cancel the stroke has become another gesture
- * @property {(pane: any) => void} leave
- * @property {(pane: any) => boolean} mayFit whether a double click fits the picture
+ * @property {(pane: Pane, xy: number[], event: PointerEvent) => "pan" | "stroke"} press
+ * @property {(pane: Pane, xy: number[], event: PointerEvent) => void} move with or without a button
+ * @property {(pane: Pane, xy: number[], event: PointerEvent) => void} release
+ * @property {(pane: Pane) => void} cancel the stroke has become another gesture
+ * @property {(pane: Pane) => void} leave
+ * @property {(pane: Pane) => boolean} mayFit whether a double click fits the picture
  */
 
 /**
@@ -25,23 +29,27 @@ const isControl = (target) => Boolean(target.closest?.("button, input, select, [
  */
 export const listenToPointers = (pane, tools, space) => {
   const { body } = pane;
+  /** @type {Map<number, number[]>} */
   const fingers = new Map();
-  /** @type {{mode: "pan" | "stroke" | "pinch", pointer: number, last: number[]} | null} */
+  /** @type {{mode: Mode, pointer: number, last: number[]} | null} */
   let gesture = null;
 
   const pinch = () => {
     const [a, b] = [...fingers.values()];
     return { middle: [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2], apart: Math.max(20, Math.hypot(a[0] - b[0], a[1] - b[1])) };
   };
+  /** @type {ReturnType<typeof pinch> | null} */
   let pinched = null;
+  /** @type {number[] | null} */
   let last = null;
 
-  /** Wheel events have whole CSS pixels; the last pointer move is more precise. */
+  /** Wheel events have whole CSS pixels; the last pointer move is more precise. @param {MouseEvent} event */
   const positionOf = (event) => {
     const xy = pane.at(event);
     return last && Math.hypot(last[0] - xy[0], last[1] - xy[1]) < 2 ? last : xy;
   };
 
+  /** @param {PointerEvent} event @param {number[]} xy @param {Mode} mode */
   const begin = (event, xy, mode) => {
     gesture = { mode, pointer: event.pointerId, last: xy };
     body.setPointerCapture(event.pointerId);
@@ -80,7 +88,7 @@ export const listenToPointers = (pane, tools, space) => {
     last = xy;
     if (fingers.has(event.pointerId)) fingers.set(event.pointerId, xy);
     if (gesture?.mode === "pinch") {
-      if (fingers.size < 2) return;
+      if (fingers.size < 2 || !pinched) return;
       const now = pinch();
       const shifted = moved(pane.viewport, [now.middle[0] - pinched.middle[0], now.middle[1] - pinched.middle[1]]);
       const zoom = allowed((pane.viewport.zoom * now.apart) / pinched.apart, pane.size, pane.extent ?? [1, 1]);

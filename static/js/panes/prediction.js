@@ -5,12 +5,19 @@ import { RING_PX } from "./match_layer.js";
 import { strokeHaloed } from "./symbols.js";
 import { toScreen } from "./viewport.js";
 
+/**
+ * @typedef {import("./viewport.js").Viewport} Viewport
+ * @typedef {import("./colors.js").Look} Look
+ */
+
 const TICK_PX = 9;
 const BESIDE_PX = 17;
 const CLEAR_OF_ENDS_PX = 14;
 
+/** @typedef {{ends: (number[] | null)[], line: number[][] | null}} Placed in pixels */
+
 /**
- * @param {{ends: (number[] | null)[], line: number[][] | null}} placed in pixels
+ * @param {Placed} placed
  * @param {import("./viewport.js").Viewport} viewport
  * @param {number} scale of symbols
  * @returns {number[] | null} position of the tick, CSS pixels of the pane
@@ -26,6 +33,10 @@ export const tickPosition = ({ ends, line }, viewport, scale) => {
 
 /**
  * Presses near a line's ends do not accept it: there, a better line is begun by hand.
+ * @param {Placed} placed
+ * @param {Viewport} viewport
+ * @param {readonly number[]} xy
+ * @param {number} scale
  * @returns {boolean} whether a press at xy accepts
  */
 export const accepts = (placed, viewport, xy, scale) => {
@@ -38,7 +49,14 @@ export const accepts = (placed, viewport, xy, scale) => {
   return clear && distanceToSegment(xy, a, b) <= LINE_PX * scale;
 };
 
-/** Draw the tick. */
+/**
+ * Draw the tick.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Placed} placed
+ * @param {Viewport} viewport
+ * @param {Look} look
+ * @param {string} colour
+ */
 export const drawTick = (context, placed, viewport, look, colour) => {
   const { scale } = look;
   const at = tickPosition(placed, viewport, scale);

@@ -3,14 +3,11 @@
  * rays are unit vectors of the scanner frame: X forward, Y left, Z up.
  */
 
-/**
- * @typedef {{width: number, height: number, f: number, cx: number, cy: number, rotation: number[], label?: string}}
- *   ScanView
- */
+/** @typedef {import("../protocol.d.ts").ScanView} ScanView */
 
 const NEAREST = 0.03; // depth of a unit ray along the view's axis: 88 degrees off, far outside any picture
 
-/** @returns {number[]} the ray in the view's frame: right, down, forward */
+/** @param {ScanView} view @param {readonly number[]} ray @returns {number[]} the ray in the view's frame: right, down, forward */
 const rotated = ({ rotation: R }, ray) => [
   R[0] * ray[0] + R[1] * ray[1] + R[2] * ray[2],
   R[3] * ray[0] + R[4] * ray[1] + R[5] * ray[2],
@@ -54,6 +51,7 @@ export const pixelOf = (view, ray) => {
 export const segmentOf = (view, a, b) => {
   let [from, to] = [rotated(view, a), rotated(view, b)];
   if (from[2] <= NEAREST && to[2] <= NEAREST) return null;
+  /** @param {number[]} behind @param {number[]} front */
   const cut = (behind, front) => {
     const t = (NEAREST - behind[2]) / (front[2] - behind[2]);
     return behind.map((value, k) => value + t * (front[k] - value));
@@ -70,6 +68,7 @@ export const segmentOf = (view, a, b) => {
  * @returns {number} index of the view with the most rays inside its picture
  */
 export const viewShowing = (views, rays, present) => {
+  /** @param {ScanView} view */
   const shown = (view) => {
     const seen = rays.map((ray) => pixelOf(view, ray));
     return seen.filter((uv) => uv && uv[0] >= 0 && uv[1] >= 0 && uv[0] <= view.width - 1 && uv[1] <= view.height - 1).length;

@@ -6,24 +6,32 @@
 import { placed } from "./marks.js";
 import { pixelOf, rayOf } from "./projection.js";
 
+/**
+ * @typedef {import("../net/store.js").Store} Store
+ * @typedef {import("../net/store.js").Scan} Scan
+ * @typedef {import("../net/store.js").Photo} Photo
+ * @typedef {typeof import("../state/view.js").view} View
+ */
+
+/** @param {Record<string, string | number | null | undefined>} entries */
 const query = (entries) =>
   Object.entries(entries)
-    .filter(([, value]) => value !== null && value !== undefined)
-    .map(([name, value]) => `${name}=${encodeURIComponent(value)}`)
+    .flatMap(([name, value]) => (value === null || value === undefined ? [] : [`${name}=${encodeURIComponent(value)}`]))
     .join("&");
 
 /** The side of the scan, shown in one of its views. */
 export class ScanSide {
-  name = "scan";
+  name = /** @type {const} */ ("scan");
   #store;
   #view;
 
+  /** @param {Store} store @param {View} view */
   constructor(store, view) {
     this.#store = store;
     this.#view = view;
   }
 
-  /** @returns {any} slice `scan`, or `beside` where another station's is shown */
+  /** @returns {Scan | null} slice `scan`, or `beside` where another station's is shown */
   get scan() {
     return this.#store.scanBeside();
   }
@@ -59,20 +67,23 @@ export class ScanSide {
     return this.scan && `${this.scan.id}/${this.index}`;
   }
 
-  /** @returns {number[]} the ray through a pixel */
+  /** @param {readonly number[]} uv @returns {number[]} the ray through a pixel */
   toWorld(uv) {
     const { lens } = this;
     if (!lens) throw new Error("There is no scan in the pane: strokes begin and end where there is one.");
     return rayOf(lens, uv);
   }
 
-  /** @returns {number[] | null} the pixel of a ray; null: it is not in front of the view, or there is no scan */
+  /**
+   * @param {number[]} ray
+   * @returns {number[] | null} the pixel of a ray; null: it is not in front of the view, or there is no scan
+   */
   toPixel(ray) {
     const { lens } = this;
     return lens && pixelOf(lens, ray);
   }
 
-  /** @returns {{ends: (number[] | null)[], line: number[][] | null}} in pixels */
+  /** @param {number[][]} ends @returns {{ends: (number[] | null)[], line: number[][] | null}} in pixels */
   placed(ends) {
     return placed(ends, this.lens);
   }
@@ -81,7 +92,7 @@ export class ScanSide {
   get address() {
     if (!this.lens) return null;
     const { show, low, high, equalise, gamma } = this.stretch;
-    return `picture/scan?${query({ view: this.index, show, low, high, equalise: equalise ? 1 : 0, gamma, rev: this.scan.id })}`;
+    return `picture/scan?${query({ view: this.index, show, low, high, equalise: equalise ? 1 : 0, gamma, rev: this.scan?.id })}`;
   }
 
   /** @returns {import("./picture_stretch.js").Stretch} the channel that is shown, and its contrast */
@@ -95,7 +106,7 @@ export class ScanSide {
 
   /** @returns {string | null} a note over the picture */
   get note() {
-    const byShape = this.lens && this.scan.has_intensity === false && this.stretch.show === "shape";
+    const byShape = this.lens && this.scan?.has_intensity === false && this.stretch.show === "shape";
     return byShape ? "No intensity in this scan: shown by its shape." : null;
   }
 
@@ -107,18 +118,19 @@ export class ScanSide {
 
 /** The side of the photograph. */
 export class PhotoSide {
-  name = "photo";
+  name = /** @type {const} */ ("photo");
   lens = null;
   stretch = null;
   #store;
   #view;
 
+  /** @param {Store} store @param {View} view */
   constructor(store, view) {
     this.#store = store;
     this.#view = view;
   }
 
-  /** @returns {any} entry of slice `photos` */
+  /** @returns {Photo | null} entry of slice `photos` */
   get photo() {
     return this.#store.photo();
   }
@@ -135,14 +147,17 @@ export class PhotoSide {
     return this.id;
   }
 
+  /** @param {readonly number[]} uv */
   toWorld(uv) {
     return [uv[0], uv[1]];
   }
 
+  /** @param {number[]} uv */
   toPixel(uv) {
     return uv;
   }
 
+  /** @param {number[][]} ends */
   placed(ends) {
     return placed(ends, null);
   }
@@ -165,7 +180,7 @@ export class PhotoSide {
     }
     if (!this.photo || !stage || overlay === "none") return null;
     // a stage may be solved again with another result
-    const rev = [stage.when, stage.cost, stage.focal_px, ...(stage.parameters ?? []).map(({ value }) => value)].join(" ");
+    const rev = [...(stage.centre ?? []), stage.cost, stage.focal_px, ...(stage.parameters ?? []).map(({ value }) => value)].join(" ");
     const show = overlay === "edges" ? "edges" : "intensity";
     return `picture/overlay/${encodeURIComponent(this.photo.id)}?${query({ stage: stage.stage, show, rev })}`;
   }

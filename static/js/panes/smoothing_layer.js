@@ -4,6 +4,11 @@ import { stamp } from "./symbols.js";
 import { toScreen } from "./viewport.js";
 
 /**
+ * @typedef {import("./viewport.js").Viewport} Viewport
+ * @typedef {import("./colors.js").Look} Look
+ */
+
+/**
  * @param {import("../state/smoothing.js").NewRange[]} ranges of the scan that is shown
  * @param {import("./sides.js").ScanSide} side
  * @returns {{id: string, edge: boolean, uv: number[]}[]} in pixels of the picture
@@ -19,8 +24,11 @@ export const smoothedMarks = (ranges, side) =>
  * @param {ReturnType<typeof smoothedMarks>} marks
  * @param {string | null} chosen id of the one that is pointed at
  * @param {boolean} edges whether those at depth edges would be replaced, too
+ * @param {Viewport} viewport
+ * @param {Look} look
  */
 export const drawSmoothed = (context, viewport, marks, chosen, edges, look) => {
+  /** @param {(mark: typeof marks[number]) => boolean} wanted */
   const at = (wanted) => marks.filter(wanted).map(({ uv }) => toScreen(viewport, uv));
   const ring = { colour: look.bad, halo: look.halo, radius: 5, width: 1.75 };
   const cross = { colour: edges ? look.warn : look.dim, halo: look.halo, radius: 0, width: 1.75, cross: 4 };

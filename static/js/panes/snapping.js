@@ -11,6 +11,7 @@ const LEAST_REACH_OF_PICTURE_PX = 1;
 const OUT_OF_DATE_PX = 12;
 const INTERVAL_MS = 40;
 
+/** @param {readonly number[]} a @param {readonly number[]} b */
 const distance = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
 
 /**
@@ -24,6 +25,8 @@ const nearestOn = ([a, b], at) => {
   return [a[0] + share * along[0], a[1] + share * along[1]];
 };
 
+/** @typedef {import("../net/requests.js").Commands["snap"]} Snap */
+
 /** The edge or corner that was found last, and what it makes of the ends that are being placed. */
 export class Snapping {
   /** @type {{side: "scan" | "photo", asked: number[][], ends: number[][]} | null} `asked`: for which ends */
@@ -31,16 +34,18 @@ export class Snapping {
   #request;
 
   /**
-   * @param {(what: string, args: any) => Promise<any>} ask
-   * @param {(side: "scan" | "photo") => any} where the photograph and view that the question refers to
+   * @param {(question: Snap) => Promise<any>} ask
+   * @param {(side: "scan" | "photo") => Pick<Snap, "photo" | "view">} where the photograph and view that the question refers to
    * @param {() => void} changed
    */
   constructor(ask, where, changed) {
-    this.#request = throttled(async ({ side, ends, zoom }) => {
-      const { ends: snapped, found } = await ask("snap", { ...where(side), side, ends, px_per_screen: 1 / zoom });
+    /** @param {{side: "scan" | "photo", ends: number[][], zoom: number}} wanted */
+    const request = async ({ side, ends, zoom }) => {
+      const { ends: snapped, found } = await ask({ ...where(side), side, ends, px_per_screen: 1 / zoom });
       this.#found = found ? { side, asked: ends, ends: snapped } : null;
       changed();
-    }, INTERVAL_MS);
+    };
+    this.#request = throttled(request, INTERVAL_MS);
   }
 
   /**
@@ -67,6 +72,7 @@ export class Snapping {
     const found = this.#found;
     if (found?.side !== pane.side || found.ends.length !== ends.length) return null;
     const { zoom } = pane.viewport;
+    /** @param {readonly (readonly number[])[]} a @param {readonly (readonly number[])[]} b @param {number} reach */
     const within = (a, b, reach) => a.every((at, k) => distance(at, b[k]) * zoom <= reach);
     if (ends.length === 1) return within(ends, found.ends, CORNER_REACH_PX) ? found.ends : null;
     if (!within(ends, found.asked, Math.max(OUT_OF_DATE_PX, LEAST_REACH_OF_PICTURE_PX * zoom))) return null;

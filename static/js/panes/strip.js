@@ -11,6 +11,8 @@ import { rayOf } from "./projection.js";
 import { amid, angleBetween, anglesAt, anglesOf, directionSaid, filling, outlineIn, positionOf, rayAt, takesRoom, viewTowards, wrapped } from "./strip_geometry.js";
 import { centredOn, middle, wheelFactor } from "./viewport.js";
 
+/** @typedef {import("./strip_geometry.js").Extent} Extent */
+
 const HIGHEST_EM = 7;
 const STEP_RAD = Math.PI / 36;
 const LARGE_STEP_RAD = Math.PI / 6;
@@ -26,7 +28,9 @@ export const mountStrip = (body, controller) => {
   const { store, view } = controller;
   const pane = controller.panes.scan;
   const side = controller.sides.scan;
+  /** @type {ImageBitmap | null} */
   let picture = null;
+  /** @type {string | null} id of its scan */
   let pictured = null;
   /** What the operator aims at; the middle of the pane follows as far as a view reaches. */
   let aim = [0, 0];
@@ -36,9 +40,18 @@ export const mountStrip = (body, controller) => {
   const photos = () =>
     store.photos()
       .filter(({ station }) => (station ?? "") === store.station()) // outlines are seen from a photograph's own scanner
-      .map(({ id, name }) => ({ id, name, ...(store.get(`outline:${id}`) ?? { rays: null, registered: false }) }))
-      .filter(({ rays }) => rays);
+      .flatMap(({ id, name }) => {
+        const outline = store.get(`outline:${id}`);
+        return outline ? [{ id, name, ...outline }] : [];
+      });
 
+  /**
+   * @param {CanvasRenderingContext2D} context
+   * @param {number} width
+   * @param {number} height
+   * @param {(name: string) => string} colour
+   * @param {number} em
+   */
   const paint = (context, width, height, colour, em) => {
     const strip = extent();
     if (!strip) return;
@@ -67,6 +80,7 @@ export const mountStrip = (body, controller) => {
         context.stroke();
       }
     }
+    /** @type {number[][]} */
     const taken = [];
     const chosenFirst = [...found].sort((a, b) => Number(b.id === store.shown()) - Number(a.id === store.shown()));
     for (const { name, rays } of chosenFirst) label(context, strip, size, name, rays, em, taken);
@@ -115,13 +129,13 @@ export const mountStrip = (body, controller) => {
     return lens && pane.size[0] > 0 ? anglesOf(rayOf(lens, middle(pane.viewport, pane.size))) : aim;
   };
 
-  /** Turn the pane to a direction; the picks and what is being drawn are directions, and stay. */
+  /** Turn the pane to a direction; the picks and what is being drawn are directions, and stay. @param {readonly number[]} angles */
   const lookAt = (angles) => {
     const { scan } = side;
-    if (!scan?.strip || !side.lens || pane.size[0] === 0) return;
     const strip = extent();
+    if (!scan || !strip || !side.lens || pane.size[0] === 0) return;
     aim = [wrapped(angles[0]), Math.min(strip.high, Math.max(strip.low, angles[1]))];
-    const ray = rayAt(...aim);
+    const ray = rayAt(aim[0], aim[1]);
     const index = viewTowards(scan.views, ray, side.index, dragging);
     if (index !== side.index) view.set({ scan: { view: index } });
     const uv = side.toPixel(ray);
@@ -141,24 +155,27 @@ export const mountStrip = (body, controller) => {
     if (ray) lookAt(anglesOf(ray));
   };
 
-  const at = (event) => {
+  /** @param {MouseEvent} event */
+  const lookAtPointer = (event) => {
+    const strip = extent();
     const bounds = canvas.getBoundingClientRect();
-    return anglesAt(extent(), [bounds.width, bounds.height], [event.clientX - bounds.left, event.clientY - bounds.top]);
+    if (strip) lookAt(anglesAt(strip, [bounds.width, bounds.height], [event.clientX - bounds.left, event.clientY - bounds.top]));
   };
   canvas.addEventListener("pointerdown", (event) => {
     if (event.button !== 0 || !extent()) return;
     canvas.setPointerCapture(event.pointerId);
     dragging = true;
-    lookAt(at(event));
+    lookAtPointer(event);
   });
   const rest = () => {
     if (!dragging) return;
     dragging = false;
     if (aiming) lookAt(aim); // in the view whose middle is nearest
   };
-  canvas.addEventListener("pointermove", (event) => dragging && lookAt(at(event)));
+  canvas.addEventListener("pointermove", (event) => dragging && lookAtPointer(event));
   for (const name of ["pointerup", "pointercancel", "lostpointercapture"]) canvas.addEventListener(name, rest);
 
+  /** @param {number} factor */
   const zoomBy = (factor) => {
     const angles = aiming ? aim : shownAngles();
     pane.zoomTo(pane.viewport.zoom * factor, "strip");
@@ -169,6 +186,7 @@ export const mountStrip = (body, controller) => {
     zoomBy(wheelFactor(event));
   }, { passive: false });
 
+  /** @type {Partial<Record<string, readonly [number, number]>>} */
   const STEPS = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
   canvas.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
@@ -196,6 +214,7 @@ export const mountStrip = (body, controller) => {
     changed();
   });
 
+  /** @param {string | null} id */
   const load = async (id) => {
     if (id === pictured) return;
     pictured = id;
@@ -217,23 +236,24 @@ export const mountStrip = (body, controller) => {
       const share = (strip.high - strip.low) / (2 * Math.PI);
       box.style.setProperty("--lr-strip", `min(${(100 * share).toFixed(3)}cqw, ${HIGHEST_EM}rem)`);
     }
-    load(strip ? store.scanBeside().id : null);
+    load(strip ? store.scanBeside()?.id ?? null : null);
     changed();
   };
 
   /** Where the pose of each photograph looked last; undefined: not known since the page has opened. */
+  /** @type {Map<string, number[] | null>} */
   const towards = new Map();
+  /** @type {string | null} */
   let shown = null;
   const follow = () => {
     const known = store.photos();
     for (const { id } of known) {
       const outline = store.get(`outline:${id}`);
-      if (outline === undefined) continue;
       const now = outline ? amid(outline.rays) : null;
       const before = towards.get(id);
       towards.set(id, now);
       const moved = before !== undefined && now && (!before || angleBetween(before, now) > SAME_RAD);
-      if (moved && outline.registered && id === store.shown() && controller.picking.idle) lookAt(anglesOf(now));
+      if (moved && outline?.registered && id === store.shown() && controller.picking.idle) lookAt(anglesOf(now));
     }
     // Another photograph that is chosen turns the pane, too, but not the first one of a page that opens.
     const id = store.shown();
@@ -253,7 +273,12 @@ export const mountStrip = (body, controller) => {
   show();
 };
 
-/** Trace an outline three times, so that what leaves the strip on one side enters it on the other. */
+/**
+ * Trace an outline three times, so that what leaves the strip on one side enters it on the other.
+ * @param {CanvasRenderingContext2D | OffscreenCanvasRenderingContext2D} context
+ * @param {number} width
+ * @param {number[][]} points
+ */
 const path = (context, width, points) => {
   context.beginPath();
   for (const turn of [-width, 0, width]) {
@@ -262,6 +287,14 @@ const path = (context, width, points) => {
   }
 };
 
+/**
+ * @param {CanvasRenderingContext2D} context
+ * @param {number} width
+ * @param {number[][]} points
+ * @param {string} colour
+ * @param {number[]} dash
+ * @param {number} thick
+ */
 const trace = (context, width, points, colour, dash, thick) => {
   path(context, width, points);
   context.setLineDash([]);
@@ -299,6 +332,12 @@ const shade = (context, [width, height], covering) => {
 /**
  * Write a name where there is room.
  * @param {number[][]} taken left, top, right, bottom of the names that are written
+ * @param {CanvasRenderingContext2D} context
+ * @param {Extent} strip
+ * @param {readonly number[]} size
+ * @param {string} name
+ * @param {number[][]} rays
+ * @param {number} em
  */
 const label = (context, strip, size, name, rays, em, taken) => {
   const towards = amid(rays);

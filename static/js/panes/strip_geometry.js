@@ -11,13 +11,13 @@ const FAR_OFF_RAD = 0.6;
 
 /** @typedef {{low: number, high: number}} Extent elevations of the lower and upper border, rad */
 
-/** @returns {number} an angle within a half turn of 0 */
+/** @param {number} angle @returns {number} an angle within a half turn of 0 */
 export const wrapped = (angle) => angle - TURN * Math.round(angle / TURN);
 
 /** @param {readonly number[]} ray @returns {[number, number]} its azimuth (left positive) and elevation, rad */
 export const anglesOf = ([x, y, z]) => [Math.atan2(y, x), Math.atan2(z, Math.hypot(x, y))];
 
-/** @returns {number[]} the unit ray of an azimuth and an elevation */
+/** @param {number} azimuth @param {number} elevation @returns {number[]} the unit ray of an azimuth and an elevation */
 export const rayAt = (azimuth, elevation) => [
   Math.cos(elevation) * Math.cos(azimuth),
   Math.cos(elevation) * Math.sin(azimuth),
@@ -35,7 +35,12 @@ export const positionOf = (extent, size, [azimuth, elevation]) => [
   (size[1] * (extent.high - elevation)) / (extent.high - extent.low),
 ];
 
-/** @returns {[number, number]} azimuth and elevation at a position; beyond a border it wraps, or stays at the edge */
+/**
+ * @param {Extent} extent
+ * @param {readonly number[]} size
+ * @param {readonly number[]} at
+ * @returns {[number, number]} azimuth and elevation at a position; beyond a border it wraps, or stays at the edge
+ */
 export const anglesAt = (extent, size, [x, y]) => [
   wrapped(TURN * (0.5 - x / size[0])),
   extent.high - (extent.high - extent.low) * Math.min(1, Math.max(0, y / size[1])),
@@ -68,14 +73,14 @@ export const outlineIn = (rays, extent, size) => {
   return { points, turns };
 };
 
-/** @returns {number[] | null} the unit ray amid an outline; null without one */
+/** @param {number[][]} rays @returns {number[] | null} the unit ray amid an outline; null without one */
 export const amid = (rays) => {
   const sum = rays.reduce((total, ray) => total.map((value, k) => value + ray[k]), [0, 0, 0]);
   const length = Math.hypot(...sum);
   return length > 1e-6 ? sum.map((value) => value / length) : null;
 };
 
-/** @returns {number} the angle between two unit rays */
+/** @param {readonly number[]} a @param {readonly number[]} b @returns {number} the angle between two unit rays */
 export const angleBetween = (a, b) => Math.acos(Math.min(1, Math.max(-1, a[0] * b[0] + a[1] * b[1] + a[2] * b[2])));
 
 /**
@@ -94,6 +99,7 @@ export const viewTowards = (views, ray, present, turning = false) => {
   return seen && stays ? present : best;
 };
 
+/** @param {number} at @param {number} room @param {number} length */
 const nearBorder = (at, room, length) => (length <= room ? (room - length) / 2 : Math.min(0, Math.max(at, room - length)));
 
 /**

@@ -6,6 +6,12 @@ import { colourOf } from "./colors.js";
 import { toScreen } from "./viewport.js";
 
 /**
+ * @typedef {import("./viewport.js").Viewport} Viewport
+ * @typedef {import("./colors.js").Look} Look
+ * @typedef {import("./marks.js").Mark} Mark
+ */
+
+/**
  * Stroke a path over a dark halo.
  * @param {CanvasRenderingContext2D} context
  * @param {Path2D} path
@@ -27,6 +33,7 @@ export const strokeHaloed = (context, path, look, { colour, width = 2, dash = []
 
 const SIDE_PX = 24;
 const TAU = 2 * Math.PI;
+/** @type {Map<string, ImageBitmap>} */
 const stamps = new Map(); // ring and cross, rasterised once: of 500 matches the rings alone would cost more than all else
 
 /**
@@ -34,6 +41,7 @@ const stamps = new Map(); // ring and cross, rasterised once: of 500 matches the
  *   number}} Stamp
  */
 
+/** @param {CanvasRenderingContext2D | OffscreenCanvasRenderingContext2D} context @param {Stamp} symbol */
 const drawStamp = (context, { colour, halo, radius, width, dash = [], dot = 0, cross = 0 }) => {
   const middle = SIDE_PX / 2;
   const path = new Path2D();
@@ -59,26 +67,28 @@ const drawStamp = (context, { colour, halo, radius, width, dash = [], dot = 0, c
   context.fill();
 };
 
-/** Stamps have twice the screen's resolution, since they are placed between pixels. */
+/** Stamps have twice the screen's resolution, since they are placed between pixels. @param {Stamp} symbol @param {number} scale */
 const stampOf = (symbol, scale) => {
   const ratio = 2 * scale * (window.devicePixelRatio || 1);
   const key = `${ratio} ${Object.values(symbol).join(" ")}`;
-  if (!stamps.has(key)) {
+  let image = stamps.get(key);
+  if (!image) {
     const side = Math.ceil(SIDE_PX * ratio);
     const canvas = new OffscreenCanvas(side, side);
     const context = drawing(canvas.getContext("2d", { willReadFrequently: true }));
     context.scale(ratio, ratio);
     drawStamp(context, symbol);
-    stamps.set(key, canvas.transferToImageBitmap()); // a canvas would be copied each time that it is drawn
+    image = canvas.transferToImageBitmap(); // a canvas would be copied each time that it is drawn
+    stamps.set(key, image);
   }
-  return stamps.get(key);
+  return image;
 };
 
 /**
  * Draw a stamp at each position.
  * @param {CanvasRenderingContext2D} context in CSS pixels
  * @param {{scale: number}} look
- * @param {number[][]} positions
+ * @param {(readonly number[])[]} positions
  * @param {Stamp} symbol
  */
 export const stamp = (context, look, positions, symbol) => {
@@ -89,13 +99,18 @@ export const stamp = (context, look, positions, symbol) => {
   for (const [x, y] of positions) context.drawImage(image, x - side / 2, y - side / 2, side, side);
 };
 
+/**
+ * @typedef {Pick<import("./marks.js").Mark, "id" | "number" | "kind">} Numbered
+ * @typedef {{mark: Numbered, ends: (readonly number[] | null)[], line: (readonly number[])[] | null}} Labelled a match on the screen
+ */
+
 const LABEL = { width: 24, dx: 8, dy: -8 };
 const KEPT_FREE_PX = 7;
 
 /**
  * Draw a number over its halo.
  * @param {CanvasRenderingContext2D} context
- * @param {any} look
+ * @param {Look} look
  * @param {string} colour
  * @param {string} text
  * @param {readonly number[]} at
@@ -108,9 +123,13 @@ const drawLabel = (context, look, colour, text, [x, y]) => {
   context.fillText(text, x, y);
 };
 
-/** @returns {number[] | null} position of a match's number: above its first visible end, away from its line */
+/**
+ * @param {Pick<Labelled, "ends" | "line">} match
+ * @param {number} scale
+ * @returns {number[] | null} position of a match's number: above its first visible end, away from its line
+ */
 const labelPosition = ({ ends, line }, scale) => {
-  const at = ends.find(Boolean) ?? line?.[0];
+  const at = ends.find((end) => end !== null) ?? line?.[0];
   if (!at) return null;
   const far = line && (Math.hypot(line[1][0] - at[0], line[1][1] - at[1]) > 1 ? line[1] : line[0]);
   const rightwards = far && far[0] > at[0] && far[1] < at[1];
@@ -122,12 +141,16 @@ export const labelBox = (number, [x, y], scale) => [x, y - 10 * scale, x + 8 * s
 
 /**
  * Place numbers where there is room: not over each other, nor over the end of another match.
+ * @param {Labelled[]} shown
+ * @param {Look} look
  * @returns {(number[] | null)[]} the position of each; null where there is no room
  */
 export const placeLabels = (shown, look) => {
   const { scale } = look;
   const cell = LABEL.width * scale;
+  /** @type {Map<string, [readonly number[], string][]>} */
   const taken = new Map();
+  /** @param {readonly number[]} box */
   const cellsOf = ([left, top, right, bottom]) => {
     const cells = [];
     for (let x = Math.floor(left / cell); x <= Math.floor(right / cell); x++) {
@@ -135,12 +158,15 @@ export const placeLabels = (shown, look) => {
     }
     return cells;
   };
+  /** @param {readonly number[]} box @param {string} owner */
   const take = (box, owner) => {
     for (const name of cellsOf(box)) {
-      if (!taken.has(name)) taken.set(name, []);
-      taken.get(name).push([box, owner]);
+      const there = taken.get(name) ?? [];
+      taken.set(name, there);
+      there.push([box, owner]);
     }
   };
+  /** @param {readonly number[]} box @param {string} owner */
   const isFree = (box, owner) =>
     cellsOf(box).every((name) =>
       (taken.get(name) ?? []).every(
@@ -149,9 +175,11 @@ export const placeLabels = (shown, look) => {
     );
   const reach = KEPT_FREE_PX * scale;
   for (const { mark, ends } of shown) {
-    for (const [x, y] of ends.filter(Boolean)) take([x - reach, y - reach, x + reach, y + reach], mark.id);
+    for (const [x, y] of ends.filter((end) => end !== null)) take([x - reach, y - reach, x + reach, y + reach], mark.id);
   }
+  /** @type {(number[] | null)[]} */
   const places = shown.map(() => null);
+  /** @param {Mark["kind"]} kind */
   const place = (kind) =>
     shown.forEach((entry, k) => {
       const at = entry.mark.kind === kind ? labelPosition(entry, scale) : null;
@@ -166,7 +194,12 @@ export const placeLabels = (shown, look) => {
   return places;
 };
 
-/** Draw the numbers of matches that `placeLabels` has found room for. */
+/**
+ * Draw the numbers of matches that `placeLabels` has found room for.
+ * @param {CanvasRenderingContext2D} context
+ * @param {(Labelled & {label: number[] | null})[]} labelled
+ * @param {Look} look
+ */
 export const drawLabels = (context, labelled, look) => {
   context.font = look.font;
   context.textBaseline = "alphabetic";
@@ -178,7 +211,12 @@ export const drawLabels = (context, labelled, look) => {
   }
 };
 
-/** Draw the number of one match, whatever it covers. */
+/**
+ * Draw the number of one match, whatever it covers.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Labelled} entry
+ * @param {Look} look
+ */
 export const drawNumber = (context, entry, look) => {
   const at = labelPosition(entry, look.scale);
   if (!at) return;
@@ -187,7 +225,14 @@ export const drawNumber = (context, entry, look) => {
   drawLabel(context, look, colourOf(look, entry.mark.number), String(entry.mark.number), at);
 };
 
-/** Draw detected corners: small plus signs. */
+/**
+ * Draw detected corners: small plus signs.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Viewport} viewport
+ * @param {readonly number[]} size
+ * @param {number[][]} corners
+ * @param {Look} look
+ */
 export const drawCorners = (context, viewport, size, corners, look) => {
   const path = new Path2D();
   const reach = 3 * look.scale;
@@ -213,6 +258,11 @@ const LONGEST_PX = 40;
 /**
  * Draw ties with other photographs: a dot and a needle of its residual for each that agrees, a cross for each that was
  * left out.
+ * @param {CanvasRenderingContext2D} context
+ * @param {Viewport} viewport
+ * @param {readonly number[]} size
+ * @param {number[][]} ties
+ * @param {Look} look
  */
 export const drawTies = (context, viewport, size, ties, look) => {
   const agree = new Path2D(), out = new Path2D();
@@ -238,7 +288,13 @@ export const drawTies = (context, viewport, size, ties, look) => {
   strokeHaloed(context, out, look, { colour: look.warn, width: 1.25 });
 };
 
-/** Draw a crosshair. */
+/**
+ * Draw a crosshair.
+ * @param {CanvasRenderingContext2D} context
+ * @param {readonly number[]} at
+ * @param {Look} look
+ * @param {number} [reach]
+ */
 export const drawCrosshair = (context, [x, y], look, reach = 12) => {
   const path = new Path2D();
   for (const [dx, dy] of [[-1, 0], [1, 0], [0, -1], [0, 1]]) {
@@ -248,7 +304,12 @@ export const drawCrosshair = (context, [x, y], look, reach = 12) => {
   strokeHaloed(context, path, look, { colour: look.ink, width: 1.25 });
 };
 
-/** Draw where a point or a line would snap to: a small diamond at each end, and the edge between them. */
+/**
+ * Draw where a point or a line would snap to: a small diamond at each end, and the edge between them.
+ * @param {CanvasRenderingContext2D} context
+ * @param {number[][]} ends
+ * @param {Look} look
+ */
 export const drawGhost = (context, ends, look) => {
   const path = new Path2D();
   const reach = 6 * look.scale;
@@ -266,7 +327,13 @@ export const drawGhost = (context, ends, look) => {
   strokeHaloed(context, path, look, { colour: look.warn, width: 1.5 });
 };
 
-/** Draw the frame of a selection. */
+/**
+ * Draw the frame of a selection.
+ * @param {CanvasRenderingContext2D} context
+ * @param {readonly number[]} a
+ * @param {readonly number[]} b
+ * @param {Look} look
+ */
 export const drawFrame = (context, a, b, look) => {
   const path = new Path2D();
   path.rect(Math.min(a[0], b[0]), Math.min(a[1], b[1]), Math.abs(a[0] - b[0]), Math.abs(a[1] - b[1]));

@@ -5,10 +5,9 @@ import { counted, fixed } from "../ui/numbers.js";
 /** Photographs of a line that say something of their poses. */
 export const ENOUGH = 3;
 
-/** @typedef {{id: string, photos: string[], uv: number[][][], in_scan: boolean, agrees: boolean | null,
- *   residuals_px: Record<string, number>, reason: string}} DrawnLine */
+/** @typedef {import("../protocol.d.ts").DrawnLine} DrawnLine */
 
-/** @returns {boolean} whether a line does not constrain the poses yet */
+/** @param {DrawnLine} line @returns {boolean} whether a line does not constrain the poses yet */
 const needsMore = ({ photos, in_scan }) => !in_scan && photos.length < ENOUGH;
 
 /**

@@ -13,17 +13,25 @@ import { readLook } from "./colors.js";
 import { ENOUGH, lineHint, lineSaid, lineShownIn } from "./tie_lines.js";
 import { fitted, allowed, inside, keptInSight, moved, SMOOTH_BELOW, toPixel, toScreen, wheelFactor, zoomedAbout } from "./viewport.js";
 
+/**
+ * @typedef {import("./viewport.js").Viewport} Viewport
+ * @typedef {import("../net/store.js").Photo} Photo
+ * @typedef {import("../protocol.d.ts").DrawnTie} DrawnTie
+ * @typedef {import("../protocol.d.ts").DrawnLine} DrawnLine
+ */
+
 const MARK_PX = 7;
 const DRAG_PX = 4; // a press that moves less is a click
 const SNAP_PX = 10; // a click so near a mark means the place that it marks
 const KEY_ZOOM = 1.25;
+/** @type {Partial<Record<string, readonly [number, number]>>} */
 const STEPS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const FAST = 10; // with Shift
 const LEAST_LINE_PX = 5; // as the server: a shorter line has no direction, and a second click so near is a mistake
 const MIDDLE = [0.2, 0.8]; // part of a line that a click selects; at its ends, other edges begin
 const SIGMA = { least: 0.1, most: 20, usual: 1 }; // px
 
-/** @returns {string} the address of a photograph's whole picture */
+/** @param {Photo} photo @returns {string} the address of a photograph's whole picture */
 const addressOf = ({ id, rev }) => `picture/photo/${encodeURIComponent(id)}?rev=${encodeURIComponent(rev ?? id)}&form=quick`;
 
 /**
@@ -36,18 +44,27 @@ const addressOf = ({ id, rev }) => `picture/photo/${encodeURIComponent(id)}?rev=
  *   lines; `drawn`: both ends of a further one are placed
  */
 const makePicture = ({ store, name, placed, marks, isLining, lines, drawn, select }) => {
+  /** @type {Viewport | null} */
   let viewport = null;
+  /** @type {Photo | null} */
   let photo = null;
+  /** @type {HTMLImageElement | null} */
   let image = null;
+  /** @type {number[] | null} */
   let uv = null;
-  let begun = null; // the first end of a line
-  let toward = null; // where the pointer is meanwhile
+  /** @type {number[] | null} the first end of a line */
+  let begun = null;
+  /** @type {number[] | null} where the pointer is meanwhile */
+  let toward = null;
+  /** @type {number[] | null} */
   let cursor = null;
+  /** @type {{at: number[], drags: boolean, from: Viewport | null} | null} */
   let press = null;
   const look = readLook();
 
+  /** @param {CanvasRenderingContext2D} context @param {readonly number[]} at @param {string} colour @param {string} label */
   const sign = (context, [x, y], colour, label) => {
-    for (const [style, width] of [[look.halo, 4], [colour, 2]]) {
+    for (const [style, width] of /** @type {[string, number][]} */ ([[look.halo, 4], [colour, 2]])) {
       context.strokeStyle = style;
       context.lineWidth = width;
       context.beginPath();
@@ -65,14 +82,15 @@ const makePicture = ({ store, name, placed, marks, isLining, lines, drawn, selec
     context.fillStyle = colour;
     context.fillText(label, x + MARK_PX, y - MARK_PX);
   };
+  /** @param {CanvasRenderingContext2D} context @param {(readonly number[])[]} ends in the pane @param {string} colour @param {string} label */
   const stroke = (context, ends, colour, label, bold = false) => {
-    const [from, to] = ends.map((end) => toScreen(viewport, end));
-    for (const [style, width] of [[look.halo, bold ? 6 : 4], [colour, bold ? 3 : 2]]) {
+    const [from, to] = ends;
+    for (const [style, width] of /** @type {[string, number][]} */ ([[look.halo, bold ? 6 : 4], [colour, bold ? 3 : 2]])) {
       context.strokeStyle = style;
       context.lineWidth = width;
       context.beginPath();
-      context.moveTo(...from);
-      context.lineTo(...to);
+      context.moveTo(from[0], from[1]);
+      context.lineTo(to[0], to[1]);
       context.stroke();
     }
     for (const end of [from, to]) sign(context, end, colour, "");
@@ -80,41 +98,46 @@ const makePicture = ({ store, name, placed, marks, isLining, lines, drawn, selec
   };
   const { canvas, draw } = makeCanvas({ class: "tie-picture", tabIndex: 0, role: "img", "aria-label": name }, (context, width, height) => {
     if (!image || !photo) return;
-    viewport ??= fitted([width, height], [photo.width, photo.height]);
-    context.imageSmoothingEnabled = viewport.zoom < SMOOTH_BELOW;
-    context.drawImage(image, viewport.x, viewport.y, photo.width * viewport.zoom, photo.height * viewport.zoom);
-    for (const { uv: at, label, bad, here } of marks()) sign(context, toScreen(viewport, at), bad ? look.bad : here ? look.matches[1] : look.dim, label);
-    for (const { ends, label, bad, selected } of lines()) stroke(context, ends, selected ? look.ink : bad ? look.bad : look.matches[1], label, selected);
-    if (begun) stroke(context, [begun, toward ?? cursor ?? begun], look.ink, "");
-    if (uv) sign(context, toScreen(viewport, uv), look.ink, "");
-    if (cursor && document.activeElement === canvas) sign(context, toScreen(viewport, cursor), look.dim, "");
+    const now = viewport ??= fitted([width, height], [photo.width, photo.height]);
+    const on = (/** @type {readonly number[]} */ at) => toScreen(now, at);
+    context.imageSmoothingEnabled = now.zoom < SMOOTH_BELOW;
+    context.drawImage(image, now.x, now.y, photo.width * now.zoom, photo.height * now.zoom);
+    for (const { uv: at, label, bad, here } of marks()) sign(context, on(at), bad ? look.bad : here ? look.matches[1] : look.dim, label);
+    for (const { ends, label, bad, selected } of lines()) stroke(context, ends.map(on), selected ? look.ink : bad ? look.bad : look.matches[1], label, selected);
+    if (begun) stroke(context, [begun, toward ?? cursor ?? begun].map(on), look.ink, "");
+    if (uv) sign(context, on(uv), look.ink, "");
+    if (cursor && document.activeElement === canvas) sign(context, on(cursor), look.dim, "");
   });
   const size = () => [photo?.width ?? 1, photo?.height ?? 1];
   const pane = () => [canvas.clientWidth, canvas.clientHeight];
+  /** @param {Viewport} wanted */
   const show = (wanted) => {
     viewport = keptInSight(wanted, pane(), size());
     draw();
   };
+  const zoomNow = () => viewport?.zoom ?? 1;
+  /** @param {number} factor @param {readonly number[]} xy */
   const zoomBy = (factor, xy) => viewport && show(zoomedAbout(viewport, xy, allowed(viewport.zoom * factor, pane(), size())));
-  /** The place near a pixel of a tie that the other picture does not show: a tie that ends there, exactly, continues it. */
+  /** The place near a pixel of a tie that the other picture does not show: a tie that ends there continues it. @param {readonly number[]} at */
   const marked = (at) => {
-    const away = ({ uv: there }) => Math.hypot(there[0] - at[0], there[1] - at[1]) * viewport.zoom;
+    const away = (/** @type {{uv: number[]}} */ { uv: there }) => Math.hypot(there[0] - at[0], there[1] - at[1]) * zoomNow();
     const open = marks().filter((mark) => !mark.here && away(mark) < SNAP_PX);
     const [nearest] = open.sort((one, other) => away(one) - away(other));
     return nearest?.uv ?? null;
   };
-  /** The line near a pixel, not near its ends. */
+  /** The line near a pixel, not near its ends. @param {readonly number[]} at */
   const lineAt = (at) => {
     /** @param {{ends: number[][]}} line */
     const away = ({ ends: [from, to] }) => {
       const along = [to[0] - from[0], to[1] - from[1]], length = Math.hypot(...along) || 1;
       const by = [at[0] - from[0], at[1] - from[1]], share = (by[0] * along[0] + by[1] * along[1]) / length ** 2;
       const off = Math.abs(by[0] * along[1] - by[1] * along[0]) / length;
-      return share > MIDDLE[0] && share < MIDDLE[1] ? off * viewport.zoom : Infinity;
+      return share > MIDDLE[0] && share < MIDDLE[1] ? off * zoomNow() : Infinity;
     };
     const near = lines().filter((line) => !line.selected && away(line) < MARK_PX);
     return near.sort((one, other) => away(one) - away(other))[0] ?? null;
   };
+  /** @param {number[]} at */
   const placeEnd = (at) => {
     const near = begun ? null : lineAt(at);
     if (near) select(near.id);
@@ -127,6 +150,7 @@ const makePicture = ({ store, name, placed, marks, isLining, lines, drawn, selec
     draw();
     placed();
   };
+  /** @param {readonly number[]} at */
   const place = (at) => {
     if (!photo || store.readOnly) return;
     if (isLining()) {
@@ -142,7 +166,7 @@ const makePicture = ({ store, name, placed, marks, isLining, lines, drawn, selec
     draw();
     placed();
   };
-  const positionOf = ({ offsetX, offsetY }) => [offsetX, offsetY];
+  const positionOf = (/** @type {MouseEvent} */ { offsetX, offsetY }) => [offsetX, offsetY];
   canvas.addEventListener("wheel", (event) => {
     event.preventDefault();
     zoomBy(wheelFactor(event), positionOf(event));
@@ -158,14 +182,16 @@ const makePicture = ({ store, name, placed, marks, isLining, lines, drawn, selec
       draw();
     }
     if (!press?.from) return;
-    const by = positionOf(event).map((value, k) => value - press.at[k]);
+    const [left, top] = positionOf(event);
+    const by = [left - press.at[0], top - press.at[1]];
     press.drags ||= Math.hypot(...by) > DRAG_PX;
     if (press.drags) show(moved(press.from, by));
   });
+  /** @param {PointerEvent} event */
   const released = (event) => {
     const was = press;
     press = null;
-    if (was?.from && !was.drags && event.type === "pointerup") place(toPixel(viewport, positionOf(event)));
+    if (viewport && was?.from && !was.drags && event.type === "pointerup") place(toPixel(viewport, positionOf(event)));
   };
   canvas.addEventListener("pointerup", released);
   canvas.addEventListener("pointercancel", released);
@@ -210,7 +236,7 @@ const makePicture = ({ store, name, placed, marks, isLining, lines, drawn, selec
       draw();
     },
     /** Show a photograph; the same one stays as it is. */
-    show(wanted) {
+    show(/** @type {Photo | null} */ wanted) {
       if (wanted?.id === photo?.id && wanted?.rev === photo?.rev) return;
       [photo, image, viewport, uv, cursor, begun, toward] = [wanted, null, null, null, null, null, null];
       setAttribute(canvas, "aria-label", wanted ? `${name}: ${wanted.name}` : name);
@@ -227,14 +253,18 @@ const makePicture = ({ store, name, placed, marks, isLining, lines, drawn, selec
   };
 };
 
+/** @typedef {"first" | "second" | "third"} PictureSide */
+/** @type {("first" | "second")[]} */
 const SIDES = ["first", "second"];
+/** @type {PictureSide[]} */
 const ALL_SIDES = [...SIDES, "third"];
 
 /**
  * Mount the dialog, which opens while `view` names a photograph to draw ties from.
- * @param {{store: import("../net/store.js").Store, view: any}} page
+ * @param {{store: import("../net/store.js").Store, view: typeof import("../state/view.js").view}} page
  */
 export const mountTiePictures = ({ store, view }) => {
+  /** @type {Record<PictureSide, string>} ids of photographs */
   const chosen = { first: "", second: "", third: "" };
   let lining = false;
   let line = ""; // id of the line that is drawn further; empty: none
@@ -245,9 +275,11 @@ export const mountTiePictures = ({ store, view }) => {
   /** The sides that are shown: three for lines, if there are so many photographs. */
   const shownSides = () => (lining && store.photos().length > SIDES.length ? ALL_SIDES : SIDES);
   const ofPair = () => (store.get("drawn_ties") ?? []).filter(({ photos }) => photos.includes(chosen.first) && photos.includes(chosen.second));
+  /** @param {string} id */
   const numberOf = (id) => id.slice(1);
-  const other = { first: "second", second: "first" };
-  /** Of all ties that end in a picture: one of a pair that is not shown can be continued into the other picture. */
+  /** @type {Record<PictureSide, PictureSide>} ties end in the first two */
+  const other = { first: "second", second: "first", third: "first" };
+  /** Of all ties that end in a picture: one of a pair that is not shown can be continued into the other. @param {PictureSide} side */
   const marksOf = (side) => () => {
     if (lining) return [];
     const ties = store.get("drawn_ties") ?? [];
@@ -262,6 +294,7 @@ export const mountTiePictures = ({ store, view }) => {
     }
     return [...marks.values()];
   };
+  /** @param {PictureSide} side */
   const linesOf = (side) => () =>
     !lining ? [] : lines().filter(({ photos }) => photos.includes(chosen[side])).map(({ id, photos, uv, agrees }) => (
       { id, ends: uv[photos.indexOf(chosen[side])], label: numberOf(id), bad: agrees === false, selected: id === line }
@@ -284,6 +317,7 @@ export const mountTiePictures = ({ store, view }) => {
   const sides = Object.fromEntries(ALL_SIDES.map((side) => [
     side, element("div", { class: "tie-side" }, element("div", { class: "row" }, selects[side], pictures[side].fit), pictures[side].canvas),
   ]));
+  /** @param {boolean} wanted */
   const setLining = (wanted) => {
     lining = wanted;
     line = "";
@@ -308,9 +342,9 @@ export const mountTiePictures = ({ store, view }) => {
   dialog.addEventListener("close", () => view.set({ tying: null }));
 
   const keep = async () => {
-    const ends = SIDES.map((side) => pictures[side].uv);
+    const ends = SIDES.map((side) => pictures[side].uv).filter((uv) => uv !== null);
     const photos = SIDES.map((side) => chosen[side]);
-    if (ends.every(Boolean)) {
+    if (ends.length === SIDES.length) {
       SIDES.forEach((side) => pictures[side].put(null)); // at once: the next click begins another tie
       const made = await request("add_tie", { photos, uv: ends, sigma_px: sigmaPx() });
       const free = SIDES.every((side, k) => !pictures[side].uv && chosen[side] === photos[k]);
@@ -320,11 +354,16 @@ export const mountTiePictures = ({ store, view }) => {
   };
 
   const sigmaPx = () => (Number(sigma.value) > 0 ? Number(sigma.value) : SIGMA.usual);
+  /** @param {string} id */
   const selectLine = (id) => {
     line = id;
     show();
   };
-  /** Keep two places of an edge, of the selected line where the photograph does not show that yet. */
+  /**
+   * Keep two places of an edge, of the selected line where the photograph does not show that yet.
+   * @param {PictureSide} side
+   * @param {number[][]} ends
+   */
   const keepLine = (side, ends) => {
     const photo = chosen[side], sigma_px = sigmaPx();
     keeping = keeping.then(async () => {
@@ -357,10 +396,11 @@ export const mountTiePictures = ({ store, view }) => {
     );
   };
 
+  /** @param {DrawnTie} tie @param {Map<string, string>} names */
   const row = (tie, names) => {
     const number = numberOf(tie.id), of = numberOf(tie.track ?? tie.id);
     const called = of === number ? number : `${number}, with ${of}`;
-    const ends = tie.photos.map((id, k) => `${names.get(id) ?? id} (${tie.uv[k].map((value) => fixed(value, 1)).join(", ")})`);
+    const ends = tie.photos.map((/** @type {string} */ id, k) => `${names.get(id) ?? id} (${tie.uv[k].map((value) => fixed(value, 1)).join(", ")})`);
     const said = tie.agrees === null ? "not adjusted yet" : tie.reason;
     return element(
       "li",
@@ -374,12 +414,14 @@ export const mountTiePictures = ({ store, view }) => {
     );
   };
 
+  /** @param {DrawnLine} of */
   const showLine = (of) => {
     line = of.id;
     const free = store.photos().map(({ id }) => id).filter((id) => !of.photos.includes(id));
     [chosen.first, chosen.second, chosen.third] = [...of.photos, ...free];
     show();
   };
+  /** @param {DrawnLine} of @param {Map<string, string>} names */
   const lineRow = (of, names) => {
     const number = numberOf(of.id), said = lineSaid(of);
     const pair = of.photos.length === SIDES.length && !of.in_scan;

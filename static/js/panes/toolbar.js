@@ -3,12 +3,19 @@
 import { button, press } from "../ui/controls.js";
 import { element } from "../ui/dom.js";
 
+/**
+ * @typedef {import("./pane.js").Pane} Pane
+ * @typedef {import("../state/view.js").ViewState} ViewState
+ */
+
+/** @type {[ViewState["tool"], string, string][]} */
 const TOOLS = [
   ["line", "Draw a line", "Draw a line in either picture, then its partner in the other (L)"],
   ["point", "Draw a point", "Set a point in either picture, then its partner in the other (P)"],
   ["measure", "Measure", "Measure distances, heights and more: click points in the pictures or on the model (D)"],
   ["select", "Select and move", "Select matches and move their ends (V); with other tools, hold Ctrl"],
 ];
+/** @type {["snap" | "loupe" | "marks" | "corners", string, string][]} */
 const AIDS = [
   ["snap", "Snap to edges and corners", "Snap lines to the edge under them and points to a corner (N); hold Shift to suspend"],
   ["loupe", "Loupe", "Show the loupe before drawing, too (O); while drawing it is always shown"],
@@ -16,10 +23,10 @@ const AIDS = [
   ["corners", "Detected corners", "Show detected corners (C)"],
 ];
 
-/** A click gives the focus to the picture; activation by key leaves it on the button. */
-const focusing = (pane, act) => (event) => {
+/** A click gives the focus to the picture; activation by key leaves it on the button. @param {Pane} pane @param {() => void} act */
+const focusing = (pane, act) => (/** @type {Event} */ event) => {
   act();
-  if (event.detail > 0) pane.body.focus({ preventScroll: true });
+  if (event instanceof UIEvent && event.detail > 0) pane.body.focus({ preventScroll: true });
 };
 
 /**
@@ -33,10 +40,9 @@ export const mountToolbar = (controller, pane) => {
     const activate = focusing(pane, () => view.set({ tool: name }));
     return [name, button({ label, title, icon: name, bare: true, kind: name === "select" ? "pane-button" : "pane-button edits", act: activate })];
   });
-  /** @type {[string, HTMLButtonElement][]} */
   const aids = AIDS.map(([name, label, title]) => {
     const toggle = focusing(pane, () => view.set({ [name]: view.get()[name] === false }));
-    return [name, button({ label, title, icon: name, bare: true, kind: "pane-button", act: toggle })];
+    return /** @type {const} */ ([name, button({ label, title, icon: name, bare: true, kind: "pane-button", act: toggle })]);
   });
   const where = pane.side === "scan" ? "scan" : "photograph";
   pane.body.append(

@@ -2,7 +2,7 @@
 
 import { isTyping } from "../ui/dom.js";
 import { hitAt, measurementAt, within } from "./hits.js";
-import { CLICK_PX } from "./picking.js";
+import { CLICK_PX, isWhole } from "./picking.js";
 import { accepts } from "./prediction.js";
 import { outsideBy, toPixel } from "./viewport.js";
 
@@ -12,6 +12,7 @@ const DRAG_PX = 2;
 /** @param {Dragged} dragged @param {number} index of an end */
 const movesEnd = (dragged, index) => dragged.index === null || dragged.index === index;
 
+/** @param {readonly number[]} a @param {readonly number[]} b @param {number} px */
 const far = (a, b, px) => Math.hypot(a[0] - b[0], a[1] - b[1]) >= px;
 
 /**
@@ -33,7 +34,9 @@ export class Tools {
   #controller;
   /** @type {{xy: number[], event: PointerEvent} | null} a press on the predicted partner, which may become a drag */
   #accepting = null;
+  /** @type {Set<(pane: Pane, uv: number[]) => void>} */
   #listeners = new Set();
+  /** @type {Set<(pane: Pane) => void>} */
   #leaveListeners = new Set();
 
   /** @param {import("./controller.js").Controller} controller */
@@ -52,7 +55,7 @@ export class Tools {
     else if (this.#controller.picking.drawing) this.#controller.picking.move(pane.side, this.#positionAt(pane, pointer.xy, pointer.event));
   }
 
-  /** @param {(pane: any, uv: number[]) => void} listen called when another pixel is under the pointer */
+  /** @param {(pane: Pane, uv: number[]) => void} listen called when another pixel is under the pointer */
   onPointer(listen) {
     this.#listeners.add(listen);
   }
@@ -65,12 +68,17 @@ export class Tools {
     for (const listen of this.#listeners) listen(pane, pointer.uv);
   }
 
-  /** @returns {"line" | "point" | "select" | "measure"} the current tool; Ctrl or Command selects with any */
+  /**
+   * @param {PointerEvent} event
+   * @returns {"line" | "point" | "select" | "measure"} the current tool; Ctrl or Command selects with any
+   */
   #tool(event) {
     return event.ctrlKey || event.metaKey ? "select" : this.#controller.tool;
   }
 
   /**
+   * @param {Pane} pane
+   * @param {number[]} uv
    * @returns {number[][] | null} where a release at a pixel would put the point or both ends of the line being drawn,
    *   if that differs from where they were drawn
    */
@@ -80,12 +88,16 @@ export class Tools {
     return ends ? snapping.near(pane, ends) : null;
   }
 
-  /** @returns {number[]} where a release at a pixel would put the end under the pointer */
+  /** @param {Pane} pane @param {number[]} uv @returns {number[]} where a release at a pixel would put the end under the pointer */
   aim(pane, uv) {
     return this.ghost(pane, uv)?.at(-1) ?? uv;
   }
 
-  /** @returns {number[][] | null} unsnapped pixels of the point or line being placed, with its last end at a pixel */
+  /**
+   * @param {Pane} pane
+   * @param {number[]} uv
+   * @returns {number[][] | null} unsnapped pixels of the point or line being placed, with its last end at a pixel
+   */
   #ends(pane, uv) {
     if (this.dragged) return this.dragged.moved ? this.#shifted(this.dragged, pane, uv) : null;
     const { picking, view } = this.#controller;
@@ -95,7 +107,12 @@ export class Tools {
     return !drawing && picking.kindFor(pane.side, view.get().tool) === "line" ? null : [uv];
   }
 
-  /** A point is put where its corner is; a line is drawn as the pointer moves, beside its ghost. */
+  /**
+   * A point is put where its corner is; a line is drawn as the pointer moves, beside its ghost.
+   * @param {Pane} pane
+   * @param {number[]} xy
+   * @param {PointerEvent} event
+   */
   #positionAt(pane, xy, event) {
     const { picking, view } = this.#controller;
     const kind = picking.drawing?.kind ?? picking.kindFor(pane.side, view.get().tool);
@@ -104,15 +121,17 @@ export class Tools {
   }
 
   /**
+   * @param {Side} side
    * @returns {{ends: (number[] | null)[], line: number[][] | null} | null} the predicted partner, if it belongs in this
    *   pane
    */
   offered(side) {
     const { picking, sides } = this.#controller;
-    return picking.missingSide === side && picking.acceptable ? sides[side].placed(picking.predicted) : null;
+    const { missingSide, predicted } = picking;
+    return missingSide === side && isWhole(predicted) ? sides[side].placed(predicted) : null;
   }
 
-  /** @returns {"pan" | "stroke"} */
+  /** @param {Pane} pane @param {number[]} xy @param {PointerEvent} event @returns {"pan" | "stroke"} */
   press(pane, xy, event) {
     const controller = this.#controller;
     controller.active = pane.side;
@@ -135,6 +154,7 @@ export class Tools {
     return "stroke";
   }
 
+  /** @param {Pane} pane @param {number[]} xy @param {PointerEvent} event */
   #draw(pane, xy, event) {
     const controller = this.#controller;
     if (!controller.picking.press(pane.side, controller.view.get().tool === "point" ? "point" : "line", this.#positionAt(pane, xy, event))) return;
@@ -143,7 +163,11 @@ export class Tools {
     controller.handle("drawing");
   }
 
-  /** @returns {boolean} whether any tool moves what is at a position: an end of the selected match, if nothing is begun */
+  /**
+   * @param {Pane} pane
+   * @param {number[]} xy
+   * @returns {boolean} whether any tool moves what is at a position: an end of the selected match, if nothing is begun
+   */
   #overSelectedEnd(pane, xy) {
     const controller = this.#controller;
     if (controller.chosen === null || !controller.picking.idle || controller.store.readOnly) return false;
@@ -152,6 +176,7 @@ export class Tools {
     return hit !== null && hit.id === controller.chosen && hit.index !== null;
   }
 
+  /** @param {Pane} pane @param {number[]} xy @param {PointerEvent} event */
   #grab(pane, xy, event) {
     const controller = this.#controller;
     const { selected } = controller.view.get();
@@ -176,11 +201,14 @@ export class Tools {
     }
     controller.select([hit.id], hit.index);
     if (controller.store.readOnly) return "stroke";
-    const ends = controller.pendingMoves.endsOf(controller.pick(hit.id), pane.side);
+    const pick = controller.pick(hit.id);
+    if (!pick) return "stroke"; // its slice has just gone
+    const ends = controller.pendingMoves.endsOf(pick, pane.side);
     this.dragged = { id: hit.id, side: pane.side, index: hit.index, ends, from: pane.pixelAt(xy), begun: xy, moved: false };
     return "stroke";
   }
 
+  /** @param {Pane} pane @param {number[]} xy @param {PointerEvent} event */
   move(pane, xy, event) {
     const controller = this.#controller;
     controller.suspended = event.shiftKey;
@@ -214,7 +242,10 @@ export class Tools {
     pane.body.classList.toggle("grabs", grabs);
   }
 
-  /** Keys go to the pane under the pointer, unless somebody is typing; the 3-D view and the table give them back. */
+  /**
+   * Keys go to the pane under the pointer, unless somebody is typing; the 3-D view and the table give them back.
+   * @param {Pane} pane
+   */
   #enter(pane) {
     this.#controller.active = pane.side;
     if (isTyping(document.activeElement) || document.querySelector("dialog:modal, :popover-open")) return;
@@ -259,6 +290,7 @@ export class Tools {
     return ends;
   }
 
+  /** @param {Pane} pane @param {number[]} xy @param {PointerEvent} event */
   release(pane, xy, event) {
     const controller = this.#controller;
     controller.suspended = event.shiftKey;
@@ -284,7 +316,7 @@ export class Tools {
     return pane.invalidate("live");
   }
 
-  /** Cancel the stroke: a second finger has come, or the system has taken the pointer. */
+  /** Cancel the stroke: a second finger has come, or the system has taken the pointer. @param {Pane} pane */
   cancel(pane) {
     if (this.dragged) this.#controller.pendingMoves.drop(this.dragged.id, this.dragged.side);
     this.dragged = this.frame = this.#accepting = this.#controller.measuring.pressed = null;
@@ -300,11 +332,12 @@ export class Tools {
     return true;
   }
 
-  /** @param {(pane: any) => void} listen called when the pointer leaves a picture */
+  /** @param {(pane: Pane) => void} listen called when the pointer leaves a picture */
   onLeave(listen) {
     this.#leaveListeners.add(listen);
   }
 
+  /** @param {Pane} pane */
   leave(pane) {
     for (const listen of this.#leaveListeners) listen(pane);
     if (this.pointer?.side === pane.side) this.pointer = null;

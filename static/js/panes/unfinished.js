@@ -5,6 +5,7 @@
 
 const KEY = "ladarreg-unfinished";
 
+/** @param {string} key @returns {Kept | null} */
 const read = (key) => {
   try {
     return JSON.parse(sessionStorage.getItem(key) ?? "null");
@@ -13,6 +14,7 @@ const read = (key) => {
   }
 };
 
+/** @param {string} key @param {Kept | null} value */
 const write = (key, value) => {
   try {
     if (value) sessionStorage.setItem(key, JSON.stringify(value));
@@ -22,14 +24,20 @@ const write = (key, value) => {
   }
 };
 
+/** @typedef {{scan: string | null, drawn: [string, import("./picking.js").Drawn][]}} Kept */
+
 /**
  * @param {import("./picking.js").Picking} picking
  * @param {import("../net/store.js").Store} store
  */
 export const keepUnfinished = (picking, store) => {
+  /** @param {{id: string}} project */
   const keyOf = (project) => `${KEY}:${project.id}`;
+  /** @type {string | null} */
   let key = null;
+  /** @type {string | null} */
   let scan = null; // what is drawn belongs to it, even while slices of another project arrive
+  /** @type {Kept | null} */
   let awaited = null;
   let left = false;
 

@@ -20,49 +20,65 @@ const FASTEST_WHEEL_PX = 240;
 const WHEEL_RATE = 0.0022;
 const PINCH_RATE = 0.012;
 
-/** @returns {Pair} position of pixel uv in the pane */
+/** @param {Viewport} viewport @param {readonly number[]} uv @returns {Pair} position of pixel uv in the pane */
 export const toScreen = (viewport, uv) => [
   (uv[0] + 0.5) * viewport.zoom + viewport.x,
   (uv[1] + 0.5) * viewport.zoom + viewport.y,
 ];
 
-/** @returns {Pair} the pixel at a position of the pane */
+/** @param {Viewport} viewport @param {readonly number[]} xy @returns {Pair} the pixel at a position of the pane */
 export const toPixel = (viewport, xy) => [
   (xy[0] - viewport.x) / viewport.zoom - 0.5,
   (xy[1] - viewport.y) / viewport.zoom - 0.5,
 ];
 
-/** @returns {Viewport} the whole picture, as large as possible, centred */
+/** @param {Size} pane @param {Size} picture @returns {Viewport} the whole picture, as large as possible, centred */
 export const fitted = (pane, picture) => {
   const zoom = Math.min(pane[0] / picture[0], pane[1] / picture[1], LARGEST_ZOOM);
   return { zoom, x: (pane[0] - picture[0] * zoom) / 2, y: (pane[1] - picture[1] * zoom) / 2 };
 };
 
-/** @returns {number} the zoom, limited to the allowed range */
+/** @param {number} zoom @param {Size} pane @param {Size} picture @returns {number} the zoom, limited to the allowed range */
 export const allowed = (zoom, pane, picture) =>
   Math.min(LARGEST_ZOOM, Math.max(zoom, SMALLEST_OF_FIT * Math.min(1, fitted(pane, picture).zoom)));
 
-/** @returns {Viewport} with another zoom; the point at xy stays in place */
+/**
+ * @param {Viewport} viewport
+ * @param {readonly number[]} xy
+ * @param {number} zoom
+ * @returns {Viewport} with another zoom; the point at xy stays in place
+ */
 export const zoomedAbout = (viewport, xy, zoom) => {
   const factor = zoom / viewport.zoom;
   return { zoom, x: xy[0] + (viewport.x - xy[0]) * factor, y: xy[1] + (viewport.y - xy[1]) * factor };
 };
 
-/** @returns {Viewport} moved by CSS pixels */
+/** @param {Viewport} viewport @param {readonly number[]} by @returns {Viewport} moved by CSS pixels */
 export const moved = (viewport, by) => ({ zoom: viewport.zoom, x: viewport.x + by[0], y: viewport.y + by[1] });
 
-/** @returns {Viewport} with pixel uv in the centre of the pane */
+/**
+ * @param {readonly number[]} uv
+ * @param {number} zoom
+ * @param {Size} pane
+ * @returns {Viewport} with pixel uv in the centre of the pane
+ */
 export const centredOn = (uv, zoom, pane) => ({
   zoom,
   x: pane[0] / 2 - (uv[0] + 0.5) * zoom,
   y: pane[1] / 2 - (uv[1] + 0.5) * zoom,
 });
 
-/** @returns {Pair} the pixel in the centre of the pane */
+/** @param {Viewport} viewport @param {Size} pane @returns {Pair} the pixel in the centre of the pane */
 export const middle = (viewport, pane) => toPixel(viewport, [pane[0] / 2, pane[1] / 2]);
 
-/** @returns {Viewport} moved so that some of the picture stays visible */
+/**
+ * @param {Viewport} viewport
+ * @param {Size} pane
+ * @param {Size} picture
+ * @returns {Viewport} moved so that some of the picture stays visible
+ */
 export const keptInSight = (viewport, pane, picture) => {
+  /** @param {number} at @param {number} room @param {number} length */
   const along = (at, room, length) => {
     const least = Math.min(LEAST_VISIBLE_PX, length, room / 2);
     return Math.min(Math.max(at, least - length), room - least);
@@ -87,8 +103,9 @@ export const wheelFactor = ({ deltaY, deltaMode, ctrlKey }) => {
   return Math.exp(-bounded * rate);
 };
 
+/** @param {(readonly number[])[]} uvs @param {number} axis */
 const extent = (uvs, axis) => {
-  const values = uvs.map((uv) => uv[axis]);
+  const values = uvs.map((/** @type {readonly number[]} */ uv) => uv[axis]);
   return [Math.min(...values), Math.max(...values)];
 };
 
@@ -96,7 +113,7 @@ const extent = (uvs, axis) => {
  * Make pixels visible: nothing moves while they are well inside, and the zoom changes only if it must.
  * @param {Viewport} viewport
  * @param {Size} pane
- * @param {number[][]} uvs at least one
+ * @param {(readonly number[])[]} uvs at least one
  * @param {number} least the zoom below which a single point is hard to see
  * @returns {Viewport}
  */
@@ -114,8 +131,14 @@ export const revealing = (viewport, pane, uvs, least = 1) => {
   return centredOn([(left + right) / 2, (top + bottom) / 2], zoom, pane);
 };
 
-/** @returns {Viewport} moved so that a picture larger than the pane leaves no border in it; a smaller one is centred */
+/**
+ * @param {Viewport} viewport
+ * @param {Size} pane
+ * @param {Size} picture
+ * @returns {Viewport} moved so that a picture larger than the pane leaves no border in it; a smaller one is centred
+ */
 export const filling = (viewport, pane, picture) => {
+  /** @param {number} at @param {number} room @param {number} length */
   const along = (at, room, length) => (length < room ? (room - length) / 2 : Math.min(0, Math.max(at, room - length)));
   return {
     zoom: viewport.zoom,
@@ -124,10 +147,20 @@ export const filling = (viewport, pane, picture) => {
   };
 };
 
-/** @returns {boolean} whether two viewports show the same to within half a pixel of the screen */
+/**
+ * @param {Viewport} a
+ * @param {Viewport} b
+ * @returns {boolean} whether two viewports show the same to within half a pixel of the screen
+ */
 export const showSame = (a, b) => Math.abs(a.zoom / b.zoom - 1) < 1e-6 && Math.abs(a.x - b.x) < 0.5 && Math.abs(a.y - b.y) < 0.5;
 
-/** @returns {Viewport} interpolated between two viewports: 0 <= t <= 1 */
+/**
+ * @param {Viewport} from
+ * @param {Viewport} to
+ * @param {number} t
+ * @param {Size} pane
+ * @returns {Viewport} interpolated between two viewports: 0 <= t <= 1
+ */
 export const between = (from, to, t, pane) => {
   if (t >= 1) return to;
   const zoom = Math.exp(Math.log(from.zoom) * (1 - t) + Math.log(to.zoom) * t);
@@ -137,16 +170,16 @@ export const between = (from, to, t, pane) => {
   return centredOn([a[0] + (b[0] - a[0]) * share, a[1] + (b[1] - a[1]) * share], zoom, pane);
 };
 
-/** @returns {Pair} the nearest pixel inside the picture */
+/** @param {readonly number[]} uv @param {Size} picture @returns {Pair} the nearest pixel inside the picture */
 export const inside = (uv, picture) => [
   Math.min(Math.max(uv[0], 0), picture[0] - 1),
   Math.min(Math.max(uv[1], 0), picture[1] - 1),
 ];
 
-/** @returns {number} distance of uv from the picture in pixels; 0 inside */
+/** @param {readonly number[]} uv @param {Size} picture @returns {number} distance of uv from the picture in pixels; 0 inside */
 export const outsideBy = (uv, picture) => Math.max(-0.5 - uv[0], -0.5 - uv[1], uv[0] - picture[0] + 0.5, uv[1] - picture[1] + 0.5, 0);
 
-/** @returns {string} such as `68 %` or `×12` */
+/** @param {number} zoom @returns {string} such as `68 %` or `×12` */
 export const zoomText = (zoom) => {
   if (zoom >= 10) return `×${zoom.toFixed(zoom % 1 < 0.05 ? 0 : 1)}`;
   return `${(100 * zoom).toFixed(zoom < 0.1 ? 1 : 0)} %`;

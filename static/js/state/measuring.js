@@ -8,7 +8,7 @@ import { store } from "../net/store.js";
  *   points is open; `points`: what each of them is, the last word for all further ones
  */
 
-/** @type {Record<string, Measure>} by kind */
+/** @type {Record<Measurement["kind"], Measure>} */
 export const MEASURES = {
   distance: { label: "Distance", least: 2, most: 2, points: ["the first point", "the second point"] },
   height: { label: "Height above a plane", least: 4, most: null, points: ["the point", "a point of the plane below it", "another point of the plane"] },

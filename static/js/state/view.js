@@ -9,7 +9,7 @@
  * @property {{side: "scan" | "photo", index: number} | null} end the selected end of the only selected pick
  * @property {string | null} hovered id of the pick under the pointer, anywhere
  * @property {"line" | "point" | "select" | "measure"} tool
- * @property {string} measures kind of measurement, see `MEASURES`
+ * @property {import("../protocol.d.ts").Measurement["kind"]} measures kind of measurement, see `MEASURES`
  * @property {string | null} measurement id of the selected measurement
  * @property {boolean} linked the panes are linked
  * @property {boolean} snap lines snap to the edge under them, points to a corner

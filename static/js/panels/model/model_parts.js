@@ -130,7 +130,7 @@ const legendOf = (headers) => {
   return text ? JSON.parse(decodeURIComponent(text)) : null;
 };
 
-/** @param {Map<string, any>} parts the newest last @param {number} most */
+/** @template Part @param {Map<string, Part>} parts the newest last @param {number} most */
 const keepNewest = (parts, most) => {
   for (const oldest of parts.keys()) {
     if (parts.size <= most) return;
