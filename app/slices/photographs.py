@@ -43,7 +43,7 @@ class FocalPhotoCamera(PhotoCamera):
 class PanoramaCamera(PhotoCamera):
     """The camera of a panorama."""
 
-    window: NotRequired[Numbers]
+    window: Numbers | None
 
 
 class Photo(TypedDict):

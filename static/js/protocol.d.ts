@@ -510,7 +510,7 @@ export type PanoramaCamera = {
   calibrated: boolean;
   said: string;
   short: string;
-  window?: number[];
+  window: number[] | null;
   fx?: undefined;
   fy?: undefined;
   cx?: undefined;

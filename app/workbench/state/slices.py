@@ -202,7 +202,7 @@ def _camera(camera: CameraModel, *, calibrated: bool) -> FocalPhotoCamera | Pano
     }
     if "fx" in fields:
         return {**found, "fx": fields["fx"], "fy": fields["fy"], "cx": fields["cx"], "cy": fields["cy"]}
-    return {**found, "window": fields["window"]} if "window" in fields else {**found}
+    return {**found, "window": fields.get("window")}
 
 
 def progress_slice(
