@@ -112,7 +112,7 @@ export const mountPanes = ({ scanHead, scanBody, photoHead, photoBody, model, st
     }
   };
   let shownView = controller.sides.scan.index;
-  view.on((/** @type {ViewState} */ state, changed) => {
+  view.on((state, changed) => {
     if (changed.has("scan") || changed.has("photo")) applyFilters(state);
     if (changed.has("scan") || changed.has("stretching")) {
       if (controller.sides.scan.index !== shownView) {

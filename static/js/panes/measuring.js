@@ -267,8 +267,8 @@ export class Measuring {
     this.#changed();
   }
 
-  /** Forget points in photographs that exist no longer. */
-  forgetPhotosBut(/** @type {string[]} */ photos) {
+  /** Forget points in photographs that exist no longer. @param {string[]} photos ids of those that do */
+  forgetPhotosBut(photos) {
     const left = this.places.filter(({ of }) => of === null || photos.includes(of));
     if (left.length < this.places.length) this.clear();
   }

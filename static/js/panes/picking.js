@@ -241,8 +241,8 @@ export class Picking {
     return drawn;
   }
 
-  /** Discard the open sides of photographs that exist no longer. @returns {boolean} whether there were any */
-  forgetPhotosBut(/** @type {string[]} */ photos) {
+  /** Discard the open sides of photographs that exist no longer. @param {string[]} photos ids of those that do @returns {boolean} whether there were any */
+  forgetPhotosBut(photos) {
     const gone = [...this.waiting.keys()].filter((photo) => !photos.includes(photo));
     for (const photo of gone) this.waiting.delete(photo);
     return gone.length > 0;

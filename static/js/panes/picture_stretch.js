@@ -90,7 +90,7 @@ export class StretchedPicture {
     const { low, high } = this.#stretch;
     if (percent <= low) return 0;
     if (percent >= high) return 1;
-    const level = this.#shares.findIndex((/** @type {number} */ share) => share >= percent / 100);
+    const level = this.#shares.findIndex((share) => share >= percent / 100);
     return this.#valueOf(level < 0 ? this.#most : level);
   }
 

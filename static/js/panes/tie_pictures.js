@@ -400,7 +400,7 @@ export const mountTiePictures = ({ store, view }) => {
   const row = (tie, names) => {
     const number = numberOf(tie.id), of = numberOf(tie.track ?? tie.id);
     const called = of === number ? number : `${number}, with ${of}`;
-    const ends = tie.photos.map((/** @type {string} */ id, k) => `${names.get(id) ?? id} (${tie.uv[k].map((value) => fixed(value, 1)).join(", ")})`);
+    const ends = tie.photos.map((id, k) => `${names.get(id) ?? id} (${tie.uv[k].map((value) => fixed(value, 1)).join(", ")})`);
     const said = tie.agrees === null ? "not adjusted yet" : tie.reason;
     return element(
       "li",

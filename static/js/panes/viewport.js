@@ -105,7 +105,7 @@ export const wheelFactor = ({ deltaY, deltaMode, ctrlKey }) => {
 
 /** @param {(readonly number[])[]} uvs @param {number} axis */
 const extent = (uvs, axis) => {
-  const values = uvs.map((/** @type {readonly number[]} */ uv) => uv[axis]);
+  const values = uvs.map((uv) => uv[axis]);
   return [Math.min(...values), Math.max(...values)];
 };
 
