@@ -11,7 +11,7 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,12 +24,13 @@ from ...gateway.protocol import Picture
 from ...messages import internal_error
 from ...session.isolated_readers import READERS
 from ..state.clients import Client
+from .plan_checks import described, faults_slice, in_degrees, require_own_ports, require_within
 from .runs import Runs
 from .watchable import Watchable
 
 if TYPE_CHECKING:
     from ladarreg_core.acquisition.interfaces import PanTilt
-    from ladarreg_core.acquisition.plan import Plan, PlanFault
+    from ladarreg_core.acquisition.plan import Plan
     from ladarreg_core.acquisition.runs.connected import Connected
     from ladarreg_core.acquisition.runs.preview import RunPreview
     from ladarreg_core.acquisition.runs.run_folder import RunWriter
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     from ...scene import Scene3D
     from ...slices.choices import AcquisitionState
     from ...slices.several import Acquisition as AcquisitionSlice
-    from ...slices.several import Devices
 
 log = logging.getLogger(__name__)
 RUNS = "runs"
@@ -128,9 +128,9 @@ class Acquisition:
         try:
             plan = plan_from_fields(fields, folders_exist=not refused)
         except PlanError as error:
-            return {"faults": _faults_slice([*refused, *error.faults]), "forecast": None}
+            return {"faults": faults_slice([*refused, *error.faults]), "forecast": None}
         if refused:
-            return {"faults": _faults_slice(refused), "forecast": None}
+            return {"faults": faults_slice(refused), "forecast": None}
         devices = self._devices
         scanner = None if devices is None or devices.line_scanner is None else devices.line_scanner.identity
         faults = [] if devices is None else device_faults(plan, devices.unit.identity, scanner)
@@ -139,7 +139,7 @@ class Acquisition:
             "stops": ahead.stops, "pieces": ahead.pieces, "cells": ahead.cells, "seconds": round(ahead.seconds),
             "overlap": None if ahead.overlap is None else list(ahead.overlap),
         }  # fmt: skip
-        return {"faults": _faults_slice(faults), "forecast": said}
+        return {"faults": faults_slice(faults), "forecast": said}
 
     def connect(self, client: Client, fields: Mapping[str, Any]) -> None:
         """Connect to the devices of a plan.
@@ -190,7 +190,7 @@ class Acquisition:
             devices = self._require_ready()
             at = self._at or devices.unit.position()
             target = PanTilt(at.pan_rad + math.radians(pan_deg), at.tilt_rad + math.radians(tilt_deg))
-            _require_within(devices, target)
+            require_within(devices, target)
             self._state = "jogging"
             self._begin(lambda: self._jog(devices, target), "jog")
         self._publish()
@@ -306,9 +306,9 @@ class Acquisition:
                 "offered": self.offered,
                 "said": self._said,
                 "driver": None if self._driver is None else {"id": self._driver[0], "name": self._driver[1]},
-                "devices": None if self._devices is None else _described(self._devices, self._plan),
+                "devices": None if self._devices is None else described(self._devices, self._plan),
                 "plan": None if self._plan is None else self._plan.as_fields(),
-                "at_deg": None if at is None else [_deg(at.pan_rad), _deg(at.tilt_rad)],
+                "at_deg": None if at is None else [in_degrees(at.pan_rad), in_degrees(at.tilt_rad)],
                 "done": progress.done,
                 "total": progress.total,
                 "seconds_left": round(progress.seconds_left),
@@ -497,7 +497,7 @@ class Acquisition:
         if refused := self._watchable.faults(fields):
             raise PlanError(refused)
         plan = plan_from_fields(fields)
-        _require_own_ports(plan)
+        require_own_ports(plan)
         return plan
 
     def _require_ready(self) -> Connected:
@@ -506,62 +506,3 @@ class Acquisition:
         if self._state != "ready":
             raise OptionError("the unit is busy; wait for it, or stop it")
         return self._devices
-
-
-def _described(devices: Connected, plan: Plan | None) -> Devices:
-    from ladarreg_core.acquisition.twin_address import is_twin
-
-    unit, scanner = devices.unit.identity, devices.line_scanner
-    unit_is_twin = plan is not None and is_twin(plan.unit.port)
-    scanner_is_twin = plan is not None and is_twin(plan.scanner.port or "")
-    return {
-        "unit": f"{unit.model} (simulated)" if unit_is_twin else unit.model,
-        "simulated": unit_is_twin,
-        "lowest_deg": [_deg(unit.lowest.pan_rad), _deg(unit.lowest.tilt_rad)],
-        "highest_deg": [_deg(unit.highest.pan_rad), _deg(unit.highest.tilt_rad)],
-        "step_deg": [_deg(unit.resolution_rad.pan_rad), _deg(unit.resolution_rad.tilt_rad)],
-        "scanner": None
-        if scanner is None
-        else f"{scanner.identity.model} (simulated)"
-        if scanner_is_twin
-        else scanner.identity.model,
-        "has_intensity": scanner is None or scanner.identity.has_intensity,
-    }
-
-
-def _faults_slice(faults: Sequence[PlanFault]) -> list[dict[str, str]]:
-    return [{"field": fault.field, "said": as_fields(fault.text)} for fault in faults]
-
-
-def _require_own_ports(plan: Plan) -> None:
-    """Refuse ports that the server does not have: an address would let clients reach into its network."""
-    from ladarreg_core.acquisition.serial_port import port_names
-    from ladarreg_core.acquisition.twin_address import is_twin
-
-    found = plan.scanner.trigger, None if plan.camera is None else plan.camera.trigger
-    triggers = [trigger for trigger in found if trigger is not None]
-    if any(trigger.command for trigger in triggers):
-        raise OptionError(
-            "the plan triggers shots by a command, which nobody may have this computer run from a page; run it by "
-            "`ladarreg acquire`, or trigger by 'file' or 'port'"
-        )
-    own = port_names()
-    for port in filter(None, (plan.unit.port, plan.scanner.port, *(trigger.port for trigger in triggers))):
-        if port not in own and not is_twin(port):
-            there = f"its ports are {', '.join(own)}" if own else "it has none"
-            raise OptionError(
-                f"the computer of the workbench has no port {port[:80]}; {there}, or use a simulated device"
-            )
-
-
-def _require_within(devices: Connected, target: PanTilt) -> None:
-    low, high = devices.unit.identity.lowest, devices.unit.identity.highest
-    if not (low.pan_rad <= target.pan_rad <= high.pan_rad and low.tilt_rad <= target.tilt_rad <= high.tilt_rad):
-        raise OptionError(
-            f"pan {_deg(target.pan_rad):.1f}, tilt {_deg(target.tilt_rad):.1f} deg is beyond the unit's limits; take a "
-            "smaller step"
-        )
-
-
-def _deg(angle: float) -> float:
-    return round(math.degrees(angle), 4)
