@@ -79,8 +79,8 @@ def require_within(devices: Connected, target: PanTilt) -> None:
     low, high = devices.unit.identity.lowest, devices.unit.identity.highest
     if not (low.pan_rad <= target.pan_rad <= high.pan_rad and low.tilt_rad <= target.tilt_rad <= high.tilt_rad):
         raise OptionError(
-            f"pan {math.degrees(target.pan_rad):.1f}, tilt {math.degrees(target.tilt_rad):.1f} deg is beyond the unit's "
-            "limits; take a smaller step"
+            f"pan {math.degrees(target.pan_rad):.1f}, tilt {math.degrees(target.tilt_rad):.1f} deg is beyond the "
+            "unit's limits; take a smaller step"
         )
 
 
