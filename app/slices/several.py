@@ -116,6 +116,15 @@ class DrawnTie(TypedDict):
     reason: str
 
 
+class LineInScan(TypedDict):
+    """A line as a scan shows it."""
+
+    station: str | None
+    name: str
+    xyz: list[Numbers]
+    sigma: str
+
+
 class DrawnLine(TypedDict):
     """An entry of the slice `drawn_lines`."""
 
@@ -123,9 +132,10 @@ class DrawnLine(TypedDict):
     photos: list[str]
     uv: list[list[Numbers]]
     sigma_px: float
-    in_scan: bool
+    in_scan: LineInScan | None
     agrees: bool | None
     residuals_px: dict[str, float]
+    scan_residual: str | None
     reason: str
 
 

@@ -316,7 +316,8 @@ class Workbench:
                 ("drawn ties", document.ties, document.adjusted), partial(drawn_ties_slice, document)
             ),
             "drawn_lines": self._slices.get(
-                ("drawn lines", document.lines, document.adjusted), partial(drawn_lines_slice, document)
+                ("drawn lines", document.lines, document.adjusted, document.scan, document.stations),
+                partial(drawn_lines_slice, document),
             ),
             "progress": progress_slice(loader, document, None, exported={}),
             "limits": {"upload_bytes": self.limits.upload_bytes, "photos": MAX_PHOTOS},

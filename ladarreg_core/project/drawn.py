@@ -51,7 +51,7 @@ class LineEntry(msgspec.Struct, frozen=True, kw_only=True):
     id: str
     """Stable id of letters and digits."""
     photos: tuple[str, ...]
-    """Ids of the photographs, one or more."""
+    """Ids of the photographs; none where a scan alone shows it yet."""
     uv: tuple[tuple[Pixel, Pixel], ...]
     """Two places of it in each, px."""
     sigma_px: float
@@ -69,5 +69,7 @@ class AdjustedLineEntry(msgspec.Struct, frozen=True, kw_only=True):
     """Whether all of it was kept."""
     residuals_px: dict[str, float] = {}
     """How far it lies off in each photograph in which it took part, by their ids, px."""
+    scan_residual_m: float | None = None
+    """The same in its scan, m; None: it took no part there."""
     reason: str = ""
     """A sentence."""

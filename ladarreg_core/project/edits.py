@@ -110,7 +110,9 @@ def _without(line: LineEntry, photo_id: str) -> LineEntry | None:
     if photo_id not in line.photos:
         return line
     left = [(photo, uv) for photo, uv in zip(line.photos, line.uv, strict=True) if photo != photo_id]
-    return replace(line, photos=tuple(one for one, _ in left), uv=tuple(uv for _, uv in left)) if left else None
+    if not left and line.in_scan is None:
+        return None
+    return replace(line, photos=tuple(one for one, _ in left), uv=tuple(uv for _, uv in left))
 
 
 def require_photo(document: Document, photo_id: object) -> PhotoEntry:

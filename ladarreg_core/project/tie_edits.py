@@ -17,6 +17,8 @@ MAX_TIES = 2000
 """Most ties of a project, and most lines."""
 _LARGEST_SIGMA_PX = 100.0
 """Of a tie: it would say nothing."""
+_LARGEST_SIGMA_M = 1000.0
+"""Likewise of a line in a scan."""
 
 
 def with_tie(
@@ -110,6 +112,52 @@ def with_line_in(document: Document, line: object, photo: object, uv: Sequence[S
     return replace(document, lines=tuple(changed if one.id == found.id else one for one in document.lines))
 
 
+def with_line_in_scan(
+    document: Document, line: object, in_scan: ScanLineEntry, sigma_px: object
+) -> tuple[Document, LineEntry]:
+    """Return the document with a line as a scan shows it, in place of what one showed of it so far, and that line.
+
+    Args:
+        document: the document.
+        line: id of the line; None: a further one, which photographs are to show later.
+        in_scan: the edge in a scan.
+        sigma_px: as of `with_line`, of a further line.
+
+    Raises:
+        OptionError: if there is no such line, or there are too many.
+    """
+    if line is None:
+        return with_line(document, [], [], sigma_px, in_scan)
+    changed = checked_line(replace(require_line(document, line), in_scan=in_scan))
+    return replace(document, lines=tuple(changed if one.id == line else one for one in document.lines)), changed
+
+
+def without_line_in(document: Document, line: object, photo: object) -> Document:
+    """Return the document without what one picture shows of a line; without the line if no other one shows it.
+
+    Args:
+        document: the document.
+        line: id of the line.
+        photo: id of a photograph; None: its scan.
+
+    Raises:
+        OptionError: if there is no such line, or it is not drawn there.
+    """
+    found = require_line(document, line)
+    if photo is None:
+        if found.in_scan is None:
+            raise OptionError("the line is not drawn in a scan")
+        changed = replace(found, in_scan=None)
+    else:
+        if photo not in found.photos:
+            raise OptionError("the line is not drawn in that photograph")
+        shown = [(one, uv) for one, uv in zip(found.photos, found.uv, strict=True) if one != photo]
+        changed = replace(found, photos=tuple(one for one, _ in shown), uv=tuple(uv for _, uv in shown))
+    if not changed.photos and changed.in_scan is None:
+        return without_lines(document, [found.id])
+    return replace(document, lines=tuple(changed if one.id == found.id else one for one in document.lines))
+
+
 def with_line_as_ties(document: Document, line: object) -> Document:
     """Return the document with two ties, of the ends of a line in its two photographs, in place of the line.
 
@@ -149,10 +197,14 @@ def checked_line(entry: LineEntry) -> LineEntry:
     """Return a line that is sound.
 
     Raises:
-        OptionError: if it is twice in one photograph or in none, too short, or a number is none.
+        OptionError: if it is twice in one photograph or in no picture, too short, or a number is none.
     """
-    if not entry.photos or len(set(entry.photos)) < len(entry.photos) or len(entry.uv) != len(entry.photos):
-        raise OptionError("a line is drawn in each of its photographs once; draw it in one or more")
+    if (
+        not (entry.photos or entry.in_scan)
+        or len(set(entry.photos)) < len(entry.photos)
+        or len(entry.uv) != len(entry.photos)
+    ):
+        raise OptionError("a line is drawn in each of its photographs once; draw it in a picture or more")
     for ends in entry.uv:
         first, second = _ends(ends)
         if np.hypot(second[0] - first[0], second[1] - first[1]) < MIN_LINE_PX:
@@ -163,6 +215,11 @@ def checked_line(entry: LineEntry) -> LineEntry:
         raise OptionError(
             f"the line's standard deviation is {entry.sigma_px:g} px; it must be positive, {_LARGEST_SIGMA_PX:g} at "
             "most"
+        )
+    if entry.in_scan is not None and not 0 < _number(entry.in_scan.sigma_m, "sigma_m") <= _LARGEST_SIGMA_M:
+        raise OptionError(
+            f"the line's standard deviation in its scan is {entry.in_scan.sigma_m:g} m; it must be positive, "
+            f"{_LARGEST_SIGMA_M:g} at most"
         )
     return entry
 

@@ -164,6 +164,8 @@ class AdjustedLine:
     residuals_px: tuple[float, ...]
     """How far its ends lie from the image of the line in each photograph, the larger of both, px; NaN: it was no part
     of the adjustment there."""
+    scan_residual_m: float = float("nan")
+    """How far its places in its scan lie from the line, the larger of both, m; NaN: likewise, or no scan shows it."""
     reason: str
     """A sentence."""
 
@@ -329,7 +331,8 @@ def _camera_fields(one: AdjustedCamera) -> dict[str, Any]:
 def _line_fields(one: AdjustedLine) -> dict[str, Any]:
     return {
         "id": one.id, "photos": list(one.photos), "agrees": one.agrees,
-        "residuals_px": [_number(value) for value in one.residuals_px], "reason": one.reason,
+        "residuals_px": [_number(value) for value in one.residuals_px],
+        "scan_residual_m": _number(one.scan_residual_m), "reason": one.reason,
     }  # fmt: skip
 
 

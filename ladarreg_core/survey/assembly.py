@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from ladarreg_core.camera.uncertainty import INTRINSICS
+from ladarreg_core.foundations.arrays import BoolArray
+from ladarreg_core.foundations.formatting import format_length
 from ladarreg_core.survey.adjustment import (
     AdjustedCamera,
     AdjustedLine,
@@ -21,7 +23,8 @@ from ladarreg_core.survey.adjustment import (
     scan_covariance,
 )
 from ladarreg_core.survey.build import Bodies
-from ladarreg_core.survey.least_squares.problem import Matrix, projected
+from ladarreg_core.survey.least_squares.line_residuals import line_surface_residuals
+from ladarreg_core.survey.least_squares.problem import Matrix, Problem, projected
 from ladarreg_core.survey.least_squares.solver import LOST, Adjusted
 from ladarreg_core.survey.parts import SurveyLine, SurveyTie
 from ladarreg_core.survey.placement import Placement
@@ -205,15 +208,20 @@ def _drawn_line(
     rows = {photo: of_body[taking[photo]] for photo in shown if taking[photo] in of_body}
     off = {photo: float(np.abs(adjusted.line_residuals_px[row]).max()) for photo, row in rows.items()}
 
+    in_scan = lines.drawn[lines.on_line] == number
+    off_m = _off_in_scan(adjusted.problem, in_scan)
+
     def judged(reason: str, *, agrees: bool = False) -> AdjustedLine:
         residuals = tuple(off.get(photo, float("nan")) for photo in drawn.photos)
-        return AdjustedLine(id=given.id, photos=given.photos, agrees=agrees, residuals_px=residuals, reason=reason)
+        return AdjustedLine(
+            id=given.id, photos=given.photos, agrees=agrees, residuals_px=residuals, scan_residual_m=off_m,
+            reason=reason,
+        )  # fmt: skip
 
     if not rows:
         return judged(start_or_reason(adjusted.problem, drawn, taking, bodies.scans)[1])
     kept = [photo for photo, row in rows.items() if adjusted.line_inliers[row]]
     lost = [photo for photo in shown if photo not in kept]
-    in_scan = lines.drawn[lines.on_line] == number
     scan_kept = bool(in_scan.any() and (adjusted.line_surface_weights[in_scan] > LOST).all())
     worst = max((off[photo] for photo in lost if np.isfinite(off.get(photo, np.nan))), default=None)
     by = "" if worst is None else f" by {worst:.1f} px"
@@ -224,10 +232,23 @@ def _drawn_line(
         left_out = " and ".join(names[photo] for photo in lost)
         return judged(f"Left out in {left_out}, where it disagrees with all other observations{by}.")
     if in_scan.any() and not scan_kept:
-        return judged("Left out in the scan, which shows it elsewhere than its photographs.")
+        return judged(f"Left out in the scan, which shows it elsewhere than its photographs by {format_length(off_m)}.")
     which = f"{len(kept)} photographs" if len(kept) > 1 else "one photograph"
     with_scan = " and the scan" if scan_kept else ""
     return judged(f"In {which}{with_scan} it agrees within {max(off.values()):.1f} px.", agrees=True)
+
+
+def _off_in_scan(problem: Problem, of_line: BoolArray) -> float:
+    """Return how far the places of a line in a scan lie from it, the larger of both, m; NaN: no scan shows it.
+
+    Args:
+        problem: the solved problem.
+        of_line: which of the distances are of the line: along two directions across it, at one place after the other.
+    """
+    if not of_line.any():
+        return float("nan")
+    distance = line_surface_residuals(problem)[0][of_line]
+    return float(np.linalg.norm(distance.reshape(-1, 2), axis=1).max())
 
 
 def _bodies(solution: Solution, count: int) -> list[int]:

@@ -218,15 +218,18 @@ def _residuals(adjustment: Adjustment) -> Html:
         found = joined(found, tag("p", "Drawn by hand:"), table(("tie", "photographs", "verdict"), ties))
     if adjustment.lines:
         lines = [(one.id, _line_residuals(one), one.reason) for one in adjustment.lines]
-        found = joined(found, tag("p", "Lines drawn by hand:"), table(("line", "residuals, px", "verdict"), lines))
+        found = joined(found, tag("p", "Lines drawn by hand:"), table(("line", "residuals", "verdict"), lines))
     return found
 
 
 def _line_residuals(line: AdjustedLine) -> str:
-    return ", ".join(
-        f"{name} {px:.1f}" if np.isfinite(px) else f"{name} -"
+    found = [
+        f"{name} {px:.1f} px" if np.isfinite(px) else f"{name} -"
         for name, px in zip(line.photos, line.residuals_px, strict=True)
-    )
+    ]
+    if np.isfinite(line.scan_residual_m):
+        found.append(f"scan {format_length(line.scan_residual_m)}")
+    return ", ".join(found)
 
 
 def _provenance(adjustment: Adjustment) -> Html:

@@ -28,7 +28,9 @@ export interface Commands {
   discard_files: { files: string[] };
   discard_smoothing: Record<string, never>;
   draw_line: { photo: string; uv: number[][]; line?: string | null; sigma_px?: number };
+  draw_line_in_scan: { scan: number[][]; station?: string; line?: string | null; sigma_rad?: number; sigma_px?: number };
   duplicate_project: { wanted: string };
+  erase_line: { line: string; photo?: string | null };
   export: { targets?: string[] | null; photos?: string[] | null; frame?: "scanner" | "world"; full?: boolean; crop?: "none" | "photo"; last_solved?: boolean; folder?: string | null; force?: boolean };
   export_targets: { targets?: string[] | null; photos?: string[] | null; frame?: "scanner" | "world"; full?: boolean; crop?: "none" | "photo"; last_solved?: boolean };
   follow: { client?: string | null };
@@ -72,6 +74,7 @@ export interface Commands {
   restore_ranges: { station?: string };
   run: { photo: string; job: string };
   sample_line: { scan: number[][] };
+  scan_of: { station?: string };
   set_camera: { photo: string; focal_35mm?: number | null; focal_mm?: number | null; sensor_mm?: number | null; focal_px?: number | null; model?: "equirectangular" | null };
   set_model: { texture?: string; z_buffer?: boolean; detail?: string; cameras?: boolean; matches?: boolean; rays?: boolean; residuals?: boolean; hidden_stations?: string[] };
   set_part: { photos: string[]; part: "free" | "held" | "out" };
@@ -231,9 +234,10 @@ export type DrawnLine = {
   photos: string[];
   uv: number[][][];
   sigma_px: number;
-  in_scan: boolean;
+  in_scan: LineInScan | null;
   agrees: boolean | null;
   residuals_px: Record<string, number>;
+  scan_residual: string | null;
   reason: string;
 };
 
@@ -382,6 +386,13 @@ export type JudgedPick = {
 export type Limits = {
   upload_bytes: number;
   photos: number;
+};
+
+export type LineInScan = {
+  station: string | null;
+  name: string;
+  xyz: number[][];
+  sigma: string;
 };
 
 export type LostScan = {

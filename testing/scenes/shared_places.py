@@ -14,6 +14,7 @@ import ladarreg_core as lr
 from ladarreg_core.camera import Camera, CameraModel
 from ladarreg_core.foundations.arrays import BoolArray
 from ladarreg_core.frames import Rigid
+from ladarreg_core.picks.lines import line_on_scan
 from ladarreg_core.simulate.sample import sample_survey_folder
 from ladarreg_core.survey.least_squares.problem import Matrix
 from ladarreg_core.survey.ties.ties import laser_points
@@ -44,6 +45,8 @@ class SharedLines:
     poses: tuple[Rigid, ...]
     uv: Matrix
     """(N, 3, 2, 2); other places of a line in each photograph."""
+    xyz: Matrix
+    """(N, 2, 3) two places of it on the surface of the first scan, m."""
 
 
 def _photographs() -> tuple[lr.Scan, dict[str, Camera], dict[str, Rigid]]:
@@ -68,8 +71,42 @@ def shared_lines(count: int = 6) -> SharedLines:
     while len(lines) < count:
         found = line_between(common, own_cameras, own_poses, rng)
         if found is not None:
-            lines.append(found[1])
-    return SharedLines(names, own_cameras, own_poses, np.array(lines))
+            lines.append(found)
+    xyz, uv = (np.array(each) for each in zip(*lines, strict=True))
+    return SharedLines(names, own_cameras, own_poses, uv, xyz)
+
+
+@cache
+def lines_on_scan(count: int = 4) -> SharedLines:
+    """Return lines on the surface of the first scan, which it shows all along, in the photograph that shows most of it.
+
+    The two places in the photograph are the ends.
+    """
+    scan, cameras, poses = _photographs()
+    points = scan.points[scan.valid][::40].astype(np.float64)
+    visible = {name: shown_by(scan, points, cameras[name], pose) for name, pose in poses.items()}
+    name = max(visible, key=lambda one: int(visible[one].sum()))
+    shown, rng = points[visible[name]], np.random.default_rng(3)
+    found: list[tuple[Matrix, Matrix]] = []
+    while len(found) < count:
+        first = shown[rng.integers(len(shown))]
+        apart = np.linalg.norm(shown - first, axis=1)
+        near = shown[(apart > 0.5) & (apart < 2.0)]
+        if not len(near):
+            continue
+        ends = np.array([first, near[rng.integers(len(near))]])
+        uv = cameras[name].project(poses[name] @ ends)
+        if np.linalg.norm(uv[1] - uv[0]) > _MIN_LINE_PX and _is_straight(scan, ends):
+            found.append((ends, uv[None]))
+    xyz, places = (np.array(each) for each in zip(*found, strict=True))
+    return SharedLines((name,), (cameras[name],), (poses[name],), places, xyz)
+
+
+def _is_straight(scan: lr.Scan, ends: Matrix) -> bool:
+    """Return whether a scan shows a line (2, 3) between two of its points as a straight edge or a line on a wall."""
+    edge = line_on_scan(scan, ends / np.linalg.norm(ends, axis=1, keepdims=True))
+    there = None if edge is None else edge.rays * edge.ranges[:, None]
+    return there is not None and bool(np.linalg.norm(there - ends, axis=1).max() < 0.02)
 
 
 def shown_by(scan: lr.Scan, points: Matrix, camera: CameraModel, pose: Rigid) -> BoolArray:

@@ -184,6 +184,12 @@ SOUND: dict[str, list[dict[str, Any]]] = {
         {"photo": "p1", "uv": [[300.0, 200.5], [310, 290]], "sigma_px": 0.5},
         {"photo": "p2", "uv": [[120, 80], [130, 190]], "line": "l1"},
     ],
+    "draw_line_in_scan": [
+        {"scan": LINE["scan"], "line": "l1", "sigma_rad": 0.001},
+        {"scan": LINE["scan"], "station": "s9"},
+    ],
+    "scan_of": [{}, {"station": "s9"}],
+    "erase_line": [{"line": "l1"}, {"line": "l1", "photo": "p2"}],
     "line_ends_as_ties": [{"line": "l1"}],
     "remove_lines": [{"lines": ["l1"]}],
     "hold_camera": [{"camera": "camera-1", "held": True}],

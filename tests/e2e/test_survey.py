@@ -9,8 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+import ladarreg_core as lr
+from ladarreg_core.inspection.pictures import inspection_views
 from ladarreg_core.simulate.sample import sample_survey_folder
-from testing.scenes.shared_places import shared_lines
+from ladarreg_core.survey.least_squares.problem import Matrix
+from testing.scenes.shared_places import lines_on_scan, shared_lines
 from testing.workbench.operator import Operator, at_work
 from testing.workbench.shared import SharedWorkbench
 
@@ -174,8 +177,8 @@ def test_a_line_is_drawn_in_three_photographs(
             click(number, ends[1])
 
         hints = (
-            "Line 1 is drawn in 1 photograph: click two places of the same edge in two others.",
-            "Line 1 is drawn in 2 photographs, which do not constrain their poses: draw it in a third.",
+            "Line 1 is drawn in 1 photograph: click two places of the same edge in two others, or in the scan.",
+            "Line 1 is drawn in 2 photographs, which do not constrain their poses: draw it in a third, or in the scan.",
             "Line 1 is drawn in 3 photographs: draw it in a further one, or begin another",
         )
         for number, hint in enumerate(hints):
@@ -192,7 +195,7 @@ def test_a_line_is_drawn_in_three_photographs(
         draw(1, shared.uv[1, 1].tolist())
         operator.wait(lambda: [len(one["photos"]) for one in operator.slice("drawn_lines")] == [3, 2], "a second line")
         pair = dialog.get_by_role("listitem").filter(has_text="Line 2")
-        pair.get_by_text("in two photographs, which do not constrain their poses: draw it in a third").wait_for()
+        pair.get_by_text("in two photographs, which do not constrain their poses: draw it in a third, or").wait_for()
         pair.get_by_role("button", name="Keep the ends of line 2 as ties").click()
         operator.wait(lambda: len(operator.slice("drawn_ties")) == 2, "its ends are two ties")
         operator.wait(lambda: len(operator.slice("drawn_lines")) == 1, "in place of the line")
@@ -204,3 +207,77 @@ def test_a_line_is_drawn_in_three_photographs(
         page.get_by_role("button", name=re.compile("Undo")).first.click()
         operator.wait(lambda: len(operator.slice("drawn_lines")) == 1, "what was removed is back")
         page.get_by_role("button", name="Draw ties").get_by_text("Ties 3").wait_for()
+
+
+def test_a_line_is_drawn_in_the_scan_moved_adjusted_and_erased(
+    browser: Browser, workbench: SharedWorkbench, request: pytest.FixtureRequest
+) -> None:
+    shared, folder = lines_on_scan(), sample_survey_folder()
+    (name,), ends = shared.names, shared.xyz[0]
+    views = inspection_views(lr.read_scan(folder / "station1.npz"))
+    named = next(
+        view for view in views if view.camera.contains(view.camera.project(view.view_from_scanner @ ends)).all()
+    )
+    in_view = named.camera.project(named.view_from_scanner @ ends)
+    workbench.open_files([folder / "station1.npz", folder / f"{name}.jpg"]).socket.close()
+    with at_work(browser, workbench.server, request) as operator:
+        page = operator.page
+        dialog, pictures = open_ties(operator)
+        dialog.get_by_role("button", name="Lines", exact=True).click()
+        scan = dialog.get_by_role("img", name="scan")
+        view = dialog.get_by_role("combobox", name="The scan and its view")
+        view.select_option(label=f"station1.npz, {named.label}")
+        page.wait_for_function(PAINTED)
+        assert not pictures[1].is_visible(), "there is one photograph"
+
+        def at(picture: Locator, size: tuple[int, int], uv: Matrix) -> tuple[float, float]:
+            box = picture.bounding_box()
+            assert box is not None
+            scale = min(box["width"] / size[0], box["height"] / size[1])
+            left, top = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+            return left + scale * (uv[0] + 0.5 - size[0] / 2), top + scale * (uv[1] + 0.5 - size[1] / 2)
+
+        def draw(picture: Locator, size: tuple[int, int], uv: Matrix, called: str) -> None:
+            page.mouse.click(*at(picture, size, uv[0]))
+            dialog.get_by_text(f"Now click another place of the same edge in the {called}").wait_for()
+            page.mouse.click(*at(picture, size, uv[1]))
+
+        draw(scan, named.camera.size, in_view, "scan")
+        dialog.get_by_text("Line 1 is drawn in the scan: click two places of the same edge in a photograph.").wait_for()
+        draw(pictures[0], shared.cameras[0].size, shared.uv[0, 0], "first photograph")
+        dialog.get_by_text("Line 1 is drawn in 1 photograph and the scan: draw it in a further one").wait_for()
+        (line,) = operator.slice("drawn_lines")
+        assert np.abs(np.array(line["in_scan"]["xyz"]) - ends).max() < 0.1
+        row = dialog.get_by_role("listitem").filter(has_text="Line 1")
+        row.get_by_text(f"station1.npz ± {line['in_scan']['sigma']}").wait_for()
+        operator.shot("line-in-scan")
+
+        page.mouse.move(*at(scan, named.camera.size, in_view[1]))  # its second end is moved halfway to the first
+        page.mouse.down()
+        page.mouse.move(*at(scan, named.camera.size, in_view.mean(axis=0)), steps=4)
+        page.mouse.up()
+        operator.wait(
+            lambda: operator.slice("drawn_lines")[0]["in_scan"]["xyz"][1] != line["in_scan"]["xyz"][1], "moved"
+        )
+        (moved,) = operator.slice("drawn_lines")
+        assert np.linalg.norm(np.subtract(*moved["in_scan"]["xyz"])) == pytest.approx(
+            np.linalg.norm(ends[1] - ends[0]) / 2, rel=0.3
+        )
+        page.keyboard.press("Escape")
+        part = page.get_by_role("region", name="All photographs")
+        part.get_by_role("button", name="Adjust", exact=True).click()
+        part.get_by_text(re.compile("Adjusted together: 1 of 1")).wait_for(timeout=240_000)
+        part.get_by_role("button", name="Draw ties").click()
+        (adjusted,) = operator.slice("drawn_lines")
+        assert adjusted["agrees"], adjusted["reason"]
+        row.get_by_text(f"station1.npz {adjusted['scan_residual']}").wait_for()
+        row.get_by_role("button", name="Line 1:").click()
+        view.select_option(label=f"station1.npz, {named.label}")
+        page.wait_for_function(PAINTED)
+        operator.shot("line-in-scan-adjusted")
+
+        dialog.get_by_role("button", name="Erase in the scan").click()
+        row.get_by_text("in one photograph: draw it in two more, or in the scan").wait_for()
+        page.keyboard.press("Escape")
+        page.get_by_role("button", name=re.compile("Undo")).first.click()
+        operator.wait(lambda: operator.slice("drawn_lines")[0]["in_scan"], "what was erased is back")

@@ -9,11 +9,12 @@ import msgspec
 
 from ladarreg_core.errors import OptionError
 from ladarreg_core.project.edits import require_photo
-from ladarreg_core.project.station_edits import known_place
+from ladarreg_core.project.station_edits import known_place, partner_of
 
 from ...session.loader import Loader
 from ...session.session import Session
 from .pose_state import pick_errors, sampled_line
+from .slices import scan_slice
 
 if TYPE_CHECKING:
     from ladarreg_core.frames import Rigid
@@ -98,6 +99,16 @@ class Queries:
         if scan is None or len(ends) != 2:
             raise OptionError("a line on a scan has two ends")
         return sampled_line(self._loader, scan, ends)
+
+    def scan_of(self, station: str) -> dict[str, Any] | None:
+        """Return the scan of a station as the slice `scan` has it; None: the project has none.
+
+        Raises:
+            OptionError: if there is no such station.
+        """
+        document = self._session.document
+        seen = msgspec.structs.replace(document, scan=partner_of(document, station))
+        return self._loader.cached("picture", ("scan slice", seen.scan), lambda: scan_slice(self._loader, seen))
 
     def probe(self, ray: Sequence[float], shown: PhotoEntry | None) -> dict[str, Any]:
         """Return the measurement along a ray of the scan beside a photograph."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from statistics import median
 from typing import TYPE_CHECKING
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.foundations.formatting import format_angle, format_length
-from ladarreg_core.project.station_edits import scans_of
+from ladarreg_core.project.station_edits import partner_of, scans_of
 
 from ...argument_names import as_fields
 
@@ -22,8 +22,9 @@ if TYPE_CHECKING:
         Document,
         PhotoEntry,
     )
+    from ladarreg_core.project.drawn import ScanLineEntry
 
-    from ...slices.several import DrawnLine, DrawnTie, Survey, SurveyCamera, SurveyPhoto, SurveyScan
+    from ...slices.several import DrawnLine, DrawnTie, LineInScan, Survey, SurveyCamera, SurveyPhoto, SurveyScan
 
 
 def survey_slice(document: Document, is_stale: Callable[[PhotoEntry], bool]) -> Survey | None:
@@ -92,6 +93,10 @@ def drawn_ties_slice(document: Document) -> list[DrawnTie]:
 def drawn_lines_slice(document: Document) -> list[DrawnLine]:
     """Return the slice `drawn_lines`: the lines that were drawn, and what the last adjustment said of each as it is."""
     said = {} if document.adjusted is None else document.adjusted.drawn_lines
+    known = ("", *(station.id for station in document.stations))
+    stations = {
+        (source.path, source.index): name for name in known if (source := partner_of(document, name)) is not None
+    }
     rows: list[DrawnLine] = []
     for line in document.lines:
         found = said.get(line.id)
@@ -99,12 +104,26 @@ def drawn_lines_slice(document: Document) -> list[DrawnLine]:
             found = None
         rows.append({
             "id": line.id, "photos": list(line.photos), "uv": [[list(end) for end in ends] for ends in line.uv],
-            "sigma_px": line.sigma_px, "in_scan": line.in_scan is not None,
+            "sigma_px": line.sigma_px, "in_scan": None if line.in_scan is None else _in_scan(line.in_scan, stations),
             "agrees": None if found is None else found.agrees,
             "residuals_px": {} if found is None else found.residuals_px,
+            "scan_residual": _length(None if found is None else found.scan_residual_m),
             "reason": "" if found is None else as_fields(found.reason),
         })  # fmt: skip
     return rows
+
+
+def _in_scan(drawn: ScanLineEntry, stations: Mapping[tuple[str, int], str]) -> LineInScan:
+    """Return a line as a scan shows it; its station is None where that scan is no longer in the project."""
+    source = drawn.source
+    return {
+        "station": stations.get((source.path, source.index)), "name": source.name,
+        "xyz": [list(end) for end in drawn.xyz], "sigma": format_length(drawn.sigma_m),
+    }  # fmt: skip
+
+
+def _length(value: float | None) -> str | None:
+    return None if value is None else format_length(value)
 
 
 def _photo(adjusted: Adjusted, entry: PhotoEntry, *, stale: bool) -> SurveyPhoto:

@@ -84,6 +84,9 @@ def survey_of_project(document: Document, folder: ProjectFolder, photos: Collect
         for number, (name, source) in enumerate(zip(names, scans_of(document), strict=True))
     )  # fmt: skip
     cameras, camera_of = _cameras(chosen, folder)
+    names_of_scans = {
+        (one.path, one.index): name for one, name in zip(scans_of(document), names, strict=True)
+    }  # fmt: skip
     return Survey(
         scans=scans,
         cameras=cameras,
@@ -101,16 +104,22 @@ def survey_of_project(document: Document, folder: ProjectFolder, photos: Collect
         ),
         lines=tuple(
             line for one in document.lines
-            if (line := _line(one, camera_of, dict(zip(scans_of(document), names, strict=True)))) is not None
+            if (line := _line(one, camera_of, names_of_scans)) is not None
         ),
     )  # fmt: skip
 
 
-def _line(entry: LineEntry, photos: Collection[str], scans: Mapping[Source, str]) -> SurveyLine | None:
-    """Return a line in the photographs that take part; None: it is in too few of them to say anything."""
+def _line(entry: LineEntry, photos: Collection[str], scans: Mapping[tuple[str, int], str]) -> SurveyLine | None:
+    """Return a line in the photographs that take part; None: it is in too few of them to say anything.
+
+    Args:
+        entry: the line.
+        photos: ids of the photographs that take part.
+        scans: ids of the scans by path and index: they stay where they are when their ranges are smoothed.
+    """
     shown = [(photo, uv) for photo, uv in zip(entry.photos, entry.uv, strict=True) if photo in photos]
     drawn = entry.in_scan
-    scan = None if drawn is None else scans.get(drawn.source)
+    scan = None if drawn is None else scans.get((drawn.source.path, drawn.source.index))
     in_scan = None if drawn is None or scan is None else ScanLine(scan=scan, xyz=drawn.xyz, sigma_m=drawn.sigma_m)
     if len(shown) < (2 if in_scan is None else 1):
         return None
@@ -177,6 +186,7 @@ def adjusted_entry(document: Document, adjustment: Adjustment, poses: Mapping[st
                 residuals_px={
                     photo: px for photo, px in zip(one.photos, one.residuals_px, strict=True) if np.isfinite(px)
                 },
+                scan_residual_m=_finite(one.scan_residual_m),
             )
             for one in adjustment.lines
         },

@@ -19,6 +19,29 @@ const query = (entries) =>
     .flatMap(([name, value]) => (value === null || value === undefined ? [] : [`${name}=${encodeURIComponent(value)}`]))
     .join("&");
 
+/**
+ * @param {Scan | null} scan
+ * @param {import("../state/view.js").ViewState["scan"]} display
+ * @returns {import("./picture_stretch.js").Stretch} the channel that is shown, and its contrast
+ */
+const stretchOf = (scan, { show, low, high, equalise, gamma }) => {
+  const dark = scan?.has_intensity === false;
+  const unavailable = (show === "color" && !scan?.has_color) || (dark && ["intensity", "raw"].includes(show));
+  const usual = dark ? "shape" : "intensity";
+  return { show: unavailable ? usual : show, low, high, equalise, gamma };
+};
+
+/**
+ * @param {Scan | null} scan
+ * @param {number} index of one of its views
+ * @param {import("../state/view.js").ViewState["scan"]} display
+ * @returns {string} URL of the picture
+ */
+export const scanAddress = (scan, index, display) => {
+  const { show, low, high, equalise, gamma } = stretchOf(scan, display);
+  return `picture/scan?${query({ view: index, show, low, high, equalise: equalise ? 1 : 0, gamma, rev: scan?.id })}`;
+};
+
 /** The side of the scan, shown in one of its views. */
 export class ScanSide {
   name = /** @type {const} */ ("scan");
@@ -90,18 +113,12 @@ export class ScanSide {
 
   /** @returns {string | null} URL of the picture */
   get address() {
-    if (!this.lens) return null;
-    const { show, low, high, equalise, gamma } = this.stretch;
-    return `picture/scan?${query({ view: this.index, show, low, high, equalise: equalise ? 1 : 0, gamma, rev: this.scan?.id })}`;
+    return this.lens ? scanAddress(this.scan, this.index, this.#view.get().scan) : null;
   }
 
   /** @returns {import("./picture_stretch.js").Stretch} the channel that is shown, and its contrast */
   get stretch() {
-    const { show, low, high, equalise, gamma } = this.#view.get().scan;
-    const dark = this.scan?.has_intensity === false;
-    const unavailable = (show === "color" && !this.scan?.has_color) || (dark && ["intensity", "raw"].includes(show));
-    const usual = dark ? "shape" : "intensity";
-    return { show: unavailable ? usual : show, low, high, equalise, gamma };
+    return stretchOf(this.scan, this.#view.get().scan);
   }
 
   /** @returns {string | null} a note over the picture */

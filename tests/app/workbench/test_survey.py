@@ -16,7 +16,7 @@ from PIL import Image
 from ladarreg_core.export.outputs.project_survey import survey_of_project, with_names
 from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.simulate.sample import sample_survey_folder
-from testing.scenes.shared_places import shared_lines, shared_places
+from testing.scenes.shared_places import lines_on_scan, shared_lines, shared_places
 from testing.workbench.workbench_driver import WorkbenchDriver, kept_bench, open_bench, registered
 
 pytestmark = pytest.mark.slow
@@ -142,7 +142,8 @@ def test_a_survey_opens_as_a_project_and_again(tmp_path: Path) -> None:
         assert (tie["uv"], tie["sigma_px"], tie["agrees"]) == ([[1.5, 2], [3, 4]], 0.5, None)
         (line,) = bench.slice("drawn_lines")
         assert (line["photos"], line["uv"]) == ([second["id"]], [[[1.5, 2], [30, 4]]])
-        assert (line["in_scan"], line["agrees"], line["residuals_px"]) == (True, None, {})
+        assert (line["in_scan"]["name"], line["in_scan"]["station"]) == ("station2.npz", "s1")
+        assert (line["agrees"], line["residuals_px"]) == (None, {})
         project = bench.workbench.session
         (kept,) = survey_of_project(project.document, project.folder).lines
         assert kept.in_scan.scan == "station2"
@@ -253,6 +254,52 @@ def test_ties_are_drawn_and_taken_back_adjusted_and_a_wrong_one_is_named(tmp_pat
     bench.do("remove_photo", photo=photos[0])
     assert bench.slice("drawn_ties") == []
     bench.workbench.close()
+
+
+def test_a_line_is_drawn_in_the_scan_and_one_photograph_adjusted_moved_and_erased(tmp_path: Path) -> None:
+    job, shared = tmp_path / "job", lines_on_scan()
+    job.mkdir()
+    for name in ("station1.npz", f"{shared.names[0]}.jpg"):
+        shutil.copy(sample_survey_folder() / name, job / name)
+    bench = open_bench(tmp_path / "project", job)
+    ends = shared.xyz.tolist()
+    assert "two ends" in bench.refused("draw_line_in_scan", scan=ends[0][:1])
+    assert "no longer in the project" in bench.refused("draw_line_in_scan", scan=ends[0], line="l7")
+    assert "station" in bench.refused("draw_line_in_scan", scan=ends[0], station="s7")
+    assert "no length in the scan" in bench.refused("draw_line_in_scan", scan=[ends[0][0]] * 2)
+    made = bench.do("draw_line_in_scan", scan=ends[0], sigma_px=0.5)
+    assert made["notes"] == []
+    assert bench.slice("history")["entries"][-1]["label"] == "Draw a line in a scan"
+    bench.do("draw_line", line=made["line"], photo="p1", uv=shared.uv[0, 0].tolist())
+    far = [[x, y, z + 0.3] for x, y, z in ends[1]]
+    wrong = bench.do("draw_line", photo="p1", uv=shared.uv[1, 0].tolist(), sigma_px=0.5)["line"]
+    bench.do("draw_line_in_scan", scan=far, line=wrong, sigma_rad=0.001)
+    right, other = bench.slice("drawn_lines")
+    assert (right["id"], right["photos"], right["in_scan"]["station"]) == (made["line"], ["p1"], "")
+    assert np.abs(np.array(right["in_scan"]["xyz"]) - shared.xyz[0]).max() < 0.03
+    assert right["in_scan"]["sigma"].endswith("mm")
+    assert (right["agrees"], right["scan_residual"]) == (None, None)
+    assert "1 of 1" in done(bench, "adjust")
+    right, other = bench.slice("drawn_lines")
+    assert right["agrees"], right["reason"]
+    assert right["scan_residual"].endswith("mm")
+    assert right["residuals_px"]["p1"] < 2
+    assert not other["agrees"], other["reason"]
+    bench.do("draw_line_in_scan", scan=ends[1], line=wrong, sigma_rad=0.001)
+    assert bench.slice("drawn_lines")[1]["agrees"] is None, "what was said of it is of another line"
+    assert bench.slice("survey")["since"] == "1 line was drawn or removed since: adjust again."
+    bench.do("undo")
+    bench.do("erase_line", line=wrong)
+    assert bench.slice("drawn_lines")[1]["in_scan"] is None
+    bench.do("erase_line", line=wrong, photo="p1")
+    assert [one["id"] for one in bench.slice("drawn_lines")] == [made["line"]], "no picture shows it any more"
+    assert "not drawn in that photograph" in bench.refused("erase_line", line=made["line"], photo="p9")
+    assert bench.do("scan_of")["scan"] == bench.slice("scan")
+    bench.workbench.close()
+    again = open_bench(tmp_path / "project")
+    (kept,) = again.slice("drawn_lines")
+    assert kept["in_scan"] == right["in_scan"]
+    again.workbench.close()
 
 
 def test_lines_are_drawn_in_three_photographs_adjusted_and_a_wrong_one_is_named(tmp_path: Path) -> None:

@@ -18,7 +18,9 @@ from ladarreg_core.project.tie_edits import (
     with_line,
     with_line_as_ties,
     with_line_in,
+    with_line_in_scan,
     with_tie,
+    without_line_in,
     without_lines,
     without_ties,
 )
@@ -111,7 +113,8 @@ def test_lines_are_drawn_in_one_photograph_after_the_other_and_drawn_again() -> 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"photos": []}, "draw it in one or more"),
+        ({"photos": []}, "each of its photographs once"),
+        ({"photos": [], "uv": []}, "draw it in a picture or more"),
         ({"photos": ["p1", "p1"]}, "each of its photographs once"),
         ({"photos": ["p1", "p9"]}, "no longer in the project"),
         ({"uv": [_UV]}, "each of its photographs once"),
@@ -149,6 +152,29 @@ def test_a_photograph_takes_its_part_of_lines_with_it() -> None:
     gone = without_photo(document, "p2")
     assert [one.photos for one in gone.lines] == [("p1", "p3")]
     assert restored(gone, document, gone) == document
+
+
+def test_a_line_is_drawn_in_a_scan_moved_and_erased_from_one_picture_after_the_other() -> None:
+    source = Source(path="hall.npz", name="hall.npz", size=1)
+    shown = ScanLineEntry(source=source, xyz=((1.0, 2.0, 3.0), (1.0, 2.0, 4.0)), sigma_m=0.004)
+    document, line = with_line_in_scan(_document(), None, shown, 0.5)
+    assert (line.photos, line.in_scan, line.sigma_px) == ((), shown, 0.5)
+    document = with_line_in(document, "l1", "p2", _UV)
+    again = ScanLineEntry(source=source, xyz=((1.0, 2.0, 3.0), (1.0, 2.0, 5.0)), sigma_m=0.004)
+    document, line = with_line_in_scan(document, "l1", again, 0.5)
+    assert (line.photos, line.in_scan) == (("p2",), again)
+    assert without_line_in(document, "l1", None).lines[0].photos == ("p2",)
+    (left,) = without_line_in(document, "l1", "p2").lines
+    assert (left.photos, left.uv, left.in_scan) == ((), (), again)
+    assert without_photo(document, "p2").lines == (left,), "the scan shows it still"
+    assert without_line_in(without_line_in(document, "l1", "p2"), "l1", None).lines == ()
+    for photo in ("p1", "p9"):
+        with pytest.raises(OptionError, match="not drawn in that photograph"):
+            without_line_in(document, "l1", photo)
+    with pytest.raises(OptionError, match="not drawn in a scan"):
+        without_line_in(without_line_in(document, "l1", None), "l1", None)
+    with pytest.raises(OptionError, match="in its scan is -1 m"):
+        with_line_in_scan(document, "l1", ScanLineEntry(source=source, xyz=shown.xyz, sigma_m=-1.0), 1.0)
 
 
 def test_lines_are_stored_by_difference_and_damage_is_told() -> None:

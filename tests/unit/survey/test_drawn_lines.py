@@ -276,6 +276,21 @@ def test_a_line_that_a_scan_shows_holds_one_photograph() -> None:
     verdicts = _verdicts(problem, drawn, found)
     assert all(one.agrees for one in verdicts)
     assert verdicts[0].reason.startswith("In one photograph and the scan it agrees within 0.")
+    assert all(one.scan_residual_m < 1e-4 for one in verdicts)
+
+
+def test_a_line_that_a_scan_shows_elsewhere_is_left_out_there_and_says_by_how_much() -> None:
+    rng, true = np.random.default_rng(8), _poses()
+    edges, drawn = _edges(rng, 4), []
+    for number, (one, edge) in enumerate(zip(_drawn(edges, true, _PINHOLE, rng), edges, strict=True)):
+        across = np.linalg.svd((edge[1] - edge[0])[None])[2][2]  # not in depth, of which the photographs know less
+        drawn.append(replace(one, scan=0, xyz=edge + 0.2 * across * (number == 2), sigma_m=0.002))
+    problem = _with_lines(_problem(true), drawn)
+    verdicts = _verdicts(problem, drawn)
+    assert [one.agrees for one in verdicts] == [True, True, False, True]
+    assert verdicts[2].scan_residual_m == pytest.approx(0.2, abs=0.02)
+    assert verdicts[2].reason.startswith("Left out in the scan, which shows it elsewhere than its photographs by 0.")
+    assert max(one.scan_residual_m for one in verdicts if one.agrees) < 0.01
 
 
 def test_a_line_of_too_few_photographs_goes_with_one_that_is_taken_out() -> None:

@@ -53,7 +53,7 @@ export const mountPhotographs = () => {
   const registerAll = button({ label: "Register all", kind: "small", act: () => request("register_all", { photos: wanted() }) });
   const adjust = button({ label: "Adjust", kind: "primary small", act: () => request("adjust", { photos: wanted() }) });
   const draw = button({ label: "Draw ties", text: "Ties", kind: "small", act: () => view.set({ tying: wanted()?.[0] ?? store.shown() }),
-    title: "Draw ties by hand: a place in one photograph, and the same place in another" });
+    title: "Draw ties by hand: a place in one photograph, and the same place in another; or a straight edge in several, and in the scan" });
   const orders = element("select", { class: "select small", "aria-label": "Order of the photographs" });
   const filters = element("select", { class: "select small", "aria-label": "Which photographs are listed" });
   orders.addEventListener("change", () => { order = orders.value; show(); });
@@ -136,7 +136,7 @@ export const mountPhotographs = () => {
     registerAll.disabled = adjust.disabled = !idle || photos.length === 0;
     setText(registerAll, ids ? `Register ${ids.length}` : "Register all");
     setText(adjust, ids ? `Adjust ${ids.length}` : "Adjust");
-    draw.disabled = photos.length < 2;
+    draw.disabled = photos.length < (store.get("scan")?.views?.length ? 1 : 2); // a line may be of one and the scan
     const byHand = (store.get("drawn_ties")?.length ?? 0) + (store.get("drawn_lines")?.length ?? 0);
     setText(draw, byHand ? `Ties ${byHand}` : "Ties");
     registerAll.title = ids
