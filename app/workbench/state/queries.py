@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from ladarreg_core.scan import Scan
 
     from ...slices.photographs import JudgedPick, SampledLine
+    from ...slices.project import LostScan, ReadScan
 
 
 class Queries:
@@ -100,7 +101,7 @@ class Queries:
             raise OptionError("a line on a scan has two ends")
         return sampled_line(self._loader, scan, ends)
 
-    def scan_of(self, station: str) -> dict[str, Any] | None:
+    def scan_of(self, station: str) -> ReadScan | LostScan | None:
         """Return the scan of a station as the slice `scan` has it; None: the project has none.
 
         Raises:
