@@ -201,8 +201,9 @@ class Tab:
         def thumbnails() -> dict[str, int]:
             return {url: size for url, size in self.received.items() if "form=small" in url}
 
-        for entry in self.page.locator(".photo-entry").all():
-            entry.scroll_into_view_if_needed()
+        for number in range(count):  # entries are made again while the server reads the photographs
+            self.page.evaluate(f"document.querySelectorAll('.photo-entry')[{number}]?.scrollIntoView()")
+            self.page.wait_for_timeout(20)
         end = time.monotonic() + _PATIENCE_MS / 1e3
         while len(thumbnails()) < count and time.monotonic() < end:
             self.page.wait_for_timeout(200)
