@@ -202,8 +202,9 @@ class Tab:
             return {url: size for url, size in self.received.items() if "form=small" in url}
 
         for number in range(count):  # entries are made again while the server reads the photographs
-            self.page.evaluate(f"document.querySelectorAll('.photo-entry')[{number}]?.scrollIntoView()")
-            self.page.wait_for_timeout(20)
+            entry = f"document.querySelectorAll('.photo-entry')[{number}]"
+            self.page.evaluate(f"{entry}?.scrollIntoView()")
+            self.page.wait_for_function(f"{entry}?.querySelector('img')?.naturalWidth > 0")
         end = time.monotonic() + _PATIENCE_MS / 1e3
         while len(thumbnails()) < count and time.monotonic() < end:
             self.page.wait_for_timeout(200)
