@@ -61,7 +61,7 @@ class DocumentSocket:
     def __init__(self, workbench: Workbench, clients: ClientRegistry) -> None:
         self._workbench, self._clients = workbench, clients
         self._encoder = SharedEncoder()
-        self._alarm = _Alarm()
+        self._waker = _Waker()
         # Other requests, which may be slow, share a limited number of threads.
         self._urgent = ThreadPoolExecutor(_URGENT_THREADS, thread_name_prefix="urgent command")
         self._for_readers = CapacityLimiter(_READERS_THREADS)
@@ -91,7 +91,7 @@ class DocumentSocket:
 
     async def _serve(self, websocket: WebSocket, client: Client) -> None:
         pending, replied = asyncio.Event(), asyncio.Event()
-        outbox = Outbox(partial(self._alarm.set_soon, asyncio.get_running_loop(), pending))
+        outbox = Outbox(partial(self._waker.wake, asyncio.get_running_loop(), pending))
         # Subscribe first: changes made while the slices are gathered are then sent after them.
         unsubscribe = self._workbench.subscribe(outbox.put, client)
         try:
@@ -136,17 +136,17 @@ class DocumentSocket:
             command = await waiting.get()
             if command is None or isinstance(command, str):
                 outbox.hold()
-                self._alarm.hold()
+                self._waker.hold()
 
                 def release() -> None:
                     outbox.release()
-                    self._alarm.release()
+                    self._waker.release()
 
                 late = asyncio.get_running_loop().call_later(_TOGETHER_S, release)
                 outbox.reply(await to_thread.run_sync(self._answer, client, command, limiter=limiter))
                 pending.set()  # before everybody else, who did not ask
                 late.cancel()
-                self._alarm.release()
+                self._waker.release()
             else:
                 outbox.reply(await asyncio.shield(command))
             await replied.wait()  # of a page that sends commands without reading the replies, few wait
@@ -215,8 +215,8 @@ class ClientState:
         return encode({**parts, "version": self._version})
 
 
-class _Alarm:
-    """Sets events of an event loop from other threads, those of many clients together: each call wakes the loop."""
+class _Waker:
+    """Sets events of an event loop from other threads, those of many clients in one call, since each wakes the loop."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -238,7 +238,7 @@ class _Alarm:
         for loop in loops:
             self._call(loop)
 
-    def set_soon(self, loop: asyncio.AbstractEventLoop, event: asyncio.Event) -> None:
+    def wake(self, loop: asyncio.AbstractEventLoop, event: asyncio.Event) -> None:
         """Set an event of a loop."""
         with self._lock:
             self._due[loop].append(event)

@@ -1,4 +1,4 @@
 """Types of all that pages receive (docs/workbench.md).
 
-They cost the program nothing: whoever makes slices imports them for the type check only.
+They are imported for type checking only, so they cost nothing at run time.
 """

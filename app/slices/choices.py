@@ -1,4 +1,4 @@
-"""Words that slices and the program have in common."""
+"""Literal types that slices share with the rest of the program."""
 
 from __future__ import annotations
 

@@ -350,13 +350,15 @@ def _attach_scene(workbench: Workbench, server: viser.ViserServer) -> None:
         if shown is not None:
             pose = draft @ workbench.queries.place_beside(shown)  # it was known when the camera was placed
             place = pose.matrix.tolist()
-            workbench.tell({"event": "placement", "photo": shown.id, "camera_from_scanner": place}, {person})
+            workbench.publish_event(
+                {"event": "placement", "photo": shown.id, "camera_from_scanner": place}, to={person}
+            )
 
     def camera_clicked(person: str, photo: str) -> None:
         client = workbench.clients.find(person)
         if client is not None:
             workbench.selection.show(client, photo)
-            workbench.tell({"event": "flown", "photo": photo}, {person})
+            workbench.publish_event({"event": "flown", "photo": photo}, to={person})
 
     person_of = partial(client_id_of, server)
     workbench.attach_scene(Scene3D(server, clicked, person_of=person_of, on_camera=camera_clicked, on_draft=dragged))

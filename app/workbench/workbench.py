@@ -271,18 +271,14 @@ class Workbench:
         """Update a 3-D scene from now on."""
         self.scene_sync.attach(scene)
 
-    def publish_event(self, event: Event) -> None:
-        """Send an event to all clients."""
-        self.publisher.publish_event(event)
+    def publish_event(self, event: Event, *, to: set[str] | None = None) -> None:
+        """Send an event to all clients, or to some by their ids."""
+        self.publisher.publish_event(event, to=to)
 
-    def tell_others(self, client: Client, text: str) -> None:
+    def notify_others(self, client: Client, text: str) -> None:
         """Show a sentence to all other clients."""
         others = {other.id for other in self.clients.present} - {client.id}
-        self.publisher.publish_event({"event": "notice", "level": "info", "text": text}, to=others)
-
-    def tell(self, event: Event, to: set[str]) -> None:
-        """Send an event to clients by their ids."""
-        self.publisher.publish_event(event, to=to)
+        self.publish_event({"event": "notice", "level": "info", "text": text}, to=others)
 
     def publish_notice(self, text: str, *, level: NoticeLevel = "info", photo: str = "") -> None:
         """Show a sentence to all clients; one on a photograph leaves when its matches or its pose change."""

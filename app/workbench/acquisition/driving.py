@@ -24,7 +24,7 @@ from ...gateway.protocol import Picture
 from ...messages import internal_error
 from ...session.isolated_readers import READERS
 from ..state.clients import Client
-from .plan_checks import described, faults_slice, in_degrees, require_own_ports, require_within
+from .plan_checks import devices_slice, in_degrees, plan_check, require_own_ports, require_within
 from .runs import Runs
 from .watchable import Watchable
 
@@ -120,26 +120,7 @@ class Acquisition:
 
     def check(self, fields: Mapping[str, Any]) -> dict[str, Any]:
         """Return the faults of a plan, each with its field, as far as they are known, and what its run will be."""
-        from ladarreg_core.acquisition.plan import PlanError
-        from ladarreg_core.acquisition.plan_reading import plan_from_fields
-        from ladarreg_core.acquisition.runs.stops import device_faults, forecast
-
-        refused = self._watchable.faults(fields)
-        try:
-            plan = plan_from_fields(fields, folders_exist=not refused)
-        except PlanError as error:
-            return {"faults": faults_slice([*refused, *error.faults]), "forecast": None}
-        if refused:
-            return {"faults": faults_slice(refused), "forecast": None}
-        devices = self._devices
-        scanner = None if devices is None or devices.line_scanner is None else devices.line_scanner.identity
-        faults = [] if devices is None else device_faults(plan, devices.unit.identity, scanner)
-        ahead = forecast(plan, scanner)
-        said = {
-            "stops": ahead.stops, "pieces": ahead.pieces, "cells": ahead.cells, "seconds": round(ahead.seconds),
-            "overlap": None if ahead.overlap is None else list(ahead.overlap),
-        }  # fmt: skip
-        return {"faults": faults_slice(faults), "forecast": said}
+        return plan_check(fields, self._watchable.faults(fields), self._devices)
 
     def connect(self, client: Client, fields: Mapping[str, Any]) -> None:
         """Connect to the devices of a plan.
@@ -306,7 +287,7 @@ class Acquisition:
                 "offered": self.offered,
                 "said": self._said,
                 "driver": None if self._driver is None else {"id": self._driver[0], "name": self._driver[1]},
-                "devices": None if self._devices is None else described(self._devices, self._plan),
+                "devices": None if self._devices is None else devices_slice(self._devices, self._plan),
                 "plan": None if self._plan is None else self._plan.as_fields(),
                 "at_deg": None if at is None else [in_degrees(at.pan_rad), in_degrees(at.tilt_rad)],
                 "done": progress.done,

@@ -1,10 +1,10 @@
-"""What the page is told of a plan and its devices, and what a plan from a page may not do."""
+"""Plans from the page: what is wrong with them, what they may not do, and the devices that they name."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from ladarreg_core.errors import OptionError
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ...slices.several import Devices
 
 
-def described(devices: Connected, plan: Plan | None) -> Devices:
+def devices_slice(devices: Connected, plan: Plan | None) -> Devices:
     """Return connected devices for the slice `acquisition`; those of a plan may be simulated."""
     from ladarreg_core.acquisition.twin_address import is_twin
 
@@ -40,8 +40,35 @@ def described(devices: Connected, plan: Plan | None) -> Devices:
     }
 
 
-def faults_slice(faults: Sequence[PlanFault]) -> list[dict[str, str]]:
-    """Return the faults of a plan with the names of their fields."""
+def plan_check(fields: Mapping[str, Any], refused: Sequence[PlanFault], devices: Connected | None) -> dict[str, Any]:
+    """Return the faults of a plan, each with its field, as far as they are known, and what its run will be.
+
+    Args:
+        fields: the plan, as the page sends it.
+        refused: faults found before: folders that may not be watched.
+        devices: those that are connected; None: none are.
+    """
+    from ladarreg_core.acquisition.plan import PlanError
+    from ladarreg_core.acquisition.plan_reading import plan_from_fields
+    from ladarreg_core.acquisition.runs.stops import device_faults, forecast
+
+    try:
+        plan = plan_from_fields(fields, folders_exist=not refused)
+    except PlanError as error:
+        return {"faults": _faults([*refused, *error.faults]), "forecast": None}
+    if refused:
+        return {"faults": _faults(refused), "forecast": None}
+    scanner = None if devices is None or devices.line_scanner is None else devices.line_scanner.identity
+    faults = [] if devices is None else device_faults(plan, devices.unit.identity, scanner)
+    ahead = forecast(plan, scanner)
+    said = {
+        "stops": ahead.stops, "pieces": ahead.pieces, "cells": ahead.cells, "seconds": round(ahead.seconds),
+        "overlap": None if ahead.overlap is None else list(ahead.overlap),
+    }  # fmt: skip
+    return {"faults": _faults(faults), "forecast": said}
+
+
+def _faults(faults: Sequence[PlanFault]) -> list[dict[str, str]]:
     return [{"field": fault.field, "said": as_fields(fault.text)} for fault in faults]
 
 

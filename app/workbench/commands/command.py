@@ -119,10 +119,10 @@ class Context(Protocol):
     def list_served(self) -> None:
         """List the served folder again."""
 
-    def tell(self, event: Event, to: set[str]) -> None:
-        """Send an event to clients by their ids."""
+    def publish_event(self, event: Event, *, to: set[str] | None = None) -> None:
+        """Send an event to all clients, or to some by their ids."""
 
-    def tell_others(self, client: Client, text: str) -> None:
+    def notify_others(self, client: Client, text: str) -> None:
         """Show a sentence to all other clients."""
 
 

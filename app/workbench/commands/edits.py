@@ -190,7 +190,9 @@ class GoTo(WorkbenchCommand, frozen=True):
         context.session.go_to(self.n)
         entry = context.session.history.edit
         if entry is not was:
-            context.tell_others(client, f"{client.name} went to '{entry.label}' of {clock(entry.when)} in the history.")
+            context.notify_others(
+                client, f"{client.name} went to '{entry.label}' of {clock(entry.when)} in the history."
+            )
         return {}
 
 

@@ -60,7 +60,7 @@ class Point(PictureCommand, frozen=True):
         others = {other.id for other in context.clients.present} - {client.id}
         uv = _place(self.uv)
         if others:
-            context.tell({"event": "cursor", **self.of_picture(context, client), "uv": uv}, others)
+            context.publish_event({"event": "cursor", **self.of_picture(context, client), "uv": uv}, to=others)
         return {}
 
 
@@ -77,5 +77,5 @@ class ShowView(PictureCommand, frozen=True, kw_only=True):
         centre = _place(self.centre)
         if followers:
             picture = self.of_picture(context, client)
-            context.tell({"event": "view", **picture, "centre": centre, "zoom": self.zoom}, followers)
+            context.publish_event({"event": "view", **picture, "centre": centre, "zoom": self.zoom}, to=followers)
         return {}

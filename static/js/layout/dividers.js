@@ -9,17 +9,17 @@ import { element, partOf } from "../ui/dom.js";
 
 const EMPTY = { left: 0.325, middle: 0.325, dock: 0.33 };
 const MODEL_SHARE = 0.32; // of the width
-const LEAST_MODEL_PX = 365; // its controls fit beside each other
-const LEAST_PICTURE = 0.2;
-const MOST_DOCK_OF_ITSELF = 0.46;
+const MIN_MODEL_PX = 365; // its controls fit beside each other
+const MIN_PICTURE = 0.2;
+const MAX_DOCK_OF_ITSELF = 0.46;
 const STEP = 0.02;
 const LABELS = { left: "Width of the scan pane", middle: "Width of the photograph pane", dock: "Height of the lower panels" };
 /** @type {Record<string, number>} */
 const DIRECTIONS = { ArrowLeft: -1, ArrowRight: 1, ArrowUp: 1, ArrowDown: -1 };
 
-const LEAST_PANE = 0.12;
-const LEAST_DOCK = 0.08;
-const MOST_DOCK = 0.8;
+const MIN_PANE = 0.12;
+const MIN_DOCK = 0.08;
+const MAX_DOCK = 0.8;
 
 /** @param {number} value @param {number} least @param {number} most */
 const clamp = (value, least, most) => Math.min(most, Math.max(least, value));
@@ -37,12 +37,12 @@ const clamp = (value, least, most) => Math.min(most, Math.max(least, value));
  * @returns {Shares}
  */
 export const sharesFor = ({ width, height }, heads, [scan, photo]) => {
-  const pictures = 1 - Math.max(MODEL_SHARE, LEAST_MODEL_PX / width); // share of the width
+  const pictures = 1 - Math.max(MODEL_SHARE, MIN_MODEL_PX / width); // share of the width
   const tallest = (1 - EMPTY.dock) * height - heads;
   const high = Math.min(tallest, (pictures * width) / (scan + photo));
-  const share = (/** @type {number} */ aspect) => clamp((aspect * high) / width, LEAST_PICTURE, pictures - LEAST_PICTURE);
+  const share = (/** @type {number} */ aspect) => clamp((aspect * high) / width, MIN_PICTURE, pictures - MIN_PICTURE);
   const [left, middle] = [share(scan), share(photo)];
-  return { left, middle, dock: clamp(1 - (high + heads) / height, EMPTY.dock, MOST_DOCK_OF_ITSELF) };
+  return { left, middle, dock: clamp(1 - (high + heads) / height, EMPTY.dock, MAX_DOCK_OF_ITSELF) };
 };
 
 /**
@@ -54,10 +54,10 @@ export const sharesFor = ({ width, height }, heads, [scan, photo]) => {
  */
 const moved = (layout, divider, to) => {
   const { left, middle, dock } = layout;
-  if (divider === "dock") return { left, middle, dock: clamp(to, LEAST_DOCK, MOST_DOCK) };
-  if (divider === "middle") return { left, middle: clamp(to - left, LEAST_PANE, 1 - left - LEAST_PANE), dock };
+  if (divider === "dock") return { left, middle, dock: clamp(to, MIN_DOCK, MAX_DOCK) };
+  if (divider === "middle") return { left, middle: clamp(to - left, MIN_PANE, 1 - left - MIN_PANE), dock };
   const both = left + middle; // the other divider stays in place
-  const found = clamp(to, LEAST_PANE, both - LEAST_PANE);
+  const found = clamp(to, MIN_PANE, both - MIN_PANE);
   return { left: found, middle: both - found, dock };
 };
 

@@ -1,7 +1,7 @@
 /** The speed of the link to the workbench, as the browser has measured it on what it has loaded. */
 
 const FAST_BYTES_PER_MS = 1000; // 8 Mbit/s: an exact picture of a megabyte takes a second
-const LEAST_BYTES = 8000;
+const MIN_BYTES = 8000;
 const RECENT = 6;
 
 /** @type {number[]} bytes per ms */
@@ -13,7 +13,7 @@ const note = (entries) => {
     if (!(entry instanceof PerformanceResourceTiming)) continue;
     const { transferSize, encodedBodySize, responseStart, responseEnd } = entry;
     // what comes from the browser's cache, or is small, says nothing about the link
-    if (encodedBodySize < LEAST_BYTES || transferSize < encodedBodySize) continue;
+    if (encodedBodySize < MIN_BYTES || transferSize < encodedBodySize) continue;
     // the clock of a page is coarse; a download within one of its ticks is a fast one
     speeds = [...speeds, encodedBodySize / Math.max(1, responseEnd - responseStart)].slice(-RECENT);
   }

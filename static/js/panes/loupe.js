@@ -7,14 +7,14 @@ import { toScreen } from "./viewport.js";
 
 export const RADIUS_PX = 66;
 const TIMES = 5;
-const LEAST_ZOOM = 6;
-const MOST_ZOOM = 320;
+const MIN_ZOOM = 6;
+const MAX_ZOOM = 320;
 const CLEAR_PX = 22;
 const CAPTION_PX = 24;
 const LABEL_SHARE = 0.58;
 
 /** @param {number} zoom @returns {number} the loupe's zoom at a zoom of the pane */
-export const loupeZoom = (zoom) => Math.min(MOST_ZOOM, Math.max(LEAST_ZOOM, TIMES * zoom));
+export const loupeZoom = (zoom) => Math.min(MAX_ZOOM, Math.max(MIN_ZOOM, TIMES * zoom));
 
 /**
  * @param {readonly number[]} xy the enlarged point, CSS pixels of the pane

@@ -21,12 +21,12 @@ import { toPixel, toScreen } from "./viewport.js";
 export const RING_PX = 5;
 const POINT_PX = 4;
 const MARGIN_PX = 24;
-const LEAST_SAMPLE_SPACING_PX = 7;
-const LEAST_RESIDUAL_PX = 3;
+const MIN_SAMPLE_SPACING_PX = 7;
+const MIN_RESIDUAL_PX = 3;
 const CROSS_PX = 5;
 const REACH_PX = 14; // of symbols and strokes around a position
 const LABEL_REACH_PX = 5; // of a number around its box
-const MOST_CHANGED = 40;
+const MAX_CHANGED = 40;
 /** @type {Record<Mark["state"], number>} */
 const WIDTHS = { enabled: 2, disabled: 1.25, outlier: 4 };
 /** @type {Record<Mark["state"], number[]>} */
@@ -167,11 +167,11 @@ export const changedBoxes = (before, now, look) => {
     const other = gone.get(entry.mark.id);
     gone.delete(entry.mark.id);
     if (other && looksSame(other, entry)) continue;
-    if (boxes.length > MOST_CHANGED) return null;
+    if (boxes.length > MAX_CHANGED) return null;
     boxes.push(boxOf(entry, look));
     if (other) boxes.push(boxOf(other, look));
   }
-  if (gone.size + boxes.length > MOST_CHANGED) return null;
+  if (gone.size + boxes.length > MAX_CHANGED) return null;
   for (const entry of gone.values()) boxes.push(boxOf(entry, look));
   return boxes;
 };
@@ -206,7 +206,7 @@ export const drawSamples = (context, samples, look, colour) => {
   const places = samples.map(({ at }) => at);
   const [first, last] = [places[0], places[places.length - 1]];
   const apart = Math.hypot(last[0] - first[0], last[1] - first[1]) / (samples.length - 1);
-  if (apart < LEAST_SAMPLE_SPACING_PX * look.scale) return;
+  if (apart < MIN_SAMPLE_SPACING_PX * look.scale) return;
   stamp(context, look, places.filter((_, k) => samples[k].has_range), { colour, halo: look.halo, radius: 1.2, width: 2 });
   stamp(context, look, places.filter((_, k) => !samples[k].has_range), { colour: look.ink, halo: look.halo, radius: 4, width: 1, cross: 2.8 });
 };
@@ -216,7 +216,7 @@ const traceResidual = (/** @type {Path2D} */ path, /** @type {number[][]} */ tip
   predicted.forEach((at, k) => {
     const end = ends[k];
     if (!at || !end) return;
-    if (Math.hypot(at[0] - end[0], at[1] - end[1]) < LEAST_RESIDUAL_PX) return;
+    if (Math.hypot(at[0] - end[0], at[1] - end[1]) < MIN_RESIDUAL_PX) return;
     path.moveTo(end[0], end[1]);
     path.lineTo(at[0], at[1]);
     tips.push(at);

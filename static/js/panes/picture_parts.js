@@ -7,7 +7,7 @@ import { loadBitmap } from "./picture_source.js";
 
 /** Side of a part, pixels of its level; level 1 is half the size, and so on. */
 const PART_PX = 256;
-const MOST_LEVEL = 12;
+const MAX_LEVEL = 12;
 const RESTS_MS = 120;
 const AT_A_TIME = 3;
 const KEPT = 160;
@@ -23,7 +23,7 @@ const halved = (length, level) => {
  * @param {number} scale
  * @returns {number} the coarsest level that has a pixel per screen pixel; `scale`: screen pixels per picture pixel
  */
-const levelAt = (scale) => Math.min(MOST_LEVEL, Math.max(0, Math.floor(-Math.log2(Math.max(scale, 1e-6)) + 1e-6)));
+const levelAt = (scale) => Math.min(MAX_LEVEL, Math.max(0, Math.floor(-Math.log2(Math.max(scale, 1e-6)) + 1e-6)));
 
 /** The parts of one picture. */
 export class PictureParts {

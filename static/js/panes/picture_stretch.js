@@ -13,7 +13,7 @@ const LEVELS = 256;
 const EMPTY = LEVELS;
 /** @param {number} r @param {number} g @param {number} b */
 const isEmpty = (r, g, b) => b <= 22 && b - r >= 2;
-const MOST_PIXELS = 2_000_000;
+const MAX_PIXELS = 2_000_000;
 /** @type {(keyof Stretch)[]} */
 const COMPARED = ["show", "low", "high", "gamma", "equalise"];
 
@@ -44,7 +44,7 @@ export class StretchedPicture {
    * @param {Stretch} stretch that it was made with
    */
   constructor(picture, stretch) {
-    const share = Math.min(1, Math.sqrt(MOST_PIXELS / (picture.width * picture.height)));
+    const share = Math.min(1, Math.sqrt(MAX_PIXELS / (picture.width * picture.height)));
     const bitmap = picture.at(share);
     this.#stretch = stretch;
     this.#context = drawing(new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d", { willReadFrequently: true }));

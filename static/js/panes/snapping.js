@@ -7,7 +7,7 @@ import { throttled } from "../ui/throttle.js";
 
 export const LINE_REACH_PX = 6;
 export const CORNER_REACH_PX = 4;
-const LEAST_REACH_OF_PICTURE_PX = 1;
+const MIN_REACH_OF_PICTURE_PX = 1;
 const OUT_OF_DATE_PX = 12;
 const INTERVAL_MS = 40;
 
@@ -75,8 +75,8 @@ export class Snapping {
     /** @param {readonly (readonly number[])[]} a @param {readonly (readonly number[])[]} b @param {number} reach */
     const within = (a, b, reach) => a.every((at, k) => distance(at, b[k]) * zoom <= reach);
     if (ends.length === 1) return within(ends, found.ends, CORNER_REACH_PX) ? found.ends : null;
-    if (!within(ends, found.asked, Math.max(OUT_OF_DATE_PX, LEAST_REACH_OF_PICTURE_PX * zoom))) return null;
+    if (!within(ends, found.asked, Math.max(OUT_OF_DATE_PX, MIN_REACH_OF_PICTURE_PX * zoom))) return null;
     const snapped = ends.map((at) => nearestOn(found.ends, at));
-    return within(ends, snapped, Math.max(LINE_REACH_PX, LEAST_REACH_OF_PICTURE_PX * zoom)) ? snapped : null;
+    return within(ends, snapped, Math.max(LINE_REACH_PX, MIN_REACH_OF_PICTURE_PX * zoom)) ? snapped : null;
   }
 }

@@ -16,7 +16,7 @@ const KEY_ZOOM = 1.25;
 /** @type {Partial<Record<string, readonly [number, number]>>} */
 const STEPS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const FAST = 10; // with Shift
-const LEAST_LINE_PX = 5; // as the server: a shorter line has no direction, and a second click so near is a mistake
+const MIN_LINE_PX = 5; // as the server: a shorter line has no direction, and a second click so near is a mistake
 const MIDDLE = [0.2, 0.8]; // part of a line that a click selects; at its ends, other edges begin
 
 /**
@@ -169,7 +169,7 @@ export const makePicture = ({ store, name, placed, marks, isLining, lines, drawn
     const near = begun ? null : lineAt(at);
     if (near) select(near.id);
     else if (!begun) [begun, toward] = [at, null];
-    else if (Math.hypot(at[0] - begun[0], at[1] - begun[1]) >= LEAST_LINE_PX) {
+    else if (Math.hypot(at[0] - begun[0], at[1] - begun[1]) >= MIN_LINE_PX) {
       const ends = [begun, at];
       begun = null;
       drawn(ends, now().zoom, null);

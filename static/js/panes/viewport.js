@@ -13,7 +13,7 @@ export const LARGEST_ZOOM = 64;
 /** From this zoom on, pixels are shown without smoothing. */
 export const SMOOTH_BELOW = 2;
 const SMALLEST_OF_FIT = 0.25;
-const LEAST_VISIBLE_PX = 48;
+const MIN_VISIBLE_PX = 48;
 const WHEEL_LINE_PX = 16;
 const WHEEL_PAGE_PX = 400;
 const FASTEST_WHEEL_PX = 240;
@@ -80,7 +80,7 @@ export const middle = (viewport, pane) => toPixel(viewport, [pane[0] / 2, pane[1
 export const keptInSight = (viewport, pane, picture) => {
   /** @param {number} at @param {number} room @param {number} length */
   const along = (at, room, length) => {
-    const least = Math.min(LEAST_VISIBLE_PX, length, room / 2);
+    const least = Math.min(MIN_VISIBLE_PX, length, room / 2);
     return Math.min(Math.max(at, least - length), room - least);
   };
   return {

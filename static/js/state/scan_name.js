@@ -1,6 +1,6 @@
 /** What a scan is called that may consist of several clouds. No DOM here. */
 
-const MOST_NAMED = 2;
+const MAX_NAMED = 2;
 
 /** @typedef {{name?: string, files?: string[]} | null | undefined} Scan a scan, or a station's, as its slice describes it */
 
@@ -16,7 +16,7 @@ export const cloudNames = (scan) =>
 
 /** @param {string[]} names @returns {string} such as "a.pcd, b.pcd and 3 more" */
 export const listed = (names) => {
-  const shown = names.slice(0, MOST_NAMED);
+  const shown = names.slice(0, MAX_NAMED);
   const rest = names.length - shown.length;
   if (rest) shown.push(rest === 1 ? names[names.length - 1] : `${rest} more`);
   return shown.length > 1 ? `${shown.slice(0, -1).join(", ")} and ${shown.at(-1)}` : shown[0];

@@ -10,7 +10,7 @@ import { isNumber } from "../../ui/numbers.js";
 /** @typedef {import("../../protocol.d.ts").AcquiredRun} Run */
 
 const [WIDTH, HEIGHT] = [720, 360];
-const LEAST_DRAG_PX = 6;
+const MIN_DRAG_PX = 6;
 
 /** @param {number} degrees */
 const wrapped = (degrees) => ((((degrees + 180) % 360) + 360) % 360) - 180;
@@ -144,7 +144,7 @@ export const mountRun = () => {
   });
   overview.addEventListener("pointermove", (event) => {
     const plan = planNow();
-    if (!from || !plan || Math.hypot(event.clientX - from.x, event.clientY - from.y) < LEAST_DRAG_PX) return;
+    if (!from || !plan || Math.hypot(event.clientX - from.x, event.clientY - from.y) < MIN_DRAG_PX) return;
     const [a, b] = [anglesAt(...from.place), anglesAt(...place(event))];
     const low = acquisitionNow().devices?.lowest_deg ?? [-168, -46];
     const high = acquisitionNow().devices?.highest_deg ?? [168, 30];

@@ -13,7 +13,7 @@ import { blocksAt } from "./model_view.js";
 const LOOK_MS = 250;
 const RETRY_MS = 3000;
 const COARSEST = "coarse";
-const LEAST_CELLS = 1e6; // of a scan whose surface the dense mesh shows only coarsely
+const MIN_CELLS = 1e6; // of a scan whose surface the dense mesh shows only coarsely
 const MOVING = ["simplex", "reject_outliers", "thesis"];
 
 /**
@@ -172,7 +172,7 @@ export class ModelLoader {
     if (!rests || viewpoint === this.#looked || model.detail === COARSEST || this.#surface.hasLayer) return;
     this.#looked = viewpoint;
     const seen = this.#surface.inView();
-    if (!seen || seen.shape[0] * seen.shape[1] < LEAST_CELLS) return;
+    if (!seen || seen.shape[0] * seen.shape[1] < MIN_CELLS) return;
     const names = blocksAt(seen.cells, seen.shape, seen.vertices, Boolean(store.get("scan")?.strip));
     this.#closer?.abort();
     const abort = new AbortController();

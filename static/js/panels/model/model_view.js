@@ -3,11 +3,11 @@
 /** Rays that are followed from the camera: across and down, -1 to 1 of the picture. */
 const AIMS = [0, -0.4, 0.4, -0.8, 0.8];
 const AIMED = AIMS.flatMap((v) => AIMS.map((u) => [u, v])).sort((a, b) => Math.hypot(...a) - Math.hypot(...b));
-const LEAST_HITS = 3;
+const MIN_HITS = 3;
 const FINEST_LEVEL = 8;
 const BLOCK_VERTICES = 37500; // at most, as app/workbench/state/model_parts.py makes them
 const WORTHWHILE = 4; // times as many vertices in the same place as the whole surface has
-const LEAST_CELLS = 2;
+const MIN_CELLS = 2;
 
 /** @typedef {import("./model_parts.js").MeshArrays} MeshArrays */
 
@@ -137,7 +137,7 @@ export const cellsInView = (arrays, look) => {
  * @returns {string[]} LEVEL.ROW.COLUMN; none where the whole surface is fine enough
  */
 export const blocksAt = (cells, shape, vertices, turns) => {
-  if (cells.length < LEAST_HITS) return [];
+  if (cells.length < MIN_HITS) return [];
   const [row, column] = cells[0];
   const across = cells.map(([, c]) => {
     const away = c - column;
@@ -151,7 +151,7 @@ export const blocksAt = (cells, shape, vertices, turns) => {
   const blockOf = (at, length, level) => Math.floor((at * count(level)) / length);
   const worth = (/** @type {number} */ level) => {
     const inBlock = (shape[0] * shape[1]) / count(level) ** 2;
-    return Math.min(inBlock, BLOCK_VERTICES) * count(level) ** 2 >= WORTHWHILE * vertices && Math.min(...shape) >= LEAST_CELLS * count(level);
+    return Math.min(inBlock, BLOCK_VERTICES) * count(level) ** 2 >= WORTHWHILE * vertices && Math.min(...shape) >= MIN_CELLS * count(level);
   };
   for (let level = FINEST_LEVEL; level > 0; level -= 1) {
     const larger = (shape[0] * shape[1]) / count(level - 1) ** 2 <= BLOCK_VERTICES;

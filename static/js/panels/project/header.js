@@ -20,7 +20,7 @@ import { mountPhotoList } from "../files/photo_list.js";
 import { openProjects } from "./start_page.js";
 import { mountStepTabs } from "./step_tabs.js";
 
-const MOST_LETTERS = 80;
+const MAX_LETTERS = 80;
 const THEMES = { system: "Theme: system", dark: "Theme: dark", light: "Theme: light" };
 
 const projectName = () => {
@@ -30,7 +30,7 @@ const projectName = () => {
       class: "project-name",
       "aria-label": "Project name",
       title: "Project name: click to rename",
-      maxLength: MOST_LETTERS,
+      maxLength: MAX_LETTERS,
       spellcheck: false,
       autocomplete: "off",
     },

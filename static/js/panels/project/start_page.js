@@ -17,7 +17,7 @@ import { batchList } from "./batch_list.js";
  * @typedef {"open_project" | "new_project" | "open_sample" | "open_job"} Opening
  */
 
-const MOST_LETTERS = 80;
+const MAX_LETTERS = 80;
 const DATE = new Intl.DateTimeFormat(undefined, { dateStyle: "medium", timeStyle: "short" });
 
 /** @type {{open: () => void, refresh: () => Promise<void>} | null} */
@@ -166,7 +166,7 @@ const build = (chooseFiles) => {
     label: "New project",
     placeholder: "Name",
     submit: "Begin",
-    maxLength: MOST_LETTERS,
+    maxLength: MAX_LETTERS,
     act: (name) => open("new_project", { name }),
   });
   const choose = button({ label: "Choose files…", kind: "primary", autofocus: true, act: chooseFiles });
