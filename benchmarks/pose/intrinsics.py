@@ -11,7 +11,7 @@ from benchmarks.pose.report import Bar, Section, number, percent, table
 from ladarreg_core.camera import Camera
 from ladarreg_core.errors import LadarregError
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.pose.estimators.intrinsics import intrinsic
+from ladarreg_core.pose.estimators.unknown_intrinsics import intrinsic
 from testing.scenes.pose_case import Case
 from testing.scenes.room import ROOM_CAMERA, room_case
 

@@ -19,15 +19,15 @@ from ladarreg_core.foundations.linear_light import encoded_codes, encoded_light,
 from ladarreg_core.fusion.samples import PhotoSample
 from ladarreg_core.surface.texture.registered_texture import Label
 
-_MOST_SAMPLES = 6_000_000  # of all photographs together
-_MOST_CELLS = 200_000
+_MAX_SAMPLES = 6_000_000  # of all photographs together
+_MAX_CELLS = 200_000
 _DARKEST, _BRIGHTEST = 20, 242  # codes between which a picture is neither noise nor clipped
-_LEAST_CELLS = 40
+_MIN_CELLS = 40
 _ALIKE_CELLS = 50.0  # cells that err together
 _FLOOR = 0.01  # of the logarithm of a ratio
 _PRIOR = 2.0
 _ROUNDS, _CAUCHY = 12, 2.5
-_MOST_GAIN = 8.0
+_MAX_GAIN = 8.0
 _CODES = np.arange(256)
 
 
@@ -78,7 +78,7 @@ def solve_gains(
     first, second, ratio, deviation = pairs
     for channel in range(3):
         log_gain, spread = _solved(len(colors), first, second, ratio[:, channel], deviation[:, channel])
-        gains[list(colors), channel] = np.clip(np.exp(log_gain), 1 / _MOST_GAIN, _MOST_GAIN)
+        gains[list(colors), channel] = np.clip(np.exp(log_gain), 1 / _MAX_GAIN, _MAX_GAIN)
         sigma[list(colors), channel] = spread
     return Gains(gains, sigma, len(first))
 
@@ -97,7 +97,7 @@ def sampled_light(
         For each scan logarithms of linear light (K, N, 3), row by row, NaN where a photograph says nothing of a cell;
         and n.
     """
-    most = min(_MOST_CELLS, _MOST_SAMPLES // max(1, len(colors))) // len(shapes)
+    most = min(_MAX_CELLS, _MAX_SAMPLES // max(1, len(colors))) // len(shapes)
     strides = [max(1, int(np.ceil(np.sqrt(shape[0] * shape[1] / most)))) for shape in shapes]
     return [
         (_sampled([some[k] for k in colors], shape, stride), stride)
@@ -128,7 +128,7 @@ def _compared(light: NDArray[np.float32]) -> tuple[IntArray, IntArray, FloatArra
     for i in range(len(light)):
         for j in range(i + 1, len(light)):
             both = np.flatnonzero(known[i] & known[j])
-            if len(both) < _LEAST_CELLS:
+            if len(both) < _MIN_CELLS:
                 continue
             difference = light[i, both] - light[j, both]
             middle = np.median(difference, axis=0)

@@ -26,7 +26,7 @@ _SHARE_SHOWN = (1.0, 99.0)  # per cent
 _RAMP = 17
 _SAMPLED = 200_000
 _FREEZING_K = 273.15
-_MOST_IN_LEGEND = 24
+_MAX_IN_LEGEND = 24
 _LONGEST_NAME = 20
 _FIELDS_OF_POINTS = frozenset({
     "x", "y", "z", "red", "green", "blue", "nir", "label", "returns", "flags", "classification", "user_data",
@@ -234,10 +234,10 @@ def _photo_ids(models: Sequence[FusedModel], names: Sequence[str]) -> Layer:
 
     entries: list[tuple[Color, str]] = [
         ((int(colors[k][0]), int(colors[k][1]), int(colors[k][2])), f"{k + 1}: {names[k]}")
-        for k in coloring[:_MOST_IN_LEGEND]
+        for k in coloring[:_MAX_IN_LEGEND]
     ]
-    if len(coloring) > _MOST_IN_LEGEND:
-        entries.append((UNKNOWN, f"and {len(coloring) - _MOST_IN_LEGEND} more, see model.json"))
+    if len(coloring) > _MAX_IN_LEGEND:
+        entries.append((UNKNOWN, f"and {len(coloring) - _MAX_IN_LEGEND} more, see model.json"))
     legend = Legend("Photograph that colours the surface", (*entries, (UNKNOWN, "none")))
     ids = tuple(np.where(one.photo == NO_PHOTO, 0, one.photo + np.uint16(1)).astype(np.uint16) for one in models)
     return Layer("photo_id", "Photograph that colours it", "", ids, legend, draw)

@@ -20,14 +20,14 @@ from ladarreg_core.fusion.samples import PhotoSample
 from ladarreg_core.surface.texture.registered_texture import Label
 
 _BYTES_AT_ONCE = 80_000_000
-_LEAST_VOTES = 3
+_MIN_VOTES = 3
 _SCALE = 16  # steps of a code
 _NONE = np.uint16(65535)
-_LEAST_CODES, _MOST_CODES, _SIGMAS = 13.0, 40.0, 4.5
+_MIN_CODES, _MAX_CODES, _SIGMAS = 13.0, 40.0, 4.5
 _WINDOW = 5  # cells
-_MOST_OF = 0.5
+_MAX_OF = 0.5
 _WEAKER = 0.5
-_LEAST_CELLS = 12
+_MIN_CELLS = 12
 _GROWN = 2  # cells
 
 
@@ -40,7 +40,7 @@ def find_moved(samples: Sequence[PhotoSample], colors: Sequence[int], shape: tup
         shape: of the scan.
         gains: their gains.
     """
-    if len(colors) < _LEAST_VOTES:
+    if len(colors) < _MIN_VOTES:
         return
     deviation = _deviations(samples, colors, shape, gains)
     for k in colors:
@@ -58,7 +58,7 @@ def _deviations(
         # A row more on each side: the contrast of the vote is that of three by three cells.
         low, high = max(first - 1, 0), min(first + rows_at_once + 1, shape[0])
         here = [k for k in colors if samples[k].rows.start < high and samples[k].rows.stop > low]
-        if len(here) < _LEAST_VOTES:
+        if len(here) < _MIN_VOTES:
             continue
         left = min(samples[k].columns.start for k in here)
         right = max(samples[k].columns.stop for k in here)
@@ -100,7 +100,7 @@ def _median(stack: NDArray[np.uint16]) -> tuple[NDArray[np.float32], BoolArray]:
     pick = [
         np.take_along_axis(stack, np.broadcast_to(at, (*stack.shape[:3], 1)), axis=-1)[..., 0] for at in (low, high)
     ]
-    voted = count >= _LEAST_VOTES
+    voted = count >= _MIN_VOTES
     vote = (pick[0].astype(np.float32) + pick[1]) / np.float32(2 * _SCALE)
     return np.where(voted[..., None], vote, np.float32(0)), voted
 
@@ -113,20 +113,20 @@ def _regions(sample: PhotoSample, deviation: NDArray[np.uint8]) -> BoolArray:
     if not len(typical):
         return np.zeros(colored.shape, np.bool_)
     noise = 1.4826 * float(np.median(typical))
-    limit = float(np.clip(_SIGMAS * noise, _LEAST_CODES, _MOST_CODES))
+    limit = float(np.clip(_SIGMAS * noise, _MIN_CODES, _MAX_CODES))
     off = (deviation > limit) & judged
     window = (_WINDOW, _WINDOW)
     share = cv2.blur(off.astype(np.float32), window)
     whole = cv2.blur(judged.astype(np.float32), window)
-    core = off & (share >= np.float32(_MOST_OF) * whole)
+    core = off & (share >= np.float32(_MAX_OF) * whole)
     weak = ((deviation > _WEAKER * limit) & colored).astype(np.uint8)
     closed = cv2.morphologyEx(weak, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     count, component, stats, _ = cv2.connectedComponentsWithStats(closed, connectivity=8)
     cores = np.bincount(component[core], minlength=count)
-    kept = (cores >= _LEAST_CELLS) & (cores >= 0.15 * stats[:count, cv2.CC_STAT_AREA])
+    kept = (cores >= _MIN_CELLS) & (cores >= 0.15 * stats[:count, cv2.CC_STAT_AREA])
     kept[0] = False
     # A component that is mostly weak is a tone of the picture; of such a one the core itself is what moved.
-    alone = core & ~kept[component] & (cores[component] >= _LEAST_CELLS)
+    alone = core & ~kept[component] & (cores[component] >= _MIN_CELLS)
     region = (kept[component] | alone).astype(np.uint8)
     grown = cv2.dilate(region, np.ones((2 * _GROWN + 1, 2 * _GROWN + 1), np.uint8))
     return np.asarray(grown.astype(np.bool_) & colored)

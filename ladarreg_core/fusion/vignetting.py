@@ -27,10 +27,10 @@ from ladarreg_core.surface.texture.best_photo import PosedPhoto
 _POWERS = (2, 4)
 _SAME_LENS = 0.05  # of the focal length
 _PRIOR = 0.5  # standard deviation of a and b: a corner at 60 % is common
-_MOST_OF_PAIR, _LEAST_OF_PAIR = 3000, 40
+_MAX_OF_PAIR, _MIN_OF_PAIR = 3000, 40
 _ALIKE_CELLS = 50.0  # cells that err together
 _ROUNDS, _CAUCHY = 10, 2.0
-_LEAST_SPREAD = 0.02  # of the logarithm of a ratio
+_MIN_SPREAD = 0.02  # of the logarithm of a ratio
 _GAIN_PRIOR = 2.0
 _ROWS_AT_ONCE = 256
 _CODES = np.arange(256)
@@ -127,9 +127,9 @@ def _solved(light: FloatArray, radius: FloatArray, lenses: NDArray[np.int_]) -> 
     for i in range(count):
         for j in range(i + 1, count):
             both = np.flatnonzero(known[i] & known[j])
-            if len(both) < _LEAST_OF_PAIR:
+            if len(both) < _MIN_OF_PAIR:
                 continue
-            some = rng.permutation(both)[:_MOST_OF_PAIR]
+            some = rng.permutation(both)[:_MAX_OF_PAIR]
             rows = np.zeros((len(some), unknowns))
             rows[:, i], rows[:, j] = -1, 1
             for k, sign in ((i, 1), (j, -1)):
@@ -145,7 +145,7 @@ def _solved(light: FloatArray, radius: FloatArray, lenses: NDArray[np.int_]) -> 
         normal, right = np.diag(prior**-2.0), np.zeros(unknowns)
         for columns, rows, ratio, weight in pairs:
             residual = ratio - rows @ solution[columns]
-            spread = max(_LEAST_SPREAD, 1.4826 * float(np.median(np.abs(residual - np.median(residual)))))
+            spread = max(_MIN_SPREAD, 1.4826 * float(np.median(np.abs(residual - np.median(residual)))))
             robust = weight / spread**2 / (1 + np.square(residual / (_CAUCHY * spread)))
             normal[np.ix_(columns, columns)] += rows.T @ (robust[:, None] * rows)
             right[columns] += rows.T @ (robust * ratio)

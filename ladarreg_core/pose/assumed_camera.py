@@ -25,14 +25,8 @@ from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimators.covariance import pose_covariance
-from ladarreg_core.pose.estimators.intrinsics import (
-    Anchor,
-    Descent,
-    IntrinsicsFit,
-    Noise,
-    estimate_intrinsics,
-    intrinsic,
-)
+from ladarreg_core.pose.estimators.intrinsics import Anchor, Descent, IntrinsicsFit, Noise, estimate_intrinsics
+from ladarreg_core.pose.estimators.unknown_intrinsics import intrinsic
 from ladarreg_core.results.registration import PoseResult
 
 MAX_PRIOR_SIGMAS = 3.0

@@ -19,17 +19,9 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimators import bundle
 from ladarreg_core.pose.estimators.bundle import Evaluation, States, adjust_ranges
-from ladarreg_core.pose.estimators.intrinsics import (
-    PARAMETERS,
-    Descent,
-    Intrinsics,
-    IntrinsicsFit,
-    Noise,
-    estimate_intrinsics,
-    intrinsic,
-    predicted_gains,
-)
+from ladarreg_core.pose.estimators.intrinsics import Descent, IntrinsicsFit, Noise, estimate_intrinsics, predicted_gains
 from ladarreg_core.pose.estimators.measurements import Measurements
+from ladarreg_core.pose.estimators.unknown_intrinsics import PARAMETERS, Intrinsics, intrinsic
 from ladarreg_core.pose.preconditions import MIN_MATCHES
 
 FOLDS = 5

@@ -16,8 +16,8 @@ from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.assumed_camera import with_assumed_camera
 from ladarreg_core.pose.estimators.bundle import Evaluation, States, adjust_ranges
-from ladarreg_core.pose.estimators.intrinsics import Intrinsics
 from ladarreg_core.pose.estimators.measurements import Measurements
+from ladarreg_core.pose.estimators.unknown_intrinsics import Intrinsics
 from ladarreg_core.pose.options import STATED_SIGMA_PX as STATED_SIGMA_PX
 from ladarreg_core.pose.options import STATED_SIGMA_RANGE_M as STATED_SIGMA_RANGE_M
 from ladarreg_core.pose.options import Method as Method

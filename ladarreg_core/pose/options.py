@@ -9,8 +9,8 @@ from ladarreg_core.camera.uncertainty import DEFAULT_CAMERA_PRIOR, CameraPrior
 from ladarreg_core.errors import OptionError
 from ladarreg_core.foundations.validation import LARGEST_INT, require_choice, require_int
 from ladarreg_core.pose.acceptance import DEFAULT_ACCEPTANCE, AcceptanceOptions
-from ladarreg_core.pose.estimators.intrinsics import Intrinsics
 from ladarreg_core.pose.estimators.ransac import Backend
+from ladarreg_core.pose.estimators.unknown_intrinsics import Intrinsics
 from ladarreg_core.thesis.estimators.stereo_simplex import DEFAULT_SIMPLEX, SimplexOptions
 
 Method = Literal["robust", "linear", "stereo_simplex", "epipolar_simplex"]

@@ -19,7 +19,7 @@ _FIRST_S = 0.25  # two revolutions at 10 a second, so that one is whole
 _TICK_S = 0.05
 _BUFFER_BYTES = 8 << 20  # asked for; systems give less
 _LARGEST = 1 << 16
-_MOST_BYTES = 256 << 20
+_MAX_BYTES = 256 << 20
 _NAME = "scan.pcap"
 
 
@@ -120,7 +120,7 @@ class PacketStream:
         received: list[tuple[float, Datagram]] = []
         senders, others, size = set[str](), set[str](), 0
         end = until
-        while self._clock.now() < end and size < _MOST_BYTES:
+        while self._clock.now() < end and size < _MAX_BYTES:
             check()
             if not select.select([self._socket], [], [], _TICK_S)[0]:
                 continue
@@ -146,7 +146,7 @@ class PacketStream:
     def _drain(self) -> None:
         """Throw away what has come so far; bounded, since packets keep coming."""
         dropped = 0
-        while dropped < _MOST_BYTES:
+        while dropped < _MAX_BYTES:
             try:
                 dropped += 1 + len(self._socket.recv(_LARGEST))
             except BlockingIOError:

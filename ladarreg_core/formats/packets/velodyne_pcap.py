@@ -37,8 +37,8 @@ from ladarreg_core.scanner.grids import TabulatedGrid
 
 _SEAM = 18_000  # behind the sensor, so that what it looks at is not cut
 _LOST_STEPS = 1.5  # steps of azimuth from one firing to the next, beyond which one is missing
-_MOST_COLUMNS = 10_000  # a revolution at 2 a second; the sensors make 5 to 20
-_MOST_MISSING = 0.5
+_MAX_COLUMNS = 10_000  # a revolution at 2 a second; the sensors make 5 to 20
+_MAX_MISSING = 0.5
 _LOOKED_AT = 400  # datagrams, by which a recording is known
 _CELL_BYTES = 400
 _OTHERS = {0x28: "VLP-32C", 0x31: "Velarray", 0x63: "VLS-128", 0xA1: "VLS-128"}
@@ -182,7 +182,7 @@ def _cut(azimuth: FloatArray, returns: NDArray[np.void]) -> tuple[FloatArray, ND
     turn = np.floor((azimuth[:, 0] - _SEAM) / TURN)
     inside = turn == turn[0] + 1
     azimuth, returns = azimuth[inside], returns[inside]
-    if len(azimuth) > _MOST_COLUMNS:
+    if len(azimuth) > _MAX_COLUMNS:
         raise FormatError(f"a revolution of its sensor has {len(azimuth):,} firings; sensors at 5 to 20 Hz are read")
     steps = np.diff(azimuth[:, 0])
     step = float(np.mean(steps[steps < _LOST_STEPS * np.median(steps)])) if len(steps) else TURN
@@ -190,7 +190,7 @@ def _cut(azimuth: FloatArray, returns: NDArray[np.void]) -> tuple[FloatArray, ND
     lost = np.where(steps > _LOST_STEPS * step, np.rint(steps / step) - 1, 0).astype(np.int64)
     at_ends = (azimuth[0, 0] - begin) // step + max(0, (begin + TURN - azimuth[-1, 0]) // step - 1)
     missing = int(lost.sum() + at_ends)
-    if missing > _MOST_MISSING * (TURN / step):
+    if missing > _MAX_MISSING * (TURN / step):
         raise FormatError(
             f"{missing:,} of {TURN / step:,.0f} firings are missing from the revolution; record it again, or take "
             "another one"

@@ -25,7 +25,7 @@ _SAMPLES = 20_000  # points that a surface is fitted to
 _TRIALS = 200
 _INLIER_SIGMAS = 3.0
 _MIN_INLIERS = 0.3
-_LEAST_ANGLE_SIN = 1e-3  # of three points of a plane that are nearly on a line
+_MIN_ANGLE_SIN = 1e-3  # of three points of a plane that are nearly on a line
 _UPRIGHT = 0.95  # cosine of the normal with the vertical, from which a plane counts as level
 _STRAIGHT = 0.15  # share of the smallest spread of a cylinder's normals in the next one
 
@@ -102,7 +102,7 @@ class Plane:
         p = read_only(points, np.float64, (3, 3), "the points of the plane")
         a, b = p[1] - p[0], p[2] - p[0]
         normal, lengths = np.cross(a, b), np.linalg.norm(a) * np.linalg.norm(b)
-        if not np.linalg.norm(normal) > _LEAST_ANGLE_SIN * lengths:
+        if not np.linalg.norm(normal) > _MIN_ANGLE_SIN * lengths:
             raise DegenerateGeometryError("the three points of the plane lie on a line; pick them apart")
         return Plane.facing(p[0], normal)
 

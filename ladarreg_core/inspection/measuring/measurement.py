@@ -25,7 +25,7 @@ COVERAGE = 0.95
 _QUANTILE = 1.959964
 _STEP = 1e-6  # of the extent, for derivatives
 _FEW_SIGMAS = 3.0
-_LEAST_NORMAL = 1e-6  # of the extent squared: corners of a plane that are nearly on a line
+_MIN_NORMAL = 1e-6  # of the extent squared: corners of a plane that are nearly on a line
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,7 +224,7 @@ def _require_determined(kind: MeasurementKind, p: FloatArray) -> None:
     if kind in ("area", "height"):
         corners = p[1:] if kind == "height" else p
         spread = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
-        if spread[1] <= _LEAST_NORMAL**0.5 * spread[0]:
+        if spread[1] <= _MIN_NORMAL**0.5 * spread[0]:
             raise DegenerateGeometryError(
                 f"the corners of the {'plane' if kind == 'height' else 'area'} lie on one line; pick them apart"
             )

@@ -13,12 +13,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
-from typing import Literal
 
 import numpy as np
 
 from ladarreg_core.camera import Camera
-from ladarreg_core.errors import CameraError
 from ladarreg_core.foundations.arrays import BoolArray, FloatArray
 from ladarreg_core.frames import Rigid
 from ladarreg_core.matches import Matches
@@ -36,19 +34,19 @@ from ladarreg_core.pose.estimators.bundle import (
 from ladarreg_core.pose.estimators.covariance import guarded_inverse
 from ladarreg_core.pose.estimators.gnc import geman_mcclure
 from ladarreg_core.pose.estimators.measurements import Measurements
+from ladarreg_core.pose.estimators.unknown_intrinsics import (
+    PARAMETERS,
+    Intrinsics,
+    intrinsic,
+    intrinsic_columns,
+    is_plausible,
+    updated,
+    values_of,
+)
 
-Intrinsics = Literal["fixed", "focal", "focal_k1", "focal_k1_centre"]
-"""Intrinsics estimated with the pose: none; a common scale of fx and fy; also k1; also the principal point."""
 Noise = Callable[[Rigid, Camera, BoolArray], tuple[float, float]]
 """Estimator of the noise (sigma_px, sigma_range_m) from a pose, its camera and inliers (M,)."""
 
-PARAMETERS: Mapping[Intrinsics, tuple[str, ...]] = {
-    "fixed": (),
-    "focal": ("focal_px",),
-    "focal_k1": ("focal_px", "k1"),
-    "focal_k1_centre": ("focal_px", "k1", "cx", "cy"),
-}
-"""Names of the estimated intrinsics, in the order of the covariance."""
 MAX_SIGMA_OF_FOCAL = 0.02
 """Largest relative standard deviation of a focal length that counts as determined."""
 
@@ -59,7 +57,6 @@ _SETTLED_SIGMA = 1e-2
 _SETTLED_NOISE = 1.1
 _MIN_DAMPING, _MAX_DAMPING = 1e-9, 1e9
 _MAX_STEP = np.array([1.0, 0.3, 0.5])  # of rotation (rad), log f and k1: the linearisation is invalid beyond
-_MAX_FOCAL_FACTOR = 10.0
 _MIN_INFORMATION = 1e-12
 _MIN_DOF = 2
 
@@ -88,7 +85,7 @@ class Anchor:
         free = tuple(k for k, name in enumerate(names) if name in sigmas or name in without_prior)
         own = {name: sigma / stated.focal_px if name == "focal_px" else sigma for name, sigma in sigmas.items()}
         information = [0.0 if names[k] in without_prior else 1 / own[names[k]] ** 2 for k in free]
-        return Anchor(free, _values(stated)[list(free)], np.array(information))
+        return Anchor(free, values_of(stated)[list(free)], np.array(information))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -97,16 +94,12 @@ class Anchor:
 
     def off(self, camera: Camera) -> FloatArray:
         """Return how far the stated values lie from those of a camera, (K,)."""
-        return np.asarray(self.mean - _values(camera)[list(self.free)])
+        return np.asarray(self.mean - values_of(camera)[list(self.free)])
 
     def cost(self, camera: Camera) -> float:
         """Return the share of the prior in the cost."""
         off = self.off(camera)
         return float(self.information @ (off * off))
-
-
-def _values(camera: Camera) -> FloatArray:
-    return np.array([np.log(camera.focal_px), intrinsic(camera, "k1"), camera.cx, camera.cy])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -353,8 +346,8 @@ class Descent:
         if self.anchor:
             of_camera = np.zeros(4)
             of_camera[list(self.anchor.free)] = step[6:]
-        camera = _updated(self.camera, of_camera)
-        if camera is None or not _plausible(camera, self.first):
+        camera = updated(self.camera, of_camera)
+        if camera is None or not is_plausible(camera, self.first):
             return None
         sigma_px, sigma_range_m = self.noise
         measured = self.measured
@@ -415,76 +408,6 @@ def _predicted_decreases(H: FloatArray, g: FloatArray, sizes: Sequence[int]) -> 
         along = vectors.T[known] @ right[:size]
         found.append(float((along * along / values[known]).sum()))
     return found
-
-
-def intrinsic_columns(camera: Camera, xy: FloatArray, count: int) -> FloatArray:
-    """Return d xy / d (log f, k1, cx, cy), the first `count` of them, as derivatives of the predicted tangents.
-
-    Args:
-        camera: intrinsics.
-        xy: (2, N) predicted tangents.
-        count: K.
-
-    Returns:
-        (K, 2, N); 0 outside the field of the lens.
-    """
-    if not count:
-        return np.zeros((0, *xy.shape))
-    if not camera.distortion:
-        by_k1 = xy * (xy * xy).sum(axis=0)
-        fx, fy = np.zeros((2, *xy.shape))
-        fx[0], fy[1] = 1 / camera.fx, 1 / camera.fy
-        return np.stack([xy, by_k1, fx, fy][:count])
-    ideal = np.column_stack([*xy, np.ones(xy.shape[1])])
-    _, d_uv = camera.project_with_jacobian(ideal)
-    by_theta = camera.intrinsics_jacobian(xy.T)[..., :count]
-    (a, b), (c, d) = np.moveaxis(d_uv[..., :2], 0, -1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        determinant = a * d - b * c
-        u, v = by_theta[:, 0].T, by_theta[:, 1].T  # (K, N)
-        columns = np.stack([d * u - b * v, a * v - c * u], axis=1) / determinant
-    return np.where(np.isfinite(columns), columns, 0.0)
-
-
-def intrinsic(camera: Camera, name: str) -> float:
-    """Return an intrinsic of a camera by its name in `PARAMETERS`."""
-    if name == "k1":
-        return camera.distortion[0] if camera.distortion else 0.0
-    return float(getattr(camera, name))
-
-
-def _updated(camera: Camera, step: FloatArray) -> Camera | None:
-    """Return the camera after a step (K,) of (log f, k1, cx, cy); None if that is invalid."""
-    if not len(step):
-        return camera
-    log_f, k1, cx, cy = map(float, np.pad(step, (0, 4 - len(step))))
-    factor = float(np.exp(log_f))
-    first, *others = camera.distortion or (0.0,) * 4
-    try:
-        return replace(
-            camera,
-            fx=camera.fx * factor,
-            fy=camera.fy * factor,
-            cx=camera.cx + cx,
-            cy=camera.cy + cy,
-            distortion=(first + k1, *others),
-        )
-    except CameraError:
-        return None
-
-
-def _plausible(camera: Camera, first: Camera) -> bool:
-    """Return whether a camera is plausible: bounded change, and no folding inside the image that the first lacked."""
-    if not 1 / _MAX_FOCAL_FACTOR <= camera.focal_px / first.focal_px <= _MAX_FOCAL_FACTOR:
-        return False
-    if not camera.contains([camera.cx, camera.cy]) and first.contains([first.cx, first.cy]):
-        return False
-    if camera.distortion == first.distortion and not camera.distortion:
-        return True
-    w, h = camera.width - 1.0, camera.height - 1.0
-    border = np.array([[u, v] for u in (0.0, w / 2, w) for v in (0.0, h / 2, h)])
-    lost = np.isnan(camera.unproject(border)).any(axis=1)
-    return not lost.any() or not (lost & ~np.isnan(first.unproject(border)).any(axis=1)).any()
 
 
 def _solve_damped(H: FloatArray, g: FloatArray, damping: float, free: Sequence[int]) -> FloatArray:

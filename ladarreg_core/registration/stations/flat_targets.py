@@ -32,9 +32,9 @@ _STARTS_DEG = np.arange(0.0, 90.0, 10.0)
 _OFF = np.arange(-3, 4) * 0.1
 """Where the middle is looked for around the pick, as shares of the side."""
 _ROUNDS = 4
-_LEAST_BLUR, _MOST_BLUR = 0.005, 0.3
+_MIN_BLUR, _MAX_BLUR = 0.005, 0.3
 """Of the side."""
-_LEAST_BLUR_CELLS = 0.2
+_MIN_BLUR_CELLS = 0.2
 """Of the spacing of the cells: an edge that falls between two cells says no more than that."""
 _SHARP_CELLS = 0.5
 """Blur, in spacings of the cells, from which on the cells say where an edge is."""
@@ -139,11 +139,11 @@ def _pattern(uv: Array, light: Array, side: float, row: int, column: int) -> tup
             break
         used = inside
         spacing = _DISC * side * np.sqrt(np.pi / np.count_nonzero(used))
-        least = min(max(_LEAST_BLUR * side, _LEAST_BLUR_CELLS * spacing), 0.9 * _MOST_BLUR * side)
+        least = min(max(_MIN_BLUR * side, _MIN_BLUR_CELLS * spacing), 0.9 * _MAX_BLUR * side)
         state[5] = max(state[5], 1.01 * least)
         fit = least_squares(
             lambda x, at=uv[used], seen=light[used]: _modelled(x, at) - seen, state,
-            bounds=([-np.inf] * 5 + [least], [np.inf] * 5 + [_MOST_BLUR * side]),
+            bounds=([-np.inf] * 5 + [least], [np.inf] * 5 + [_MAX_BLUR * side]),
             x_scale=[0.1 * side, 0.1 * side, 0.1, 1.0, 1.0, 0.1 * side],
         )  # fmt: skip
         state = fit.x

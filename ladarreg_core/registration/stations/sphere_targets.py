@@ -18,7 +18,7 @@ _MIN_SHARE = 0.7  # of the cells on its face that fit
 _MAX_RMS_SHARE = 0.1  # of the radius: a flat surface is further from any sphere
 _RADIUS_SHARE, _RADIUS_SIGMAS = 0.1, 4.0  # by which the radius may differ if it were free, the larger of both
 _ROUNDS = 30
-_MOST_START_POINTS = 500
+_MAX_START_POINTS = 500
 
 
 def fit_sphere(scan: Scan, pick: tuple[int, int], *, radius_m: float) -> SurveyTarget:
@@ -94,7 +94,7 @@ def _start(
     from scipy.optimize import least_squares
 
     close = points[np.linalg.norm(points - front, axis=1) < 2 * radius]
-    close = close[:: -(-len(close) // _MOST_START_POINTS)]
+    close = close[:: -(-len(close) // _MAX_START_POINTS)]
 
     def toward(center: NDArray[np.float64]) -> NDArray[np.float64]:
         away = center - close

@@ -22,7 +22,7 @@ from ladarreg_core.registration.stations.target_matching import (
     rigid_motion,
 )
 
-MOST_ASSIGNMENTS = 6000
+MAX_ASSIGNMENTS = 6000
 """Of a target to another, compared each with each: 36 MB an array of truths."""
 MOVED_M = 0.05
 """Up to which a target that is not where it should be is still taken for it: it was moved."""
@@ -140,7 +140,7 @@ def _matched(first: _Cluster, second: _Cluster) -> tuple[Assignment, Rigid] | st
         np.intp,
     ).reshape(-1, 2)  # fmt: skip
     both = f"{len(first.things)} and {len(second.things)} things in {_listed(first.scans)} and {_listed(second.scans)}"
-    if len(nodes) > MOST_ASSIGNMENTS:
+    if len(nodes) > MAX_ASSIGNMENTS:
         return f"{both} look like targets, too many to be matched"
     own, world = (np.array([one.place for one in each.things]).reshape(-1, 3) for each in (second, first))
     variances = [np.array([one.variance for one in each.things]) for each in (second, first)]

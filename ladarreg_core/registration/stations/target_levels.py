@@ -19,7 +19,7 @@ from ladarreg_core.frames import Rigid, skew
 
 Array = NDArray[np.float64]
 _UP = np.array([0.0, 0.0, 1.0])
-_LEAST_DEG, _MOST_DEG = 1e-5, 10.0  # beyond which it is a mistake
+_MIN_DEG, _MAX_DEG = 1e-5, 10.0  # beyond which it is a mistake
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,12 +91,12 @@ def information_root(name: str, value: float | ArrayLike) -> Array:
         ShapeError: if a covariance has another shape.
     """
     if isinstance(value, int | float):
-        require_number(value, f"the level of scan {name}, deg", least=_LEAST_DEG, most=_MOST_DEG)
+        require_number(value, f"the level of scan {name}, deg", least=_MIN_DEG, most=_MAX_DEG)
         covariance = np.radians(value) ** 2 * np.eye(2)
     else:
         covariance = read_only(value, np.float64, (3, 3), f"the level of scan {name}")[:2, :2]
     values = np.linalg.eigvalsh(covariance) if np.isfinite(covariance).all() else np.zeros(1)
-    if values.min() < (0.99 * np.radians(_LEAST_DEG)) ** 2:
+    if values.min() < (0.99 * np.radians(_MIN_DEG)) ** 2:
         raise OptionError(
             f"the covariance of the level of scan {name} is none of a level; give that of a panorama whose plan states "
             "'base_sigma_deg', or a standard deviation in degrees"

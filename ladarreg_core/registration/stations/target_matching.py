@@ -17,17 +17,17 @@ SIGMAS, FLOOR_M = 4.0, 0.002
 """Up to which a distance is the same; targets are not put up to the millimetre."""
 LEAST = 3
 """Points that an assignment needs."""
-LEAST_APART_M = 0.2
+MIN_APART_M = 0.2
 """Distance below which two points say nothing of a direction."""
 _MIN_BREADTH = 0.02  # of points across their longest extent, as a share of it
-_MOST_TRIED = 200
+_MAX_TRIED = 200
 _ROUNDS = 5
-_LEAST_REDUNDANCY = 1e-6  # share of an observation that the others see of it, below which nothing does
+_MIN_REDUNDANCY = 1e-6  # share of an observation that the others see of it, below which nothing does
 _LEVEL = 1e-3  # chance at which one of all observations that fit is taken for one that does not
 
 
 def ranked_assignments(
-    nodes: NDArray[np.intp], own: Array, world: Array, tolerance_m: Array, *, least_apart_m: float = LEAST_APART_M
+    nodes: NDArray[np.intp], own: Array, world: Array, tolerance_m: Array, *, least_apart_m: float = MIN_APART_M
 ) -> dict[Assignment, float]:
     """Return sets of assignments that a rigid motion fits, with their RMS, m; the largest first, then the best.
 
@@ -83,7 +83,7 @@ def _cliques(agrees: NDArray[np.bool_]) -> Iterator[NDArray[np.intp]]:
     """Yield sets of assignments that agree with each other, from the pairs that most others agree with."""
     counts = (agrees.astype(np.float32) @ agrees.astype(np.float32)) * agrees
     first, second = np.nonzero(np.triu(counts >= LEAST - 2))
-    for k in np.argsort(-counts[first, second], kind="stable")[:_MOST_TRIED]:
+    for k in np.argsort(-counts[first, second], kind="stable")[:_MAX_TRIED]:
         chosen = [int(first[k]), int(second[k])]
         left = agrees[chosen[0]] & agrees[chosen[1]]
         while left.any():
@@ -121,7 +121,7 @@ def fits_by_chance(found: int, names: int, matched: int, own: Array, tolerance_m
 
     Three targets fit if three distances do; each one more, if it falls into a ball of the tolerance.
     """
-    extent = max(float(np.linalg.norm(own - own.mean(0), axis=1).max()), LEAST_APART_M)
+    extent = max(float(np.linalg.norm(own - own.mean(0), axis=1).max()), MIN_APART_M)
     triples = np.prod(np.arange(found, found - LEAST, -1.0)) * np.prod(np.arange(names, names - LEAST, -1.0)) / 6
     expected = float(triples) * (2 * tolerance_m / extent) ** 3
     for k in range(LEAST, matched):
@@ -136,7 +136,7 @@ def removal_statistics(jacobians: Array, offs: Array, inverse: Array) -> Array:
     for n, (jacobian, off) in enumerate(zip(jacobians, offs, strict=True)):
         values, vectors = np.linalg.eigh(np.eye(len(off)) - jacobian @ inverse @ jacobian.T)
         along = vectors.T @ off
-        known = values > _LEAST_REDUNDANCY
+        known = values > _MIN_REDUNDANCY
         tests[n] = float((along[known] ** 2 / values[known]).sum())
     return tests
 

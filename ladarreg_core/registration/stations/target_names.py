@@ -13,7 +13,7 @@ from ladarreg_core.errors import DegenerateGeometryError, LadarregError, OptionE
 from ladarreg_core.foundations.progress import Progress, Report
 from ladarreg_core.foundations.validation import require_number
 from ladarreg_core.registration.stations.survey_target import SurveyTarget
-from ladarreg_core.registration.stations.target_correspondence import MOST_ASSIGNMENTS, MOVED_M, named_across
+from ladarreg_core.registration.stations.target_correspondence import MAX_ASSIGNMENTS, MOVED_M, named_across
 from ladarreg_core.registration.stations.target_matching import (
     FLOOR_M,
     LEAST,
@@ -190,7 +190,7 @@ def _named(
     nodes = np.array(
         [(a, i) for a, one in enumerate(found) for i, name in enumerate(names) if is_alike(one, name)]
     ).reshape(-1, 2)
-    if len(nodes) > MOST_ASSIGNMENTS:
+    if len(nodes) > MAX_ASSIGNMENTS:
         raise DegenerateGeometryError(
             f"{len(found)} things in the scan look like targets, and there are {len(names)} coordinates: too many to "
             "be matched; pick the targets, or give the coordinates of those near the scanner"

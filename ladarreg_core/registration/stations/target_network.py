@@ -38,7 +38,7 @@ _POSSIBLE = 16.3  # squared standard deviations with 3 degrees of freedom, excee
 _LIKELIER = 2 * np.log(1000.0)  # difference of two sums of squares from which one is taken and the other is not
 _ROUNDS = 20
 _CLOSE = 5.0  # tolerances within which two placements are one
-_LEAST_SHARE = 1e-13  # of the smallest eigenvalue of the normal matrix, its diagonal one
+_MIN_SHARE = 1e-13  # of the smallest eigenvalue of the normal matrix, its diagonal one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -338,7 +338,7 @@ def _inverse(normal: Array, count: int) -> Array:
     """Return the inverse of a normal matrix; raise where the observations leave something open."""
     scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     values, vectors = np.linalg.eigh(normal * np.outer(scale, scale))
-    if values[0] < _LEAST_SHARE:
+    if values[0] < _MIN_SHARE:
         raise _cannot_be_decided(count)
     return np.asarray(np.outer(scale, scale) * ((vectors / values) @ vectors.T))
 

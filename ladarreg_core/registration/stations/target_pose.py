@@ -19,7 +19,7 @@ from ladarreg_core.registration.stations.target_levels import Levels, informatio
 from ladarreg_core.registration.stations.target_matching import LEAST
 from ladarreg_core.registration.stations.target_network import Body, NotConnectedError, fit_network
 
-_LEAST_VARIANCE = 1e-14  # m^2, so that coordinates without a deviation have a weight
+_MIN_VARIANCE = 1e-14  # m^2, so that coordinates without a deviation have a weight
 _NO_COORDINATES: Mapping[str, Any] = MappingProxyType({})
 
 
@@ -253,7 +253,7 @@ def _register_scans(
 def _body(name: str, places: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]) -> Body:
     return Body(
         name, {target: place for target, (place, _) in places.items()},
-        {target: covariance + _LEAST_VARIANCE * np.eye(3) for target, (_, covariance) in places.items()},
+        {target: covariance + _MIN_VARIANCE * np.eye(3) for target, (_, covariance) in places.items()},
     )  # fmt: skip
 
 

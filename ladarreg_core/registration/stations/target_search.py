@@ -23,19 +23,19 @@ from ladarreg_core.scan import Scan
 
 Array = NDArray[np.float64]
 
-_LEAST_CELLS = 2.3  # half the width of a target: with less, fewer than the 12 cells of a fit are on its face
+_MIN_CELLS = 2.3  # half the width of a target: with less, fewer than the 12 cells of a fit are on its face
 _COARSE_CELLS = 6.0  # up to twice which every cell is tried, then every second, and so on
 _RING_OF_RADIUS, _RIM_OF_RADIUS, _RING_OF_SIDE = 0.5, 0.8, 0.28  # radii of the rings that are compared
 _AROUND = 16
 _RISE, _MEAN_RISE = (0.25, 2.0), (0.7, 1.4)  # of opposite places of the ring, and of all, over that on the sphere
 _RIM_RISE = (0.6, 1.5)  # the lower quartile of those near the rim, where some places are already beside it
 _RIM_CELLS = 8.0  # half the width below which the rim is not told from what is beside it
-_MOST_TILT = 1.4  # difference of opposite places over the rise: more is beside the middle
+_MAX_TILT = 1.4  # difference of opposite places over the rise: more is beside the middle
 _FLAT_OF_SIDE = 0.03  # mean of the ring less the middle, of the side: more is bent
 _OTHER_RINGS_OF_SIDE = 0.16, 0.38  # where a corner of a print seldom goes on as the quadrants of a plate do
-_LEAST_EXPLAINED = 0.9  # of the intensities of a plate that is found; prints among those tried explain .82 to .98
-_LEAST_SECOND, _LEAST_CONTRAST = 0.6, 0.25  # share of the second harmonic; standard deviation over the mean
-_MOST_FITS = 400  # at up to .05 s each
+_MIN_EXPLAINED = 0.9  # of the intensities of a plate that is found; prints among those tried explain .82 to .98
+_MIN_SECOND, _MIN_CONTRAST = 0.6, 0.25  # share of the second harmonic; standard deviation over the mean
+_MAX_FITS = 400  # at up to .05 s each
 _BLOCK_CELLS = 1 << 19
 
 
@@ -70,14 +70,14 @@ def find_targets(scan: Scan, *, radius_m: float | None = None, side_m: float | N
     reach = size if side_m is None else size / 2
     candidates = [one for found in _candidates(scan, reach, is_sphere=side_m is None) for one in found]
     found: list[SurveyTarget] = []
-    for one in _apart(scan, candidates, reach)[:_MOST_FITS]:
+    for one in _apart(scan, candidates, reach)[:_MAX_FITS]:
         point = scan.rays[one.cell] * scan.ranges[one.cell]
         if any(np.linalg.norm(point - other.center) < 1.5 * reach for other in found):
             continue
         try:
             part, pick = _around(scan, one.cell, reach)
             if side_m is not None:
-                target = fit_flat_target(part, pick, side_m=side_m, least_explained=_LEAST_EXPLAINED)
+                target = fit_flat_target(part, pick, side_m=side_m, least_explained=_MIN_EXPLAINED)
             else:
                 target = fit_target(part, pick, radius_m=radius_m)
         except DegenerateGeometryError:
@@ -97,7 +97,7 @@ def _candidates(scan: Scan, reach: float, *, is_sphere: bool) -> Iterator[list[_
     with np.errstate(invalid="ignore"):
         half = np.arcsin(np.minimum(reach / (scan.ranges + (reach if is_sphere else 0)), 1)).astype(np.float32)
     width = half / np.maximum(down, across).astype(np.float32)[:, None]
-    level, least, most = 0, _LEAST_CELLS, 2 * _COARSE_CELLS
+    level, least, most = 0, _MIN_CELLS, 2 * _COARSE_CELLS
     while np.nanmax(width, initial=0.0) >= least:
         stride = 2**level
         lattice = np.zeros(scan.shape, np.bool_)
@@ -170,7 +170,7 @@ class _Ring:
         with np.errstate(invalid="ignore"):
             mean = both.mean(axis=0)
             fits = (both > _RISE[0]).all(axis=0) & (both < _RISE[1]).all(axis=0)
-            fits &= (mean > _MEAN_RISE[0]) & (mean < _MEAN_RISE[1]) & (tilt < _MOST_TILT).all(axis=0)
+            fits &= (mean > _MEAN_RISE[0]) & (mean < _MEAN_RISE[1]) & (tilt < _MAX_TILT).all(axis=0)
             score = np.where(fits, 1 / (1 + tilt.max(axis=0) + both.std(axis=0) + np.abs(mean - 1)), 0.0)
         fine = self._half > _RIM_CELLS * np.maximum(self._down, self._across)
         left = np.flatnonzero((score > 0) & fine)
@@ -205,7 +205,7 @@ class _Ring:
         second, contrast = self._second(light, _RING_OF_SIDE)
         with np.errstate(invalid="ignore", divide="ignore"):
             fits = np.abs(rise.mean(axis=0)) < _FLAT_OF_SIDE * side
-            fits &= (np.abs(second) ** 2 > _LEAST_SECOND) & (contrast > _LEAST_CONTRAST)
+            fits &= (np.abs(second) ** 2 > _MIN_SECOND) & (contrast > _MIN_CONTRAST)
         score = np.zeros(len(fits))
         left = np.flatnonzero(fits)
         some = self._of_cells(left)

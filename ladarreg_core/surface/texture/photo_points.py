@@ -38,7 +38,7 @@ _TILE_PX = 16
 _BENT = np.float32(0.25)  # of a triangle's extent in the photograph, beyond its corners
 _AROUND = 8  # pixels on a circle where another surface is looked for
 _REACH_SIGMAS, _REACH_CELLS = 2.5, 1.0
-_LEAST_REACH_PX, _MOST_REACH_PX = 1.0, 40.0
+_MIN_REACH_PX, _MAX_REACH_PX = 1.0, 40.0
 _STEEPEST = 5.7  # tan 80 deg
 _NOISE_SIGMAS = 4.0
 _MAX_EXTENDED = 0.05  # of the distance, between a triangle and the pixel beside it
@@ -381,7 +381,7 @@ class _Surface:
         sigma = np.full(count, self.sigma_uv_px)
         if self.covariance is not None:
             sigma = np.hypot(sigma, np.nan_to_num(pixel_sigma(in_camera, camera, pose.rotation, self.covariance)))
-        reach = np.clip(_REACH_SIGMAS * sigma + _REACH_CELLS * cell_px, _LEAST_REACH_PX, _MOST_REACH_PX)
+        reach = np.clip(_REACH_SIGMAS * sigma + _REACH_CELLS * cell_px, _MIN_REACH_PX, _MAX_REACH_PX)
         angle = np.arange(_AROUND) * (2 * np.pi / _AROUND)
         circle = np.concatenate([share * np.stack([np.cos(angle), np.sin(angle)], axis=1) for share in (0.5, 1.0)])
         around = (uv[:, None] + reach[:, None, None] * circle).reshape(-1, 2)

@@ -10,13 +10,8 @@ from ladarreg_core.camera import Camera
 from ladarreg_core.frames import Rigid, rotation_from_rotvec
 from ladarreg_core.matches import Matches
 from ladarreg_core.pose.estimate import PoseOptions, solve_pose
-from ladarreg_core.pose.estimators.intrinsics import (
-    PARAMETERS,
-    Descent,
-    estimate_intrinsics,
-    intrinsic,
-    predicted_gains,
-)
+from ladarreg_core.pose.estimators.intrinsics import Descent, estimate_intrinsics, predicted_gains
+from ladarreg_core.pose.estimators.unknown_intrinsics import PARAMETERS, intrinsic
 from testing.scenes.pose_case import difference
 from testing.scenes.room import ROOM_CAMERA, room_case
 
