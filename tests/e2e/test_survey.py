@@ -61,7 +61,7 @@ def open_ties(operator: Operator) -> tuple[Locator, list[Locator]]:
     operator.step("Survey")
     page = operator.page
     page.get_by_role("region", name="All photographs").get_by_role("button", name="Draw ties").click()
-    dialog = page.get_by_role("dialog", name="Ties drawn by hand")
+    dialog = page.get_by_role("dialog", name="Ties and lines drawn by hand")
     pictures = [dialog.get_by_role("img", name=f"{side} photograph") for side in SIDES]
     page.wait_for_function(PAINTED)
     return dialog, pictures

@@ -132,7 +132,7 @@ export const mountTiePictures = ({ store, view }) => {
   const another = button({ label: "New line", kind: "small edits", title: "Begin another line, also where this one is not drawn", act: () => selectLine("") });
   const all = element("div", { class: "tie-pictures" }, ...PICTURES.map((side) => sides[side]));
   const { dialog, open } = makeDialog(
-    "Ties drawn by hand",
+    "Ties and lines drawn by hand",
     { kind: "tie-dialog" },
     all,
     element("div", { class: "row tie-bar" }, hint, another, kinds, element("label", { class: "edits tie-sigma" }, "σ px", sigma)),
