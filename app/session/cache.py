@@ -67,8 +67,8 @@ class BoundedCache(Generic[T]):
             self._used_at[key] = self._clock()
             return self._entries[key][0]
 
-    def put(self, key: Hashable, value: T) -> int:
-        """Store a value; drop the least recently used ones that exceed the limits, and return how many."""
+    def put(self, key: Hashable, value: T) -> list[tuple[Hashable, T]]:
+        """Store a value; drop the least recently used ones that exceed the limits, and return them with their keys."""
         with self._lock:
             self.changes += 1
             if self._values_grow:
@@ -77,10 +77,18 @@ class BoundedCache(Generic[T]):
             self._keep(key, value)
             self._entries.move_to_end(key)
             self._used_at[key] = self._clock()
-            before = len(self._entries)
+            dropped = []
             while len(self._entries) > 1 and (len(self._entries) > self._max_count or self._total > self._max_bytes):
-                self._drop_oldest()
-            return before - len(self._entries)
+                oldest = next(iter(self._entries))
+                dropped.append((oldest, self._entries[oldest][0]))
+                self._drop(oldest)
+            return dropped
+
+    def drop_where(self, is_concerned: Callable[[Hashable], bool]) -> None:
+        """Drop the values of some keys."""
+        with self._lock:
+            for key in [key for key in self._entries if is_concerned(key)]:
+                self._drop(key)
 
     def clear(self) -> None:
         """Drop everything."""
@@ -99,16 +107,16 @@ class BoundedCache(Generic[T]):
     def drop_oldest(self) -> int:
         """Drop the least recently used value, if there is one, and return its size."""
         with self._lock:
-            return self._drop_oldest() if self._entries else 0
+            return self._drop(next(iter(self._entries))) if self._entries else 0
 
     def _keep(self, key: Hashable, value: T) -> None:
         _, before = self._entries.get(key, (None, 0))
         self._entries[key] = value, self._size_of(value)
         self._total += self._entries[key][1] - before
 
-    def _drop_oldest(self) -> int:
+    def _drop(self, key: Hashable) -> int:
         self.changes += 1
-        key, (_, size) = self._entries.popitem(last=False)
+        _, size = self._entries.pop(key)
         del self._used_at[key]
         self._total -= size
         return size
@@ -119,7 +127,8 @@ class GroupedCache:
 
     Args:
         limits: the largest number of values and the largest total size, bytes, of each group.
-        derived: for a group, the groups that are emptied when one of its values is dropped.
+        derived: for a group, the groups of what is made of its values: with a value they lose all whose keys contain
+            its key, or its id.
         max_bytes: the largest total size of all groups besides the newest value; None: only the groups' own limits.
         uncounted: groups that do not count.
     """
@@ -154,9 +163,10 @@ class GroupedCache:
             entry = self._groups[group].get(key)
             if entry is None:
                 entry = (make(),)
-                if self._groups[group].put(key, entry):
-                    for name in self._derived.get(group, ()):
-                        self._groups[name].clear()
+                dropped = self._groups[group].put(key, entry)
+                gone = [part for name, (value,) in dropped for part in (name, id(value))]
+                for name in self._derived.get(group, ()) if gone else ():
+                    self._groups[name].drop_where(lambda of: any(_contains(of, part) for part in gone))
                 self._shrink()
             return entry[0]
 
@@ -271,6 +281,11 @@ def rough_bytes(value: object) -> int:
     if isinstance(value, list | tuple) and value:
         return size + len(value) * max(rough_bytes(value[0]), rough_bytes(value[-1]))
     return size
+
+
+def _contains(key: Hashable, part: Hashable) -> bool:
+    """Return whether a key is something or, as a tuple, contains it."""
+    return key == part or (isinstance(key, tuple) and any(_contains(each, part) for each in key))
 
 
 def _common_start(a: Sequence[object], b: Sequence[object]) -> int:

@@ -54,6 +54,7 @@ _LIMITS = {
     "carried": (256, 20_000_000),
     "seen": (16, 1_000_000),
     "model": (40, 150_000_000),
+    "shown by": (1024, 200_000_000),
     "line": (512, 50_000_000),
     "station": (16, 20_000_000),
     "small photo": (1024, 20_000_000),
@@ -69,8 +70,8 @@ STATION_POINTS = 60_000
 
 _LARGE_SCAN_CELLS = 4_000_000
 
-_DERIVED_FROM_SCAN = ("views", "view", "assessment", "partners", "measured", "picture", "model", "line")
-"""Kinds whose values would keep a scan in memory that is dropped."""
+_DERIVED_FROM_SCAN = ("views", "view", "partners", "measured", "model", "shown by", "line")
+"""Kinds whose values would keep a scan in memory that is dropped, or are known by its id, which may be given again."""
 
 
 class Loader:

@@ -220,11 +220,13 @@ def model_texture(
         return _of_pixels(sigma, "Standard deviation of the photo position, px")
     if known == "depth_error":
         return _of_depth_errors(depth_error_field(scan, result))
-    if photo is None:
+    if photo is None and (registered is None or not z_buffer):
         raise OptionError(f"the texture {kind!r} needs the photograph; give it")
     if known == "colour" and not z_buffer:
+        assert photo is not None, "checked above"
         return ModelTexture(picture_without_z_buffer(scan, photo, result), _color_legend("outside the photograph"))
     if registered is None:
+        assert photo is not None, "checked above"
         registered = registered_texture(scan, photo, result)
     if registered.labels.shape != scan.shape:
         raise ShapeError(f"the texture has {registered.labels.shape} cells, the scan {scan.shape}; they must agree")
@@ -326,11 +328,23 @@ def view_picture(view: View, picture: ByteArray) -> NDArray[np.uint8]:
     return np.repeat(np.rint(gray).astype(np.uint8)[..., None], 3, axis=-1)
 
 
-def small_picture(picture: ByteArray, longest_px: int) -> NDArray[np.uint8]:
-    """Return an image (h, w, 3) with its longer side reduced to at most `longest_px`."""
-    factor = min(1.0, longest_px / max(picture.shape[:2]))
-    size = (max(1, round(picture.shape[1] * factor)), max(1, round(picture.shape[0] * factor)))
-    return np.array(cv2.resize(np.asarray(picture), size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+def small_picture(picture: ByteArray, longest_px: int, *, codes: bool = False) -> NDArray[np.uint8]:
+    """Return an image (h, w, 3) with its longer side reduced to at most `longest_px`.
+
+    Args:
+        picture: the image.
+        longest_px: longer side at most.
+        codes: whether its colours are codes, which must not be mixed.
+    """
+    how = cv2.INTER_NEAREST_EXACT if codes else cv2.INTER_AREA
+    size = small_size(picture.shape[:2], longest_px)
+    return np.array(cv2.resize(np.asarray(picture), size, interpolation=how), dtype=np.uint8)
+
+
+def small_size(shape: tuple[int, ...], longest_px: int) -> tuple[int, int]:
+    """Return (width, height) of an image of (h, w) reduced to at most `longest_px`."""
+    factor = min(1.0, longest_px / max(shape))
+    return max(1, round(shape[1] * factor)), max(1, round(shape[0] * factor))
 
 
 def uniform_picture(color: Color) -> NDArray[np.uint8]:

@@ -186,7 +186,7 @@ class Images:
         from ladarreg_core.inspection.panorama import strip_picture
 
         scan = self._scan_or_raise(document)
-        return self._sent(("strip", id(scan)), lambda: strip_picture(scan), query, keep=scan)
+        return self._sent(("strip", document.scan), lambda: strip_picture(scan), query)
 
     def _overlay(self, entry: PhotoEntry, pose: PoseEntry, query: Mapping[str, str]) -> NDArray[np.uint8]:
         from ladarreg_core.inspection.pictures import scan_over_photo

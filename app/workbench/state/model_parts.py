@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -24,6 +24,7 @@ from ladarreg_core.inspection.model_textures import (
     usable_texture,
 )
 from ladarreg_core.inspection.scene_geometry import picture_sheet
+from ladarreg_core.inspection.shown_scan import ShownScan
 from ladarreg_core.inspection.viewpoints import typical_range
 
 from ...gateway.protocol import Picture
@@ -40,13 +41,12 @@ if TYPE_CHECKING:
     from ladarreg_core.scan import Scan
     from ladarreg_core.surface.mesh.grid_block import GridBlock
     from ladarreg_core.surface.mesh.grid_mesh import Mesh
-    from ladarreg_core.surface.texture.best_photo import PosedPhoto
+    from ladarreg_core.surface.texture.best_photo import PosedPhoto, ShownPart
     from ladarreg_core.surface.texture.registered_texture import RegisteredTexture
 
+    from ...session.photo_header import PhotoHeader
     from ...slices.project import ModelOfPhoto, Sheet, TextureOption
 
-    _Seen = tuple[PoseEntry, Photo, PoseResult, str]
-    """A photograph with its pose and its name for display."""
 
 NO_PHOTO = "none"
 """Stands for the id of a photograph where there is none."""
@@ -62,8 +62,10 @@ MAX_VERTICES = 400_000
 """Most vertices that a page shows of the model at once."""
 BLOCK_VERTICES = 37_500
 """Most vertices of a block of the mesh; the page shows at most four, so that there are 400,000 with the dense mesh."""
-_MAX_COLORED_CELLS = 200_000_000
+_MAX_COLORED_CELLS = 100_000_000
 """Most cells, counted once for each photograph, that are coloured by all photographs together."""
+_MAX_PHOTO_BYTES, _BYTES_PER_PIXEL = 700_000_000, 3
+"""Photographs that are fused to a layer are in memory together."""
 _LONGEST_BLOCK = 20
 _FACES_PER_VERTEX = 4  # of a photo layer; a surface has two before it is divided
 
@@ -82,6 +84,15 @@ class Detail(NamedTuple):
 LEVELS = dict(
     zip(DETAILS, (Detail(12_000, 768, 0), Detail(60_000, 2048, 4096), Detail(250_000, 8192, 8192)), strict=True)
 )
+
+
+class _Seen(NamedTuple):
+    """A photograph with an accepted pose."""
+
+    pose: PoseEntry
+    entry: PhotoEntry
+    result: PoseResult
+    header: PhotoHeader
 
 
 class ModelParts:
@@ -226,54 +237,79 @@ class ModelParts:
         from ladarreg_core.fusion.fused_model import fuse
         from ladarreg_core.fusion.layers import model_layers
 
-        seen_by = self._seen_by(document, scan, kind)
-        key = tuple((id(pose), id(photo)) for pose, photo, *_ in seen_by)
+        seen_by = self._fitting(self._seen_by(document, kind))
+        shown = ShownScan.of(scan, longest_px, most_cells=_MAX_COLORED_CELLS / len(seen_by))
+        key = (id(scan), shown.stride, *(_key_of(one) for one in seen_by))
 
         def make() -> tuple[object, Picture]:
-            model = self._loader.cached("model", ("fused", key), lambda: (seen_by, fuse(scan, _views(seen_by))))[1]
-            every = model_layers([model], [name for *_, name in seen_by])
+            views = [self._posed(one) for one in seen_by]
+            model = self._loader.cached("model", ("fused", key), lambda: (seen_by, fuse(shown.scan, views)))[1]
+            every = model_layers([model], [one.entry.source.name for one in seen_by])
             layer = next((one for one in every if one.name == kind), None)
             if layer is None:
                 raise OptionError(f"the texture {kind!r} needs a thermal photograph with an accepted pose")
-            return seen_by, _picture_of(layer.texture(), longest_px, lossless=kind in _OF_CODES)
+            return seen_by, _picture_of(layer.texture(), longest_px, lossless=kind in _OF_CODES, shown=shown)
 
         return self._loader.cached("model", ("layer of all", kind, longest_px, key), make)[1]
 
     def _colors_of_all(self, document: Document, scan: Scan, longest_px: int) -> Picture:
         """Return the colours of all accepted photographs: of each place, from the one that shows it best."""
-        from ladarreg_core.surface.texture.best_photo import best_photo
+        from ladarreg_core.surface.texture.best_photo import best_of
 
-        seen_by = self._seen_by(document, scan, "colour")
-        key = tuple((id(pose), id(photo)) for pose, photo, *_ in seen_by)
-
-        def colors() -> tuple[object, RegisteredTexture]:
-            return seen_by, best_photo(scan, _views(seen_by)).texture
+        seen_by = self._seen_by(document, "colour")
+        shown = ShownScan.of(scan, longest_px, most_cells=_MAX_COLORED_CELLS / len(seen_by))
+        key = (id(scan), shown.stride, *(_key_of(one) for one in seen_by))
 
         def make() -> tuple[object, Picture]:
-            registered = self._loader.cached("model", ("best photographs", key), colors)[1]
-            texture = model_texture(scan, "colour", photo=seen_by[0][1], result=seen_by[0][2], registered=registered)
-            return seen_by, _picture_of(texture, longest_px, lossless=False)
+            found = best_of(shown.scan, (self._shown_by(one, scan, shown) for one in seen_by)).texture
+            texture = model_texture(shown.scan, "colour", result=seen_by[0].result, registered=found)
+            return seen_by, _picture_of(texture, longest_px, lossless=False, shown=shown)
 
         return self._loader.cached("model", ("colors of all", longest_px, key), make)[1]
 
-    def _seen_by(self, document: Document, scan: Scan, kind: str) -> list[_Seen]:
-        """Return the accepted photographs, as many as can be taken together on a scan of this size.
+    def _shown_by(self, one: _Seen, scan: Scan, shown: ShownScan) -> Sequence[ShownPart]:
+        """Return what a photograph shows of a scan; it is kept, so that one more photograph takes no longer than it."""
+        from ladarreg_core.surface.texture.best_photo import shown_parts
+
+        def made() -> tuple[object, list[ShownPart]]:
+            return one, [part.compact() for part in shown_parts(shown.scan, self._posed(one))]
+
+        try:
+            return self._loader.cached("shown by", (id(scan), shown.stride, _key_of(one)), made)[1]
+        except LadarregError:  # its file has gone, which the slice `photos` states
+            return ()
+
+    def _posed(self, one: _Seen) -> PosedPhoto:
+        from ladarreg_core.surface.texture.best_photo import PosedPhoto
+
+        result = one.result
+        return PosedPhoto(
+            self._loader.photo(one.entry), result.camera_from_scanner, result.camera, result.joint_covariance
+        )
+
+    def _seen_by(self, document: Document, kind: str) -> list[_Seen]:
+        """Return the accepted photographs whose files are there.
 
         Raises:
             OptionError: if there is none.
         """
         seen_by: list[_Seen] = []
-        for entry in _accepted(document)[: max(1, _MAX_COLORED_CELLS // scan.ranges.size)]:
+        for entry in _accepted(document):
             result = self._result(entry)
             if entry.pose is None or result is None or _accepted_only(result) is not result:
                 continue
             try:
-                seen_by.append((entry.pose, self._loader.photo(entry), result, entry.source.name))
+                seen_by.append(_Seen(entry.pose, entry, result, self._loader.header(entry)))
             except LadarregError:  # its file has gone, which the slice `photos` states
                 continue
         if not seen_by:
             raise OptionError(f"the texture {kind!r} needs an accepted pose")
         return seen_by
+
+    def _fitting(self, seen_by: list[_Seen]) -> list[_Seen]:
+        """Return the first photographs, as many as may be in memory together."""
+        total = np.cumsum([_BYTES_PER_PIXEL * one.header.width * one.header.height for one in seen_by])
+        return seen_by[: max(1, int((total <= _MAX_PHOTO_BYTES).sum()))]
 
     def _photo_part(
         self, document: Document, scan: Scan, name: str, query: Mapping[str, str], level: Detail
@@ -292,7 +328,7 @@ class ModelParts:
         registered = self._registered(scan, photo, result)
         return self._loader.cached(
             "model",
-            ("layer", level.vertices, id(pose), id(photo)),
+            ("layer", level.vertices, id(scan), id(pose), id(photo)),
             lambda: ((pose, photo), _layer_part(scan, photo, result, registered.labels, level)),
         )[1]
 
@@ -305,17 +341,13 @@ class ModelParts:
         return model_texture(scan, kind, photo=photo, result=result, z_buffer=z_buffer, registered=registered)
 
     def _registered(self, scan: Scan, photo: Photo, result: PoseResult) -> RegisteredTexture:
-        key = ("registered", id(result), id(photo))
+        key = ("registered", id(scan), id(result), id(photo))
         return self._loader.cached("model", key, lambda: ((result, photo), registered_texture(scan, photo, result)))[1]
 
 
-def _views(seen_by: list[_Seen]) -> list[PosedPhoto]:
-    from ladarreg_core.surface.texture.best_photo import PosedPhoto
-
-    return [
-        PosedPhoto(photo, result.camera_from_scanner, result.camera, result.joint_covariance)
-        for _, photo, result, _ in seen_by
-    ]
+def _key_of(one: _Seen) -> tuple[object, ...]:
+    """Return what identifies the picture of a photograph and its pose."""
+    return id(one.pose), one.entry.source, one.entry.camera
 
 
 def _accepted(document: Document) -> list[PhotoEntry]:
@@ -407,15 +439,13 @@ def surface_or_facets(scan: Scan, most_vertices: int) -> Mesh:
     return mesh if len(mesh.faces) else point_facets(scan, max_vertices=most_vertices)
 
 
-def _picture_of(texture: ModelTexture, longest_px: int, *, lossless: bool) -> Picture:
+def _picture_of(texture: ModelTexture, longest_px: int, *, lossless: bool, shown: ShownScan | None = None) -> Picture:
+    """Return a texture as a picture of the scan's whole grid; its cells are those of `shown`, or of the whole grid."""
     from PIL import Image
 
     buffer = io.BytesIO()
-    if lossless:
-        image = Image.fromarray(np.asarray(texture.image))
-        image.thumbnail((longest_px, longest_px), Image.Resampling.NEAREST)
-    else:
-        image = Image.fromarray(small_picture(texture.image, longest_px))
+    fitted = small_picture if shown is None else shown.picture
+    image = Image.fromarray(fitted(texture.image, longest_px, codes=lossless))
     image.save(buffer, "WEBP", lossless=lossless, quality=_LOSSY_QUALITY, method=3)
     data = buffer.getvalue()
     header = quote(json.dumps(legend_entries(texture.legend), separators=(",", ":")))

@@ -82,7 +82,7 @@ class Queries:
             if not 0 <= view < len(self._loader.views(document)):
                 return None
             key = ("snapper", document.scan, view)
-            snapper = self._loader.cached("picture", key, lambda: ViewSnapper.of(self._loader.view(document, view)))
+            snapper = self._loader.cached("view", key, lambda: ViewSnapper.of(self._loader.view(document, view)))
         else:
             viewed = self._loader.viewable_photo(require_photo(self._session.document, photo))
             snapper = self._loader.cached("picture", ("snapper", id(viewed)), lambda: PhotoSnapper.of(viewed))

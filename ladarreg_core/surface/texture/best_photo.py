@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,6 +95,50 @@ class PointColors:
     """(N,) float32."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ShownPart:
+    """What a photograph shows of a rectangle of a scan, and how well."""
+
+    rows: slice
+    """Rows of the scan."""
+    columns: slice
+    """Columns of the scan."""
+    image: NDArray[np.uint8]
+    """(h, w, 3), as `RegisteredTexture.image`."""
+    labels: NDArray[np.uint8]
+    """(h, w), as `RegisteredTexture.labels`."""
+    merit: NDArray[np.int16]
+    """(h, w): how well it shows each cell, from 0; -1 where it has no colour for it."""
+    sigma_px: NDArray[np.float32]
+    """(h, w): as of `CellColors`."""
+
+    def compact(self) -> ShownPart:
+        """Return a copy of the least rectangle that contains all that is in the picture."""
+        seen = (self.merit >= 0) | (self.labels == Label.OCCLUDED)
+        rows_used, columns_used = (_extent(seen.any(axis=1 - axis)) for axis in (0, 1))
+        part = rows_used, columns_used
+        return ShownPart(
+            _shifted(self.rows, rows_used), _shifted(self.columns, columns_used),
+            self.image[part].copy(), self.labels[part].copy(), self.merit[part].copy(), self.sigma_px[part].copy(),
+        )  # fmt: skip
+
+
+def shown_parts(scan: Scan, view: PosedPhoto, *, background: tuple[int, int, int] = UNSEEN) -> Iterator[ShownPart]:
+    """Yield what a photograph shows of a scan, part by part, so that memory does not grow with the scan.
+
+    Raises:
+        ShapeError: if the camera is not of the photo's size.
+    """
+    for part in textured_parts(
+        scan, view.photo, view.camera_from_scanner,
+        camera=view.camera, covariance=view.covariance, background=background,
+    ):  # fmt: skip
+        colored = _table(COLORED)[part.labels]
+        sigma = cell_sigma(scan, view, (part.rows, part.columns), colored)
+        merit = np.where(colored, _merit(part, view.camera), np.int16(-1))
+        yield ShownPart(part.rows, part.columns, part.image, part.labels, merit, sigma)
+
+
 def best_photo(
     scan: Scan,
     views: Sequence[PosedPhoto],
@@ -118,42 +162,50 @@ def best_photo(
     """
     if len(views) >= NO_PHOTO:
         raise ShapeError(f"there are {len(views)} photographs; give at most {NO_PHOTO - 1}")
+
+    def say(index: int) -> None:
+        if report is not None:
+            report(Progress(index, len(views), _COLORING))
+
+    def parts_of(index: int, view: PosedPhoto) -> Iterator[ShownPart]:
+        say(index)
+        for part in shown_parts(scan, view, background=background):
+            yield part
+            say(index)
+
+    return best_of(scan, (parts_of(index, view) for index, view in enumerate(views)), background=background)
+
+
+def best_of(
+    scan: Scan, shown: Iterable[Iterable[ShownPart]], *, background: tuple[int, int, int] = UNSEEN
+) -> CellColors:
+    """Colour a scan as `best_photo` does, by what each photograph shows of it.
+
+    Args:
+        scan: the scan.
+        shown: `shown_parts` of each photograph, taken one after the other.
+        background: RGB of cells that none shows.
+    """
     shape = scan.shape
     image = np.empty((*shape, 3), np.uint8)
     image[:] = np.array(background, np.uint8)
     labels = np.full(shape, Label.OUT_OF_FRAME, np.uint8)
     photo = np.full(shape, NO_PHOTO, np.uint16)
     sigma_px = np.full(shape, np.nan, np.float32)
-    merit = np.full(shape, -1, np.int16) if len(views) > 1 else None
-    for index, view in enumerate(views):
-        if report is not None:
-            report(Progress(index, len(views), _COLORING))
-        for part in textured_parts(
-            scan,
-            view.photo,
-            view.camera_from_scanner,
-            camera=view.camera,
-            covariance=view.covariance,
-            background=background,
-        ):
+    merit = np.full(shape, -1, np.int16)
+    for index, parts in enumerate(shown):
+        for part in parts:
             here = part.rows, part.columns
-            colored = _table(COLORED)[part.labels]
-            sigma = cell_sigma(scan, view, here, colored)
-            if merit is None:
-                better, hidden = colored, ~colored
-            else:
-                found = np.where(colored, _merit(part, view.camera), np.int16(-1))
-                before, uncertainty = merit[here], sigma_px[here]
-                with np.errstate(invalid="ignore"):
-                    better = (found > before) | ((found == before) & colored & (sigma < uncertainty))
-                merit[here] = np.maximum(found, before)
-                hidden = ~colored & (photo[here] == NO_PHOTO) & (part.labels == Label.OCCLUDED)
+            before = merit[here]
+            with np.errstate(invalid="ignore"):
+                tied = (part.merit == before) & (before >= 0)
+                better = (part.merit > before) | (tied & (part.sigma_px < sigma_px[here]))
+            merit[here] = np.maximum(part.merit, before)
+            hidden = (part.merit < 0) & (photo[here] == NO_PHOTO) & (part.labels == Label.OCCLUDED)
             labels[here] = np.where(better | hidden, part.labels, labels[here])
-            for whole, values in ((image, part.image), (sigma_px, sigma)):
+            for whole, values in ((image, part.image), (sigma_px, part.sigma_px)):
                 whole[here][better] = values[better]
             photo[here][better] = index
-            if report is not None:
-                report(Progress(index, len(views), _COLORING))
     labels[~scan.valid] = Label.NO_RETURN
     for array in (image, labels, photo, sigma_px):
         array.flags.writeable = False  # handed over, not copied
@@ -287,6 +339,17 @@ class PointColorer:
         spacing = np.linalg.norm(points, axis=1) * min(self._scan.geometry.step_rad)
         coarse = on_cell & (spacing * view.camera.focal_px > _COARSE_CELL_PX * np.maximum(distance, 1e-9))
         return np.where(coarse[:, None], of_cell, own)
+
+
+def _extent(used: NDArray[np.bool_]) -> slice:
+    """Return the part from the first to the last true value; empty if there is none."""
+    at = np.flatnonzero(used)
+    return slice(int(at[0]), int(at[-1]) + 1) if len(at) else slice(0, 0)
+
+
+def _shifted(whole: slice, part: slice) -> slice:
+    """Return a part of a part."""
+    return slice(whole.start + part.start, whole.start + part.stop)
 
 
 def _slices(count: int) -> Iterator[slice]:
