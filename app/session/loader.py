@@ -46,7 +46,8 @@ _LIMITS = {
     "registration": (1024, 100_000_000),
     "solved_on": (1024, 50_000_000),
     "stale": (4096, 10_000_000),
-    "assessment": (256, 200_000_000),
+    "assessment": (4, 100_000_000),
+    "assessed": (4096, 50_000_000),
     "agreeing": (256, 10_000_000),
     "partners": (3, 400_000_000),
     "measured": (8, 200_000_000),
@@ -54,6 +55,8 @@ _LIMITS = {
     "carried": (256, 20_000_000),
     "seen": (16, 1_000_000),
     "model": (40, 150_000_000),
+    "fused": (2, 150_000_000),
+    "sheet": (256, 1_000_000),
     "shown by": (1024, 200_000_000),
     "line": (512, 50_000_000),
     "station": (16, 20_000_000),
@@ -70,7 +73,7 @@ STATION_POINTS = 60_000
 
 _LARGE_SCAN_CELLS = 4_000_000
 
-_DERIVED_FROM_SCAN = ("views", "view", "partners", "measured", "model", "shown by", "line")
+_DERIVED_FROM_SCAN = ("views", "view", "partners", "measured", "fused", "line")
 """Kinds whose values would keep a scan in memory that is dropped, or are known by its id, which may be given again."""
 
 
@@ -416,17 +419,22 @@ class Loader:
         """Return the quality assessment of a pose."""
         from ladarreg_core.quality.assessment import assess
 
-        return self.cached("assessment", id(pose), lambda: (pose, assess(scan, self.registration(pose))))[1]
+        def made() -> tuple[PoseEntry, Assessment]:
+            found = assess(scan, self.registration(pose))
+            self.cached("assessed", id(pose), lambda: (pose, found.without_cells()))
+            return pose, found
+
+        return self.cached("assessment", id(pose), made)[1]
 
     def known_assessment(self, pose: PoseEntry) -> Assessment | None:
-        """Return the assessment of a pose; None before it was computed."""
-        cached = self.known("assessment", id(pose))
+        """Return the assessment of a pose, without the values of cells; None before it was computed."""
+        cached = self.known("assessed", id(pose))
         return None if cached is None else cached[1]
 
     @property
     def assessment_changes(self) -> int:
         """How often assessments have come or gone: as long as it is the same, `known_assessment` is."""
-        return self._cache["assessment"].changes
+        return self._cache["assessed"].changes
 
     def agreeing(self, pose: PoseEntry) -> dict[str, bool]:
         """Return which of the picks of a pose agree with the robust estimator.

@@ -6,7 +6,7 @@ Each part that cannot be computed is left out with a reason; a poor registration
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,7 @@ class PictureUncertainty:
     """Uncertainty of the photo position of each scan cell, one standard deviation, from the covariance of the pose."""
 
     sigma_px: NDArray[np.float32]
-    """(H, W) photo pixels; NaN without a return and outside the photo."""
+    """(H, W) photo pixels; NaN without a return and outside the photo. Without cells, (0, 0)."""
     median_px: float
     """Median over all cells in the photo."""
     p95_px: float
@@ -82,6 +82,12 @@ class Assessment:
             return ""
         influential = self.influence.cook[self.influence.most_influential] >= INFLUENTIAL_COOK
         return self.influence.summary() if influential else ""
+
+    def without_cells(self) -> Assessment:
+        """Return the same without the uncertainty of every cell, which takes as much memory as a scan's ranges."""
+        if self.uncertainty is None:
+            return self
+        return replace(self, uncertainty=replace(self.uncertainty, sigma_px=np.zeros((0, 0), np.float32)))
 
 
 def _findings(result: PoseResult) -> tuple[Finding, ...]:

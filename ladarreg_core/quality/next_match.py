@@ -26,6 +26,8 @@ from ladarreg_core.surface.uncertainty import covariance_factor
 from ladarreg_core.surface.visibility.visible_points import LARGEST_WHOLE_SCAN, project_scan
 
 _CANDIDATES = 900
+_SAMPLED_CELLS = 1_000_000
+"""Of a larger scan than is projected in one piece."""
 _MAX_SUGGESTIONS = 100
 _BORDER = 0.02  # of the photo's shorter side: nearer to its edge there is too little context to pick by
 _TAKEN = 0.02  # of the photo's diagonal around a match: picking the same detail again adds no measurement
@@ -109,7 +111,7 @@ def suggest_matches(
     if pickable is not None:
         pickable = read_only(pickable, np.bool_, scan.shape, "the mask of cells to pick from")
     if scan.ranges.size > LARGEST_WHOLE_SCAN:
-        part, stride = scan.thinned(LARGEST_WHOLE_SCAN)
+        part, stride = scan.thinned(_SAMPLED_CELLS)
         some = None if pickable is None else pickable[::stride, ::stride]
         thinned = suggest_matches(part, result, count=count, apart=apart, pickable=some)
         return tuple(replace(one, cell=(one.cell[0] * stride, one.cell[1] * stride)) for one in thinned)

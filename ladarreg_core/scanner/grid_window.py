@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ladarreg_core.foundations.arrays import FloatArray
-from ladarreg_core.scanner.grids import ScanGeometry, TabulatedGrid
+from ladarreg_core.scanner.grids import ScanGeometry, SeparableGrid, TabulatedGrid
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,12 @@ def grid_rays(grid: ScanGeometry, rows: slice, columns: slice) -> FloatArray:
     kept = getattr(grid, "__dict__", {}).get("rays")  # of a whole grid that computed them once
     if kept is not None:
         return np.asarray(kept[rows, columns])
-    cells = np.meshgrid(
-        *(np.arange(n)[part] for n, part in zip(grid.shape, (rows, columns), strict=True)), indexing="ij"
-    )
-    return grid.ray_at(np.stack(cells, axis=-1))
+    places = [np.arange(n)[part] for n, part in zip(grid.shape, (rows, columns), strict=True)]
+    while isinstance(grid, GridWindow):
+        places = [first + step * place for first, step, place in zip(grid.first, grid.steps, places, strict=True)]
+        grid = grid.grid
+    if isinstance(grid, TabulatedGrid):
+        return grid.table[np.ix_(*places)]
+    if isinstance(grid, SeparableGrid):
+        return grid.rays_of(*places)
+    return grid.ray_at(np.stack(np.meshgrid(*places, indexing="ij"), axis=-1))

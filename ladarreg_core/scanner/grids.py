@@ -59,6 +59,15 @@ class ScanGeometry(Protocol):
         ...
 
 
+@runtime_checkable
+class SeparableGrid(ScanGeometry, Protocol):
+    """A geometry whose angles are those of rows and of columns: many rays take few sines."""
+
+    def rays_of(self, rows: IntArray, columns: IntArray) -> NDArray[np.float64]:
+        """Return the unit rays (h, w, 3) where some rows (h,) and columns (w,) cross, as `ray_at` does."""
+        ...
+
+
 @dataclass(frozen=True)
 class AzimuthElevation:
     """The two-mirror scanner of the thesis: azimuth is the inner rotation, elevation the outer one.
@@ -111,13 +120,17 @@ class AzimuthElevation:
     @cached_property
     def rays(self) -> NDArray[np.float64]:
         """(H, W, 3) unit rays, read-only."""
-        azimuth = self._azimuth(np.arange(self.columns))
-        elevation = self._elevation(np.arange(self.rows))
-        rays = np.empty((*self.shape, 3))
+        rays = self.rays_of(np.arange(self.rows), np.arange(self.columns))
+        rays.flags.writeable = False
+        return rays
+
+    def rays_of(self, rows: IntArray, columns: IntArray) -> NDArray[np.float64]:
+        """Return the unit rays (h, w, 3) where some rows (h,) and columns (w,) cross, as `ray_at` does."""
+        azimuth, elevation = self._azimuth(columns), self._elevation(rows)
+        rays = np.empty((len(rows), len(columns), 3))
         rays[..., 0] = np.cos(elevation)[:, None] * np.cos(azimuth)
         rays[..., 1] = np.sin(azimuth)
         rays[..., 2] = np.sin(elevation)[:, None] * np.cos(azimuth)
-        rays.flags.writeable = False
         return rays
 
     def _azimuth(self, column: FloatArray | IntArray) -> NDArray[np.float64]:
@@ -217,10 +230,25 @@ class SphericalGrid:
     @cached_property
     def rays(self) -> NDArray[np.float64]:
         """(H, W, 3) unit rays, read-only."""
-        row, column = np.mgrid[: self.rows, : self.columns]
-        rays = self.ray_at(np.stack([row, column], axis=-1))
+        rays = self.rays_of(np.arange(self.rows), np.arange(self.columns))
         rays.flags.writeable = False
         return rays
+
+    def rays_of(self, rows: IntArray, columns: IntArray) -> NDArray[np.float64]:
+        """Return the unit rays (h, w, 3) where some rows (h,) and columns (w,) cross, as `ray_at` does."""
+        latitude, longitude = self._latitude(rows), self._longitude(columns)
+        level = np.cos(latitude)[:, None]
+        rays = np.empty((len(rows), len(columns), 3))
+        rays[..., 0] = level * np.cos(longitude)
+        rays[..., 1] = level * np.sin(longitude)
+        rays[..., 2] = np.sin(latitude)[:, None]
+        return rays
+
+    def _latitude(self, row: FloatArray | IntArray) -> NDArray[np.float64]:
+        return np.asarray(self.top_latitude_rad - row * self.d_latitude_rad)
+
+    def _longitude(self, column: FloatArray | IntArray) -> NDArray[np.float64]:
+        return np.asarray(self.centre_longitude_rad - (column - (self.columns - 1) / 2) * self.d_longitude_rad)
 
     def cell_of(self, directions: ArrayLike) -> FloatArray:
         """Return the fractional cells (..., 2) of directions (..., 3)."""
@@ -233,8 +261,7 @@ class SphericalGrid:
     def ray_at(self, cells: ArrayLike) -> NDArray[np.float64]:
         """Return the unit rays (..., 3) of fractional cells (..., 2)."""
         c = np.asarray(cells, dtype=np.float64)
-        latitude = self.top_latitude_rad - c[..., 0] * self.d_latitude_rad
-        longitude = self.centre_longitude_rad - (c[..., 1] - (self.columns - 1) / 2) * self.d_longitude_rad
+        latitude, longitude = self._latitude(c[..., 0]), self._longitude(c[..., 1])
         level = np.cos(latitude)
         return np.stack([level * np.cos(longitude), level * np.sin(longitude), np.sin(latitude)], axis=-1)
 

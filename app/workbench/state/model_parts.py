@@ -121,10 +121,10 @@ class ModelParts:
             raise OptionError(f"there is no detail {detail[:20]!r}; it is one of {', '.join(LEVELS)}")
         if name == "mesh" and "block" in query:
             block = _block_of(query["block"])
-            return self._loader.cached("model", ("mesh", id(scan), block), lambda: _block_part(scan, block))
+            return self._loader.cached("model", ("mesh", document.scan, block), lambda: _block_part(scan, block))
         if name == "mesh":
             return self._loader.cached(
-                "model", ("mesh", id(scan), detail), lambda: _mesh_part(scan, LEVELS[detail].vertices)
+                "model", ("mesh", document.scan, detail), lambda: _mesh_part(scan, LEVELS[detail].vertices)
             )
         if name == "texture":
             return self._texture_part(document, scan, query, LEVELS[detail].texture_px)
@@ -178,8 +178,8 @@ class ModelParts:
             }
 
         assert entry.pose is not None, "it has a result"
-        key = ("sheet", document.scan, entry.id, entry.pose.camera_from_scanner, repr(entry.pose.camera))
-        return self._loader.cached("model", key, made)
+        key = (document.scan, entry.id, entry.pose.camera_from_scanner, repr(entry.pose.camera))
+        return self._loader.cached("sheet", key, made)
 
     def _layer_choices(self, document: Document) -> list[TextureOption]:
         """Return the textures made of all accepted photographs, as entries of `choices`."""
@@ -226,7 +226,7 @@ class ModelParts:
         of_scan = kind in ("intensity", "range")
         pose = None if of_scan or entry is None else entry.pose
         photo = None if of_scan or entry is None else self._loader.photo(entry)
-        key = (kind, z_buffer or kind != "colour", longest_px, id(scan), id(pose), id(photo))
+        key = (kind, z_buffer or kind != "colour", longest_px, document.scan, id(pose), id(photo))
         make = partial(self._make_texture, scan, kind, photo, None if of_scan else result, z_buffer=z_buffer)
         return self._loader.cached(
             "model", key, lambda: ((pose, photo), _picture_of(make(), longest_px, lossless=kind in _OF_CODES))
@@ -239,11 +239,11 @@ class ModelParts:
 
         seen_by = self._fitting(self._seen_by(document, kind))
         shown = ShownScan.of(scan, longest_px, most_cells=_MAX_COLORED_CELLS / len(seen_by))
-        key = (id(scan), shown.stride, *(_key_of(one) for one in seen_by))
+        key = (document.scan, shown.stride, *(_key_of(one) for one in seen_by))
 
         def make() -> tuple[object, Picture]:
             views = [self._posed(one) for one in seen_by]
-            model = self._loader.cached("model", ("fused", key), lambda: (seen_by, fuse(shown.scan, views)))[1]
+            model = self._loader.cached("fused", (id(scan), key), lambda: (seen_by, fuse(shown.scan, views)))[1]
             every = model_layers([model], [one.entry.source.name for one in seen_by])
             layer = next((one for one in every if one.name == kind), None)
             if layer is None:
@@ -258,16 +258,16 @@ class ModelParts:
 
         seen_by = self._seen_by(document, "colour")
         shown = ShownScan.of(scan, longest_px, most_cells=_MAX_COLORED_CELLS / len(seen_by))
-        key = (id(scan), shown.stride, *(_key_of(one) for one in seen_by))
+        key = (document.scan, shown.stride, *(_key_of(one) for one in seen_by))
 
         def make() -> tuple[object, Picture]:
-            found = best_of(shown.scan, (self._shown_by(one, scan, shown) for one in seen_by)).texture
+            found = best_of(shown.scan, (self._shown_by(one, document, shown) for one in seen_by)).texture
             texture = model_texture(shown.scan, "colour", result=seen_by[0].result, registered=found)
             return seen_by, _picture_of(texture, longest_px, lossless=False, shown=shown)
 
         return self._loader.cached("model", ("colors of all", longest_px, key), make)[1]
 
-    def _shown_by(self, one: _Seen, scan: Scan, shown: ShownScan) -> Sequence[ShownPart]:
+    def _shown_by(self, one: _Seen, document: Document, shown: ShownScan) -> Sequence[ShownPart]:
         """Return what a photograph shows of a scan; it is kept, so that one more photograph takes no longer than it."""
         from ladarreg_core.surface.texture.best_photo import shown_parts
 
@@ -275,7 +275,7 @@ class ModelParts:
             return one, [part.compact() for part in shown_parts(shown.scan, self._posed(one))]
 
         try:
-            return self._loader.cached("shown by", (id(scan), shown.stride, _key_of(one)), made)[1]
+            return self._loader.cached("shown by", (document.scan, shown.stride, _key_of(one)), made)[1]
         except LadarregError:  # its file has gone, which the slice `photos` states
             return ()
 
@@ -325,12 +325,11 @@ class ModelParts:
             return self._loader.cached(
                 "model", ("photo", level.photo_px, id(photo)), lambda: (photo, _photo_picture(photo, level.photo_px))
             )[1]
-        registered = self._registered(scan, photo, result)
-        return self._loader.cached(
-            "model",
-            ("layer", level.vertices, id(scan), id(pose), id(photo)),
-            lambda: ((pose, photo), _layer_part(scan, photo, result, registered.labels, level)),
-        )[1]
+
+        def layer() -> tuple[object, Picture]:
+            return (pose, photo), _layer_part(scan, photo, result, self._registered(scan, photo, result).labels, level)
+
+        return self._loader.cached("model", ("layer", level.vertices, document.scan, id(pose), id(photo)), layer)[1]
 
     def _make_texture(
         self, scan: Scan, kind: str, photo: Photo | None, result: PoseResult | None, *, z_buffer: bool
