@@ -13,6 +13,8 @@ import { canPreview, sameStretch, StretchedPicture, widthOf } from "./picture_st
 /** @typedef {import("./viewport.js").Viewport} Viewport */
 
 const KEPT = 10;
+/** Pixels of all pictures that are kept, four bytes each and a third more for their levels; the newest stays. */
+const KEPT_PX = 24e6;
 const KEPT_STRETCHES = 3;
 const HALVED_ABOVE_PX = 1400;
 
@@ -48,8 +50,16 @@ export class Picture {
   }
 }
 
-/** @type {Map<string, Promise<Picture>>} */
+/** @type {Map<string, {picture: Promise<Picture>, pixels: number}>} by address, the newest last; no pixels: it loads */
 const cache = new Map();
+
+const trim = () => {
+  const pixels = () => [...cache.values()].reduce((sum, one) => sum + one.pixels, 0);
+  for (const oldest of cache.keys()) {
+    if (cache.size <= 1 || (cache.size <= KEPT && pixels() <= KEPT_PX)) return;
+    cache.delete(oldest);
+  }
+};
 
 /**
  * @param {string} address relative to the page
@@ -58,14 +68,19 @@ const cache = new Map();
 export const loadPicture = (address) => {
   const known = cache.get(address);
   cache.delete(address);
-  const picture = known ?? loadBitmap(address).then((bitmap) => new Picture(bitmap));
-  cache.set(address, picture);
-  picture.catch(() => cache.get(address) === picture && cache.delete(address));
-  for (const oldest of cache.keys()) {
-    if (cache.size <= KEPT) break;
-    cache.delete(oldest);
+  const entry = known ?? { picture: loadBitmap(address).then((bitmap) => new Picture(bitmap)), pixels: 0 };
+  cache.set(address, entry);
+  trim();
+  if (!known) {
+    entry.picture.then(
+      ({ width, height }) => {
+        entry.pixels = width * height;
+        trim();
+      },
+      () => cache.get(address) === entry && cache.delete(address),
+    );
   }
-  return picture;
+  return entry.picture;
 };
 
 /** @typedef {import("./picture_stretch.js").Stretch} Stretch */
