@@ -3,27 +3,32 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
+import numpy as np
 
 from ladarreg_core.errors import CameraError, FormatError, LadarregError
 
 from ..process_resources import keep_heap_small
 from .cache import GroupedCache, ListCache
 from .isolated_readers import READERS
+from .kept_on_disk import KeptOnDisk
 from .photo_header import PhotoHeader, header_fields, header_of
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from ladarreg_core.camera import CameraModel
     from ladarreg_core.inspection.picks import PickMeasurements, PickPredictor
+    from ladarreg_core.inspection.picture_forms import EncodedPicture
     from ladarreg_core.inspection.pictures import NamedView
     from ladarreg_core.matches import Pick
     from ladarreg_core.photo import Photo
@@ -72,6 +77,7 @@ STATION_POINTS = 60_000
 """Most points of a station that are kept for the 3-D view."""
 
 _LARGE_SCAN_CELLS = 4_000_000
+_READERS_AT_ONCE = 4
 
 _DERIVED_FROM_SCAN = ("views", "view", "partners", "measured", "fused", "line")
 """Kinds whose values would keep a scan in memory that is dropped, or are known by its id, which may be given again."""
@@ -86,7 +92,7 @@ class Loader:
     """
 
     def __init__(self, folder: ProjectFolder, *, cache_bytes: int = DEFAULT_CACHE_BYTES) -> None:
-        self._folder = folder
+        self._folder, self._kept = folder, KeptOnDisk(folder)
         self.cache_bytes = cache_bytes
         self._cache = GroupedCache(
             _LIMITS, derived={"scan": _DERIVED_FROM_SCAN}, max_bytes=cache_bytes, uncounted=("scan",)
@@ -156,7 +162,7 @@ class Loader:
             from ladarreg_core.inspection.scene_geometry import spread_points
 
             try:
-                return self._kept_on_disk(
+                return self._kept.get(
                     "station points", [source], {"ranges": source.ranges, "most": STATION_POINTS},
                     lambda: spread_points(scan or self.read_scan(source), STATION_POINTS),
                 )  # fmt: skip
@@ -215,72 +221,73 @@ class Loader:
             LadarregError: if its file can no longer be read.
         """
 
-        def made() -> PhotoHeader:
-            fields = self._kept_on_disk(
-                "photo header", *self._made_of(entry), lambda: header_fields(measured()), is_sound=header_of
-            )
-            found = header_of(fields)
-            assert found is not None, "it was made, or found to be sound"
-            return found
-
-        def measured() -> PhotoHeader:
-            error = ""
+        def read() -> tuple[Photo, str]:
             try:
-                photo = self.photo(entry)
+                return self.photo(entry), ""
             except CameraError as fault:
-                photo, error = self.viewable_photo(entry), str(fault)
+                return self.viewable_photo(entry), str(fault)
+
+        return self.cached("header", (entry.source, entry.camera), lambda: self._header(entry, read))
+
+    def preload_headers(self, entries: Sequence[PhotoEntry]) -> None:
+        """Read the headers of many photographs, several at a time; those that cannot be read are passed over."""
+
+        def preload(entry: PhotoEntry) -> None:
+            def read() -> tuple[Photo, str]:
+                found = self._read_photo(entry)
+                if isinstance(found, LadarregError):
+                    return self._with_nominal_camera(entry), str(found)
+                return found, ""
+
+            with suppress(Exception):  # the slice `photos` states it
+                header = self._header(entry, read)
+                self.cached("header", (entry.source, entry.camera), lambda: header)
+
+        missing = [entry for entry in entries if (entry.source, entry.camera) not in self._cache["header"]]
+        with ThreadPoolExecutor(min(_READERS_AT_ONCE, os.cpu_count() or 1)) as pool:
+            list(pool.map(preload, missing))
+
+    def _header(self, entry: PhotoEntry, read: Callable[[], tuple[Photo, str]]) -> PhotoHeader:
+        """Return a header that is kept on disk, or made of what `read` returns: the photograph, and why its camera is
+        not known."""
+
+        def measured() -> dict[str, Any]:
+            photo, error = read()
+            self.small_photo(entry, photo)  # lists show it: the photograph need not be read for it again
             height, width = photo.pixels.shape[:2]
-            return PhotoHeader(
+            return header_fields(PhotoHeader(
                 width, height, photo.temperature_k is not None, photo.notes, None if error else photo.camera,
                 photo.calibrated and not error, error,
-            )  # fmt: skip
+            ))  # fmt: skip
 
-        return self.cached("header", (entry.source, entry.camera), made)
-
-    def small_photo(self, entry: PhotoEntry, make: Callable[[], T]) -> T:
-        """Return the small picture of a photograph, plain values and arrays, made once and kept on disk."""
-        key = entry.source, entry.camera.file
-        return self.cached(
-            "small photo", key, lambda: self._kept_on_disk("small photo", *self._made_of(entry), make, is_sound=bool)
-        )
-
-    def _made_of(self, entry: PhotoEntry) -> tuple[list[Source], dict[str, Any]]:
-        """Return what the values that are kept of a photograph are made of."""
-        from ladarreg_core.export.json import plain
-
-        files = [entry.source, *([entry.camera.file] if entry.camera.file else [])]
-        return files, {"camera": plain(msgspec.to_builtins(entry.camera))}
-
-    def _kept_on_disk(
-        self,
-        kind: str,
-        files: Sequence[Source],
-        made_of: Mapping[str, Any],
-        make: Callable[[], T],
-        *,
-        is_sound: Callable[[Any], Any] = lambda value: value is not None,
-    ) -> T:
-        """Return a value that is kept on disk by its files as they are now; make it where it is not, or not sound."""
-        from ladarreg_core.batches.photos.cache import ContentCache
-        from ladarreg_core.export.json import plain
-
-        try:
-            stats = [path.stat() for file in files for path in self._folder.source_files(file)]
-        except OSError:
-            return make()
-        kept = ContentCache.of_user()
-        key = ContentCache.key(
-            kind=kind, files=[[one.st_size, one.st_mtime_ns, one.st_ino] for one in stats],
-            sources=plain(msgspec.to_builtins(list(files))), folder=str(self._folder.path), **made_of,
-        )  # fmt: skip
-        known = kept.get(key)
-        if known is not None and is_sound(known):
-            return known  # type: ignore[no-any-return]
-        found = make()
-        kept.put(key, found)
+        fields = self._kept.of_photo("photo header", entry, measured, is_sound=header_of)
+        found = header_of(fields)
+        assert found is not None, "it was made, or found to be sound"
         return found
 
-    def _read_photo(self, entry: PhotoEntry) -> Photo | LadarregError:
+    def small_photo(self, entry: PhotoEntry, photo: Photo | None = None) -> EncodedPicture:
+        """Return the small picture of a photograph, made once and kept on disk.
+
+        Args:
+            entry: the photograph.
+            photo: the same, if it was read just now.
+
+        Raises:
+            LadarregError: if its file can no longer be read.
+        """
+        from ladarreg_core.inspection import picture_forms
+
+        def made() -> dict[str, Any]:
+            picture = picture_forms.small((photo or self.viewable_photo(entry)).pixels)
+            return {"data": np.frombuffer(picture.data, np.uint8), "media_type": picture.media_type}
+
+        def kept() -> EncodedPicture:
+            found = self._kept.of_photo("small photo", entry, made, is_sound=bool)
+            return picture_forms.EncodedPicture(np.asarray(found["data"]).tobytes(), str(found["media_type"]))
+
+        return self.cached("small photo", (entry.source, entry.camera.file), kept)
+
+    def _read_photo(self, entry: PhotoEntry) -> Photo | CameraError:
         from ladarreg_core.formats import read_photo
         from ladarreg_core.formats.cameras.camera_file import read_noted_camera
 

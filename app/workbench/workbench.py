@@ -461,7 +461,8 @@ class Workbench:
             self.publish_notice(f"{job.label}: {job.message}", level="bad", photo=job.photo)
 
     def _preload(self) -> None:
-        """Load the scan before the first client connects."""
+        """Load the scan, and read what is listed of the photographs, before the first client connects."""
+        self.loader.preload_headers(self.session.document.photos)
         try:
             self.loader.views(self.session.document)
         except LadarregError as error:

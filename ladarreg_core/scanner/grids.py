@@ -60,8 +60,11 @@ class ScanGeometry(Protocol):
 
 
 @runtime_checkable
-class SeparableGrid(ScanGeometry, Protocol):
-    """A geometry whose angles are those of rows and of columns: many rays take few sines."""
+class SeparableGrid(Protocol):
+    """A geometry whose angles are those of rows and of columns: many rays take few sines.
+
+    It does not extend `ScanGeometry`: whether a geometry is one would be found by evaluating all its properties.
+    """
 
     def rays_of(self, rows: IntArray, columns: IntArray) -> NDArray[np.float64]:
         """Return the unit rays (h, w, 3) where some rows (h,) and columns (w,) cross, as `ray_at` does."""

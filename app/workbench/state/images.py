@@ -61,7 +61,7 @@ class Images:
         if entry is None:
             raise OptionError("there is no such photograph")
         if kind == "photo" and query.get("form") == "small" and "part" not in query:
-            return self._small_photo(entry)
+            return _with_etag(self._loader.small_photo(entry))  # without reading the photograph
         if kind == "photo":
             key: Any = ("photo", entry.source, entry.camera.file)
             return self._sent(key, lambda: self._loader.viewable_photo(entry).pixels, query, natural=True)
@@ -75,18 +75,6 @@ class Images:
             raise OptionError("there is no pose to overlay; solve first")
         make = self._overlay if kind == "overlay" else self._registered
         return self._sent((kind, id(pose), options), lambda: make(entry, pose, query), query, keep=pose)
-
-    def _small_photo(self, entry: PhotoEntry) -> Picture:
-        """Return the small picture of a photograph, for lists of many: it is not read for it again."""
-        from ladarreg_core.inspection import picture_forms
-
-        def made() -> dict[str, Any]:
-            picture = picture_forms.small(self._loader.viewable_photo(entry).pixels)
-            return {"data": np.frombuffer(picture.data, np.uint8), "media_type": picture.media_type}
-
-        found = self._loader.small_photo(entry, made)
-        data = np.asarray(found["data"]).tobytes()
-        return _with_etag(picture_forms.EncodedPicture(data, str(found["media_type"])))
 
     def first_pictures(self, shown: PhotoEntry | None) -> dict[str, str]:
         """Return the URLs that a new page requests first (static/js/panes/sides.js), for a photograph that it shows.

@@ -83,17 +83,24 @@ def test_large_photographs_stay_within_the_memory_limit(tmp_path: Path) -> None:
     assert len(shelf) == 4
 
 
-def test_a_scan_that_is_dropped_takes_along_what_was_derived_from_it(tmp_path: Path) -> None:
+def test_a_scan_that_is_dropped_takes_along_what_was_derived_from_it_alone(tmp_path: Path) -> None:
     loader = Loader(ProjectFolder(tmp_path / "project"))
-    loader.cached("scan", 1, lambda: "a scan")
-    loader.cached("measured", 1, lambda: "of the first scan")
-    loader.cached("photo", 1, lambda: "a photograph")
-    for number in (2, 3):
-        loader.cached("scan", number, lambda: "a scan of another station")
-    assert loader.cached("measured", 1, lambda: "measured again") == "of the first scan"
-    loader.cached("scan", 4, lambda: "one too many")
-    assert loader.cached("measured", 1, lambda: "of the fourth scan") == "of the fourth scan"
-    assert loader.cached("photo", 1, lambda: "read again") == "a photograph"
+    scans = [loader.cached("scan", f"station {number}", lambda: np.zeros(3)) for number in range(3)]
+    for number, scan in enumerate(scans):
+        loader.cached("measured", (id(scan), 7), lambda: "of a scan")
+        loader.cached("view", (f"station {number}", 0), lambda: "of a scan's file")
+        loader.cached("model", ("mesh", f"station {number}"), lambda: "of what is read again")
+
+    def kept(group: str, *keys: object) -> list[bool]:
+        return [key in loader._cache[group] for key in keys]
+
+    of_scans = [(id(scan), 7) for scan in scans]
+    of_files = [(f"station {number}", 0) for number in range(3)]
+    assert kept("measured", *of_scans) == kept("view", *of_files) == [True, True, True]
+    loader.cached("scan", "station 1", lambda: "was used since")
+    loader.cached("scan", "one too many", lambda: "another scan")
+    assert kept("measured", *of_scans) == kept("view", *of_files) == [False, True, True]
+    assert kept("model", ("mesh", "station 0")) == [True]
 
 
 def test_the_number_of_cached_lists_is_bounded() -> None:

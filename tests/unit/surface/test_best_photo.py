@@ -12,7 +12,14 @@ from ladarreg_core.photo import Photo
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 from ladarreg_core.surface.texture import registered_texture as texture
-from ladarreg_core.surface.texture.best_photo import NO_PHOTO, PointColorer, PosedPhoto, best_photo
+from ladarreg_core.surface.texture.best_photo import (
+    NO_PHOTO,
+    PointColorer,
+    PosedPhoto,
+    best_of,
+    best_photo,
+    shown_parts,
+)
 from ladarreg_core.surface.texture.registered_texture import Label, texture_scan
 
 COVARIANCE = np.diag([1e-8] * 3 + [1e-8] * 3)
@@ -130,6 +137,22 @@ def test_large_scans_are_colored_alike_by_tiles(monkeypatch: pytest.MonkeyPatch)
     assert [one.done for one in reported].count(1) >= 2, "before each photograph, and after each of its parts"
     assert (whole.photo == tiled.photo).mean() > 0.995
     assert (whole.labels == tiled.labels).mean() > 0.99
+
+
+@pytest.mark.parametrize("tiled", [False, True])
+def test_what_was_kept_of_each_photograph_colors_as_all_together(
+    tiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if tiled:
+        monkeypatch.setattr(texture, "LARGEST_WHOLE_SCAN", 2000)
+    scan = room()
+    views = [view(RED, (0, 0.5, 0), 100), view(BLUE, (0, -0.5, 0), 400), view(RED, (6, 0, 0), 150)]
+    kept = [[part.compact() for part in shown_parts(scan, one)] for one in views]
+    assert sum(part.labels.size for part in kept[1]) < 0.7 * scan.ranges.size, "only what is in the picture"
+    assert not any(part.labels.size for part in kept[2])
+    found, whole = best_of(scan, kept), best_photo(scan, views)
+    for name in ("image", "labels", "photo", "sigma_px"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(whole, name))
 
 
 def test_without_a_photograph_nothing_is_colored() -> None:
