@@ -14,6 +14,8 @@ from ladarreg_core.errors import LadarregError, OptionError
 from .protocol import Workbench
 
 _MAX_CONCURRENT = 2
+"""Pictures that are drawn at a time, and parts of the model besides: those of a large survey take half a minute."""
+_MODEL = "model/"
 _HOUR_S = 3600
 _CLIENT_CLOSED_REQUEST = 499
 _REPORT_POLICY = (
@@ -32,18 +34,19 @@ class Pictures:
 
     def __init__(self, workbench: Workbench) -> None:
         self._workbench = workbench
-        self._slots = asyncio.Semaphore(_MAX_CONCURRENT)
-        self._readers_slot = asyncio.Semaphore(1)  # an editor waits for at most one of theirs
+        self._slots = [asyncio.Semaphore(_MAX_CONCURRENT) for _ in range(2)]
+        self._readers_slots = [asyncio.Semaphore(1) for _ in range(2)]  # an editor waits for at most one of theirs
 
     async def serve(self, request: Request) -> Response:
         """Return a picture."""
-        query = dict(request.query_params)
-        readers = self._readers_slot if request.state.read_only else nullcontext()
-        async with readers, self._slots:
+        path, query = request.path_params["path"], dict(request.query_params)
+        of_model = path.startswith(_MODEL)
+        readers = self._readers_slots[of_model] if request.state.read_only else nullcontext()
+        async with readers, self._slots[of_model]:
             if await request.is_disconnected():  # a slider that is being dragged has already requested the next one
                 return Response(status_code=_CLIENT_CLOSED_REQUEST)
             try:
-                picture = await run_in_threadpool(self._workbench.picture, request.path_params["path"], query)
+                picture = await run_in_threadpool(self._workbench.picture, path, query)
             except OptionError as error:
                 return PlainTextResponse(f"{error}\n", status_code=400)
             except LadarregError as error:

@@ -298,6 +298,31 @@ def test_an_editors_picture_waits_for_at_most_one_of_the_readers(run: Running, m
             held.set()
 
 
+def test_pictures_do_not_wait_for_the_model(run: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The colours of a large survey take half a minute, for which nobody's panes and lists may stay empty."""
+    held, drawing = threading.Event(), []
+    picture = run.bench.picture
+
+    def draw(path: str, query: Mapping[str, str]) -> Picture:
+        if path.startswith("model/"):
+            drawing.append(path)
+            held.wait(60)
+        return picture("scan", query)
+
+    monkeypatch.setattr(run.bench, "picture", draw)
+    with contextlib.ExitStack() as lines:
+        try:
+            for number in range(3):
+                lines.enter_context(
+                    line_to(run, header(run, "GET", f"/picture/model/texture?show=intensity&n={number}"))
+                )
+            assert soon(lambda: len(drawing) == 2)
+            assert run.ask("GET", "/picture/scan?show=intensity")[0] == 200
+            assert len(drawing) == 2
+        finally:
+            held.set()
+
+
 def test_a_page_beyond_the_limit_gets_a_reason(run: Running) -> None:
     run.bench.most = 1
     with run.socket() as first:

@@ -140,9 +140,7 @@ def test_large_scans_are_colored_alike_by_tiles(monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.parametrize("tiled", [False, True])
-def test_what_was_kept_of_each_photograph_colors_as_all_together(
-    tiled: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_was_kept_of_each_photograph_colors_as_all_together(tiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     if tiled:
         monkeypatch.setattr(texture, "LARGEST_WHOLE_SCAN", 2000)
     scan = room()
