@@ -13,6 +13,8 @@ import { blocksAt } from "./model_view.js";
 const LOOK_MS = 250;
 const RETRY_MS = 3000;
 const COARSEST = "coarse";
+/** Accepted photographs beyond which their colours take many seconds to make: the scan's intensity is shown meanwhile. */
+const MANY_PHOTOS = 5;
 const MIN_CELLS = 1e6; // of a scan whose surface the dense mesh shows only coarsely
 const MOVING = ["simplex", "reject_outliers", "thesis"];
 
@@ -207,13 +209,15 @@ export class ModelLoader {
     const blend = blendable(model).some(({ value }) => value === this.#blend) ? this.#blend : "";
     const job = store.get("job");
     const moves = job && MOVING.includes(job.kind) && isRunning(job) && this.#software();
-    const at = (/** @type {string} */ meshDetail, /** @type {string} */ textureDetail) => ({
+    const at = (/** @type {string} */ meshDetail, /** @type {string} */ textureDetail, /** @type {string} */ texture = kind) => ({
       mesh: meshAddress(scan, meshDetail),
-      texture: textureAddress(store.shown(), kind, model, textureDetail),
+      texture: textureAddress(store.shown(), texture, model, textureDetail),
       second: blend && textureAddress(store.shown(), blend, model, textureDetail),
     });
     const fine = at(moves ? "coarse" : model.detail, model.detail);
-    const stages = this.#drawn || model.detail === "coarse" ? [fine] : [at("coarse", "coarse"), fine];
+    const many = (store.get("photos") ?? []).filter(({ state }) => state === "accepted").length > MANY_PHOTOS;
+    const first = kind === "colour" && many ? "intensity" : kind;
+    const stages = this.#drawn || (model.detail === "coarse" && first === kind) ? [fine] : [at("coarse", "coarse", first), fine];
     const photo = store.shown();
     if (kind !== "colour" || blend || !photo || !model.accepted || !model.z_buffer || moves || model.detail === "coarse") {
       return stages;
