@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import ladarreg_core as lr
 from ladarreg_core.inspection.pictures import inspection_views
@@ -15,6 +17,7 @@ from ladarreg_core.simulate.sample import sample_survey_folder
 from ladarreg_core.survey.least_squares.problem import Matrix
 from testing.scenes.shared_places import lines_on_scan, shared_lines
 from testing.workbench.operator import Operator, at_work
+from testing.workbench.pages import choose_photo
 from testing.workbench.shared import SharedWorkbench
 
 if TYPE_CHECKING:
@@ -281,3 +284,20 @@ def test_a_line_is_drawn_in_the_scan_moved_adjusted_and_erased(
         page.keyboard.press("Escape")
         page.get_by_role("button", name=re.compile("Undo")).first.click()
         operator.wait(lambda: operator.slice("drawn_lines")[0]["in_scan"], "what was erased is back")
+
+
+def test_the_files_of_an_export_are_those_of_the_photographs_that_it_takes(operator: Operator, tmp_path: Path) -> None:
+    page = operator.page
+    path = tmp_path / "elsewhere.png"
+    Image.fromarray(np.random.default_rng(1).integers(0, 255, (60, 80, 3), np.uint8)).save(path)
+    waiting = operator.server.upload(path)
+    assert operator.socket.ask("open_files", files=[waiting])["opened"]
+    operator.step("Export")
+    choose_photo(page, "elsewhere.png")
+    page.get_by_text("Left out: elsewhere.png: it has no pose", exact=False).wait_for()
+    files = page.get_by_role("region", name="Files of the results")
+    files.get_by_text("Of each photograph that is exported").wait_for()
+    assert files.locator("li.left-out").count() == 0
+    page.get_by_label("Photographs to export").select_option("this photograph")
+    files.get_by_text("(not written)").first.wait_for()
+    assert files.get_by_text("Of each photograph").is_hidden()

@@ -257,15 +257,20 @@ _Place = tuple[NDArray[np.float64], NDArray[np.float64], float, NDArray[np.float
 def _places(
     group: Sequence[tuple[int, int]], on_laser: Mapping[tuple[int, int], LaserPoints], scan_poses: Sequence[Rigid]
 ) -> list[_Place]:
+    """Return where the rays of a tie meet each scan's surface; nowhere if less than half of them meet it, as at a depth
+    edge, where those that do meet another surface than the one that was matched."""
     found: list[_Place] = []
-    for photo, feature in group:
-        for scan, pose in enumerate(scan_poses):
+    for scan, pose in enumerate(scan_poses):
+        met: list[_Place] = []
+        for photo, feature in group:
             laser = on_laser.get((photo, scan))
             if laser is None or not np.isfinite(laser.xyz[feature]).all():
                 continue
             xyz, normal = laser.xyz[feature].astype(np.float64), laser.normal[feature].astype(np.float64)
             if np.isfinite(normal).all():
-                found.append((xyz, normal, laser.sigma_m, pose.inverse @ xyz, scan))
+                met.append((xyz, normal, laser.sigma_m, pose.inverse @ xyz, scan))
+        if 2 * len(met) >= len(group):
+            found += met
     return found
 
 

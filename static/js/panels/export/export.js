@@ -18,7 +18,7 @@ const ALL = "all";
 const MATCHES = "matches.json";
 /**
  * @typedef {import("../../state/progress.js").Target} Target
- * @typedef {{targets: Target[], photos: {name: string}[], left_out: {name: string, why: string, is_stale: boolean}[]}} Table
+ * @typedef {{targets: Target[], photos: {id: string, name: string}[], left_out: {name: string, why: string, is_stale: boolean}[]}} Table
  *   the answer to `export_targets`
  * @typedef {[string, string, boolean]} ResultFile name, contents, and whether only an accepted pose is written so
  */
@@ -92,12 +92,15 @@ const targetRow = ({ name, title, purpose }, ticked, changed) => {
 };
 
 /**
- * The files of the shown photograph's results; each has a tick once it was written from the present pose.
+ * The files of the shown photograph's results; each has a tick once it was written from the present pose. If it is left
+ * out, and others are exported, those of each of them.
  * @param {() => string} frameNow
  * @param {() => boolean} isCurrent
+ * @param {() => boolean} isOfOthers
  */
-const mountFiles = (frameNow, isCurrent) => {
+const mountFiles = (frameNow, isCurrent, isOfOthers) => {
   const list = element("ul", { class: "export-list" });
+  const whose = element("p", { class: "dim", hidden: true }, "Of each photograph that is exported; the one shown is left out.");
   /**
    * @param {ResultFile} file
    * @param {{stage: import("../../net/store.js").Stage | null, frame: string | undefined}} now
@@ -105,7 +108,7 @@ const mountFiles = (frameNow, isCurrent) => {
   const row = ([name, description, needsAcceptance], { stage, frame }) => {
     const exported = frame !== undefined && (name !== OFFSET[0] || frame === "world");
     const known = Boolean(stage) || (name === MATCHES && store.picksOf().length > 0);
-    const written = isCurrent() && known && (Boolean(stage?.accepted) || !needsAcceptance);
+    const written = isOfOthers() || (isCurrent() && known && (Boolean(stage?.accepted) || !needsAcceptance));
     return element(
       "li",
       { class: written ? "" : "left-out" },
@@ -123,12 +126,13 @@ const mountFiles = (frameNow, isCurrent) => {
     const frame = stage?.stale ? undefined : progressNow().exported[RESULTS];
     const files = [...FILES, ...(frameNow() === "world" ? [OFFSET] : [])];
     setChildren(list, ...files.map((file) => row(file, { stage, frame })));
+    whose.hidden = !isOfOthers();
   };
   const part = element(
     "section",
     { class: "dock-part export-files", "aria-label": "Files of the results" },
     element("div", { class: "part-head" }, element("h2", {}, "Files of the results")),
-    element("div", { class: "part-body" }, list),
+    element("div", { class: "part-body" }, whose, list),
   );
   return { part, show };
 };
@@ -256,7 +260,8 @@ export const mountExport = () => {
     crop: crop.checked ? "photo" : "none",
     last_solved: last.checked,
   });
-  const files = mountFiles(() => frame.value, () => !store.stageOf()?.stale || last.checked);
+  const isOfOthers = () => Boolean(table?.photos.length && !table.photos.some((photo) => photo.id === store.shown()));
+  const files = mountFiles(() => frame.value, () => !store.stageOf()?.stale || last.checked, isOfOthers);
 
   const complain = (/** @type {string} */ text, field = "") => {
     wrong.hidden = !text;
