@@ -27,7 +27,7 @@ from ladarreg_core.survey.least_squares.problem import (
 from ladarreg_core.survey.least_squares.solver import Adjusted, solve
 from ladarreg_core.survey.parts import SurveyTie
 from ladarreg_core.survey.ties.features import Features
-from ladarreg_core.survey.ties.ties import laser_points, thinned, tie_points, tracks_of, with_drawn
+from ladarreg_core.survey.ties.ties import LaserPoints, laser_points, thinned, tie_points, tracks_of, with_drawn
 from ladarreg_core.survey.verdicts import Solution
 from testing.scenes.shared_places import SharedPlaces, shared_places
 
@@ -238,3 +238,29 @@ def test_a_track_of_three_photographs_is_one_point_with_three_observations() -> 
     left_out = [one.id for one in verdicts if not one.agrees]
     assert "t9" in left_out, "the end in the third photograph was drawn elsewhere"
     assert set(left_out) <= {"t8", "t9"}, "nothing else suffers from it"
+
+
+def test_a_surface_that_few_of_the_photographs_meet_is_none() -> None:
+    """At a depth edge the ray of one loose pose meets what lies behind: everything would be bent towards it."""
+    camera, poses, uv = _three_views(np.random.default_rng(5), 8)
+    features, matches, ends = with_drawn(
+        [_NO_FEATURES] * 3, {}, [((0, to), one[[0, to]], _NOISE_PX) for one in uv for to in (1, 2)]
+    )
+    meeting = np.array([0, 1, 2, 3, 1, 2, 3, 1])
+    laser = {}
+    for photo, pose in enumerate(poses):
+        rays = camera.unproject(features[photo].uv.astype(np.float64)) @ pose.rotation
+        depth = (3.0 - pose.centre[0]) / rays[:, 0]
+        xyz = (pose.centre + rays * depth[:, None]).astype(np.float32)
+        first = np.argsort([np.flatnonzero((uv[:, photo].astype(np.float32) == at).all(axis=1))[0]
+                            for at in features[photo].uv])  # fmt: skip
+        xyz[first[meeting <= photo]] = np.nan
+        laser[photo, 0] = LaserPoints(xyz, np.tile(np.float32([-1, 0, 0]), (len(xyz), 1)), 0.003)
+    ties = tie_points(
+        matches, [one.uv for one in features], dict(enumerate(poses)), dict.fromkeys(range(3), camera), laser,
+        [Rigid.identity()], body_of_scan=[0], body_of_photo={k: k + 1 for k in range(3)}, drawn=ends,
+    )  # fmt: skip
+    assert len(ties.points) == len(uv), "without a surface, a place is triangulated"
+    first_seen = np.array([ties.uv[(ties.point == point) & (ties.photo == 1)][0] for point in ties.on_point])
+    on = [int(np.argmin(np.linalg.norm(uv[:, 0] - at, axis=1))) for at in first_seen]
+    assert sorted(on) == np.flatnonzero(meeting >= 2).tolist()
