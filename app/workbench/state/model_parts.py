@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
@@ -65,7 +66,7 @@ BLOCK_VERTICES = 37_500
 _MAX_COLORED_CELLS = 100_000_000
 """Most cells, counted once for each photograph, that are coloured by all photographs together."""
 _MAX_PHOTO_BYTES, _BYTES_PER_PIXEL = 700_000_000, 3
-"""Photographs that are fused to a layer are in memory together."""
+"""Photographs that are fused to a layer are in memory together: with more of them, each is reduced."""
 _LONGEST_BLOCK = 20
 _FACES_PER_VERTEX = 4  # of a photo layer; a surface has two before it is divided
 
@@ -237,12 +238,14 @@ class ModelParts:
         from ladarreg_core.fusion.fused_model import fuse
         from ladarreg_core.fusion.layers import model_layers
 
-        seen_by = self._fitting(self._seen_by(document, kind))
+        seen_by = self._seen_by(document, kind)
+        total = sum(_BYTES_PER_PIXEL * one.header.width * one.header.height for one in seen_by)
+        factor = max(1, math.ceil(math.sqrt(total / _MAX_PHOTO_BYTES)))
         shown = ShownScan.of(scan, longest_px, most_cells=_MAX_COLORED_CELLS / len(seen_by))
-        key = (document.scan, shown.stride, *(_key_of(one) for one in seen_by))
+        key = (document.scan, shown.stride, factor, *(_key_of(one) for one in seen_by))
 
         def make() -> tuple[object, Picture]:
-            views = [self._posed(one) for one in seen_by]
+            views = [self._posed(one) if factor == 1 else self._posed(one).reduced(factor) for one in seen_by]
             model = self._loader.cached("fused", (id(scan), key), lambda: (seen_by, fuse(shown.scan, views)))[1]
             every = model_layers([model], [one.entry.source.name for one in seen_by])
             layer = next((one for one in every if one.name == kind), None)
@@ -305,11 +308,6 @@ class ModelParts:
         if not seen_by:
             raise OptionError(f"the texture {kind!r} needs an accepted pose")
         return seen_by
-
-    def _fitting(self, seen_by: list[_Seen]) -> list[_Seen]:
-        """Return the first photographs, as many as may be in memory together."""
-        total = np.cumsum([_BYTES_PER_PIXEL * one.header.width * one.header.height for one in seen_by])
-        return seen_by[: max(1, int((total <= _MAX_PHOTO_BYTES).sum()))]
 
     def _photo_part(
         self, document: Document, scan: Scan, name: str, query: Mapping[str, str], level: Detail

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -52,6 +53,26 @@ class PosedPhoto:
     """Its intrinsics, given or estimated."""
     covariance: FloatArray | CameraUncertainty | None = None
     """(6, 6) of the pose as `PoseResult.covariance`, or of pose and camera; None: not known."""
+
+    def reduced(self, factor: int) -> PosedPhoto:
+        """Return the photograph with its sides divided by a whole number, for many in memory together.
+
+        Pixels and temperatures are means. What is uncertain is then the pose alone.
+        """
+        photo = self.photo
+        width, height = size = tuple(max(1, side // factor) for side in photo.camera.size)
+        kelvin = photo.temperature_k
+        if kelvin is not None:
+            kelvin = np.asarray(cv2.resize(kelvin, size, interpolation=cv2.INTER_AREA), np.float32)
+        small = Photo(
+            np.asarray(cv2.resize(photo.pixels, size, interpolation=cv2.INTER_AREA), np.uint8),
+            photo.camera.resized(width, height),
+            name=photo.name,
+            temperature_k=kelvin,
+        )
+        of_both = self.covariance
+        of_pose = of_both.covariance[:6, :6] if isinstance(of_both, CameraUncertainty) else of_both
+        return PosedPhoto(small, self.camera_from_scanner, self.camera.resized(width, height), of_pose)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

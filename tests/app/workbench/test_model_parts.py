@@ -12,6 +12,7 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
+from ladarreg.workbench.state import model_parts
 from ladarreg.workbench.state.model_parts import LEVELS, MAX_VERTICES
 from PIL import Image, ImageOps
 
@@ -139,6 +140,18 @@ def test_all_photographs_are_fused_to_layers(bench: WorkbenchDriver) -> None:
     assert bench.slice("model")["texture"] == "fused"
     with pytest.raises(LadarregError, match="thermal"):
         bench.workbench.picture("model/texture", {"kind": "temperature_k", "photo": "p1"})
+
+
+def test_photographs_that_do_not_fit_in_memory_are_fused_reduced(
+    bench: WorkbenchDriver, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, _ = texture(bench, "fused", photo="p1")
+    monkeypatch.setattr(model_parts, "_MAX_PHOTO_BYTES", 150_000)
+    reduced, _ = texture(bench, "fused", photo="p1")
+    off = np.abs(whole.astype(int) - reduced)
+    assert np.median(off) <= 4
+    assert off.mean() < 12
+    assert off.any(), "it was made again"
 
 
 @pytest.mark.slow

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ladarreg_core.camera import Camera, EquirectangularCamera
+from ladarreg_core.camera.uncertainty import CameraUncertainty
 from ladarreg_core.foundations.progress import Progress
 from ladarreg_core.frames import CAMERA_AXES_FROM_SCANNER, Rigid
 from ladarreg_core.photo import Photo
@@ -151,6 +154,27 @@ def test_what_was_kept_of_each_photograph_colors_as_all_together(tiled: bool, mo
     found, whole = best_of(scan, kept), best_photo(scan, views)
     for name in ("image", "labels", "photo", "sigma_px"):
         np.testing.assert_array_equal(getattr(found, name), getattr(whole, name))
+
+
+@pytest.mark.parametrize("thermal", [False, True])
+def test_a_reduced_photograph_shows_the_same(thermal: bool) -> None:
+    scan, one = room(), view(RED, (0.1, 0.3, 0), 300, size=303)
+    ramp = np.broadcast_to(np.linspace(0, 255, 303), (303, 303))
+    pixels = np.repeat(ramp[..., None], 3, axis=-1).astype(np.uint8)
+    photo = Photo(pixels, one.camera, temperature_k=(280 + ramp / 10).astype(np.float32) if thermal else None)
+    uncertain = CameraUncertainty(("focal_px",), np.diag([1e-8] * 6 + [4.0]), {"focal_px": 300.0})
+    whole = PosedPhoto(photo, one.camera_from_scanner, one.camera, uncertain)
+    small = whole.reduced(3)
+    assert small.photo.camera.size == small.camera.size == (101, 101)
+    assert isinstance(small.covariance, np.ndarray)
+    assert small.covariance.shape == (6, 6)
+    assert (small.photo.temperature_k is not None) == thermal
+    if small.photo.temperature_k is not None:
+        np.testing.assert_allclose(small.photo.temperature_k, 280 + small.photo.pixels[..., 0] / 10, atol=0.1)
+    found, expected = best_photo(scan, [small]), best_photo(scan, [replace(whole, covariance=COVARIANCE)])
+    seen = (found.labels == Label.SEEN) & (expected.labels == Label.SEEN)
+    assert seen.sum() > 0.9 * (expected.labels == Label.SEEN).sum()
+    assert np.abs(found.image[seen].astype(int) - expected.image[seen]).max() <= 3
 
 
 def test_without_a_photograph_nothing_is_colored() -> None:
