@@ -127,8 +127,8 @@ class GroupedCache:
 
     Args:
         limits: the largest number of values and the largest total size, bytes, of each group.
-        derived: for a group, the groups of what is made of its values: with a value they lose all whose keys contain
-            its key, or its id.
+        derived: for a group, the groups of what is made of its values: when a value is dropped, so are those whose
+            keys contain its key or its id.
         max_bytes: the largest total size of all groups besides the newest value; None: only the groups' own limits.
         uncounted: groups that do not count.
     """

@@ -80,7 +80,7 @@ _LARGE_SCAN_CELLS = 4_000_000
 _READERS_AT_ONCE = 4
 
 _DERIVED_FROM_SCAN = ("views", "view", "partners", "measured", "fused", "line")
-"""Kinds whose values would keep a scan in memory that is dropped, or are known by its id, which may be given again."""
+"""Kinds whose values would keep a dropped scan in memory, or have its id in their keys, which Python may reuse."""
 
 
 class Loader:
@@ -228,6 +228,10 @@ class Loader:
                 return self.viewable_photo(entry), str(fault)
 
         return self.cached("header", (entry.source, entry.camera), lambda: self._header(entry, read))
+
+    def is_there(self, entry: PhotoEntry) -> bool:
+        """Return whether a photograph's file is still there."""
+        return all(path.is_file() for path in self._folder.source_files(entry.source))
 
     def preload_headers(self, entries: Sequence[PhotoEntry]) -> None:
         """Read the headers of many photographs, several at a time; those that cannot be read are passed over."""

@@ -182,7 +182,7 @@ def model_texture(
     Args:
         scan: the scan.
         kind: one of `TextureKind`.
-        photo: the photograph, for `colour`, `resolution` and `label`.
+        photo: the photograph, for `colour`, `resolution` and `label` unless `registered` is given.
         result: its accepted pose, for all kinds but `intensity` and `range`.
         z_buffer: whether cells that are hidden from the camera stay uncoloured.
         registered: `texture_scan` of these arguments, if already computed.

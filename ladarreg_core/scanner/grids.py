@@ -63,7 +63,7 @@ class ScanGeometry(Protocol):
 class SeparableGrid(Protocol):
     """A geometry whose angles are those of rows and of columns: many rays take few sines.
 
-    It does not extend `ScanGeometry`: whether a geometry is one would be found by evaluating all its properties.
+    It does not extend `ScanGeometry`, since `isinstance` would then evaluate all its properties, the rays among them.
     """
 
     def rays_of(self, rows: IntArray, columns: IntArray) -> NDArray[np.float64]:

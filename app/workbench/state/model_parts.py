@@ -16,6 +16,7 @@ import numpy as np
 
 from ladarreg_core.errors import LadarregError, OptionError, ShapeError
 from ladarreg_core.foundations.palette import as_css
+from ladarreg_core.inspection.coarse_scan import CoarseScan
 from ladarreg_core.inspection.model_textures import (
     ModelTexture,
     model_texture,
@@ -25,7 +26,6 @@ from ladarreg_core.inspection.model_textures import (
     usable_texture,
 )
 from ladarreg_core.inspection.scene_geometry import picture_sheet
-from ladarreg_core.inspection.shown_scan import ShownScan
 from ladarreg_core.inspection.viewpoints import typical_range
 
 from ...gateway.protocol import Picture
@@ -35,6 +35,7 @@ from ...session.session import Session
 
 if TYPE_CHECKING:
     from ladarreg_core.foundations.arrays import ByteArray
+    from ladarreg_core.fusion.fused_model import FusedModel
     from ladarreg_core.inspection.model_textures import Legend
     from ladarreg_core.photo import Photo
     from ladarreg_core.project.document import Document, PhotoEntry, PoseEntry
@@ -66,7 +67,7 @@ BLOCK_VERTICES = 37_500
 _MAX_COLORED_CELLS = 100_000_000
 """Most cells, counted once for each photograph, that are coloured by all photographs together."""
 _MAX_PHOTO_BYTES, _BYTES_PER_PIXEL = 700_000_000, 3
-"""Photographs that are fused to a layer are in memory together: with more of them, each is reduced."""
+"""Photographs that are fused to a layer are in memory together, at most so many bytes; else each is reduced."""
 _LONGEST_BLOCK = 20
 _FACES_PER_VERTEX = 4  # of a photo layer; a surface has two before it is divided
 
@@ -228,7 +229,7 @@ class ModelParts:
         pose = None if of_scan or entry is None else entry.pose
         photo = None if of_scan or entry is None else self._loader.photo(entry)
         key = (kind, z_buffer or kind != "colour", longest_px, document.scan, id(pose), id(photo))
-        make = partial(self._make_texture, scan, kind, photo, None if of_scan else result, z_buffer=z_buffer)
+        make = partial(self._make_texture, document, scan, kind, photo, None if of_scan else result, z_buffer=z_buffer)
         return self._loader.cached(
             "model", key, lambda: ((pose, photo), _picture_of(make(), longest_px, lossless=kind in _OF_CODES))
         )[1]
@@ -241,12 +242,15 @@ class ModelParts:
         seen_by = self._seen_by(document, kind)
         total = sum(_BYTES_PER_PIXEL * one.header.width * one.header.height for one in seen_by)
         factor = max(1, math.ceil(math.sqrt(total / _MAX_PHOTO_BYTES)))
-        shown = ShownScan.of(scan, longest_px, most_cells=_MAX_COLORED_CELLS / len(seen_by))
+        shown = CoarseScan.of(scan, longest_px, most_cells=_MAX_COLORED_CELLS / len(seen_by))
         key = (document.scan, shown.stride, factor, *(_key_of(one) for one in seen_by))
 
         def make() -> tuple[object, Picture]:
-            views = [self._posed(one) if factor == 1 else self._posed(one).reduced(factor) for one in seen_by]
-            model = self._loader.cached("fused", (id(scan), key), lambda: (seen_by, fuse(shown.scan, views)))[1]
+            def fused() -> tuple[object, FusedModel]:
+                views = [self._posed(one) if factor == 1 else self._posed(one).reduced(factor) for one in seen_by]
+                return seen_by, fuse(shown.scan, views)
+
+            model = self._loader.cached("fused", (id(scan), key), fused)[1]
             every = model_layers([model], [one.entry.source.name for one in seen_by])
             layer = next((one for one in every if one.name == kind), None)
             if layer is None:
@@ -260,7 +264,7 @@ class ModelParts:
         from ladarreg_core.surface.texture.best_photo import best_of
 
         seen_by = self._seen_by(document, "colour")
-        shown = ShownScan.of(scan, longest_px, most_cells=_MAX_COLORED_CELLS / len(seen_by))
+        shown = CoarseScan.of(scan, longest_px, most_cells=_MAX_COLORED_CELLS / len(seen_by))
         key = (document.scan, shown.stride, *(_key_of(one) for one in seen_by))
 
         def make() -> tuple[object, Picture]:
@@ -270,8 +274,8 @@ class ModelParts:
 
         return self._loader.cached("model", ("colors of all", longest_px, key), make)[1]
 
-    def _shown_by(self, one: _Seen, document: Document, shown: ShownScan) -> Sequence[ShownPart]:
-        """Return what a photograph shows of a scan; it is kept, so that one more photograph takes no longer than it."""
+    def _shown_by(self, one: _Seen, document: Document, shown: CoarseScan) -> Sequence[ShownPart]:
+        """Return what a photograph shows of the scan; it is kept, so that with one more only that one is projected."""
         from ladarreg_core.surface.texture.best_photo import shown_parts
 
         def made() -> tuple[object, list[ShownPart]]:
@@ -279,7 +283,7 @@ class ModelParts:
 
         try:
             return self._loader.cached("shown by", (document.scan, shown.stride, _key_of(one)), made)[1]
-        except LadarregError:  # its file has gone, which the slice `photos` states
+        except LadarregError:  # its file has gone just now
             return ()
 
     def _posed(self, one: _Seen) -> PosedPhoto:
@@ -301,9 +305,11 @@ class ModelParts:
             result = self._result(entry)
             if entry.pose is None or result is None or _accepted_only(result) is not result:
                 continue
+            if not self._loader.is_there(entry):  # which the slice `photos` states
+                continue
             try:
                 seen_by.append(_Seen(entry.pose, entry, result, self._loader.header(entry)))
-            except LadarregError:  # its file has gone, which the slice `photos` states
+            except LadarregError:  # likewise
                 continue
         if not seen_by:
             raise OptionError(f"the texture {kind!r} needs an accepted pose")
@@ -325,20 +331,22 @@ class ModelParts:
             )[1]
 
         def layer() -> tuple[object, Picture]:
-            return (pose, photo), _layer_part(scan, photo, result, self._registered(scan, photo, result).labels, level)
+            labels = self._registered(document, scan, photo, result).labels
+            return (pose, photo), _layer_part(scan, photo, result, labels, level)
 
         return self._loader.cached("model", ("layer", level.vertices, document.scan, id(pose), id(photo)), layer)[1]
 
     def _make_texture(
-        self, scan: Scan, kind: str, photo: Photo | None, result: PoseResult | None, *, z_buffer: bool
-    ) -> ModelTexture:
+        self, document: Document, scan: Scan, kind: str, photo: Photo | None, result: PoseResult | None, *,
+        z_buffer: bool,
+    ) -> ModelTexture:  # fmt: skip
         registered = None
         if photo is not None and result is not None and (kind in _NEED_VISIBILITY or (kind == "colour" and z_buffer)):
-            registered = self._registered(scan, photo, result)
+            registered = self._registered(document, scan, photo, result)
         return model_texture(scan, kind, photo=photo, result=result, z_buffer=z_buffer, registered=registered)
 
-    def _registered(self, scan: Scan, photo: Photo, result: PoseResult) -> RegisteredTexture:
-        key = ("registered", id(scan), id(result), id(photo))
+    def _registered(self, document: Document, scan: Scan, photo: Photo, result: PoseResult) -> RegisteredTexture:
+        key = ("registered", document.scan, id(result), id(photo))
         return self._loader.cached("model", key, lambda: ((result, photo), registered_texture(scan, photo, result)))[1]
 
 
@@ -436,7 +444,7 @@ def surface_or_facets(scan: Scan, most_vertices: int) -> Mesh:
     return mesh if len(mesh.faces) else point_facets(scan, max_vertices=most_vertices)
 
 
-def _picture_of(texture: ModelTexture, longest_px: int, *, lossless: bool, shown: ShownScan | None = None) -> Picture:
+def _picture_of(texture: ModelTexture, longest_px: int, *, lossless: bool, shown: CoarseScan | None = None) -> Picture:
     """Return a texture as a picture of the scan's whole grid; its cells are those of `shown`, or of the whole grid."""
     from PIL import Image
 

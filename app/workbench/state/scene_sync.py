@@ -144,7 +144,7 @@ class SceneSync:
 
         document, people = self._loader.seen_from_scan(self._session.document), self._people()
         scene.set_people(people)
-        scan_shown = self._shown_scan(document)
+        scan_shown = self._coarse_scan(document)
         photos: dict[str | None, Shown] = {}
         if scan_shown is not None:
             photos[None] = Shown(Subject(scan_shown))
@@ -224,7 +224,7 @@ class SceneSync:
         self._survey = key, found
         return found
 
-    def _shown_scan(self, document: Document) -> ScanShown | None:
+    def _coarse_scan(self, document: Document) -> ScanShown | None:
         from ...scene import ScanShown
 
         scan = self._loader.scan(document)

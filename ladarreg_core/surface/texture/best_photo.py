@@ -55,9 +55,9 @@ class PosedPhoto:
     """(6, 6) of the pose as `PoseResult.covariance`, or of pose and camera; None: not known."""
 
     def reduced(self, factor: int) -> PosedPhoto:
-        """Return the photograph with its sides divided by a whole number, for many in memory together.
+        """Return the photograph with its sides divided by a whole number, so that many fit in memory together.
 
-        Pixels and temperatures are means. What is uncertain is then the pose alone.
+        Pixels and temperatures are means; the uncertainty of the intrinsics is left out.
         """
         photo = self.photo
         width, height = size = tuple(max(1, side // factor) for side in photo.camera.size)
@@ -134,7 +134,7 @@ class ShownPart:
     """(h, w): as of `CellColors`."""
 
     def compact(self) -> ShownPart:
-        """Return a copy of the least rectangle that contains all that is in the picture."""
+        """Return a copy of the smallest rectangle that contains all cells in the picture."""
         seen = (self.merit >= 0) | (self.labels == Label.OCCLUDED)
         rows_used, columns_used = (_extent(seen.any(axis=1 - axis)) for axis in (0, 1))
         part = rows_used, columns_used
@@ -369,7 +369,7 @@ def _extent(used: NDArray[np.bool_]) -> slice:
 
 
 def _shifted(whole: slice, part: slice) -> slice:
-    """Return a part of a part."""
+    """Return the slice of the whole that is a part of one of its slices."""
     return slice(whole.start + part.start, whole.start + part.stop)
 
 

@@ -257,8 +257,10 @@ _Place = tuple[NDArray[np.float64], NDArray[np.float64], float, NDArray[np.float
 def _places(
     group: Sequence[tuple[int, int]], on_laser: Mapping[tuple[int, int], LaserPoints], scan_poses: Sequence[Rigid]
 ) -> list[_Place]:
-    """Return where the rays of a tie meet each scan's surface; nowhere if less than half of them meet it, as at a depth
-    edge, where those that do meet another surface than the one that was matched."""
+    """Return where the rays of a tie meet each scan's surface; nowhere if fewer than half of them meet it.
+
+    At a depth edge those that do meet it may show another surface than the one that was matched.
+    """
     found: list[_Place] = []
     for scan, pose in enumerate(scan_poses):
         met: list[_Place] = []

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ladarreg_core.foundations.palette import VISIBILITY
+from ladarreg_core.inspection.coarse_scan import CoarseScan
 from ladarreg_core.inspection.model_textures import small_picture
-from ladarreg_core.inspection.shown_scan import ShownScan
 from ladarreg_core.scan import Scan
 from ladarreg_core.scanner.grids import AzimuthElevation
 
@@ -26,7 +26,7 @@ def picture_of(scan: Scan) -> np.ndarray:
 @pytest.mark.parametrize(("shape", "longest_px"), [((301, 407), 130), ((240, 600), 150), ((333, 250), 60)])
 def test_a_coarse_texture_lies_where_the_whole_one_does(shape: tuple[int, int], longest_px: int) -> None:
     scan = scan_of(*shape)
-    shown = ShownScan.of(scan, longest_px, most_cells=1e9)
+    shown = CoarseScan.of(scan, longest_px, most_cells=1e9)
     assert shown.stride == max(shape) // longest_px > 1
     assert max(shown.scan.shape) >= longest_px
     found = shown.picture(picture_of(shown.scan), longest_px).astype(float)
@@ -40,7 +40,7 @@ def test_a_coarse_texture_lies_where_the_whole_one_does(shape: tuple[int, int], 
 
 def test_the_cells_are_bounded_and_codes_are_not_mixed() -> None:
     scan = scan_of(200, 300)
-    shown = ShownScan.of(scan, 300, most_cells=7000)
+    shown = CoarseScan.of(scan, 300, most_cells=7000)
     assert shown.scan.ranges.size <= 7000
     codes = np.array(list(VISIBILITY), np.uint8)[:2]
     image = codes[np.indices(shown.scan.shape).sum(axis=0) % 2]
@@ -51,7 +51,7 @@ def test_the_cells_are_bounded_and_codes_are_not_mixed() -> None:
 
 def test_a_scan_that_is_shown_whole_stays_itself() -> None:
     scan = scan_of(40, 60)
-    shown = ShownScan.of(scan, 300, most_cells=1e9)
+    shown = CoarseScan.of(scan, 300, most_cells=1e9)
     assert shown.scan is scan
     np.testing.assert_array_equal(shown.picture(picture_of(scan), 300), picture_of(scan))
 
@@ -60,4 +60,4 @@ def test_a_scan_with_a_single_return_is_not_thinned_away() -> None:
     ranges = np.full((40, 60), np.nan)
     ranges[0, 0] = ranges[1, 1] = 3.0
     scan = Scan(AzimuthElevation(40, 60, 0.01, 0.01), ranges, np.ones((40, 60)))
-    assert ShownScan.of(scan, 10, most_cells=1e9).scan is scan
+    assert CoarseScan.of(scan, 10, most_cells=1e9).scan is scan

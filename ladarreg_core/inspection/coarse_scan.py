@@ -1,4 +1,4 @@
-"""A scan as coarse as its texture is shown, for what is computed of many photographs."""
+"""A scan with as many cells as its texture is shown with, for what is computed from many photographs."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from ladarreg_core.scan import Scan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ShownScan:
-    """A scan with no more cells than its texture is shown with: what is computed of all photographs takes less time."""
+class CoarseScan:
+    """Every n-th row and column of a scan, and how a texture of them lies on the whole grid."""
 
     scan: Scan
-    """Every n-th row and column of the scan, from the middle of the first n."""
+    """Those rows and columns, from the middle one of the first n."""
     whole: tuple[int, int]
     """(H, W), cells of the scan."""
     stride: int
     """n."""
 
     @staticmethod
-    def of(scan: Scan, longest_px: int, *, most_cells: float) -> ShownScan:
-        """Return a scan for a texture.
+    def of(scan: Scan, longest_px: int, *, most_cells: float) -> CoarseScan:
+        """Return as much of a scan as a texture shows.
 
         Args:
             scan: the scan.
-            longest_px: longer side of the texture; that of the scan stays as long, or is not thinned.
-            most_cells: it has no more cells than this, unless that leaves less than 2 rows or columns.
+            longest_px: longer side of the texture, which that of the cells does not fall below for its sake.
+            most_cells: there are no more cells than this, unless fewer than 2 rows or columns would be left.
         """
         stride = max(int(max(scan.shape) / longest_px), int(np.ceil(np.sqrt(scan.ranges.size / most_cells))))
         stride = max(1, min(stride, min(scan.shape) // 2))
         part = slice((stride - 1) // 2, None, stride)
         try:
-            return ShownScan(scan if stride == 1 else scan.window(part, part), scan.shape, stride)
+            return CoarseScan(scan if stride == 1 else scan.window(part, part), scan.shape, stride)
         except ShapeError:  # so few returns that none of them is among these cells
-            return ShownScan(scan, scan.shape, 1)
+            return CoarseScan(scan, scan.shape, 1)
 
     def picture(self, image: ByteArray, longest_px: int, *, codes: bool = False) -> NDArray[np.uint8]:
         """Return a texture (h, w, 3) of this scan as one of the whole scan, at most `longest_px` wide and high.
